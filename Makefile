@@ -1,0 +1,85 @@
+# Everything that one does with this project. Each target sets the project up first, if that is still to be done.
+PYTHON ?= python3
+SCALE ?= quick
+OUT ?= out/reproduce
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+CODE := src tests examples benchmarks docs
+
+# One thread per process: sums keep their order, and two workers do not fight for two cores.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+export MKL_NUM_THREADS := 1
+# No picture needs a display.
+export MPLBACKEND := Agg
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help setup reproduce test check format bench smoke train readme docs wheel lock clean
+
+help:  ## list the targets
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-10s %s\n", $$1, $$2}'
+
+setup: $(STAMP)  ## create .venv with the locked packages and this project
+
+$(STAMP): requirements.lock pyproject.toml
+	@echo "Setting up $(VENV) ..."
+	@$(PYTHON) -c 'import sys; sys.exit("mavfi needs Python 3.11 or newer, this is " + sys.version.split()[0] if sys.version_info < (3, 11) else 0)'
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install -qq --requirement requirements.lock
+	@$(BIN)/python -m pip install -qq --no-deps --no-build-isolation --editable .
+	@touch $@
+
+reproduce: setup  ## train, fly, print the success table, write $(OUT) (SCALE=quick|paper)
+	@$(BIN)/mavfi reproduce --scale $(SCALE) --out $(OUT)
+
+test: setup  ## run all tests
+	@$(BIN)/python -m pytest
+
+check: setup  ## formatting, lint, types, import contracts, fast tests
+	@$(BIN)/ruff format --check $(CODE)
+	@$(BIN)/ruff check $(CODE)
+	@$(BIN)/mypy
+	@$(BIN)/lint-imports
+	@$(BIN)/python -m pytest -m "not slow"
+
+format: setup  ## format the code, sort imports
+	@$(BIN)/ruff check --fix --select I $(CODE)
+	@$(BIN)/ruff format $(CODE)
+
+bench: setup  ## measure speed
+	@$(BIN)/python benchmarks/run.py
+
+smoke: setup  ## a campaign of a few flights, and its report
+	@$(BIN)/mavfi campaign run configs/campaigns/smoke.yaml --out out/smoke
+	@$(BIN)/mavfi report out/smoke
+
+train: setup  ## train the detectors that are shipped
+	@$(BIN)/mavfi train --flights 100 --out src/mavfi/data/models
+
+readme: setup  ## put the table that `make reproduce` printed into README.md
+	@$(BIN)/python docs/build_readme.py $(OUT)
+
+docs: setup  ## write the pages that repeat the code
+	@$(BIN)/python docs/build_pages.py
+
+wheel: setup  ## build the wheel, install it in an empty environment, run it
+	@rm -rf dist build/wheel-venv
+	@$(BIN)/python -m build --wheel --no-isolation --outdir dist . > /dev/null
+	@$(PYTHON) -m venv build/wheel-venv
+	@build/wheel-venv/bin/python -m pip install -qq --constraint requirements.lock dist/*.whl
+	@cd build && wheel-venv/bin/mavfi --help > /dev/null && wheel-venv/bin/mavfi states > /dev/null
+	@rm -rf build/wheel-venv
+	@ls dist/*.whl
+
+lock:  ## renew requirements.lock from the ranges in pyproject.toml
+	@rm -rf build/lock-venv
+	@$(PYTHON) -m venv build/lock-venv
+	@build/lock-venv/bin/python -m pip install -qq '.[dev]'
+	@(grep '^#' requirements.lock; build/lock-venv/bin/python -m pip freeze --exclude mavfi | sort -f) > build/requirements.lock
+	@mv build/requirements.lock requirements.lock && rm -rf build/lock-venv
+
+clean:  ## remove what was built (not .venv, not out)
+	@rm -rf dist build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	@find src tests examples benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +

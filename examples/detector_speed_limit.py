@@ -1,0 +1,33 @@
+"""A detector of one's own: an alarm when a command is faster than the vehicle can fly.
+
+    mavfi fly --environment sparse --seed 7 --detector examples.detector_speed_limit:SpeedLimit
+
+run from the folder that holds `examples`, or `detector_speed_limit:SpeedLimit` from within it.
+"""
+
+import numpy as np
+
+from mavfi.detectors import Alarm
+from mavfi.states import State, floats
+
+
+class SpeedLimit:
+    """Recomputes the control stage when a velocity command is not finite or above 5 m/s."""
+
+    limit = 5.0
+
+    def start(self) -> None:
+        """Called before each flight; this detector remembers nothing."""
+
+    def check(self, state: State, time_us: int) -> Alarm | None:
+        """Called with every published state before a consumer sees it."""
+        if state.spec.name != "control.command":
+            return None
+        speed = float(np.linalg.norm(floats(state.header, 3)))
+        if speed <= self.limit:  # false for NaN, too
+            return None
+        score = speed / self.limit if np.isfinite(speed) else 1e9
+        return Alarm("speed_limit", stage="control", score=score)
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Called with the value that was really published."""

@@ -1,0 +1,150 @@
+"""What a campaign is: the YAML files of configs/campaigns."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, model_validator
+
+from mavfi.config import Config, config_root, load
+from mavfi.errors import BadInputError
+from mavfi.faults.sampling import group_target, stage_target
+from mavfi.faults.strata import STRATA
+from mavfi.states import MONITORED_SETS, PPC_STAGES
+
+DESIGN_SEEDS = range(10_000)
+"""Seeds that the stacks were tuned on."""
+TRAINING_SEED = 1_000_000
+"""First seed of the flights that detectors are trained on; no campaign flies these."""
+
+
+class DetectorArm(Config):
+    """A detector with which every golden and every faulty flight is flown again."""
+
+    detector: str = Field(description="entry point of the group mavfi.detectors, or package:Class")
+    profile: Literal["paper", "tuned"] = "paper"
+
+
+class SiteGroup(Config):
+    """Fields that are struck as one row of a table; one of them per fault, uniform."""
+
+    name: str
+    sites: tuple[str, ...] = Field(min_length=1, description="state.field")
+    strata: dict[str, float] | None = Field(None, description="instead of the campaign's")
+
+
+class Scale(Config):
+    """How many flights."""
+
+    flights: int = Field(ge=1)
+    faults: int = Field(ge=1)
+
+
+class Campaign(Config):
+    """A campaign as a user writes it.
+
+    `flights` missions per environment, from `first_seed` on.  `faults` faults per environment for each stage (law
+    `stage_balanced`) or each group (law `groups`); fault i strikes in mission i modulo `flights`.  `strata` are the
+    shares of these faults by bit stratum.
+    """
+
+    name: str
+    environments: tuple[str, ...] = Field(min_length=1)
+    first_seed: int = Field(10_000, ge=0)
+    flights: int = Field(30, ge=1)
+    faults: int = Field(30, ge=1)
+    scales: dict[str, Scale] = Field(default_factory=dict, description="other sizes, by name")
+    law: Literal["stage_balanced", "groups"] = "stage_balanced"
+    sites: Literal["all", "monitored"] = Field("all", description="fields that stage_balanced draws from")
+    monitored_set: str = "paper-13"
+    groups: tuple[SiteGroup, ...] = ()
+    strata: dict[str, float] = Field(default_factory=lambda: {"sign_exponent": 2.0, "mantissa": 1.0})
+    null_runs: int = Field(3, ge=0, description="per environment; with each detector in turn")
+    stack: str = "published"
+    platform: str = "i9-9940x"
+    planner: str = "rrt_connect"
+    v_max: float | None = Field(None, gt=0, description="m/s; None = the environment's")
+    detectors: dict[str, DetectorArm] = Field(default_factory=dict, description="by the name of the arm")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Campaign":
+        flights = max([self.flights, *(scale.flights for scale in self.scales.values())])
+        if self.first_seed + flights > TRAINING_SEED:
+            raise ValueError(f"seeds from {TRAINING_SEED} on are for training")
+        if (self.law == "groups") != bool(self.groups):
+            raise ValueError("groups are given where, and only where, law is 'groups'")
+        if self.monitored_set not in MONITORED_SETS:
+            raise ValueError(f"monitored_set: allowed: {', '.join(MONITORED_SETS)}")
+        names = [group.name for group in self.groups]
+        if len(set(names)) != len(names):
+            raise ValueError("two groups have the same name")
+        for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
+            _check_strata(strata)
+        _check_targets(self)
+        return self
+
+    def at_scale(self, name: str) -> "Campaign":
+        """The campaign at another size; "quick" is the one written at its top level.
+
+        Raises:
+            BadInputError: It has no such size.
+        """
+        if name == "quick":
+            return self
+        if name not in self.scales:
+            allowed = ", ".join(["quick", *self.scales])
+            raise BadInputError(f"campaign {self.name}: scale {name!r}: not known; allowed: {allowed}")
+        return self.model_copy(update=self.scales[name].model_dump())
+
+    @property
+    def seeds(self) -> range:
+        """Seeds of the missions in each environment."""
+        return range(self.first_seed, self.first_seed + self.flights)
+
+    @property
+    def on_design_seeds(self) -> bool:
+        """Whether a mission has one of the seeds that the stacks were tuned on: no figure for publication."""
+        return self.first_seed < DESIGN_SEEDS.stop
+
+    def key(self) -> str:
+        """Hash that identifies the campaign."""
+        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+
+
+def _check_strata(strata: dict[str, float]) -> None:
+    unknown = set(strata) - set(STRATA)
+    if unknown:
+        raise ValueError(f"stratum {sorted(unknown)[0]!r}: allowed: {', '.join(STRATA)}")
+    if not strata or not all(0 < share < float("inf") for share in strata.values()):
+        raise ValueError("strata need at least one name, and shares above 0")
+
+
+def _check_targets(campaign: Campaign) -> None:
+    """Every stratum must have bits in every target: checked when the file is read, not when the faults are drawn."""
+    monitored = campaign.monitored_set if campaign.sites == "monitored" else None
+    try:
+        for group in campaign.groups:
+            for stratum in group.strata or campaign.strata:
+                group_target(group.name, group.sites).within(stratum)
+        for stage in PPC_STAGES if campaign.law == "stage_balanced" else ():
+            for stratum in campaign.strata:
+                stage_target(stage, campaign.stack, monitored).within(stratum)
+    except BadInputError as error:
+        raise ValueError(str(error)) from None
+
+
+def load_campaign(name: str | Path) -> Campaign:
+    """Read a campaign: a path, or the name of a shipped one, e.g. "table1".
+
+    Raises:
+        BadInputError: There is no such file, or something in it is wrong.
+    """
+    path = Path(name)
+    if path.suffix not in (".yaml", ".yml"):
+        shipped = config_root() / "campaigns"
+        path = shipped / f"{name}.yaml"
+        if not path.is_file():
+            allowed = ", ".join(sorted(file.stem for file in shipped.glob("*.yaml")))
+            raise BadInputError(f"campaign {str(name)!r}: not known; allowed: {allowed}, or a path to a .yaml file")
+    return load(Campaign, path)

@@ -1,0 +1,34 @@
+"""The in-process host and the detectors as the tools of a campaign.
+
+They are imported when they are first wanted: reading a ledger needs no simulator.
+"""
+
+from pathlib import Path
+
+from mavfi.campaign.worker import Flight, Tools
+from mavfi.detectors.detector import Detector
+from mavfi.faults.fault import Fault
+from mavfi.mission import Scenario
+
+
+def host_tools() -> Tools:
+    """The tools that campaigns fly with."""
+    return Tools(_fly, _load_detector)
+
+
+def _fly(scenario: Scenario, fault: Fault | None, detector: Detector | None, *, want_profile: bool) -> Flight:
+    from mavfi.hosts.inprocess import fly
+
+    return fly(scenario, fault, detector, want_profile=want_profile)
+
+
+def _load_detector(detector: str, profile: str, models_dir: Path | None, scenario: Scenario) -> tuple[Detector, str]:
+    from mavfi.detectors.registry import load_detector
+
+    fits = {
+        "stack": scenario.stack.name,
+        "platform": scenario.platform.name,
+        "v_max": scenario.v_max,
+        "planner": scenario.planner.name,
+    }
+    return load_detector(detector, profile, models_dir, fits)

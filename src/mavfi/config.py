@@ -1,0 +1,218 @@
+"""Configuration: YAML files become frozen, validated models; an unknown key is an error that names file and key."""
+
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from mavfi.errors import BadInputError
+
+Vector = tuple[float, float, float]
+
+
+class Config(BaseModel):
+    """Base of all configuration: frozen, and strict about keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+ConfigType = TypeVar("ConfigType", bound=Config)
+
+
+class VehicleConfig(Config):
+    """Airframe, rotors and the gains of its flight controller (docs: reference values and sources in docs/fidelity.md).
+
+    The inner loop is a cascade: velocity -> attitude -> rate.  `hull_radius` is the sphere whose contact is a collision.
+    """
+
+    name: str
+    mass: float = Field(gt=0, description="kg")
+    inertia: Vector = Field(description="kg m^2, principal, body frame")
+    arm_length: float = Field(gt=0, description="m, rotor axis to centre")
+    hull_radius: float = Field(gt=0, description="m")
+    max_rotor_thrust: float = Field(gt=0, description="N, one rotor")
+    rotor_torque_ratio: float = Field(gt=0, description="m, torque / thrust")
+    rotor_time_constant: float = Field(ge=0, description="s")
+    drag: Vector = Field(description="N s^2/m^2 along body x, y, z: force = -drag v|v|")
+    velocity_gain: float = Field(2.5, gt=0, description="1/s")
+    attitude_gain: float = Field(8.0, gt=0, description="1/s")
+    rate_gain: Vector = Field((18.0, 18.0, 6.0), description="1/s, body rates")
+    vertical_integral_gain: float = Field(0.3, ge=0, description="1/s^2; there is no x/y integrator")
+    max_tilt: float = Field(0.5712, gt=0, description="rad")
+    max_acceleration: float = Field(6.0, gt=0, description="m/s^2, horizontal")
+    max_yaw_rate: float = Field(2.0, gt=0, description="rad/s")
+    setpoint_limit: float = Field(1.33, gt=1, description="largest accepted velocity set-point / v_max")
+
+
+class CameraConfig(Config):
+    """Depth camera, looking forward."""
+
+    width: int = Field(64, ge=2, description="pixels")
+    height: int = Field(48, ge=2, description="pixels")
+    field_of_view: float = Field(1.5707963267948966, gt=0, lt=3.1, description="rad, horizontal")
+    range: float = Field(20.0, gt=0, description="m")
+    period_us: int = Field(100_000, gt=0, description="shortest time between two images")
+    noise: float = Field(0.0, ge=0, description="standard deviation / range")
+
+
+class MapConfig(Config):
+    """OctoMap's update rule (Hornung et al. 2013) and its parameters."""
+
+    resolution: float = Field(0.5, gt=0, description="m")
+    hit: float = Field(0.7, gt=0.5, lt=1)
+    miss: float = Field(0.4, gt=0, lt=0.5)
+    clamp_min: float = Field(0.12, gt=0, lt=0.5)
+    clamp_max: float = Field(0.97, gt=0.5, lt=1)
+
+
+class PlannerConfig(Config):
+    """Sampling planner and path improvement."""
+
+    name: str = "rrt_connect"
+    range: float = Field(4.0, gt=0, description="m, longest extension")
+    iterations: int = Field(4000, gt=0, description="per run")
+    restarts: int = Field(6, gt=0, description="runs of which the shortest path is kept")
+    shortcuts: int = Field(80, ge=0, description="random shortcuts after the greedy ones")
+
+
+class PlatformConfig(Config):
+    """A computer: what each kernel's result costs in simulated time (modelled, not measured on that hardware)."""
+
+    name: str
+    latency_us: dict[str, int] = Field(description="by kernel")
+    tracker_slowdown: float = Field(1.0, ge=1, description="control loop time / reference time it advances")
+    time_limit_factor: float = Field(1.0, ge=1)
+
+
+class StackConfig(Config):
+    """The rules of one autopilot stack.  Two are shipped: what the paper flew, and what a good team flies today."""
+
+    name: str
+    sampling: Literal["held", "interpolated"] = Field(description="trajectory points: every 0.5 s and held, or dense")
+    point_period: float = Field(gt=0, description="s between trajectory points")
+    look_ahead: float = Field(ge=0, description="s, velocity reference")
+    gain_p: Vector = Field(description="1/s")
+    gain_i: Vector = (0.0, 0.0, 0.0)
+    gain_d: Vector = (0.0, 0.0, 0.0)
+    integral_limit: float = Field(1.0, ge=0, description="m s")
+    velocity_feed_forward: float = 1.0
+    acceleration_feed_forward: float = 0.0
+    command_limit: float = Field(gt=0, description="largest command / v_max")
+    slowdown_cap: float = Field(ge=1, description="largest slow-down of reference time on saturation; 1 = none")
+    plan_radius: float = Field(gt=0, description="m")
+    check_radius: float = Field(gt=0, description="m")
+    distance: Literal["centres", "boxes"] = Field(description="between which points of voxels a radius is measured")
+    replanning: Literal["event", "every_map"]
+    grace: float = Field(ge=0, description="s")
+    known_space_limit: bool = Field(description="clock governed by known free space")
+    geofence: bool = Field(description="outside of the mapped volume counts as blocked in the check")
+    deviation_limit: float = Field(ge=0, description="m from the reference that stops and replans; 0 = off")
+    progress_timeout: float = Field(ge=0, description="s without progress that stop and replan; 0 = off")
+    consumer_check: bool = Field(description="trajectories are checked for sanity before they are adopted")
+    epoch_liveness: float = Field(ge=0, description="s after which a blocked epoch is reset; 0 = off")
+    max_failed_plans: int = Field(40, gt=0)
+
+
+class EnvironmentConfig(Config):
+    """A family of worlds, or a scanned map."""
+
+    name: str
+    generator: str = Field(description="entry point of the group mavfi.environments")
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    vehicle: str = "airsim_quad"
+    v_max: float | None = Field(None, gt=0, description="m/s, default of this environment")
+    map_resolution: float | None = Field(None, gt=0)
+    camera_range: float | None = Field(None, gt=0)
+    plan_radius: float | None = Field(None, gt=0)
+    check_radius: float | None = Field(None, gt=0)
+
+
+def config_root() -> Path:
+    """Folder of the shipped configuration files."""
+    package = Path(__file__).parent
+    inside = package / "configs"
+    return inside if inside.is_dir() else package.parents[1] / "configs"
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The mapping that a YAML file holds.
+
+    Raises:
+        BadInputError: The file is absent, not YAML, or not a mapping.
+    """
+    try:
+        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise BadInputError(f"{path}: not a YAML file ({str(error).splitlines()[0]})") from None
+    if not isinstance(data, dict):
+        raise BadInputError(f"{path}: must hold keys and values, holds {type(data).__name__}")
+    return data
+
+
+def parse(model: type[ConfigType], data: dict[str, Any], source: str) -> ConfigType:
+    """Validate data into a model.
+
+    Args:
+        model: Configuration class.
+        data: Keys and values.
+        source: Where they come from, for the message.
+
+    Raises:
+        BadInputError: One line that names source, key, value and what is allowed.
+    """
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "(whole)"
+        if first["type"] == "extra_forbidden":
+            allowed = ", ".join(_keys_at(model, first["loc"]))
+            raise BadInputError(f"{source}: unknown key {key!r}; allowed: {allowed}") from None
+        value = "absent" if first["type"] == "missing" else repr(first["input"])
+        raise BadInputError(f"{source}: key {key!r}: {value}: {first['msg']}") from None
+
+
+def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    for part in location[:-1]:
+        annotation = model.model_fields[str(part)].annotation if str(part) in model.model_fields else None
+        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+            break
+        model = annotation
+    return list(model.model_fields)
+
+
+def load(model: type[ConfigType], path: Path) -> ConfigType:
+    """Read a YAML file into a model.
+
+    Raises:
+        BadInputError: See `read_yaml` and `parse`.
+    """
+    return parse(model, read_yaml(path), str(path))
+
+
+def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
+    """A shipped configuration by name, or one of the user's by path.
+
+    Args:
+        kind: Folder: "environments", "stacks", "platforms" or "vehicles".
+        model: Configuration class.
+        name: Name without ".yaml", or a path to a YAML file.
+
+    Raises:
+        BadInputError: There is no such file.
+    """
+    if name.endswith((".yaml", ".yml")):
+        return load(model, Path(name))
+    path = config_root() / kind / f"{name}.yaml"
+    if not path.is_file():
+        allowed = ", ".join(names(kind))
+        raise BadInputError(f"{kind.rstrip('s')} {name!r}: not known; allowed: {allowed}, or a path to a .yaml file")
+    return load(model, path)
+
+
+def names(kind: str) -> list[str]:
+    """Names of the shipped configurations of a kind."""
+    return sorted(path.stem for path in (config_root() / kind).glob("*.yaml"))

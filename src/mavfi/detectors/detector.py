@@ -1,0 +1,49 @@
+"""What a detector is to the host: it watches published states, and may ask for a recomputation.  It never sees a fault."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+from mavfi.states import State
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """A detector's request for recovery.
+
+    Attributes:
+        source: Which detector or gate raised it, e.g. "gaussian", "autoencoder", "physics_gate".
+        stage: Stage to recompute: "perception", "planning" or "control".
+        abandon_waypoint: The way-point in force is dropped for the next one (the paper's autoencoder policy).
+        stop: Alarms persist: stop and plan anew.
+        score: How anomalous, in units of the threshold (> 1 is an alarm).
+        fields: The monitored fields that stand out, "state.field".
+    """
+
+    source: str
+    stage: str
+    abandon_waypoint: bool = False
+    stop: bool = False
+    score: float = 0.0
+    fields: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self)
+
+
+class Detector(Protocol):
+    """Watches the published states, one flight long.
+
+    The host calls `check` with every publication before it is seen by a consumer (coupling `inline`).  On an alarm the
+    host recomputes the stage and then calls `accept` with the value that is really published; without one it calls
+    `accept` right away.  So references for deltas are always values that were published.
+    """
+
+    def start(self) -> None:
+        """Forget the last flight."""
+
+    def check(self, state: State, time_us: int) -> Alarm | None:
+        """Judge a publication; must not change what the detector remembers."""
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Take note of a value that was published."""

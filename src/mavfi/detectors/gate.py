@@ -1,0 +1,177 @@
+"""The physics gate: what no vehicle of this kind can do, known without training.  It is its own source of alarms."""
+
+import math
+
+import numpy as np
+
+from mavfi.detectors.detector import Alarm, Detector
+from mavfi.numerics.jit import kernel_jit
+from mavfi.states import State, StateSpec
+
+SOURCE = "physics_gate"
+SPEED_MARGIN = 1.5
+"""Largest plausible speed / v_max: planned trajectories may exceed v_max by less."""
+STEP_MARGIN = 1.0
+"""Largest step between way-points of a trajectory beyond what the plausible speed covers (m)."""
+LONGEST_TIME_TO_COLLISION = 100.0
+"""Largest plausible time to collision (s); published as 30 s when there is none."""
+LARGEST_YAW = 2.0 * math.pi
+"""Largest plausible yaw (rad)."""
+UNKNOWN_ARENA = ((-1e4, -1e4, -1e4), (1e4, 1e4, 1e4))
+"""Bounds of positions where the arena is not known (m)."""
+_FINE = -1
+_SPEED, _LOWER, _UPPER = 0, 1, 4
+
+
+@kernel_jit
+def _not_finite(values: np.ndarray) -> int:
+    for index in range(len(values)):
+        if not math.isfinite(values[index]):
+            return index
+    return _FINE
+
+
+@kernel_jit
+def _too_fast(velocity: np.ndarray, limit: float) -> int:
+    """Index of the largest component of a velocity that is too large; scaled, so that squares cannot overflow."""
+    largest = int(np.argmax(np.abs(velocity)))
+    scale = abs(velocity[largest])
+    if not (scale > 0.0):
+        return _FINE
+    speed = scale * math.sqrt(np.sum((velocity / scale) ** 2))
+    return _FINE if speed <= limit else largest
+
+
+@kernel_jit
+def implausible_command(values: np.ndarray, limits: np.ndarray) -> int:
+    """Index of a field that cannot be right, or -1.
+
+    Args:
+        values: vx, vy, vz (m/s), then others. Shape (>= 3,).
+        limits: Largest speed (m/s), lower and upper corner of the arena (m). Shape (7,).
+    """
+    found = _not_finite(values)
+    return found if found >= 0 else _too_fast(values[:3], limits[_SPEED])
+
+
+@kernel_jit
+def implausible_waypoint(values: np.ndarray, before: np.ndarray, limits: np.ndarray) -> int:
+    """Index of a field that cannot be right, or -1.
+
+    Args:
+        values: x, y, z (m), yaw (rad), velocity (m/s), acceleration (m/s^2), duration (s). Shape (11,).
+        before: Position of the way-point before it on the same trajectory (m). Shape (3,), or (0,) if there is none.
+        limits: As of `implausible_command`.
+    """
+    found = _not_finite(values)
+    if found >= 0:
+        return found
+    step = limits[_SPEED] * abs(values[10]) + STEP_MARGIN
+    for axis in range(3):
+        if not (limits[_LOWER + axis] <= values[axis] <= limits[_UPPER + axis]):
+            return axis
+        if len(before) == 3 and not (abs(values[axis] - before[axis]) <= step):
+            return axis
+    if not (abs(values[3]) <= LARGEST_YAW):
+        return 3
+    found = _too_fast(values[4:7], limits[_SPEED])
+    return _FINE if found < 0 else found + 4
+
+
+class PhysicsGate:
+    """Finite numbers, the arena, speeds, steps of way-points, a collision counter that goes up by 0 or 1."""
+
+    def __init__(self, v_max: float, arena: tuple[tuple[float, ...], tuple[float, ...]] = UNKNOWN_ARENA) -> None:
+        """Set the limits.
+
+        Args:
+            v_max: Speed limit of the mission (m/s).
+            arena: Lower and upper corner that way-points must stay within (m).
+        """
+        self._limits = np.array([SPEED_MARGIN * v_max, *arena[0], *arena[1]], np.float64)
+        self._rules = {
+            "perception.collision_status": self._judge_status,
+            "planning.waypoint": self._judge_waypoint,
+            "control.command": self._judge_command,
+        }
+        self.start()
+
+    def start(self) -> None:
+        """Forget the last flight."""
+        self._sequence: int | None = None
+        self._trajectory: int | None = None
+        self._position = np.zeros(3)
+
+    def check(self, state: State, time_us: int) -> Alarm | None:
+        """Judge a publication."""
+        rule = self._rules.get(state.spec.name)
+        found = _FINE if rule is None else rule(state)
+        if found < 0:
+            return None
+        name = state.spec.name
+        return Alarm(SOURCE, state.spec.stage.value, score=2.0, fields=(f"{name}.{state.spec.header[found].name}",))
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Take note of a value that was published."""
+        if state.spec.name == "perception.collision_status":
+            self._sequence = int(state.header["future_collision_seq"][0])
+        elif state.spec.name == "planning.waypoint":
+            self._trajectory = int(state.header["trajectory_seq"][0])
+            self._position[:] = _reals(state)[:3]
+
+    def _judge_status(self, state: State) -> int:
+        found = int(_not_finite(_reals(state)))
+        if found >= 0:
+            return found
+        if not (0.0 <= float(state.header["time_to_collision"][0]) <= LONGEST_TIME_TO_COLLISION):
+            return _index(state.spec, "time_to_collision")
+        step = 0 if self._sequence is None else int(state.header["future_collision_seq"][0]) - self._sequence
+        return _FINE if step in (0, 1) else _index(state.spec, "future_collision_seq")
+
+    def _judge_waypoint(self, state: State) -> int:
+        same = self._trajectory == int(state.header["trajectory_seq"][0])
+        return int(implausible_waypoint(_reals(state), self._position if same else self._position[:0], self._limits))
+
+    def _judge_command(self, state: State) -> int:
+        return int(implausible_command(_reals(state), self._limits))
+
+
+class Chain:
+    """Several detectors in a row: the first alarm counts."""
+
+    def __init__(self, *detectors: Detector) -> None:
+        """Ask these, in this order."""
+        self._detectors = detectors
+
+    def start(self) -> None:
+        """Forget the last flight."""
+        for detector in self._detectors:
+            detector.start()
+
+    def check(self, state: State, time_us: int) -> Alarm | None:
+        """The first alarm that one of them raises."""
+        for detector in self._detectors:
+            alarm = detector.check(state, time_us)
+            if alarm is not None:
+                return alarm
+        return None
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Tell all of them."""
+        for detector in self._detectors:
+            detector.accept(state, time_us)
+
+
+def _index(spec: StateSpec, field: str) -> int:
+    return [candidate.name for candidate in spec.header].index(field)
+
+
+_REAL_BYTES: dict[str, int] = {}
+
+
+def _reals(state: State) -> np.ndarray:
+    """The leading float64 fields of a header as a plain vector that shares its memory."""
+    name = state.spec.name
+    if name not in _REAL_BYTES:
+        _REAL_BYTES[name] = 8 * sum(field.dtype == "f8" for field in state.spec.header)
+    return state.header.view(np.uint8)[: _REAL_BYTES[name]].view(np.float64)

@@ -1,0 +1,144 @@
+"""Trained models: JSON files that carry where they come from, and are refused where they do not fit."""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from mavfi.errors import BadInputError, SpecMismatchError
+
+FORMAT = 1
+FITTED_TO = ("stack", "platform", "v_max", "planner")
+"""What a model must have been trained for to be used: keys of its provenance, and of what it is checked against."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """A trained detector, as plain data.
+
+    Attributes:
+        kind: "gaussian" or "autoencoder" (or a user's own).
+        profile: "paper" or "tuned".
+        monitored: Name of the monitored set.
+        prediction: How `tuned` predicts positions, see `preprocess.PREDICTIONS`.
+        parameters: What training found: numbers and lists of numbers.
+        provenance: FITTED_TO, seeds, number of flights, versions.
+    """
+
+    kind: str
+    profile: str
+    monitored: str
+    prediction: str
+    parameters: dict[str, Any]
+    provenance: dict[str, Any]
+
+    @property
+    def name(self) -> str:
+        """File name without ".json"."""
+        return model_name(self.provenance["stack"], self.provenance["platform"], self.kind, self.profile)
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the whole content."""
+        return _hash(self._content())
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, the hash included."""
+        return {**self._content(), "sha256": self.sha256}
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any], source: str = "model") -> "Model":
+        """Inverse of `to_json`.
+
+        Args:
+            data: Plain data.
+            source: Where it comes from, for messages.
+
+        Raises:
+            BadInputError: Another format, something is absent, or the content is not what was hashed.
+        """
+        content = {key: value for key, value in data.items() if key != "sha256"}
+        if content.get("format") != FORMAT:
+            raise BadInputError(f"{source}: model format {content.get('format')!r}; allowed: {FORMAT}")
+        if data.get("sha256") != _hash(content):
+            raise BadInputError(f"{source}: the content does not match its sha256; train the model again")
+        del content["format"]
+        try:
+            return Model(**content)
+        except TypeError as error:
+            raise BadInputError(f"{source}: not a model ({error})") from None
+
+    def _content(self) -> dict[str, Any]:
+        return {"format": FORMAT, **asdict(self)}
+
+    def save(self, folder: Path) -> Path:
+        """Write `<name>.json` into a folder, which is made if absent.
+
+        Raises:
+            BadInputError: The place cannot be written.
+        """
+        path = folder / f"{self.name}.json"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            path.write_text(json.dumps(self.to_json(), indent=1) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
+        return path
+
+    @staticmethod
+    def load(path: Path) -> "Model":
+        """Read a file that `save` wrote.
+
+        Raises:
+            BadInputError: The file is absent, is no model, or was changed.
+        """
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
+        except ValueError as error:
+            raise BadInputError(f"{path}: not a model ({error})") from None
+        if not isinstance(data, dict):
+            raise BadInputError(f"{path}: not a model (holds {type(data).__name__})")
+        return Model.from_json(data, str(path))
+
+
+def model_name(stack: str, platform: str, kind: str, profile: str) -> str:
+    """Name of the file of a model, without ".json"."""
+    return f"{stack}-{platform}-{kind}-{profile}"
+
+
+def check_fits(model: Model, stack: str, platform: str, v_max: float, planner: str) -> None:
+    """Refuse a model that was trained for something else.
+
+    Args:
+        model: The model.
+        stack: Name of the stack that it is to watch.
+        platform: Name of the modelled computer.
+        v_max: Speed limit (m/s).
+        planner: Name of the planner.
+
+    Raises:
+        SpecMismatchError: One line that names what differs.
+    """
+    here = {"stack": stack, "platform": platform, "v_max": v_max, "planner": planner}
+    for key, wanted in here.items():
+        trained = model.provenance.get(key)
+        if not _same(trained, wanted):
+            raise SpecMismatchError(
+                f"model {model.name}: trained for {key} {trained!r}, used with {key} {wanted!r}; "
+                f"use {trained!r}, or train a model with `mavfi train`"
+            )
+
+
+def _same(trained: object, wanted: object) -> bool:
+    if isinstance(trained, (int, float)) and isinstance(wanted, (int, float)):
+        return math.isclose(trained, wanted, rel_tol=1e-9)
+    return trained == wanted
+
+
+def _hash(content: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

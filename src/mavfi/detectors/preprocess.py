@@ -1,0 +1,122 @@
+"""Data preprocessing (MAVFI section IV-B) in two profiles: which fields are watched, and how they become deltas.
+
+`paper`: sign and exponent of a float64 as a 16-bit code, then the difference to the last code.  `tuned`: the difference
+to what was predicted first, in float64, then its code.  Integers: difference, saturated to 16 bits.
+"""
+
+from collections.abc import Collection
+
+import numpy as np
+
+from mavfi.detectors import features
+from mavfi.errors import BadInputError
+from mavfi.states import MONITORED_SETS, STATES, State, StateSpec
+
+PROFILES = ("paper", "tuned")
+PREDICTIONS = {"interval": features.CODE_OF_INTERVAL, "trapezoid": features.CODE_OF_TRAPEZOID}
+"""How a way-point's position is predicted, see `features.measure`: "interval" where it is the end of an interval
+that is flown with the way-point's velocity, "trapezoid" where way-points are samples of a motion."""
+VEHICLE_STATE = "sensor.odometry"
+
+_HALF_METRE, _QUARTER, _ONE_SECOND, _EIGHTH = -1, -2, 0, -3
+_POSITIONS = {"x": "vx", "y": "vy", "z": "vz"}
+_PLANNED = "planning.waypoint"
+
+
+class Preprocessor:
+    """Deltas of the watched fields, one flight long.
+
+    Attributes:
+        fields: Names of the watched fields, "state.field", in the order of the vector.
+        slots: Number of each watched state, by name.
+        watch: Tables and memory.
+    """
+
+    def __init__(self, monitored: str, profile: str, prediction: str = "interval") -> None:
+        """Build the tables.
+
+        Args:
+            monitored: Name of a monitored set.
+            profile: "paper" or "tuned".
+            prediction: Key of PREDICTIONS; only `tuned` uses it.
+
+        Raises:
+            BadInputError: One of the names is not known.
+        """
+        watched = MONITORED_SETS[_known(monitored, MONITORED_SETS, "monitored set")]
+        _known(profile, PROFILES, "profile")
+        _known(prediction, PREDICTIONS, "prediction")
+        self.fields = tuple(f"{state}.{field}" for state, field in watched)
+        names = list(dict.fromkeys(state for state, _ in watched))
+        self.slots = {name: slot for slot, name in enumerate(names)}
+        rows = [_row(STATES[state], field, profile, prediction) for state, field in watched]
+        size = max(STATES[name].header_dtype.itemsize for name in names)
+        self.watch = features.Watch(
+            places=np.array([_place(STATES[name], watched) for name in names], np.int64),
+            table=np.array(rows, np.int64),
+            memory=np.zeros((len(names) + 1, 4)),
+            last=np.zeros((len(names), size), np.uint8),
+        )
+
+    def start(self) -> None:
+        """Forget the last flight."""
+        self.watch.memory[:] = 0.0
+        self.watch.last[:] = 0
+
+    def note(self, state: State) -> None:
+        """Remember where the vehicle is, if this state says so."""
+        if state.spec.name == VEHICLE_STATE:
+            features.note_vehicle(state.header.view(np.uint8), self.watch.memory)
+
+    def range_of(self, slot: int) -> tuple[int, int]:
+        """First and one past the last index in the vector of a watched state's fields."""
+        first, last = self.watch.places[slot, : features.LAST + 1]
+        return int(first), int(last)
+
+    def is_waypoint(self, slot: int) -> bool:
+        """Whether a watched state is the way-point in force."""
+        return bool(self.watch.places[slot, features.TRAJECTORY] >= 0)
+
+    def stage(self, index: int) -> str:
+        """Stage of the field at an index of the vector."""
+        state, _, _ = self.fields[index].rpartition(".")
+        return STATES[state].stage.value
+
+
+def _known(name: str, allowed: Collection[str], what: str) -> str:
+    if name not in allowed:
+        raise BadInputError(f"{what} {name!r}: not known; allowed: {', '.join(allowed)}")
+    return name
+
+
+def _offset(spec: StateSpec, field: str) -> int:
+    names = [candidate.name for candidate in spec.header]
+    sizes = [np.dtype(candidate.dtype).itemsize for candidate in spec.header]
+    return sum(sizes[: names.index(field)])
+
+
+def _place(spec: StateSpec, watched: tuple[tuple[str, str], ...]) -> tuple[int, int, int, int]:
+    own = [index for index, (state, _) in enumerate(watched) if state == spec.name]
+    if own != list(range(own[0], own[-1] + 1)):
+        raise BadInputError(f"monitored set: the fields of {spec.name} must be neighbours")
+    if spec.name != _PLANNED:
+        return own[0], own[-1] + 1, -1, -1
+    return own[0], own[-1] + 1, _offset(spec, "trajectory_seq"), _offset(spec, "duration")
+
+
+def _row(spec: StateSpec, field: str, profile: str, prediction: str) -> tuple[int, int, int, int, int]:
+    offset = _offset(spec, field)
+    position = spec.name == _PLANNED and field in _POSITIONS
+    kind = spec.find(field).dtype
+    if kind == "i4":
+        return offset, features.INTEGER, 0, -1, 0
+    if kind != "f8":
+        raise BadInputError(f"monitored set: {spec.name}.{field} is neither float64 nor int32")
+    if field == "time_to_collision":
+        return offset, features.DELTA_OF_CODES, _ONE_SECOND, -1, 0
+    if profile == "paper":
+        return offset, features.DELTA_OF_CODES, _HALF_METRE if position else _QUARTER, -1, 0
+    if position:
+        velocity, axis = _offset(spec, _POSITIONS[field]), list(_POSITIONS).index(field)
+        return offset, PREDICTIONS[prediction], _EIGHTH, velocity, axis
+    return offset, features.CODE_OF_ANGLE if field == "yaw" else features.CODE_OF_DELTA, _EIGHTH, -1, 0

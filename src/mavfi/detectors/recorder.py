@@ -1,0 +1,98 @@
+"""What training needs of an error-free flight."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavfi.detectors import features
+from mavfi.detectors.detector import Alarm
+from mavfi.detectors.preprocess import VEHICLE_STATE
+from mavfi.states import MONITORED_SETS, STATES, State
+
+WATCHED = tuple(dict.fromkeys(state for fields in MONITORED_SETS.values() for state, _ in fields))
+"""The states of which some field is in a monitored set."""
+_WAYPOINT = "planning.waypoint"
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """Every publication of a watched state in one flight, and where the vehicle was at each new trajectory.
+
+    Attributes:
+        kinds: Index in WATCHED, or features.ODOMETRY. Shape (m,), int8.
+        times_us: Instants (us). Shape (m,), int64.
+        content: The published headers, one after the other. Shape (total,), uint8.
+    """
+
+    kinds: np.ndarray
+    times_us: np.ndarray
+    content: np.ndarray
+
+    @property
+    def ends(self) -> np.ndarray:
+        """Where each header ends in `content`. Shape (m,), int64."""
+        sizes = [STATES[name].header_dtype.itemsize for name in (*WATCHED, VEHICLE_STATE)]
+        return np.cumsum(np.array(sizes, np.int64)[self.kinds])
+
+    def headers(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Publications of one watched state.
+
+        Args:
+            name: Its name.
+
+        Returns:
+            Instants (us), shape (k,), and headers, shape (k,), structured.
+        """
+        spec = STATES[name]
+        chosen = np.flatnonzero(self.kinds == WATCHED.index(name))
+        size = spec.header_dtype.itemsize
+        rows = self.ends[chosen, None] - size + np.arange(size)
+        return self.times_us[chosen], self.content[rows].reshape(-1).view(spec.header_dtype)
+
+
+class Recorder:
+    """A detector that never raises an alarm, and keeps what was published."""
+
+    def __init__(self) -> None:
+        """An empty record."""
+        self.start()
+
+    def start(self) -> None:
+        """Forget the last flight."""
+        self._kinds: list[int] = []
+        self._times: list[int] = []
+        self._content: list[bytes] = []
+        self._odometry = b""
+        self._trajectory: int | None = None
+
+    def check(self, state: State, time_us: int) -> Alarm | None:
+        """No alarm."""
+        return None
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Keep a value that was published."""
+        name = state.spec.name
+        if name == VEHICLE_STATE:
+            self._odometry = state.header.tobytes()
+        elif name in _KINDS:
+            if name == _WAYPOINT:
+                self._note_trajectory(int(state.header["trajectory_seq"][0]), time_us)
+            self._append(_KINDS[name], time_us, state.header.tobytes())
+
+    def recording(self) -> Recording:
+        """What was published since `start`."""
+        content = np.frombuffer(b"".join(self._content), np.uint8)
+        return Recording(np.array(self._kinds, np.int8), np.array(self._times, np.int64), content)
+
+    def _note_trajectory(self, trajectory: int, time_us: int) -> None:
+        if trajectory != self._trajectory and self._odometry:
+            self._append(features.ODOMETRY, time_us, self._odometry)
+        self._trajectory = trajectory
+
+    def _append(self, kind: int, time_us: int, content: bytes) -> None:
+        self._kinds.append(kind)
+        self._times.append(time_us)
+        self._content.append(content)
+
+
+_KINDS = {name: kind for kind, name in enumerate(WATCHED)}

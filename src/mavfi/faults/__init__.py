@@ -1,0 +1,1 @@
+"""Faults: what they are, how they are drawn, and how they strike."""

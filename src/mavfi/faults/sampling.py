@@ -1,0 +1,164 @@
+"""The sampling law: a seed and a golden profile become a fault, before any injected flight.
+
+`stage_balanced` (the paper's equal number of injections per stage): state of the stage, uniform; field, uniform;
+publication, uniform; element, uniform; bit, uniform in a stratum.  The same draw serves any named group of fields.
+"""
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import NO_SITE, Fault, FaultSite
+from mavfi.faults.strata import bits_of, word_share
+from mavfi.flight_log import Profile
+from mavfi.states import MONITORED_SETS, PPC_STAGES, STACKS, STATES, StateSpec, find_state
+
+FAULT_PURPOSE = 3
+"""First part of the spawn key of every stream that faults are drawn from."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What a fault is drawn from: fields, by state.
+
+    Attributes:
+        name: A stage, or the name of a group.
+        fields: Names of the fields of each state that can be struck; no state is empty.
+    """
+
+    name: str
+    fields: dict[str, tuple[str, ...]]
+
+    def within(self, stratum: str) -> "Target":
+        """The part whose words have bits of the stratum.
+
+        Raises:
+            BadInputError: There is none.
+        """
+        kept = {
+            state: tuple(name for name in names if bits_of(STATES[state].find(name), stratum))
+            for state, names in self.fields.items()
+        }
+        kept = {state: names for state, names in kept.items() if names}
+        if not kept:
+            raise BadInputError(f"{self.name}: no field has bits of the stratum {stratum!r}")
+        return Target(self.name, kept)
+
+    def probability(self, state: str) -> float:
+        """Probability that any one field of the state is drawn."""
+        return 1 / len(self.fields) / len(self.fields[state])
+
+
+def live_fields(spec: StateSpec, stack: str) -> tuple[str, ...]:
+    """Names of the fields that some consumer reads, each name once; of a user's own stack, what any stack reads."""
+    stacks = (stack,) if stack in STACKS else STACKS
+    live = (field.name for field in spec.fields if not all(field.dead_in(name) for name in stacks))
+    return tuple(dict.fromkeys(live))
+
+
+def stage_target(stage: str, stack: str, monitored_set: str | None = None) -> Target:
+    """All live fields of the states of a stage.
+
+    Args:
+        stage: "perception", "planning" or "control".
+        stack: Name of the stack, which decides what is dead.
+        monitored_set: Only fields of this set; None = all.
+
+    Raises:
+        BadInputError: There is no such stage or set, or nothing is left.
+    """
+    if stage not in PPC_STAGES:
+        raise BadInputError(f"stage {stage!r}: not known; allowed: {', '.join(PPC_STAGES)}")
+    fields = {spec.name: live_fields(spec, stack) for spec in STATES.values() if spec.stage == stage}
+    if monitored_set is not None:
+        if monitored_set not in MONITORED_SETS:
+            raise BadInputError(f"monitored set {monitored_set!r}: not known; allowed: {', '.join(MONITORED_SETS)}")
+        watched = set(MONITORED_SETS[monitored_set])
+        fields = {state: tuple(n for n in names if (state, n) in watched) for state, names in fields.items()}
+    return Target(stage, {state: names for state, names in fields.items() if names})
+
+
+def group_target(name: str, sites: Sequence[str]) -> Target:
+    """The named fields, e.g. "planning.waypoint.x".
+
+    Raises:
+        BadInputError: A site names no state or no field.
+    """
+    fields: dict[str, tuple[str, ...]] = {}
+    for site in sites:
+        state, _, field_name = site.rpartition(".")
+        find_state(state).find(field_name)
+        fields[state] = (*fields.get(state, ()), field_name)
+    if not fields:
+        raise BadInputError(f"group {name!r}: names no site")
+    return Target(name, fields)
+
+
+def stream(seed: int, *key: int | str) -> np.random.Generator:
+    """The random stream of a fault, addressed by the mission's seed and a key of numbers and names."""
+    numbers = [zlib.crc32(part.encode()) if isinstance(part, str) else part for part in key]
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FAULT_PURPOSE, *numbers)))
+
+
+def draw(target: Target, stratum: str, profile: Profile, seed: int, index: int) -> Fault:
+    """Draw one fault.
+
+    Args:
+        target: What it is drawn from.
+        stratum: Stratum of its bit.
+        profile: Publications of the golden flight.
+        seed: Seed of the mission.
+        index: Number of the fault among those of this target in this mission.
+
+    Returns:
+        The fault; with `NO_SITE` for its time if the golden flight never published what was drawn.
+    """
+    random = stream(seed, target.name, index)
+    part = target.within(stratum)
+    state = _pick(random, tuple(part.fields))
+    name = _pick(random, part.fields[state])
+    spec = STATES[state]
+    field = spec.find(name)
+    time_us, element = draw_publication(random, profile, FaultSite(state, name))
+    bits = bits_of(field, stratum)
+    return Fault(
+        "state",
+        FaultSite(state, name, element),
+        time_us,
+        bit=bits[int(random.integers(len(bits)))],
+        stratum=stratum,
+        weight=word_share(field, stratum) * target.probability(state) / part.probability(state),
+        stage=spec.stage.value,
+        seed=seed,
+    )
+
+
+def draw_publication(random: np.random.Generator, profile: Profile, site: FaultSite) -> tuple[int, int | None]:
+    """Draw a publication that carries the field, uniform, and an element of it where the field has several.
+
+    Args:
+        random: Stream of the fault.
+        profile: Publications of the golden flight.
+        site: State and field; a named element is kept.
+
+    Returns:
+        Instant (us), or `NO_SITE`, and the element, or None.
+    """
+    times = profile.times_us.get(site.state, np.zeros(0, np.int64))
+    counts = profile.counts.get(site.state, np.zeros(0, np.int32))
+    in_elements = STATES[site.state].in_elements(site.field)
+    candidates = np.flatnonzero(counts > 0) if in_elements else np.arange(len(times))
+    if len(candidates) == 0:
+        return NO_SITE, site.element
+    chosen = candidates[int(random.integers(len(candidates)))]
+    element = site.element
+    if in_elements and element is None:
+        element = int(random.integers(int(counts[chosen])))
+    return int(times[chosen]), element
+
+
+def _pick(random: np.random.Generator, names: tuple[str, ...]) -> str:
+    return names[int(random.integers(len(names)))]

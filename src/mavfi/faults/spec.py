@@ -1,0 +1,149 @@
+"""Faults as text: `null`, `state:planning.waypoint.x`, `state:planning.trajectory.x[3]:bit=62@5.0`."""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import Fault, FaultSite
+from mavfi.faults.sampling import draw_publication, live_fields, stream
+from mavfi.faults.strata import WORD_BITS
+from mavfi.flight_log import Profile
+from mavfi.states import STATES, Field, StateSpec, find_state
+
+FORM = "null, or state:STATE[.FIELD][[ELEMENT]][:bit=N][@SECONDS]"
+_UNAVAILABLE = ("instruction", "register")
+_PATTERN = re.compile(
+    r"(?P<path>[^:@\[\]]+)(\[(?P<element>\d+)\])?(:bit=(?P<bit>\d+))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?"
+)
+_NULL_SITE = FaultSite("planning.waypoint", "x")
+_LONGEST = 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class FaultRequest:
+    """A fault as a user names it; what is None is drawn.
+
+    Attributes:
+        state: Row of the state table.
+        field: Name of a field.
+        element: Element of the list that the state carries.
+        bit: Bit to flip.
+        time_us: Earliest instant.
+        null: Whether nothing is to be flipped.
+    """
+
+    state: StateSpec
+    field: str | None = None
+    element: int | None = None
+    bit: int | None = None
+    time_us: int | None = None
+    null: bool = False
+
+    @property
+    def needs_profile(self) -> bool:
+        """Whether the golden flight must be flown first, to draw from its publications."""
+        some_element = bool(self.state.elements) and self.element is None
+        return self.time_us is None or some_element
+
+    def resolve(self, seed: int, stack: str, profile: Profile | None = None) -> Fault:
+        """Draw what was not named.
+
+        Args:
+            seed: Seed of the fault.
+            stack: Name of the stack: a field that nothing reads is struck only if it was named.
+            profile: Publications of the golden flight; wanted where `needs_profile`.
+
+        Returns:
+            The fault; bits are drawn uniformly from the whole word.
+        """
+        random = stream(seed, "spec", self.state.name)
+        field = self._field(random, stack)
+        site = FaultSite(self.state.name, field.name, self.element)
+        time_us = self.time_us or 0
+        if self.needs_profile:
+            drawn, element = draw_publication(random, self._later(profile or Profile()), site)
+            site = FaultSite(self.state.name, field.name, element)
+            time_us = drawn if self.time_us is None else self.time_us
+        drawn_bit = int(random.integers(WORD_BITS[field.dtype])) if self.bit is None else self.bit
+        bit = None if self.null else drawn_bit
+        return Fault("state", site, time_us, bit, stage=self.state.stage.value, seed=seed)
+
+    def _field(self, random: np.random.Generator, stack: str) -> Field:
+        if self.field is not None:
+            return self.state.find(self.field)
+        fields = [self.state.find(name) for name in live_fields(self.state, stack)]
+        if self.element is not None:
+            fields = [field for field in fields if self.state.in_elements(field.name)]
+        if self.bit is not None:
+            fields = [field for field in fields if self.bit < WORD_BITS[field.dtype]]
+        return fields[int(random.integers(len(fields)))]
+
+    def _later(self, profile: Profile) -> Profile:
+        """The publications from which the element is drawn: the first one that will be struck, if the time is named."""
+        name = self.state.name
+        if self.time_us is None or name not in profile.times_us:
+            return profile
+        later = np.flatnonzero((profile.times_us[name] >= self.time_us) & (profile.counts[name] > 0))[:1]
+        return Profile({name: profile.times_us[name][later]}, {name: profile.counts[name][later]})
+
+
+def parse(text: str) -> FaultRequest:
+    """Read a fault from the command line.
+
+    Args:
+        text: `null` (the empty mask on the way-point in force), or `state:` and a site.
+
+    Raises:
+        BadInputError: It names no state, field, element or bit that exists; the message says what does.
+    """
+    if text == "null":
+        return FaultRequest(STATES[_NULL_SITE.state], _NULL_SITE.field, null=True)
+    level, separator, rest = text.partition(":")
+    if separator and level in _UNAVAILABLE:
+        raise BadInputError(f"fault {text!r}: level {level!r} is not available; allowed: state")
+    match = _PATTERN.fullmatch(rest)
+    if level != "state" or match is None:
+        raise BadInputError(f"fault {text!r}: not understood; allowed: {FORM}")
+    spec, field = _find(text, match["path"])
+    element, bit = (None if match[name] is None else int(match[name]) for name in ("element", "bit"))
+    _check_element(text, spec, field, element)
+    _check_bit(text, spec, field, bit)
+    return FaultRequest(spec, field, element, bit, _microseconds(text, match["time"]))
+
+
+def _find(text: str, path: str) -> tuple[StateSpec, str | None]:
+    if path in STATES:
+        return STATES[path], None
+    state, _, field = path.rpartition(".")
+    if state not in STATES:
+        raise BadInputError(f"fault {text!r}: no state {path!r}; allowed: {', '.join(STATES)}")
+    try:
+        find_state(state).find(field)
+    except BadInputError as error:
+        raise BadInputError(f"fault {text!r}: {error}") from None
+    return STATES[state], field
+
+
+def _check_element(text: str, spec: StateSpec, field: str | None, element: int | None) -> None:
+    has_elements = bool(spec.elements) if field is None else spec.in_elements(field)
+    if element is not None and not has_elements:
+        named = spec.name if field is None else f"{spec.name}.{field}"
+        raise BadInputError(f"fault {text!r}: element [{element}]: {named} is no list; allowed: no element")
+
+
+def _check_bit(text: str, spec: StateSpec, field: str | None, bit: int | None) -> None:
+    fields = spec.fields if field is None else (spec.find(field),)
+    count = max(WORD_BITS[candidate.dtype] for candidate in fields)
+    if bit is not None and bit >= count:
+        named = spec.name if field is None else f"{spec.name}.{field}"
+        raise BadInputError(f"fault {text!r}: no bit {bit} in {named}; allowed: 0 to {count - 1}")
+
+
+def _microseconds(text: str, seconds: str | None) -> int | None:
+    if seconds is None:
+        return None
+    if not float(seconds) < _LONGEST:
+        raise BadInputError(f"fault {text!r}: instant {seconds} s; allowed: 0 to {_LONGEST:g}")
+    return round(float(seconds) * 1e6)

@@ -1,0 +1,143 @@
+"""State-level faults: one bit of one field of one published inter-kernel state, once."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import Fault, FaultSite, Injection
+from mavfi.faults.strata import WORD_BITS
+from mavfi.flight_log import Profile
+from mavfi.states import State, StateSpec, find_state
+
+_US = 1e-6
+
+
+def flip(state: State, site: FaultSite, bit: int | None) -> tuple[State, float | int | bool, float | int | bool]:
+    """Flip one bit of one field; flipping it again restores the state.
+
+    Args:
+        state: What was published; it is left as it is.
+        site: Field, and element where the field belongs to the elements (clamped to those that are there).
+        bit: 0 = least significant bit of the field (IEEE 754 binary32 or binary64, two's complement); a flag has
+            bit 0 only; None = flip nothing.
+
+    Returns:
+        A copy with the bit flipped, the field's value before, and after.
+
+    Raises:
+        BadInputError: The field has no such bit, or the state has no element to strike.
+    """
+    described = state.spec.find(site.field)
+    if bit is not None and not 0 <= bit < WORD_BITS[described.dtype]:
+        raise BadInputError(f"{site}: no bit {bit}; allowed: 0 to {WORD_BITS[described.dtype] - 1}")
+    struck = state.copy()
+    in_elements = state.spec.in_elements(site.field)
+    container = struck.elements if in_elements else struck.header
+    if len(container) == 0:
+        raise BadInputError(f"{site}: the state carries no {state.spec.element} to strike")
+    row = min(site.element or 0, len(container) - 1) if in_elements else 0
+    before = container[site.field][row].item()
+    if bit is not None:
+        names = container.dtype.fields
+        assert names is not None  # states are structured arrays
+        offset = row * container.dtype.itemsize + names[site.field][1] + bit // 8
+        container.view(np.uint8)[offset] ^= np.uint8(1 << bit % 8)
+    return struck, before, container[site.field][row].item()
+
+
+class ActedOn:
+    """Tells which publications of one state consumers act upon: the same rule for drawing and for striking.
+
+    Where `StateSpec.acted_on` names a counter, these are the publications in which it grew; elsewhere all.
+    """
+
+    def __init__(self, spec: StateSpec) -> None:
+        self._counter = spec.acted_on
+        self._last = 0
+
+    def __call__(self, state: State) -> bool:
+        """Whether consumers act on this publication, given those that were asked about before."""
+        if not self._counter:
+            return True
+        value = int(state.header[self._counter][0])
+        grew = value > self._last
+        self._last = value
+        return grew
+
+
+class StateInjector:
+    """A tap that strikes as one fault says, once; every other publication passes untouched.
+
+    Attributes:
+        injections: What it did so far.
+    """
+
+    def __init__(self, fault: Fault) -> None:
+        self.injections: list[Injection] = []
+        self._fault = fault
+        self._spec = find_state(fault.site.state)
+        self._acted_on = ActedOn(self._spec)
+        self._in_elements = self._spec.in_elements(fault.site.field)
+        self._spec.find(fault.site.field)
+        self._armed = fault.has_site
+
+    def __call__(self, state: State, time_us: int) -> State:
+        """Answer what is published instead.
+
+        Args:
+            state: The publication.
+            time_us: Now.
+
+        Returns:
+            The same object, or, once, a copy with a bit flipped.
+        """
+        if state.spec is not self._spec or not self._armed:
+            return state
+        acted_on = self._acted_on(state)
+        if not acted_on or time_us < self._fault.time_us or (self._in_elements and len(state.elements) == 0):
+            return state
+        self._armed = False
+        return self._strike(state, time_us)
+
+    def _strike(self, state: State, time_us: int) -> State:
+        fault = self._fault
+        struck, before, after = flip(state, fault.site, fault.bit)
+        hit = struck.same_bits(state) == (fault.bit is None)
+        self.injections.append(Injection(fault.level, str(fault.site), time_us * _US, fault.bit, before, after, hit))
+        return struck
+
+    def finish(self) -> list[Injection]:
+        """All that it did; if the publication never came, one record that says so."""
+        if not self.injections:
+            fault = self._fault
+            time_s = fault.time_us * _US if fault.has_site else 0.0
+            self.injections.append(Injection(fault.level, str(fault.site), time_s, fault.bit, None, None, hit=False))
+        return self.injections
+
+
+@dataclass(slots=True)
+class ProfileRecorder:
+    """A tap that changes nothing and notes which publications a fault could strike."""
+
+    _times: dict[str, list[int]] = field(default_factory=dict)
+    _counts: dict[str, list[int]] = field(default_factory=dict)
+    _acted_on: dict[str, ActedOn] = field(default_factory=dict)
+
+    def __call__(self, state: State, time_us: int) -> State:
+        """Note a publication and pass it on."""
+        name = state.spec.name
+        if name not in self._times:
+            self._times[name], self._counts[name] = [], []
+            self._acted_on[name] = ActedOn(state.spec)
+        if self._acted_on[name](state):
+            self._times[name].append(time_us)
+            self._counts[name].append(len(state.elements))
+        return state
+
+    def profile(self) -> Profile:
+        """What was noted."""
+        return Profile(
+            {name: np.array(times, np.int64) for name, times in self._times.items()},
+            {name: np.array(counts, np.int32) for name, counts in self._counts.items()},
+        )

@@ -1,0 +1,54 @@
+"""Bits of a word by what they mean: the strata that faults are drawn from.
+
+The paper finds that sign and exponent decide (section III-C); pooled over all bits of a float64 they are 12 of 64.
+So bits are drawn per stratum, and each draw keeps the weight that leads back to a whole word.
+"""
+
+from mavfi.errors import BadInputError
+from mavfi.states import Field
+
+WORD_BITS = {"f8": 64, "f4": 32, "i4": 32, "?": 1}
+"""Bits of a field by its type; a flag has one, and flipping it inverts the flag."""
+
+_CLASSES: dict[str, dict[str, range]] = {
+    "f8": {"sign": range(63, 64), "exponent": range(52, 63), "mantissa": range(52)},
+    "f4": {"sign": range(31, 32), "exponent": range(23, 31), "mantissa": range(23)},
+    "i4": {"sign": range(31, 32), "other": range(31)},
+    "?": {"flag": range(1)},
+}
+
+STRATA: dict[str, tuple[str, ...]] = {
+    "sign_exponent": ("sign", "exponent", "flag"),
+    "mantissa": ("mantissa", "other"),
+    "sign": ("sign", "flag"),
+    "exponent": ("exponent",),
+}
+"""Bit classes of each stratum.  The first two part every word in two; the headline figures are of the first one.
+Integers count with sign and other bits, a flag's only bit with the headline."""
+
+HEADLINE = "sign_exponent"
+REMAINDER = "mantissa"
+
+
+def bits_of(field: Field, stratum: str) -> range:
+    """Bits of a field that belong to a stratum; empty where the type has none.
+
+    Raises:
+        BadInputError: There is no such stratum.
+    """
+    if stratum not in STRATA:
+        raise BadInputError(f"stratum {stratum!r}: not known; allowed: {', '.join(STRATA)}")
+    parts = [bits for name, bits in _CLASSES[field.dtype].items() if name in STRATA[stratum]]
+    if not parts:
+        return range(0)
+    return range(min(part.start for part in parts), max(part.stop for part in parts))
+
+
+def bit_class(field: Field, bit: int) -> str:
+    """Class of one bit: "sign", "exponent", "mantissa", "other" (integers) or "flag"."""
+    return next(name for name, bits in _CLASSES[field.dtype].items() if bit in bits)
+
+
+def word_share(field: Field, stratum: str) -> float:
+    """Share of the field's bits that belong to the stratum."""
+    return len(bits_of(field, stratum)) / WORD_BITS[field.dtype]

@@ -1,0 +1,91 @@
+"""A consumer's copy of the map: which voxels are known and occupied, and which are too near to an occupied one.
+
+Map updates arrive as (voxel, log-odds).  Counters over balls of offsets are kept incrementally, so that "is there room
+here" is one array read.  Every change is journalled, so that a stage can be run again from the same memory.
+"""
+
+import numpy as np
+
+from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.voxels import Grid
+
+UNKNOWN = 0
+KNOWN_FREE = 1
+OCCUPIED = 2
+
+
+@kernel_jit
+def _move(counter: np.ndarray, grid: Grid, voxel: int, offsets: np.ndarray, step: int) -> None:
+    """Add `step` to the counters around a voxel."""
+    ix = voxel // (grid.ny * grid.nz)
+    iy = (voxel // grid.nz) % grid.ny
+    iz = voxel % grid.nz
+    for i in range(offsets.shape[0]):
+        x = ix + offsets[i, 0]
+        y = iy + offsets[i, 1]
+        z = iz + offsets[i, 2]
+        if 0 <= x < grid.nx and 0 <= y < grid.ny and 0 <= z < grid.nz:
+            counter[(x * grid.ny + y) * grid.nz + z] += step
+
+
+@kernel_jit
+def set_cell(
+    grid: Grid, cells: np.ndarray, wide: np.ndarray, wide_offsets: np.ndarray, narrow: np.ndarray,
+    narrow_offsets: np.ndarray, voxel: int, value: int,
+) -> None:  # fmt: skip
+    """Give a voxel its state and move both counters if its occupancy changes. Arguments as in `apply_updates`."""
+    was = cells[voxel]
+    cells[voxel] = value
+    if (was == OCCUPIED) != (value == OCCUPIED):
+        step = 1 if value == OCCUPIED else -1
+        _move(wide, grid, voxel, wide_offsets, step)
+        _move(narrow, grid, voxel, narrow_offsets, step)
+
+
+@kernel_jit
+def apply_updates(
+    voxels: np.ndarray, log_odds: np.ndarray, grid: Grid, cells: np.ndarray, wide: np.ndarray,
+    wide_offsets: np.ndarray, narrow: np.ndarray, narrow_offsets: np.ndarray, journal_voxels: np.ndarray,
+    journal_cells: np.ndarray,
+) -> int:  # fmt: skip
+    """Take a map update over.
+
+    Args:
+        voxels: Flat indices; one outside of the grid is skipped. Shape (n,), int32.
+        log_odds: > 0 = occupied, else free; NaN counts as free. Shape (n,), float32.
+        grid: Geometry.
+        cells: UNKNOWN, KNOWN_FREE or OCCUPIED; changed. Shape (grid.size,), uint8.
+        wide: Counter over the planner's ball; changed. Shape (grid.size,), int16.
+        wide_offsets: Its offsets. Shape (k, 3).
+        narrow: Counter over the checker's ball; changed. Same shape as `wide`.
+        narrow_offsets: Its offsets. Shape (k, 3).
+        journal_voxels: Result: voxels whose cell changed, in order. Shape (>= n,), int32.
+        journal_cells: Result: their cell before. Shape (>= n,), uint8.
+
+    Returns:
+        How many cells changed.
+    """
+    changed = 0
+    for i in range(voxels.shape[0]):
+        voxel = voxels[i]
+        if voxel < 0 or voxel >= cells.shape[0]:
+            continue
+        value = OCCUPIED if log_odds[i] > 0.0 else KNOWN_FREE
+        if cells[voxel] != value:
+            journal_voxels[changed] = voxel
+            journal_cells[changed] = cells[voxel]
+            changed += 1
+            set_cell(grid, cells, wide, wide_offsets, narrow, narrow_offsets, voxel, value)
+    return changed
+
+
+@kernel_jit
+def undo_updates(
+    grid: Grid, cells: np.ndarray, wide: np.ndarray, wide_offsets: np.ndarray, narrow: np.ndarray,
+    narrow_offsets: np.ndarray, journal_voxels: np.ndarray, journal_cells: np.ndarray, count: int,
+) -> None:  # fmt: skip
+    """Take the last `apply_updates` back; arguments as there, `count` is what it returned."""
+    for i in range(count - 1, -1, -1):
+        set_cell(
+            grid, cells, wide, wide_offsets, narrow, narrow_offsets, journal_voxels[i], journal_cells[i]
+        )

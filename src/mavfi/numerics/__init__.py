@@ -1,0 +1,1 @@
+"""Compiled helpers without domain words."""

@@ -1,0 +1,100 @@
+"""What a kernel of the pipeline is: it takes states in, does one step on its explicit memory, and gives states out.
+
+A kernel knows no faults, no detectors, no simulator and no middleware.  A host calls `receive` with every publication
+that the kernel reads; where that makes a step due, the host calls `step` and publishes the result after the latency of
+its platform.  `mark` and `rollback` let a host run a stage again from the same memory.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from mavfi.config import CameraConfig, MapConfig, PlannerConfig, StackConfig
+from mavfi.numerics.voxels import Grid
+from mavfi.states import Stage, State
+
+
+class Kernel(Protocol):
+    """One computation of the pipeline (one node of a ROS graph)."""
+
+    name: str
+    stage: Stage
+    reads: tuple[str, ...]
+    writes: tuple[str, ...]
+
+    def receive(self, state: State, time_us: int) -> bool:
+        """Note an input; says whether a step is due now."""
+
+    def step(self, time_us: int) -> list[State]:
+        """Compute once on the inputs noted last; gives the states to publish."""
+
+    def mark(self) -> None:
+        """Remember the memory as it is."""
+
+    def rollback(self) -> None:
+        """Put the memory back to the last mark; inputs stay."""
+
+
+@dataclass(frozen=True, slots=True)
+class PipelineConfig:
+    """What the pipeline needs to know of a mission.
+
+    Attributes:
+        stack: Rules.
+        planner: Search.
+        map: Update rule.
+        camera: Geometry of the sensor.
+        directions: Ray of each pixel, camera frame x forward, y left, z up. Shape (n, 3).
+        arena_lower: Corner of the mapped volume, world frame (m). Shape (3,).
+        arena_upper: Same.
+        flight_lower: Corner of the box in which paths may lie (m). Shape (3,).
+        flight_upper: Same.
+        goal: World frame (m). Shape (3,).
+        seed: Mission seed: planner randomness is drawn from it.
+        v_max: m/s.
+        a_max: m/s^2.
+        plan_radius: m.
+        check_radius: m.
+        control_period_us: Between two commands.
+        tracker_slowdown: Loop time of the tracker / reference time it advances.
+        map_latency: From image to collision status (s).
+        plan_latency: From request to trajectory (s).
+        velocity_lag: Time constant of the vehicle's velocity loop (s).
+    """
+
+    stack: StackConfig
+    planner: PlannerConfig
+    map: MapConfig
+    camera: CameraConfig
+    directions: np.ndarray
+    arena_lower: np.ndarray
+    arena_upper: np.ndarray
+    flight_lower: np.ndarray
+    flight_upper: np.ndarray
+    goal: np.ndarray
+    seed: int
+    v_max: float
+    a_max: float
+    plan_radius: float
+    check_radius: float
+    control_period_us: int
+    tracker_slowdown: float
+    map_latency: float
+    plan_latency: float
+    velocity_lag: float
+
+
+HORIZONTAL_MARGIN = 5.0
+VERTICAL_MARGIN = 0.5
+
+
+def map_grid(config: PipelineConfig) -> Grid:
+    """The grid of the map: the arena with a margin, offset by half a voxel so that the ground lies inside a layer."""
+    resolution = config.map.resolution
+    margin = np.array([HORIZONTAL_MARGIN, HORIZONTAL_MARGIN, VERTICAL_MARGIN])
+    first = np.floor((config.arena_lower - margin) / resolution + 0.5)
+    last = np.ceil((config.arena_upper + margin) / resolution + 0.5)
+    lower = (first - 0.5) * resolution
+    nx, ny, nz = (int(n) for n in last - first)
+    return Grid(float(lower[0]), float(lower[1]), float(lower[2]), 1.0 / resolution, nx, ny, nz)

@@ -1,0 +1,237 @@
+"""Perception: depth image -> point cloud -> map update -> collision status (MAVFI section III-A)."""
+
+import numpy as np
+
+from mavfi.kernels.perception import collision_check, octomap, point_cloud
+from mavfi.numerics.rotations import rotation_matrix
+from mavfi.numerics.voxels import voxel_of
+from mavfi.pipeline.kernel import PipelineConfig, map_grid
+from mavfi.pipeline.room import Room
+from mavfi.states import STATES, Stage, State, floats, new_state
+
+_UNKNOWN_HORIZON = 15.0
+_UNKNOWN_REACH = 1.0
+
+
+class PointCloud:
+    """Kernel `point_cloud`."""
+
+    name = "point_cloud"
+    stage = Stage.PERCEPTION
+    reads = ("sensor.depth",)
+    writes = ("perception.point_cloud",)
+
+    def __init__(self, config: PipelineConfig) -> None:
+        self._config = config
+        self._depth = new_state("sensor.depth")
+
+    def receive(self, state: State, time_us: int) -> bool:
+        """A depth image makes a step due."""
+        del time_us
+        self._depth = state
+        return True
+
+    def step(self, time_us: int) -> list[State]:
+        """Back-project the image."""
+        del time_us
+        pose = floats(self._depth.header, 7)
+        ranges = np.ascontiguousarray(self._depth.elements["range"])
+        count = min(len(ranges), len(self._config.directions))
+        cloud = new_state("perception.point_cloud", count)
+        points = cloud.elements.view(np.float32).reshape(count, 3)
+        rotation = np.empty((3, 3))
+        rotation_matrix(pose[3:7], rotation)
+        point_cloud.back_project(
+            ranges[:count], self._config.directions, rotation, pose[:3], self._config.camera.range, points
+        )
+        floats(cloud.header, 3)[:] = pose[:3]
+        return [cloud]
+
+    def mark(self) -> None:
+        """There is no memory."""
+
+    def rollback(self) -> None:
+        """There is no memory."""
+
+
+class OctoMap:
+    """Kernel `octomap`."""
+
+    name = "octomap"
+    stage = Stage.PERCEPTION
+    reads = ("perception.point_cloud",)
+    writes = ("perception.map_update",)
+
+    def __init__(self, config: PipelineConfig) -> None:
+        self.grid = grid = map_grid(config)
+        rule = config.map
+        # half a voxel: OctoMap's voxel borders are multiples of the resolution, ours lie between them
+        half = 0.5 * rule.resolution
+        keys = [round((corner + half) / rule.resolution) for corner in (grid.x0, grid.y0, grid.z0)]
+        self._frame = octomap.KeyFrame(rule.resolution, half, half, half, *keys, grid.nx, grid.ny, grid.nz)
+        self._rule = octomap.UpdateRule(
+            *(octomap.log_odds(p) for p in (rule.hit, rule.miss, rule.clamp_min, rule.clamp_max))
+        )
+        self._range = config.camera.range
+        self.log_odds = np.zeros(grid.size, np.float32)
+        self._stamp = np.zeros(grid.size, np.int32)
+        self._touched = np.zeros(grid.size, np.int32)
+        self._before = np.zeros(grid.size, np.float32)
+        self._count = 0
+        self._scan = 0
+        self._cloud = new_state("perception.point_cloud")
+
+    def receive(self, state: State, time_us: int) -> bool:
+        """A point cloud makes a step due."""
+        del time_us
+        self._cloud = state
+        return True
+
+    def step(self, time_us: int) -> list[State]:
+        """Integrate the cloud."""
+        del time_us
+        self._scan += 1
+        points = self._cloud.elements.view(np.float32).reshape(-1, 3)
+        self._count = octomap.insert_scan(
+            points, floats(self._cloud.header, 3), self._range, self._frame, self._rule, self.log_odds, self._stamp,
+            self._scan, self._touched, self._before,
+        )  # fmt: skip
+        update = new_state("perception.map_update", self._count)
+        update.header["scan"] = self._scan
+        update.elements["voxel"] = self._touched[: self._count]
+        update.elements["log_odds"] = self.log_odds[self._touched[: self._count]]
+        return [update]
+
+    def mark(self) -> None:
+        """The journal of a scan is kept anyway."""
+        self._count = 0
+
+    def rollback(self) -> None:
+        """Take the scan since the last mark back; its number is not used again."""
+        octomap.undo_scan(self.log_odds, self._touched, self._before, self._count)
+        self._count = 0
+
+
+class CollisionCheck:
+    """Kernel `collision_check`: one-shot alarm by epochs, or a look at every map.
+
+    The counter of collisions lives in the last published status, as in the published code, where the message is kept and
+    sent again: whatever happened to it on its way is what counting goes on from.
+    """
+
+    name = "collision_check"
+    stage = Stage.PERCEPTION
+    reads = (
+        "perception.map_update", "planning.trajectory", "planning.waypoint", "sensor.odometry",
+        "perception.collision_status", "control.tracking",
+    )  # fmt: skip
+    writes = ("perception.collision_status",)
+
+    def __init__(self, config: PipelineConfig) -> None:
+        self._config = config
+        self._every_map = config.stack.replanning == "every_map"
+        self._reach = max(1, round(_UNKNOWN_REACH / config.map.resolution))
+        self.room = Room(config)
+        self._trajectories: dict[int, State] = {}
+        self._waypoint: State | None = None
+        self._position = np.zeros(3)
+        self._remaining = 0.0
+        self._published = new_state("perception.collision_status")
+        self._escaping_seq = -1
+
+    def receive(self, state: State, time_us: int) -> bool:
+        """A map update makes a step due; where every map is checked, a new trajectory does too."""
+        del time_us
+        name = state.spec.name
+        if name == "perception.map_update":
+            self.room.apply(state)
+            return True
+        if name == "sensor.odometry":
+            self._position = floats(state.header, 3)
+        elif name == "planning.waypoint":
+            self._waypoint = state
+        elif name == "control.tracking":
+            self._remaining = float(state.header["remaining"][0])
+        elif name == "perception.collision_status":
+            self._published = state
+        else:
+            return self._take_trajectory(state)
+        return False
+
+    def _take_trajectory(self, state: State) -> bool:
+        # a new trajectory is in force some ticks after it was sent: the one before is still wanted
+        self._trajectories[int(state.header["trajectory_seq"][0])] = state
+        while len(self._trajectories) > 2:
+            del self._trajectories[next(iter(self._trajectories))]
+        if len(state.elements) == 0:
+            return False
+        points = floats(state.elements, 11).reshape(-1, 11)
+        voxel = voxel_of(self.room.grid, points[0, 0], points[0, 1], points[0, 2])
+        if voxel >= 0 and self.room.narrow[voxel] > 0:
+            self._escaping_seq = int(state.header["trajectory_seq"][0])
+        return self._every_map
+
+    def _in_force(self) -> tuple[State | None, int, int]:
+        """Trajectory in force, index of its point, and its epoch."""
+        if self._every_map and self._trajectories:
+            newest = next(reversed(self._trajectories))
+            if self._waypoint is None or int(self._waypoint.header["trajectory_seq"][0]) != newest:
+                trajectory = self._trajectories[newest]
+                return trajectory, 0, int(trajectory.header["future_collision_seq"][0])
+        if self._waypoint is None:
+            return None, -1, 0
+        header = self._waypoint.header[0]
+        return (
+            self._trajectories.get(int(header["trajectory_seq"])), int(header["index"]),
+            int(header["future_collision_seq"]),
+        )  # fmt: skip
+
+    def step(self, time_us: int) -> list[State]:
+        """Check the rest of the trajectory in force on the present map."""
+        del time_us
+        seq = int(self._published.header["future_collision_seq"][0])
+        status = State(STATES[self.writes[0]], np.zeros(1, self._published.header.dtype), self._published.elements)
+        status.header[0] = (collision_check.NO_COLLISION, np.inf, np.inf, seq, -1, False)
+        trajectory, index, epoch = self._in_force()
+        if trajectory is None or index < 0 or index >= len(trajectory.elements):
+            return [status]
+        if epoch < seq and not self._every_map:
+            return [status]  # one-shot: the consumers have not answered the last alarm yet
+        points = floats(trajectory.elements, 11).reshape(-1, 11)
+        config = self._config
+        time = collision_check.time_to_collision(
+            self.room.narrow, self.room.grid, self._position, points, index, self._remaining, config.stack.geofence
+        )
+        header = status.header[0]
+        if self._every_map:
+            number = int(trajectory.header["trajectory_seq"][0])
+            blocked, unknown = collision_check.known_free_distance(
+                self.room.narrow, self.room.cells, self.room.grid, points, index, _UNKNOWN_HORIZON, self._reach,
+                self._still_escaping(number, points[index]),
+            )  # fmt: skip
+            header["trajectory_seq"] = number
+            header["distance_to_blocked"], header["distance_to_unknown"] = blocked, unknown
+            time = max(time, 0.0) if blocked < np.inf else -1.0
+        if time >= 0.0:
+            header["time_to_collision"] = time
+            header["future_collision_seq"] = np.int32((seq + 1 + 2**31) % 2**32 - 2**31)
+            header["collision"] = True
+        return [status]
+
+    def _still_escaping(self, number: int, point: np.ndarray) -> bool:
+        """Whether the trajectory started too near to an obstacle and the reference has not left that zone yet."""
+        if number != self._escaping_seq:
+            return False
+        voxel = voxel_of(self.room.grid, point[0], point[1], point[2])
+        if voxel >= 0 and self.room.narrow[voxel] > 0:
+            return True
+        self._escaping_seq = -1
+        return False
+
+    def mark(self) -> None:
+        """Remember the map as it is."""
+        self.room.mark()
+
+    def rollback(self) -> None:
+        """Take the map updates since the last mark back."""
+        self.room.rollback()

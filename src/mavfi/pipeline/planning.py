@@ -1,0 +1,417 @@
+"""Planning: request -> path -> trajectory (MAVFI section III-A); way-point hand-over is in `waypoints`.
+
+The motion planner decides when to plan and from where; two policies share its code.  `event`: on a newly predicted
+collision and when nothing is flown (the published code).  `every_map`: whenever the present trajectory is blocked, ends
+short or makes no progress, from a junction at which the vehicle can still stop.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavfi.kernels.planning import path as paths
+from mavfi.kernels.planning import trajectory as timing
+from mavfi.kernels.planning import waypoint as handover
+from mavfi.numerics.voxels import segment_free, voxel_of
+from mavfi.pipeline.kernel import PipelineConfig
+from mavfi.pipeline.planners import PathSearch, make_search
+from mavfi.pipeline.room import Room
+from mavfi.states import Stage, State, floats, new_state
+
+PLANNING_ACCELERATION = 2.5
+"""Along the path (m/s^2); half of a_max, the rest is for corners and tracking."""
+BRAKING = 4.0
+"""Hardest deceleration that a plan may ask for (m/s^2)."""
+_RETRY_US = 500_000
+_REACH = 3.0
+_MARGIN = 0.3
+_STUCK_US = 4_000_000
+_BACKTRACK_AFTER = 3
+_BACKTRACK_LENGTH = 4.0
+_CRUMB = 0.5
+_EMERGENCY_STOP_TIME = 0.6
+"""v_max / a_max of the published code (s)."""
+
+
+@dataclass(slots=True)
+class _Decisions:
+    """Small memory of the planner that a rollback restores."""
+
+    acted_seq: int = 0
+    alarm: float = -1.0
+    retry_us: int = 0
+    settled_us: int = 0
+    failures: int = 0
+    best_distance: float = np.inf
+    best_us: int = 0
+    progress: float = -np.inf
+    progress_us: int = 0
+
+
+class MotionPlanner:
+    """Kernel `planner`."""
+
+    name = "planner"
+    stage = Stage.PLANNING
+    reads = (
+        "perception.map_update", "perception.collision_status", "sensor.odometry", "planning.waypoint",
+        "planning.trajectory",
+    )  # fmt: skip
+    writes = ("planning.path",)
+
+    def __init__(self, config: PipelineConfig) -> None:
+        self._config = config
+        self._every_map = config.stack.replanning == "every_map"
+        self.room = Room(config)
+        self._search: PathSearch = make_search(config.planner, config.seed)
+        self._status: State | None = None
+        self._odometry = np.zeros(13)
+        self._waypoint: State | None = None
+        self._trajectory: State | None = None
+        self._arc = np.zeros(0)
+        self._crumbs: list[np.ndarray] = []
+        self._memory = _Decisions()
+        self._marked = (_Decisions(), self._search.random.copy())
+
+    # ---- inputs -----------------------------------------------------------------------------------------------------
+    def receive(self, state: State, time_us: int) -> bool:
+        """Note an input; a step is due when the policy wants a plan."""
+        name = state.spec.name
+        if name == "perception.map_update":
+            self.room.apply(state)
+        elif name == "perception.collision_status":
+            self._take_status(state)
+            if self._every_map:
+                return self._wants_new_plan(time_us)
+        elif name == "planning.waypoint":
+            self._waypoint = state
+        elif name == "planning.trajectory":
+            self._take_trajectory(state, time_us)
+        else:
+            return self._take_odometry(state, time_us)
+        return False
+
+    def _take_status(self, state: State) -> None:
+        self._status = state
+        seq = int(state.header["future_collision_seq"][0])
+        if bool(state.header["collision"][0]) and seq > self._memory.acted_seq:
+            self._memory.acted_seq = seq
+            self._memory.alarm = float(state.header["time_to_collision"][0])
+
+    def _take_trajectory(self, state: State, time_us: int) -> None:
+        self._trajectory = state
+        if len(state.elements):
+            self._arc = np.empty(len(state.elements))
+            handover.arc_lengths(floats(state.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH), self._arc)
+        self._memory.progress, self._memory.progress_us = -np.inf, time_us
+
+    def _take_odometry(self, state: State, time_us: int) -> bool:
+        self._odometry = floats(state.header, 13)
+        position = self._odometry[:3]
+        if not self._crumbs or paths.distance(self._crumbs[-1], position) > _CRUMB:
+            self._crumbs.append(position.copy())
+        if self._every_map:
+            return False
+        return self._memory.alarm >= 0.0 or (self._idle() and time_us >= self._memory.retry_us)
+
+    def _idle(self) -> bool:
+        """Whether nothing is flown although a map and no plan is there."""
+        holding = self._waypoint is None or int(self._waypoint.header["index"][0]) < 0
+        return holding and self.room.updates > 0
+
+    def _on_trajectory(self) -> tuple[int, float]:
+        """Index of the way-point on the trajectory known here, and its arc length; (-1, 0) when none is flown."""
+        if self._waypoint is None or self._trajectory is None or len(self._trajectory.elements) == 0:
+            return -1, 0.0
+        index = int(self._waypoint.header["index"][0])
+        if index < 0 or not self._same_trajectory(self._waypoint):
+            return -1, 0.0
+        index = min(index, len(self._arc) - 1)
+        return index, float(self._arc[index])
+
+    def _same_trajectory(self, state: State) -> bool:
+        """Whether a state speaks of the trajectory that was published last."""
+        return self._trajectory is not None and int(state.header["trajectory_seq"][0]) == int(
+            self._trajectory.header["trajectory_seq"][0]
+        )
+
+    def _wants_new_plan(self, time_us: int) -> bool:
+        """Policy `every_map`: none flown, blocked, ended short, or no progress."""
+        memory, config = self._memory, self._config
+        if self._status is None:
+            return False
+        if time_us < memory.settled_us:
+            return False  # the last plan is on its way
+        index, along = self._on_trajectory()
+        position = self._odometry[:3]
+        to_goal = paths.distance(position, config.goal)
+        if to_goal < memory.best_distance - 1.0:
+            memory.best_distance, memory.best_us = to_goal, time_us
+        if index < 0 or along - memory.progress > _MARGIN:
+            memory.progress, memory.progress_us = along, time_us
+        if index < 0:
+            return time_us >= memory.retry_us
+        if bool(self._status.header["collision"][0]) and self._same_trajectory(self._status):
+            return True
+        stuck = time_us - memory.progress_us > _STUCK_US
+        patience = config.stack.progress_timeout
+        lost = patience > 0.0 and time_us - memory.best_us > 1e6 * patience
+        if stuck or lost:
+            memory.progress_us = memory.best_us = time_us
+        return stuck or lost or index >= len(self._arc) - 1
+
+    # ---- planning ---------------------------------------------------------------------------------------------------
+    def step(self, time_us: int) -> list[State]:
+        """Plan once; an empty path says that none was found."""
+        memory = self._memory
+        if self._every_map:
+            path = self._plan_from_junction()
+        else:
+            alarm, memory.alarm = memory.alarm, -1.0
+            path = self._plan_in_flight(alarm) if alarm >= 0.0 else None
+            path = path or self._plan_from_rest()
+        memory.retry_us = time_us + _RETRY_US
+        memory.settled_us = time_us + int(1e6 * self._config.plan_latency) + 2 * self._config.control_period_us
+        if path is None:
+            memory.failures += 1
+            path = self._backtrack() or new_state("planning.path")
+        else:
+            memory.failures = 0
+        path.header["future_collision_seq"] = memory.acted_seq
+        return [path]
+
+    def _path(self, vertices: np.ndarray, entry_speed: float, junction: int = -1, tight: bool = False) -> State:
+        path = new_state("planning.path", len(vertices))
+        floats(path.elements, 3).reshape(-1, 3)[:] = vertices
+        path.header["entry_speed"] = entry_speed
+        path.header["junction"] = junction
+        path.header["tight"] = tight
+        return path
+
+    def _search_between(self, start: np.ndarray, counter: np.ndarray) -> np.ndarray | None:
+        """Vertices from (next to) `start` to (next to) the goal in `counter`, or None."""
+        config, room = self._config, self.room
+        first, last = np.empty(3), np.empty(3)
+        box = config.flight_lower, config.flight_upper
+        if not paths.nearest_with_room(counter, room.narrow, room.grid, start, *box, _REACH, first):
+            return None
+        if not paths.nearest_with_room(room.wide, room.narrow, room.grid, config.goal, *box, _REACH, last):
+            last[:] = config.goal
+        found = self._search.search(counter, room.grid, first, last, *box)
+        return found if len(found) else None
+
+    def _plan_from_rest(self) -> State | None:
+        """From where the vehicle will stand."""
+        position, velocity = self._odometry[:3], self._odometry[3:6]
+        speed = float(np.linalg.norm(velocity))
+        stop = position + velocity * self._config.velocity_lag if speed < 2.0 * self._config.v_max else position.copy()
+        found = self._search_between(stop, self.room.wide)
+        if found is None:
+            return None
+        if paths.distance(found[0], stop) > 1e-6:
+            found = np.vstack([stop, found])
+        return self._path(found, 0.0)
+
+    def _plan_in_flight(self, alarm: float) -> State | None:
+        """Replace the trajectory without a stop, if the collision is far enough away."""
+        stack = self._config.stack
+        velocity = self._odometry[3:6]
+        speed = float(np.linalg.norm(velocity))
+        if not alarm > stack.grace + _EMERGENCY_STOP_TIME or self._idle() or not speed < 2.0 * self._config.v_max:
+            return None
+        start = self._odometry[:3] + velocity * self._config.plan_latency
+        lead = start + velocity * (speed / (2.0 * PLANNING_ACCELERATION))
+        if not segment_free(self.room.narrow, self.room.grid, start, lead):
+            return None
+        found = self._search_between(lead, self.room.wide)
+        if found is None:
+            return None
+        leading = [start] if speed < 0.2 else [start, lead]
+        if paths.distance(found[0], leading[-1]) < 1e-6:
+            leading.pop()
+        return self._path(np.vstack([*leading, found]), speed)
+
+    def _plan_from_junction(self) -> State | None:
+        """From the point of the present trajectory at which the vehicle can stand when the plan arrives."""
+        config = self._config
+        index, along = self._on_trajectory()
+        if index < 0:
+            junction, start, speed = -1, self._standing_point(), 0.0
+        else:
+            waypoint = floats(self._waypoint.header, timing.POINT_WIDTH)  # type: ignore[union-attr]
+            speed = float(np.linalg.norm(waypoint[4:7]))
+            distance = along
+            if speed > 0.1:
+                distance += 1.5 * speed * config.plan_latency + speed**2 / (2.0 * PLANNING_ACCELERATION) + 0.2
+            blocked = float(self._status.header["distance_to_blocked"][0])  # type: ignore[union-attr]
+            soonest = along + speed * config.plan_latency + speed**2 / (2.0 * BRAKING)
+            distance = max(min(distance, blocked - _MARGIN), soonest)
+            junction = min(int(np.searchsorted(self._arc, distance)), len(self._arc) - 1)
+            points = floats(self._trajectory.elements, timing.POINT_WIDTH)  # type: ignore[union-attr]
+            start = points.reshape(-1, timing.POINT_WIDTH)[junction, :3].copy()
+        for counter, tight in ((self.room.wide, False), (self.room.narrow, True)):
+            found = self._search_between(start, counter)
+            if found is not None:
+                if paths.distance(found[0], start) > 1e-6:
+                    found = np.vstack([start, found])
+                return self._path(found, speed, junction, tight)
+        return None
+
+    def _standing_point(self) -> np.ndarray:
+        """Reference position while nothing is flown."""
+        if self._waypoint is None:
+            return self._odometry[:3].copy()
+        return floats(self._waypoint.header, timing.POINT_WIDTH)[:3].copy()
+
+    def _backtrack(self) -> State | None:
+        """After repeated failures: back along the flown path, into space that was free (policy `every_map`)."""
+        if not self._every_map or self._memory.failures % _BACKTRACK_AFTER:
+            return None
+        vertices, length = [self._standing_point()], 0.0
+        for crumb in reversed(self._crumbs):
+            step = paths.distance(vertices[-1], crumb)
+            if step < _CRUMB:
+                continue
+            vertices.append(crumb)
+            length += step
+            if length > _BACKTRACK_LENGTH:
+                return self._path(np.array(vertices), 0.0, tight=True)
+        return None
+
+    def has_room(self, point: np.ndarray) -> bool:
+        """Whether a point is free for the planner (used by tests and pictures)."""
+        voxel = voxel_of(self.room.grid, point[0], point[1], point[2])
+        return bool(voxel >= 0 and self.room.wide[voxel] == 0)
+
+    # ---- recomputation ----------------------------------------------------------------------------------------------
+    def mark(self) -> None:
+        """Remember decisions and randomness; the map is not rolled back, updates carry absolute values."""
+        memory = self._memory
+        copy = _Decisions(*(getattr(memory, name) for name in memory.__slots__))
+        self._marked = (copy, self._search.random.copy())
+
+    def rollback(self) -> None:
+        """Put decisions and randomness back."""
+        self._memory = self._marked[0]
+        self._search.random[:] = self._marked[1]
+        self.mark()
+
+
+class TrajectoryGenerator:
+    """Kernel `trajectory`: smooths a path, times it, publishes points.  It runs beside the planner, on the same map."""
+
+    name = "trajectory"
+    stage = Stage.PLANNING
+    reads = ("planning.path", "planning.waypoint", "planning.trajectory")
+    writes = ("planning.trajectory",)
+
+    def __init__(self, config: PipelineConfig, room: Room) -> None:
+        self._config = config
+        self._splices = config.stack.replanning == "every_map"
+        self._room = room
+        self._path = new_state("planning.path")
+        self._waypoint: State | None = None
+        self._flown: State | None = None
+        self._seq = 0
+        self._marked_seq = 0
+        self._corners = np.zeros((timing.CURVE_LIMIT, 3))
+        self._curve = np.zeros((timing.CURVE_LIMIT, 3))
+        self._arc = np.zeros(timing.CURVE_LIMIT)
+        self._speed = np.zeros(timing.CURVE_LIMIT)
+        self._dense = np.zeros((timing.POINT_LIMIT, timing.POINT_WIDTH))
+        self._held = np.zeros((timing.POINT_LIMIT, timing.POINT_WIDTH))
+
+    def receive(self, state: State, time_us: int) -> bool:
+        """A path makes a step due."""
+        del time_us
+        name = state.spec.name
+        if name == "planning.path":
+            self._path = state
+            return True
+        if name == "planning.waypoint":
+            self._waypoint = state
+        else:
+            self._flown = state
+        return False
+
+    def step(self, time_us: int) -> list[State]:
+        """Time the path; an empty one becomes an empty trajectory, as in the published code."""
+        del time_us
+        self._seq += 1
+        points = self._points()
+        trajectory = new_state("planning.trajectory", len(points))
+        trajectory.header["trajectory_seq"] = self._seq
+        trajectory.header["future_collision_seq"] = self._path.header["future_collision_seq"]
+        floats(trajectory.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH)[:] = points
+        return [trajectory]
+
+    def _points(self) -> np.ndarray:
+        config, room = self._config, self._room
+        vertices = floats(self._path.elements, 3).reshape(-1, 3)
+        entry = float(self._path.header["entry_speed"][0])
+        if len(vertices) and self._splices:
+            vertices, entry = self._splice(vertices, entry)
+        vertices = _without_repeats(vertices)
+        if len(vertices) < 2 or len(vertices) > timing.CURVE_LIMIT // 40:
+            return np.zeros((0, timing.POINT_WIDTH))
+        tight = bool(self._path.header["tight"][0])
+        # held points are tracked a little late: a reserve of speed keeps the vehicle from falling behind
+        top = config.v_max if self._splices else 0.97 * config.v_max
+        limits = timing.Limits(
+            top, min(1.0, top) if tight else top, 0.7 * config.a_max, PLANNING_ACCELERATION, BRAKING, 2.0, 3.0
+        )
+        count = timing.smooth(
+            room.narrow, room.grid, vertices, len(vertices), limits.blend, self._corners, self._curve
+        )
+        if count < 2:
+            return np.zeros((0, timing.POINT_WIDTH))
+        timing.speed_profile(room.wide, room.grid, self._curve, count, entry, limits, self._arc, self._speed)
+        step = 1e-6 * config.control_period_us
+        n = timing.sample(
+            self._curve, count, self._arc, self._speed, step, limits.look, 0.0, self._dense
+        )
+        if config.stack.sampling == "interpolated":
+            return self._dense[:n]
+        per_point = max(1, round(config.stack.point_period / step))
+        n = timing.hold_points(self._dense, n, per_point, step, round(config.stack.look_ahead / step), self._held)
+        return self._held[:n]
+
+    def _splice(self, vertices: np.ndarray, entry: float) -> tuple[np.ndarray, float]:
+        """Rest of the trajectory in force up to the junction, then the new path; timed from the present speed."""
+        junction = int(self._path.header["junction"][0])
+        if self._waypoint is None or self._flown is None or junction < 0:
+            return vertices, 0.0
+        points = floats(self._flown.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH)
+        index = int(self._waypoint.header["index"][0])
+        if not 0 <= index < len(points) or not junction < len(points):
+            return vertices, entry
+        arc = np.empty(len(points))
+        handover.arc_lengths(points, arc)
+        waypoint = floats(self._waypoint.header, timing.POINT_WIDTH)
+        speed = float(np.linalg.norm(waypoint[4:7]))
+        stand = int(np.searchsorted(arc, arc[index] + speed**2 / (2.0 * BRAKING)))
+        tail = vertices
+        if stand > junction and speed > _MARGIN:
+            junction = min(stand, len(points) - 1)
+            tail = np.vstack([points[junction, :3], vertices])
+        head = [waypoint[:3].copy()]
+        last = arc[index]
+        for k in range(index, junction):
+            if arc[k] - last >= 0.7 and arc[junction] - arc[k] >= 0.5:
+                head.append(points[k, :3])
+                last = arc[k]
+        return np.vstack([*head, tail]), speed
+
+    def mark(self) -> None:
+        """Remember the sequence number."""
+        self._marked_seq = self._seq
+
+    def rollback(self) -> None:
+        """Put the sequence number back."""
+        self._seq = self._marked_seq
+
+
+def _without_repeats(vertices: np.ndarray) -> np.ndarray:
+    """Vertices without those that repeat their predecessor."""
+    kept = [row for row in range(len(vertices)) if row == 0 or paths.distance(vertices[row], vertices[row - 1]) > 1e-3]
+    return np.ascontiguousarray(vertices[kept])

@@ -1,0 +1,20 @@
+"""Builds the perception-planning-control pipeline: seven kernels, in the order of the data flow."""
+
+from mavfi.pipeline.control import Tracker
+from mavfi.pipeline.kernel import Kernel, PipelineConfig
+from mavfi.pipeline.perception import CollisionCheck, OctoMap, PointCloud
+from mavfi.pipeline.planning import MotionPlanner, TrajectoryGenerator
+from mavfi.pipeline.waypoints import WaypointHandOver
+
+PERIODIC = ("waypoint", "pid")
+"""Kernels that are stepped at the control period, in this order; the others by what they receive."""
+
+
+def build_pipeline(config: PipelineConfig) -> dict[str, Kernel]:
+    """All kernels by name."""
+    planner = MotionPlanner(config)
+    kernels: tuple[Kernel, ...] = (
+        PointCloud(config), OctoMap(config), CollisionCheck(config), planner,
+        TrajectoryGenerator(config, planner.room), WaypointHandOver(config), Tracker(config),
+    )  # fmt: skip
+    return {kernel.name: kernel for kernel in kernels}

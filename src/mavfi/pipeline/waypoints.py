@@ -1,0 +1,286 @@
+"""Way-point hand-over: which point of which trajectory control follows now, and when the vehicle stops.
+
+Trajectories and collision messages carry epochs; what is older than what was seen is rejected, as in the published
+code.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mavfi.kernels.planning import waypoint as handover
+from mavfi.kernels.planning.trajectory import POINT_WIDTH
+from mavfi.numerics.rotations import yaw_of
+from mavfi.pipeline.kernel import PipelineConfig
+from mavfi.pipeline.planning import PLANNING_ACCELERATION
+from mavfi.states import Stage, State, floats, new_state
+
+_EMERGENCY_STOP_TIME = 0.6
+_STANDING = 0.4
+_SPEED_STEP = 1.0
+_HOLD_TURN = 0.6
+_CREEP_SPEED = 1.0
+_CREEP_STEP = 0.3
+_ADOPTION_WINDOW = 50
+_LIVENESS_REJECTIONS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class _Memory:
+    """What hand-over remembers; replaced, never changed, so that a mark is a reference."""
+
+    trajectory: State | None = None
+    index: int = -1
+    waiting: State | None = None
+    last_seq: int = -1
+    epoch: int = 0
+    seen_seq: int = 0
+    stop_us: int = -1
+    stopping: bool = False
+    rejected_since: int = -1
+    clock: tuple[float, float, float] = (0.0, 1.0, 0.0)
+
+
+class WaypointHandOver:
+    """Kernel `waypoint`; stepped at the control period, publishes when the point in force changes."""
+
+    name = "waypoint"
+    stage = Stage.PLANNING
+    reads = ("planning.trajectory", "perception.collision_status", "sensor.odometry", "control.tracking")
+    writes = ("planning.waypoint",)
+
+    def __init__(self, config: PipelineConfig) -> None:
+        self._config = config
+        self._governed = config.stack.sampling == "interpolated"
+        self._memory = _Memory()
+        self._marked = self._memory
+        self._marked_inbox: list[State] = []
+        self._inbox: list[State] = []
+        self._odometry = np.zeros(13)
+        self._remaining = 0.0
+        self._limits = (np.inf, np.inf, -1)
+        self._points = np.zeros((0, POINT_WIDTH))
+        self._arc = np.zeros(0)
+        self._published: State | None = None
+        self._creep = min(_CREEP_SPEED, _CREEP_STEP / max(config.map_latency, 1e-3))
+
+    def receive(self, state: State, time_us: int) -> bool:
+        """Note an input; steps are due at the control period only."""
+        del time_us
+        name = state.spec.name
+        if name == "sensor.odometry":
+            self._odometry = floats(state.header, 13)
+        elif name == "control.tracking":
+            self._remaining = float(state.header["remaining"][0])
+        else:
+            self._inbox.append(state)
+        return False
+
+    def step(self, time_us: int) -> list[State]:
+        """Hand over if it is time; gives no state where the point in force stays."""
+        inbox, self._inbox = self._inbox, []
+        for state in inbox:
+            if state.spec.name == "planning.trajectory":
+                self._offer(state, time_us)
+            else:
+                self._warn(state, time_us)
+        self._watch(time_us)
+        memory = self._memory
+        if memory.stop_us >= 0 and time_us >= memory.stop_us:
+            self._set(trajectory=None, index=-1, stop_us=-1, stopping=True)
+            return [self._hold()]
+        waiting = memory.waiting
+        if waiting is not None and memory.stop_us < 0 and self._slow_enough(waiting):
+            return [self._adopt(waiting)]
+        if self._published is None:
+            return [self._hold()]
+        if memory.trajectory is None:
+            return []  # nothing is flown: the point in force stays
+        return self._governed_point() if self._governed else self._held_point()
+
+    def abandon(self, time_us: int) -> list[State]:
+        """Drop the way-point in force for the next one."""
+        if self._memory.trajectory is None:
+            return self.step(time_us)
+        if self._governed:
+            position, rate, change = self._memory.clock
+            self._set(clock=(position + 1.0, rate, change))
+            return self._governed_point()
+        self._remaining = 0.0
+        return self._held_point()
+
+    def stop(self) -> list[State]:
+        """Give the trajectory up and hold; the planner then plans anew."""
+        self._set(trajectory=None, index=-1, stop_us=-1, stopping=True, waiting=None)
+        return [self._hold()]
+
+    def mark(self) -> None:
+        """Remember the memory as it is."""
+        self._marked = self._memory
+        self._marked_inbox = list(self._inbox)
+
+    def rollback(self) -> None:
+        """Put the memory, and the inputs that the step consumed, back."""
+        self._memory = self._marked
+        self._inbox = self._marked_inbox + self._inbox
+        self._load(self._memory.trajectory)
+
+    # ---- epochs -----------------------------------------------------------------------------------------------------
+    def _set(self, **changes: object) -> None:
+        self._memory = replace(self._memory, **changes)  # type: ignore[arg-type]
+
+    def _offer(self, state: State, time_us: int) -> None:
+        """Accept or reject a trajectory."""
+        memory = self._memory
+        seq = int(state.header["trajectory_seq"][0])
+        epoch = int(state.header["future_collision_seq"][0])
+        if seq < memory.last_seq or epoch < memory.epoch:
+            since = memory.rejected_since if memory.rejected_since >= 0 else time_us
+            patience = self._config.stack.epoch_liveness
+            if not (patience > 0.0 and time_us - since > 1e6 * patience):
+                self._set(rejected_since=since)
+                return
+        if self._config.stack.consumer_check and not self._sane(state):
+            self._set(stop_us=time_us)
+            return
+        self._set(
+            waiting=state, last_seq=seq, epoch=epoch, seen_seq=max(memory.seen_seq, epoch), rejected_since=-1
+        )  # fmt: skip
+
+    def _warn(self, state: State, time_us: int) -> None:
+        """Act on a collision status: stop at once, or after the grace period if there is time."""
+        header = state.header[0]
+        if self._governed:
+            self._limits = (
+                float(header["distance_to_blocked"]), float(header["distance_to_unknown"]),
+                int(header["trajectory_seq"]),
+            )  # fmt: skip
+            return
+        seq = int(header["future_collision_seq"])
+        memory = self._memory
+        if not bool(header["collision"]) or seq <= memory.seen_seq:
+            return
+        grace = self._config.stack.grace
+        enough = float(header["time_to_collision"]) > grace + _EMERGENCY_STOP_TIME
+        due = time_us + (int(1e6 * grace) if enough else 0)
+        self._set(seen_seq=seq, stop_us=due if memory.stop_us < 0 else min(due, memory.stop_us))
+
+    def _watch(self, time_us: int) -> None:
+        """Deviation monitor: too far from the reference means stop and plan anew."""
+        limit = self._config.stack.deviation_limit
+        if limit <= 0.0 or self._memory.trajectory is None or self._published is None:
+            return
+        reference = floats(self._published.header, POINT_WIDTH)[:3]
+        if not float(np.linalg.norm(reference - self._odometry[:3])) < limit:
+            self._set(stop_us=time_us)
+
+    def _sane(self, state: State) -> bool:
+        """What a consumer can check of a trajectory without knowing the map."""
+        points = floats(state.elements, POINT_WIDTH).reshape(-1, POINT_WIDTH)
+        if len(points) == 0:
+            return True
+        v_max = 1.5 * self._config.v_max
+        lower, upper = self._config.flight_lower - 2.0, self._config.flight_upper + 2.0
+        with np.errstate(over="ignore", invalid="ignore"):
+            steps = np.linalg.norm(np.diff(points[:, :3], axis=0), axis=1)
+            return bool(
+                np.isfinite(points).all()
+                and ((points[:, 10] > 0.0) & (points[:, 10] <= 1.0)).all()
+                and (np.linalg.norm(points[:, 4:7], axis=1) <= v_max).all()
+                and (steps <= v_max * points[1:, 10] + 0.3).all()
+                and ((points[:, :3] >= lower) & (points[:, :3] <= upper)).all()
+            )
+
+    # ---- publications -----------------------------------------------------------------------------------------------
+    def _load(self, trajectory: State | None) -> None:
+        if trajectory is None:
+            return
+        self._points = floats(trajectory.elements, POINT_WIDTH).reshape(-1, POINT_WIDTH)
+        self._arc = np.empty(len(self._points))
+        if len(self._points):
+            handover.arc_lengths(self._points, self._arc)
+
+    def _slow_enough(self, waiting: State) -> bool:
+        """Whether a trajectory may be taken over at the present speed."""
+        if self._governed or len(waiting.elements) == 0:
+            return True
+        speed = float(np.linalg.norm(self._odometry[3:6]))
+        if self._memory.stopping:
+            return not speed > _STANDING
+        first = float(np.linalg.norm(floats(waiting.elements, POINT_WIDTH).reshape(-1, POINT_WIDTH)[0, 4:7]))
+        if not speed > first + _SPEED_STEP:
+            return True
+        self._set(trajectory=None, index=-1, stopping=True)
+        return False
+
+    def _adopt(self, trajectory: State) -> State:
+        if len(trajectory.elements) == 0:
+            self._set(trajectory=None, index=-1, waiting=None)
+            return self._hold(turn=_HOLD_TURN)
+        self._load(trajectory)
+        self._set(trajectory=trajectory, waiting=None, stopping=False, index=0, clock=(0.0, 1.0, 0.0))
+        if not self._governed:
+            return self._publish(0, self._points[0])
+        start = self._nearest_start()
+        self._set(clock=(float(start), 1.0, 0.0), index=start)
+        self._limits = (np.inf, np.inf, -1)
+        waypoint = np.zeros(POINT_WIDTH)
+        handover.reference(np.array(self._memory.clock), self._points, waypoint)
+        return self._publish(start, waypoint)
+
+    def _nearest_start(self) -> int:
+        """Point of a spliced trajectory that is nearest to the reference in force (it has moved on meanwhile)."""
+        if self._published is None:
+            return 0
+        reference = floats(self._published.header, POINT_WIDTH)[:3]
+        window = self._points[:_ADOPTION_WINDOW, :3]
+        return int(np.argmin(((window - reference) ** 2).sum(1)))
+
+    def _held_point(self) -> list[State]:
+        waypoint = np.empty(POINT_WIDTH)
+        index = handover.hand_over(self._points, self._memory.index, self._remaining, waypoint)
+        if index == self._memory.index:
+            return []
+        if index >= len(self._points):
+            self._set(trajectory=None, index=-1)
+            return [self._hold()]
+        self._set(index=index)
+        self._remaining = np.inf  # until the tracker reports on the new point
+        return [self._publish(index, waypoint)]
+
+    def _governed_point(self) -> list[State]:
+        clock = np.array(self._memory.clock)
+        blocked, unknown, seq = self._limits
+        trajectory = self._memory.trajectory
+        if not self._config.stack.known_space_limit or (
+            trajectory is not None and seq != int(trajectory.header["trajectory_seq"][0])
+        ):
+            blocked = unknown = np.inf
+        handover.advance_clock(
+            clock, self._points, self._arc, 1e-6 * self._config.control_period_us, blocked, unknown,
+            PLANNING_ACCELERATION, self._creep, 1.0 / self._config.tracker_slowdown,
+        )  # fmt: skip
+        self._set(clock=tuple(clock), index=int(clock[0]))
+        waypoint = np.zeros(POINT_WIDTH)
+        handover.reference(clock, self._points, waypoint)
+        return [self._publish(int(clock[0]), waypoint)]
+
+    def _publish(self, index: int, waypoint: np.ndarray) -> State:
+        state = new_state("planning.waypoint")
+        floats(state.header, POINT_WIDTH)[:] = waypoint
+        trajectory = self._memory.trajectory
+        state.header["index"] = index
+        state.header["future_collision_seq"] = self._memory.epoch
+        if trajectory is not None:
+            state.header["trajectory_seq"] = trajectory.header["trajectory_seq"]
+        self._published = state
+        return state
+
+    def _hold(self, turn: float = 0.0) -> State:
+        """Stand where the vehicle comes to rest; `turn` looks around (rad)."""
+        waypoint = np.zeros(POINT_WIDTH)
+        lag = self._config.velocity_lag if not self._governed else 0.0
+        waypoint[:3] = self._odometry[:3] + lag * self._odometry[3:6]
+        waypoint[3] = yaw_of(self._odometry[6:10]) + turn
+        waypoint[10] = self._config.stack.point_period
+        return self._publish(-1, waypoint)

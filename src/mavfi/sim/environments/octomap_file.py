@@ -1,0 +1,230 @@
+"""`octomap_file`: a scanned building, read from the files of OctoMap (`.bt` and `.ot`).
+
+Formats: OctoMap, Hornung et al. 2013, Autonomous Robots 34; serialisation as in its OcTree class.  Both files begin
+with text lines (id, size, res, data), and then hold the nodes in depth-first order, children by x, y, z bit:
+
+- `.bt`: two bytes for each inner node, two bits for each child: unknown, occupied, free, or inner node.  What a map
+  holds is its maximum-likelihood occupancy.
+- `.ot`: for each node its log-odds as float32, and one byte that says which children there are.
+"""
+
+import math
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from mavfi.config import Vector
+from mavfi.errors import BadInputError
+from mavfi.numerics.jit import kernel_jit
+from mavfi.sim.environments.world import World
+
+_DEPTH = 16
+_HALF_RANGE = 1 << (_DEPTH - 1)
+_MARGIN = 1
+_LARGEST_GRID = 1 << 30
+_HEADERS = {b"# Octomap OcTree binary file": False, b"# Octomap OcTree file": True}
+_TRUNCATED, _TOO_DEEP = -1, -2
+
+
+class Leaves(NamedTuple):
+    """Known leaves of an octree.
+
+    Attributes:
+        corner: Lower corner, in finest voxels from the map's least key. Shape (n, 3), int32.
+        edge: In finest voxels. Shape (n,), int32.
+        occupied: Solid or free. Shape (n,), bool.
+    """
+
+    corner: np.ndarray
+    edge: np.ndarray
+    occupied: np.ndarray
+
+
+def octomap_file(seed: int, path: str, start: Vector | None = None, goal: Vector | None = None) -> World:
+    """The world of a scan: what it has not seen is solid.
+
+    Args:
+        seed: Not used: a scan is the same for every seed.
+        path: File, `.bt` or `.ot`.
+        start: Start (m); must be given.
+        goal: Goal (m); must be given.
+
+    Raises:
+        BadInputError: The file is absent, foreign, truncated or too large, or start or goal are missing.
+    """
+    del seed
+    if not isinstance(path, str):
+        raise BadInputError(f"parameter 'path': {path!r}; allowed: a file ending in .bt or .ot")
+    if start is None or goal is None:
+        raise BadInputError(f"{path}: a scanned map has no start and goal of its own; give both")
+    try:
+        modified = Path(path).stat().st_mtime_ns
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
+    occupied, origin, resolution = _read_grid(path, modified)
+    lower, upper = origin, origin + resolution * np.array(occupied.shape)
+    return World(
+        start=np.array(start),
+        goal=np.array(goal),
+        arena_lower=lower,
+        arena_upper=upper,
+        flight_lower=lower,
+        flight_upper=upper,
+        occupied=occupied,
+        origin=origin,
+        resolution=resolution,
+    )
+
+
+@lru_cache(maxsize=2)
+def _read_grid(path: str, _modified_ns: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Solid voxels, their origin (m) and resolution (m)."""
+    leaves, resolution = read_octree(Path(path))
+    if not len(leaves.edge):
+        raise BadInputError(f"{path}: the map holds no known space")
+    least = leaves.corner.min(axis=0) - _MARGIN
+    shape = (leaves.corner + leaves.edge[:, None]).max(axis=0) + _MARGIN - least
+    if math.prod(int(n) for n in shape) > _LARGEST_GRID:
+        raise BadInputError(f"{path}: {' x '.join(map(str, shape))} voxels; allowed: {_LARGEST_GRID} at most")
+    occupied = np.ones(tuple(int(n) for n in shape), np.bool_)
+    _carve(leaves.corner - least.astype(np.int32), leaves.edge, leaves.occupied, occupied)
+    occupied.flags.writeable = False
+    return occupied, (least - _HALF_RANGE) * resolution, resolution
+
+
+@kernel_jit
+def _carve(corner: np.ndarray, edge: np.ndarray, solid: np.ndarray, occupied: np.ndarray) -> None:
+    for n in range(len(edge)):
+        if not solid[n]:
+            i, j, k, size = corner[n, 0], corner[n, 1], corner[n, 2], edge[n]
+            occupied[i : i + size, j : j + size, k : k + size] = False
+
+
+def read_octree(path: Path) -> tuple[Leaves, float]:
+    """The known leaves of a map, and its resolution (m).
+
+    Args:
+        path: File, `.bt` or `.ot`.
+
+    Raises:
+        BadInputError: The file cannot be read, is no OcTree of OctoMap, or is truncated.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
+    has_values, resolution, offset = _read_header(path, content)
+    nodes = np.frombuffer(content, np.uint8, offset=offset)
+    parse = _parse_values if has_values else _parse_bits
+    nothing = Leaves(np.zeros((0, 3), np.int32), np.zeros(0, np.int32), np.zeros(0, np.bool_))
+    count = parse(nodes, nothing)
+    if count == _TRUNCATED:
+        raise BadInputError(f"{path}: truncated: the octree does not end within the file")
+    if count == _TOO_DEEP:
+        raise BadInputError(f"{path}: not an octree of {_DEPTH} levels")
+    leaves = Leaves(np.empty((count, 3), np.int32), np.empty(count, np.int32), np.empty(count, np.bool_))
+    parse(nodes, leaves)
+    return leaves, resolution
+
+
+def _read_header(path: Path, content: bytes) -> tuple[bool, float, int]:
+    """Whether nodes carry values, resolution, and where the nodes begin."""
+    first, _, _ = content[:200].partition(b"\n")
+    if first.strip() not in _HEADERS:
+        raise BadInputError(f"{path}: not a map of OctoMap; allowed: an OcTree, .bt or .ot")
+    values: dict[bytes, bytes] = {}
+    offset = 0
+    while b"data" not in values:
+        end = content.find(b"\n", offset)
+        if end < 0:
+            raise BadInputError(f"{path}: truncated: the header has no line 'data'")
+        key, _, value = content[offset:end].strip().partition(b" ")
+        if not key.startswith(b"#"):
+            values[key] = value.strip()
+        offset = end + 1
+    if values.get(b"id") != b"OcTree":
+        raise BadInputError(f"{path}: id {values.get(b'id', b'').decode(errors='replace')!r}; allowed: OcTree")
+    try:
+        resolution = float(values[b"res"])
+    except (KeyError, ValueError):
+        resolution = math.nan
+    if not 1e-3 <= resolution <= 100.0:
+        raise BadInputError(f"{path}: res {values.get(b'res', b'').decode(errors='replace')!r}; allowed: 0.001 to 100 m")
+    return _HEADERS[first.strip()], resolution, offset
+
+
+@kernel_jit
+def _parse_bits(nodes: np.ndarray, leaves: Leaves) -> int:
+    """Walk the nodes of a `.bt` file; store leaves as far as there is room, and return how many there are."""
+    stack = np.zeros((8 * _DEPTH + 1, 4), np.int32)
+    stack[0, 3] = _DEPTH
+    top, at, count = 1, 0, 0
+    while top > 0:
+        top -= 1
+        x, y, z, level = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
+        if level == 0:
+            return _TOO_DEEP
+        if at + 2 > len(nodes):
+            return _TRUNCATED
+        bits = int(nodes[at]) | int(nodes[at + 1]) << 8
+        at += 2
+        half = 1 << (level - 1)
+        for child in range(7, -1, -1):
+            kind = bits >> (2 * child) & 3
+            corner = (x + (child & 1) * half, y + (child >> 1 & 1) * half, z + (child >> 2) * half)
+            if kind == 3:
+                _push(stack, top, corner, level - 1)
+                top += 1
+            elif kind > 0:
+                _store(leaves, count, corner, half, kind == 2)
+                count += 1
+    return count
+
+
+@kernel_jit
+def _parse_values(nodes: np.ndarray, leaves: Leaves) -> int:
+    """Walk the nodes of an `.ot` file; store leaves as far as there is room, and return how many there are."""
+    stack = np.zeros((8 * _DEPTH + 1, 4), np.int32)
+    stack[0, 3] = _DEPTH
+    top, at, count = 1, 0, 0
+    while top > 0:
+        top -= 1
+        x, y, z, level = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]
+        if at + 5 > len(nodes):
+            return _TRUNCATED
+        log_odds = nodes[at : at + 4].copy().view(np.float32)[0]
+        children = int(nodes[at + 4])
+        at += 5
+        if children == 0:
+            _store(leaves, count, (x, y, z), 1 << level, not (log_odds < 0.0))
+            count += 1
+            continue
+        if level == 0:
+            return _TOO_DEEP
+        half = 1 << (level - 1)
+        for child in range(7, -1, -1):
+            if children >> child & 1:
+                corner = (x + (child & 1) * half, y + (child >> 1 & 1) * half, z + (child >> 2) * half)
+                _push(stack, top, corner, level - 1)
+                top += 1
+    return count
+
+
+@kernel_jit
+def _push(stack: np.ndarray, top: int, corner: tuple[int, int, int], level: int) -> None:
+    stack[top, 0] = corner[0]
+    stack[top, 1] = corner[1]
+    stack[top, 2] = corner[2]
+    stack[top, 3] = level
+
+
+@kernel_jit
+def _store(leaves: Leaves, index: int, corner: tuple[int, int, int], edge: int, occupied: bool) -> None:
+    if index < len(leaves.edge):
+        leaves.corner[index, 0] = corner[0]
+        leaves.corner[index, 1] = corner[1]
+        leaves.corner[index, 2] = corner[2]
+        leaves.edge[index] = edge
+        leaves.occupied[index] = occupied

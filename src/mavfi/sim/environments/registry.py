@@ -1,0 +1,147 @@
+"""From an environment's configuration to a world: finds generators, checks what users give."""
+
+import importlib
+import inspect
+from collections.abc import Callable
+from functools import cache
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mavfi.config import EnvironmentConfig, VehicleConfig, Vector, shipped
+from mavfi.errors import BadInputError
+from mavfi.sim.environments.world import World
+
+Generator = Callable[..., World]
+"""A generator is called as `generator(seed, **parameters)`; one that has parameters `start` and `goal` gets those of
+the mission, or None."""
+
+ENTRY_POINT_GROUP = "mavfi.environments"
+
+_BUILT_IN = {name: f"mavfi.sim.environments.{name}:{name}" for name in ("cuboids", "factory", "farm", "clutter")}
+_BUILT_IN |= {
+    "training": "mavfi.sim.environments.training:training",
+    "octomap_file": "mavfi.sim.environments.octomap_file:octomap_file",
+}
+_SCAN_ENDINGS = (".bt", ".ot")
+
+
+def build_world(
+    environment: EnvironmentConfig, seed: int, start: Vector | None = None, goal: Vector | None = None
+) -> World:
+    """The world of a mission.
+
+    Args:
+        environment: Which generator, with which parameters.
+        seed: Seed of the mission; all randomness comes from it.
+        start: Start instead of the generator's (m).
+        goal: Goal instead of the generator's (m).
+
+    Raises:
+        BadInputError: Unknown generator or parameter, a parameter that the generator refuses, or a start or goal that
+            lies in an obstacle or outside of the flight volume.
+    """
+    generator = find_generator(environment.generator)
+    known = list(inspect.signature(generator).parameters)[1:]
+    ends = {"start": start, "goal": goal} if {"start", "goal"} <= set(known) else {}
+    source = f"environment {environment.name!r}"
+    try:
+        inspect.signature(generator).bind(seed, **environment.parameters, **ends)
+    except TypeError as error:
+        allowed = ", ".join(name for name in known if name not in ends)
+        raise BadInputError(f"{source}: generator {environment.generator}: {error}; allowed: {allowed}") from None
+    try:
+        world = generator(seed, **environment.parameters, **ends)
+    except BadInputError as error:
+        raise BadInputError(f"{source}: {error}") from None
+    if start is not None or goal is not None:
+        world = _with_ends(world, start, goal)
+    radius = _hull_radius(environment.vehicle)
+    for key, point in (("start", world.start), ("goal", world.goal)):
+        _check_end(source, key, point, world, radius)
+    return world
+
+
+def find_generator(name: str) -> Generator:
+    """A generator by name, or by "package.module:function".
+
+    Args:
+        name: One of the built-in generators, an entry point of the group `mavfi.environments`, or a function.
+
+    Raises:
+        BadInputError: There is none, or it cannot be imported.
+    """
+    target = name if ":" in name else generators().get(name)
+    if target is None:
+        allowed = ", ".join(generators())
+        raise BadInputError(f"generator {name!r}: not known; allowed: {allowed}, or package:function")
+    module, _, function = target.partition(":")
+    try:
+        generator = getattr(importlib.import_module(module), function)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise BadInputError(f"generator {name!r}: cannot be imported ({error})") from None
+    if not callable(generator):
+        raise BadInputError(f"generator {name!r}: is not a function")
+    return generator  # type: ignore[no-any-return]
+
+
+@cache
+def generators() -> dict[str, str]:
+    """Names of the known generators and where they are: built in, and from installed packages."""
+    found = {point.name: point.value for point in entry_points(group=ENTRY_POINT_GROUP)}
+    return found | _BUILT_IN
+
+
+def environment_for_file(path: str) -> EnvironmentConfig:
+    """The environment of a scanned map, with values that suit the inside of a building.
+
+    A small quadrotor flies slowly on a fine map, because a scan leaves little room: unknown space is solid, and rays
+    that missed leave specks of it in the middle of rooms (in a corridor of 3 x 2.5 m spheres of 0.28 m just pass).
+
+    Args:
+        path: A file of OctoMap, ending in .bt or .ot.
+
+    Raises:
+        BadInputError: It has another ending or is absent.
+    """
+    if not path.endswith(_SCAN_ENDINGS):
+        raise BadInputError(f"{path}: not a scanned map; allowed: a file ending in {' or '.join(_SCAN_ENDINGS)}")
+    if not Path(path).is_file():
+        raise BadInputError(f"{path}: there is no such file")
+    return EnvironmentConfig(
+        name=Path(path).stem,
+        generator="octomap_file",
+        parameters={"path": path},
+        vehicle="small_quad",
+        v_max=1.2,
+        map_resolution=0.08,
+        camera_range=8.0,
+        plan_radius=0.15,
+        check_radius=0.12,
+    )
+
+
+def _with_ends(world: World, start: Vector | None, goal: Vector | None) -> World:
+    values = {name: getattr(world, name) for name in World.__dataclass_fields__}
+    given: dict[str, Any] = {"start": start, "goal": goal}
+    return World(**values | {name: np.array(point) for name, point in given.items() if point is not None})
+
+
+@cache
+def _hull_radius(vehicle: str) -> float:
+    return shipped("vehicles", VehicleConfig, vehicle).hull_radius
+
+
+def _check_end(source: str, key: str, point: np.ndarray, world: World, radius: float) -> None:
+    text = "(" + ", ".join(f"{value:g}" for value in point) + ")"
+    low, high = world.flight_lower, world.flight_upper
+    if not bool(np.all((point >= low) & (point <= high))):
+        limits = ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in zip("xyz", low, high, strict=True))
+        raise BadInputError(f"{source}: {key} {text}: outside of the flight volume; allowed: {limits}")
+    clearance = float(world.clearance(point)[0])
+    if clearance < radius:
+        raise BadInputError(
+            f"{source}: {key} {text}: {clearance:.2f} m from an obstacle; allowed: the hull's {radius:g} m at least"
+        )

@@ -1,0 +1,64 @@
+"""Inertial measurement unit with AirSim's noise figures.
+
+Source: AirSim, ImuSimpleParams (MIT licence), after the data sheet of the MPU-6000: white noise by its random walk,
+and a bias that walks.  There is no scale or alignment error.
+"""
+
+import math
+
+import numpy as np
+
+GYRO_RANDOM_WALK = 8.727e-5
+"""rad / sqrt(s) (0.30 deg / sqrt(h))."""
+GYRO_BIAS_STABILITY, GYRO_BIAS_TIME = 2.230e-5, 500.0
+"""rad/s (4.6 deg/h), and the time for which it was stated (s)."""
+ACCELEROMETER_RANDOM_WALK = 2.354e-3
+"""m/s^2 sqrt(s) (0.24 mg / sqrt(Hz))."""
+ACCELEROMETER_BIAS_STABILITY, ACCELEROMETER_BIAS_TIME = 3.53e-4, 800.0
+"""m/s^2 (36 ug), and the time for which it was stated (s)."""
+
+_SHORTEST_INTERVAL_US = 1_000
+_WHITE = np.repeat([ACCELEROMETER_RANDOM_WALK, GYRO_RANDOM_WALK], 3)
+_WALK = np.repeat(
+    [
+        ACCELEROMETER_BIAS_STABILITY / math.sqrt(ACCELEROMETER_BIAS_TIME),
+        GYRO_BIAS_STABILITY / math.sqrt(GYRO_BIAS_TIME),
+    ],
+    3,
+)
+
+
+class Imu:
+    """The inertial measurement unit of one flight; biases start at zero.
+
+    Attributes:
+        bias: Of accelerometer (m/s^2) and gyro (rad/s). Shape (6,).
+        time_us: Instant of the last sample.
+    """
+
+    def __init__(self, noise_key: int) -> None:
+        """Start at time zero.
+
+        Args:
+            noise_key: Key of the noise.
+        """
+        self.bias = np.zeros(6)
+        self.time_us = 0
+        self._noise_key = noise_key
+
+    def sample(self, truth: np.ndarray, time_us: int) -> np.ndarray:
+        """Measure.
+
+        Args:
+            truth: Specific force (m/s^2) and rates (rad/s), body frame. Shape (6,).
+            time_us: Instant, not before that of the last sample.
+
+        Returns:
+            The same with noise. Shape (6,).
+        """
+        interval = max(time_us - self.time_us, _SHORTEST_INTERVAL_US) * 1e-6
+        stream = np.random.Generator(np.random.Philox(key=self._noise_key, counter=[0, 0, 0, time_us]))
+        white, walk = stream.standard_normal((2, 6))
+        self.bias = self.bias + _WALK * math.sqrt(interval) * walk
+        self.time_us = time_us
+        return truth + self.bias + _WHITE / math.sqrt(interval) * white

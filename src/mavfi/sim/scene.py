@@ -1,0 +1,86 @@
+"""World and airframe as a MuJoCo model, and MuJoCo's step as a function that compiled code can call."""
+
+import ctypes
+from pathlib import Path
+
+import llvmlite.binding
+import mujoco
+import numpy as np
+from numba import types
+
+from mavfi.config import VehicleConfig
+from mavfi.sim.environments.world import World
+
+STEP_US = 4_000
+"""Period of physics and flight controller (us)."""
+GRAVITY = 9.80665
+"""Standard gravity (m/s^2)."""
+
+ACCELEROMETER, GYRO, CONTACTS = slice(0, 3), slice(3, 6), 6
+"""Where the sensors are in MjData.sensordata."""
+
+_WARNING_HANDLER_TYPE = ctypes.CFUNCTYPE(None, ctypes.c_char_p)
+
+
+@_WARNING_HANDLER_TYPE
+def _keep_quiet(_text: bytes) -> None:
+    """MuJoCo counts its warnings in MjData, which `Simulator.warnings` reports; it shall not write files as well."""
+
+
+def _load_library() -> ctypes.CDLL:
+    folder = Path(mujoco.__file__).parent
+    path = next(file for file in sorted(folder.iterdir()) if file.name.startswith("libmujoco."))
+    return ctypes.CDLL(str(path))
+
+
+_LIBRARY = _load_library()
+ctypes.c_void_p.in_dll(_LIBRARY, "mju_user_warning").value = ctypes.cast(_keep_quiet, ctypes.c_void_p).value
+llvmlite.binding.add_symbol("mj_step", ctypes.cast(_LIBRARY.mj_step, ctypes.c_void_p).value)
+
+mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
+"""MuJoCo's step for compiled code: takes the addresses of MjModel and MjData.
+
+Found by symbol and not through a ctypes object, so that code which calls it can be cached on disk.
+"""
+
+
+def build_model(world: World, vehicle: VehicleConfig) -> mujoco.MjModel:
+    """The model of one flight: a free body with a sphere as hull, static boxes, the ground.
+
+    All forces but gravity and contact come from outside, by `qfrc_applied`.  They are constant during a step, and so
+    Euler (semi-implicit) is as accurate as `implicitfast` here and 0.3 us cheaper.  Worlds of voxels have their own
+    contact test; then the model holds the body alone.
+
+    Args:
+        world: Obstacles and start.
+        vehicle: Airframe.
+    """
+    spec = mujoco.MjSpec()
+    spec.option.timestep = STEP_US * 1e-6
+    spec.option.gravity = np.array([0.0, 0.0, -GRAVITY])
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    if not world.is_voxels:
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=np.array([0.0, 0.0, 1.0]))
+        for centre, half in zip(0.5 * (world.lower + world.upper), 0.5 * (world.upper - world.lower), strict=True):
+            spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half)
+    body = spec.worldbody.add_body(pos=world.start, mass=vehicle.mass, inertia=np.array(vehicle.inertia), ipos=np.zeros(3))
+    body.explicitinertial = True
+    body.add_freejoint()
+    body.add_geom(name="hull", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=np.array([vehicle.hull_radius, 0.0, 0.0]))
+    body.add_site(name="imu")
+    _add_sensors(spec)
+    return spec.compile()
+
+
+def _add_sensors(spec: mujoco.MjSpec) -> None:
+    site = mujoco.mjtObj.mjOBJ_SITE
+    spec.add_sensor(type=mujoco.mjtSensor.mjSENS_ACCELEROMETER, objtype=site, objname="imu")
+    spec.add_sensor(type=mujoco.mjtSensor.mjSENS_GYRO, objtype=site, objname="imu")
+    found = 1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)
+    spec.add_sensor(
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=mujoco.mjtObj.mjOBJ_GEOM,
+        objname="hull",
+        intprm=[found, 0, 1],
+    )

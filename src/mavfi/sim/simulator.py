@@ -1,0 +1,184 @@
+"""The simulator of one flight: vehicle, depth camera and IMU in a world, on integer microseconds."""
+
+import copy
+import math
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.mission import Scenario
+from mavfi.sim.camera import Camera
+from mavfi.sim.environments.world import World
+from mavfi.sim.imu import Imu
+from mavfi.sim.scene import STEP_US, build_model
+from mavfi.sim.vehicle import YAW_REFERENCE, Body, Voxels, advance, airframe_of, hover_memory
+
+_PURPOSE_SENSOR_NOISE = 2
+_LONGEST_COMMAND = 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """Everything that decides how a flight goes on; `Simulator.restore` continues from it bit by bit."""
+
+    time_us: int
+    physics: np.ndarray
+    sensors: np.ndarray
+    warnings: np.ndarray
+    controller: np.ndarray
+    setpoint: np.ndarray
+    expiry_us: int
+    odometry: np.ndarray
+    collided: bool
+    rejected_commands: int
+    imu: Imu
+
+
+class Simulator:
+    """Flies one vehicle in one world.
+
+    Attributes:
+        time_us: Now.
+        odometry: True state: x y z (m), vx vy vz (m/s), unit quaternion w x y z, wx wy wz (rad/s, body).
+            Shape (13,); the same array throughout, overwritten by `advance`.
+        collided: Whether the hull has touched an obstacle or the ground.
+        rejected_commands: How many commands were refused because they were not finite.
+    """
+
+    def __init__(self, world: World, scenario: Scenario) -> None:
+        """Put the vehicle at the start, hovering and heading for the goal.
+
+        Args:
+            world: Where it flies.
+            scenario: Vehicle, camera, speed limit and seed.
+        """
+        vehicle = scenario.vehicle
+        self._model = build_model(world, vehicle)
+        self._data = mujoco.MjData(self._model)
+        self._body = Body(
+            self._model._address, self._data._address,
+            self._data.qpos, self._data.qvel, self._data.qfrc_applied, self._data.sensordata,
+        )  # fmt: skip
+        self._airframe = airframe_of(vehicle)
+        self._controller = hover_memory(self._airframe)
+        self._voxels = Voxels(world.occupied, world.origin, world.resolution)
+        self._speed_limit = vehicle.setpoint_limit * scenario.v_max
+        self._yaw_rate_limit = vehicle.max_yaw_rate
+        self._setpoint = np.zeros(4)
+        self._expiry_us = 0
+        keys = np.random.SeedSequence(scenario.seed, spawn_key=(_PURPOSE_SENSOR_NOISE,)).generate_state(2, np.uint64)
+        self._camera = Camera(scenario.camera, world, int(keys[0]))
+        self._imu = Imu(int(keys[1]))
+        self.time_us = 0
+        self.odometry = np.zeros(13)
+        self.collided = False
+        self.rejected_commands = 0
+        self._face(world.goal - world.start)
+
+    def _face(self, way: np.ndarray) -> None:
+        yaw = math.atan2(way[1], way[0])
+        self._controller[YAW_REFERENCE] = yaw
+        self._data.qpos[3:7] = (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
+        mujoco.mj_forward(self._model, self._data)
+        self.odometry[:3] = self._data.qpos[:3]
+        self.odometry[6:10] = self._data.qpos[3:7]
+
+    @property
+    def ray_directions(self) -> np.ndarray:
+        """Unit vectors of the camera's pixels, body frame, x forward. Shape (height * width, 3)."""
+        return self._camera.directions
+
+    def command(self, velocity_yaw_rate: np.ndarray, duration: float) -> None:
+        """Give the flight controller a new set-point, from now on.
+
+        The entry of a flight controller: a command that is not finite is refused, the last one stays in force, and
+        `rejected_commands` counts it; a velocity above the set-point limit (1.33 v_max) is shortened to it, the yaw
+        rate is clipped; when the duration is over the vehicle hovers.
+
+        Args:
+            velocity_yaw_rate: vx vy vz, world frame (m/s), and yaw rate (rad/s). Shape (4,).
+            duration: How long it holds (s); 0 and less = hover at once.
+        """
+        vx, vy, vz, yaw_rate = (float(value) for value in velocity_yaw_rate)
+        if not (math.isfinite(vx + vy + vz + yaw_rate + duration)) and not all(
+            map(math.isfinite, (vx, vy, vz, yaw_rate, duration))
+        ):
+            self.rejected_commands += 1
+            return
+        largest = max(abs(vx), abs(vy), abs(vz))
+        if largest > 0.0:
+            norm = largest * math.sqrt((vx / largest) ** 2 + (vy / largest) ** 2 + (vz / largest) ** 2)
+            if not (norm <= self._speed_limit):
+                scale = self._speed_limit / math.sqrt((vx / largest) ** 2 + (vy / largest) ** 2 + (vz / largest) ** 2)
+                vx, vy, vz = vx / largest * scale, vy / largest * scale, vz / largest * scale
+        limit = self._yaw_rate_limit
+        self._setpoint[:] = (vx, vy, vz, min(limit, max(-limit, yaw_rate)))
+        self._expiry_us = self.time_us + int(min(max(duration, 0.0), _LONGEST_COMMAND) * 1e6)
+
+    def advance(self, time_us: int) -> None:
+        """Let time pass.
+
+        Args:
+            time_us: Until when; a multiple of the physics period (4000 us), not before now.
+
+        Raises:
+            BadInputError: It is neither.
+        """
+        if time_us % STEP_US or time_us < self.time_us:
+            raise BadInputError(f"time {time_us} us: must be a multiple of {STEP_US} us, and not before {self.time_us} us")
+        steps = (time_us - self.time_us) // STEP_US
+        commanded = max(0, self._expiry_us - self.time_us + STEP_US - 1) // STEP_US
+        touched = advance(
+            self._airframe, self._body, self._voxels, self._controller, self._setpoint, steps, commanded, self.odometry
+        )
+        self.collided = self.collided or touched
+        self.time_us = time_us
+
+    def depth(self) -> tuple[np.ndarray, np.ndarray]:
+        """Take a depth image.
+
+        Returns:
+            Distances along `ray_directions` (m), infinity where nothing is within range, shape (height * width,),
+            float32; and the pose of the camera: position (m) and quaternion w x y z, shape (7,), float64.
+        """
+        pose = np.concatenate([self.odometry[:3], self.odometry[6:10]])
+        return self._camera.capture(pose, self.time_us), pose
+
+    def imu(self) -> np.ndarray:
+        """Measure specific force (m/s^2) and rates (rad/s) in the body frame, with noise. Shape (6,)."""
+        return self._imu.sample(self._data.sensordata[:6], self.time_us)
+
+    def warnings(self) -> list[str]:
+        """MuJoCo's warnings so far, with their numbers."""
+        counts = self._data.warning.number
+        kinds = [mujoco.mjtWarning(kind).name for kind in range(len(counts))]
+        return [f"{kind} x {count}" for kind, count in zip(kinds, counts, strict=True) if count > 0]
+
+    def snapshot(self) -> Snapshot:
+        """Everything that decides how this flight goes on."""
+        signature = mujoco.mjtState.mjSTATE_INTEGRATION
+        physics = np.empty(mujoco.mj_stateSize(self._model, signature))
+        mujoco.mj_getState(self._model, self._data, physics, signature)
+        return Snapshot(
+            self.time_us, physics, self._data.sensordata.copy(), self._data.warning.number.copy(),
+            self._controller.copy(), self._setpoint.copy(), self._expiry_us, self.odometry.copy(),
+            self.collided, self.rejected_commands, copy.deepcopy(self._imu),
+        )  # fmt: skip
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Go on from a snapshot of this simulator, or of another one of the same world and scenario.
+
+        Args:
+            snapshot: What `snapshot` returned.
+        """
+        mujoco.mj_setState(self._model, self._data, snapshot.physics, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self._data.sensordata[:] = snapshot.sensors
+        self._data.warning.number[:] = snapshot.warnings
+        self._controller[:] = snapshot.controller
+        self._setpoint[:] = snapshot.setpoint
+        self.odometry[:] = snapshot.odometry
+        self.time_us, self._expiry_us = snapshot.time_us, snapshot.expiry_us
+        self.collided, self.rejected_commands = snapshot.collided, snapshot.rejected_commands
+        self._imu = copy.deepcopy(snapshot.imu)

@@ -1,0 +1,266 @@
+"""The inter-kernel states: one table from which injector, detectors, logs, messages and docs are derived.
+
+A published state is a `State`: a header of scalar fields and, for some, a list of elements (points, vertices,
+voxels).  Both are packed NumPy structured arrays, so that a field is a byte range in which a fault can flip a bit.
+The leading float64 fields of a header can be read as one plain vector with `floats`.
+"""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+
+STACKS = ("published", "hardened")
+
+
+class Stage(StrEnum):
+    """The paper's three stages, and the sensors in front of them."""
+
+    SENSOR = "sensor"
+    PERCEPTION = "perception"
+    PLANNING = "planning"
+    CONTROL = "control"
+
+
+PPC_STAGES = (Stage.PERCEPTION, Stage.PLANNING, Stage.CONTROL)
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One number of a state.
+
+    Attributes:
+        name: Name, as in the paper where it has one.
+        dtype: NumPy type string: "f8", "f4", "i4" or "?".
+        unit: SI unit, "-" for counters and flags.
+        read_in: Stacks in which some consumer reads the field; elsewhere it is dead: a fault in it cannot matter.
+    """
+
+    name: str
+    dtype: str
+    unit: str
+    read_in: tuple[str, ...] = STACKS
+
+    def dead_in(self, stack: str) -> bool:
+        """Whether no consumer of the stack reads the field."""
+        return stack not in self.read_in
+
+
+@dataclass(frozen=True, slots=True)
+class StateSpec:
+    """One row of the state table.
+
+    Attributes:
+        name: `<stage>.<state>`.
+        writer: Kernel that publishes it.
+        stage: Stage of the writer.
+        rate: When it is published, in words.
+        header: Scalar fields, float64 first.
+        elements: Fields of each element of the list that the state carries; empty = no list.
+        element: What one element is called.
+        acted_on: Integer header field whose increment makes consumers act on a publication; "" = every publication
+            is acted upon.
+    """
+
+    name: str
+    writer: str
+    stage: Stage
+    rate: str
+    header: tuple[Field, ...]
+    elements: tuple[Field, ...] = ()
+    element: str = ""
+    acted_on: str = ""
+    header_dtype: np.dtype = field(init=False, repr=False)
+    element_dtype: np.dtype = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "header_dtype", np.dtype([(f.name, f.dtype) for f in self.header]))
+        object.__setattr__(self, "element_dtype", np.dtype([(f.name, f.dtype) for f in self.elements]))
+
+    @property
+    def fields(self) -> tuple[Field, ...]:
+        """All fields: those of the elements first where there are any, then the header's."""
+        return self.elements + self.header
+
+    def in_elements(self, name: str) -> bool:
+        """Whether the named field belongs to the elements (where a name is in both, the element's is meant)."""
+        return any(f.name == name for f in self.elements)
+
+    def find(self, name: str) -> Field:
+        """The named field.
+
+        Raises:
+            BadInputError: There is no such field.
+        """
+        for candidate in self.fields:
+            if candidate.name == name:
+                return candidate
+        allowed = ", ".join(f.name for f in self.fields)
+        raise BadInputError(f"state {self.name}: no field {name!r}; allowed: {allowed}")
+
+
+@dataclass(slots=True)
+class State:
+    """One publication of an inter-kernel state.
+
+    Attributes:
+        spec: Its row in the table.
+        header: Scalar fields. Shape (1,), structured.
+        elements: List of elements. Shape (n,), structured; (0,) where the state has none.
+    """
+
+    spec: StateSpec
+    header: np.ndarray
+    elements: np.ndarray
+
+    def copy(self) -> "State":
+        """A copy that shares no memory with this one."""
+        return State(self.spec, self.header.copy(), self.elements.copy())
+
+    def same_bits(self, other: "State") -> bool:
+        """Whether both carry the same bits (NaNs compare as bit patterns)."""
+        return (
+            self.header.tobytes() == other.header.tobytes() and self.elements.tobytes() == other.elements.tobytes()
+        )
+
+
+def floats(header: np.ndarray, count: int) -> np.ndarray:
+    """The leading float64 fields of a header (or of each element) as a plain array that shares its memory.
+
+    Args:
+        header: Structured array, shape (n,), whose first `count` fields are float64.
+        count: How many fields.
+
+    Returns:
+        Shape (count,) for one record, (n, count) for more, float64.
+    """
+    size = header.dtype.itemsize
+    raw = header.view(np.uint8).reshape(len(header), size)[:, : 8 * count]
+    if size == 8 * count:
+        plain = raw.view(np.float64)
+    else:
+        plain = np.ndarray((len(header), count), np.float64, header, 0, (size, 8))
+    return plain[0] if len(header) == 1 else plain
+
+
+_ZERO_ELEMENTS = np.zeros(0, np.uint8)
+
+
+def new_state(name: str, count: int = 0) -> State:
+    """A zeroed state with `count` elements."""
+    spec = STATES[name]
+    return State(spec, np.zeros(1, spec.header_dtype), np.zeros(count, spec.element_dtype))
+
+
+_HARDENED = ("hardened",)
+_XYZ = (Field("x", "f8", "m"), Field("y", "f8", "m"), Field("z", "f8", "m"))
+_QUATERNION = tuple(Field(f"q{axis}", "f8", "-") for axis in "wxyz")
+_POINT = (
+    *_XYZ,
+    Field("yaw", "f8", "rad"),
+    Field("vx", "f8", "m/s"),
+    Field("vy", "f8", "m/s"),
+    Field("vz", "f8", "m/s"),
+    Field("ax", "f8", "m/s^2", _HARDENED),
+    Field("ay", "f8", "m/s^2", _HARDENED),
+    Field("az", "f8", "m/s^2", _HARDENED),
+    Field("duration", "f8", "s"),
+)
+"""One "MultiDOF" point of the paper: position, yaw, velocity, acceleration, and how long it is held."""
+
+_TABLE = (
+    StateSpec(
+        "sensor.depth", "camera", Stage.SENSOR, "when perception is ready, 10 Hz at most",
+        header=(*_XYZ, *_QUATERNION), elements=(Field("range", "f4", "m"),), element="pixel",
+    ),
+    StateSpec(
+        "sensor.odometry", "localization", Stage.SENSOR, "50 Hz",
+        header=(
+            *_XYZ, Field("vx", "f8", "m/s"), Field("vy", "f8", "m/s"), Field("vz", "f8", "m/s"), *_QUATERNION,
+            Field("wx", "f8", "rad/s", ()), Field("wy", "f8", "rad/s", ()), Field("wz", "f8", "rad/s", ()),
+        ),
+    ),
+    StateSpec(
+        "perception.point_cloud", "point_cloud", Stage.PERCEPTION, "per depth image",
+        header=_XYZ, elements=(Field("x", "f4", "m"), Field("y", "f4", "m"), Field("z", "f4", "m")), element="point",
+    ),
+    StateSpec(
+        "perception.map_update", "octomap", Stage.PERCEPTION, "per point cloud",
+        header=(Field("scan", "i4", "-", ()),),
+        elements=(Field("voxel", "i4", "-"), Field("log_odds", "f4", "-")), element="voxel",
+    ),
+    StateSpec(
+        "perception.collision_status", "collision_check", Stage.PERCEPTION, "per map update",
+        header=(
+            Field("time_to_collision", "f8", "s"),
+            Field("distance_to_blocked", "f8", "m", _HARDENED), Field("distance_to_unknown", "f8", "m", _HARDENED),
+            Field("future_collision_seq", "i4", "-"), Field("trajectory_seq", "i4", "-", _HARDENED),
+            Field("collision", "?", "-"),
+        ),
+        acted_on="future_collision_seq",
+    ),
+    StateSpec(
+        "planning.path", "planner", Stage.PLANNING, "per plan",
+        header=(
+            Field("entry_speed", "f8", "m/s"), Field("future_collision_seq", "i4", "-"),
+            Field("junction", "i4", "-", _HARDENED), Field("tight", "?", "-", _HARDENED),
+        ),
+        elements=_XYZ, element="vertex",
+    ),
+    StateSpec(
+        "planning.trajectory", "trajectory", Stage.PLANNING, "per plan",
+        header=(Field("trajectory_seq", "i4", "-"), Field("future_collision_seq", "i4", "-")),
+        elements=_POINT, element="point",
+    ),
+    StateSpec(
+        "planning.waypoint", "waypoint", Stage.PLANNING, "at each hand-over (published 0.5 s, hardened 20 ms)",
+        header=(
+            *_POINT, Field("trajectory_seq", "i4", "-"), Field("future_collision_seq", "i4", "-"),
+            Field("index", "i4", "-"),
+        ),
+    ),
+    StateSpec(
+        "control.command", "pid", Stage.CONTROL, "50 Hz",
+        header=(
+            Field("vx", "f8", "m/s"), Field("vy", "f8", "m/s"), Field("vz", "f8", "m/s"),
+            Field("yaw_rate", "f8", "rad/s"), Field("duration", "f8", "s"),
+        ),
+    ),
+    StateSpec(
+        "control.tracking", "pid", Stage.CONTROL, "50 Hz", header=(Field("remaining", "f8", "s", ("published",)),),
+    ),
+)  # fmt: skip
+
+STATES: dict[str, StateSpec] = {spec.name: spec for spec in _TABLE}
+"""Every inter-kernel state by name, in the order of the data flow."""
+
+MONITORED_SETS: dict[str, tuple[tuple[str, str], ...]] = {
+    "paper-13": (
+        ("perception.collision_status", "time_to_collision"),
+        ("perception.collision_status", "future_collision_seq"),
+        *(("planning.waypoint", name) for name in ("x", "y", "z", "yaw", "vx", "vy", "vz")),
+        *(("control.command", name) for name in ("vx", "vy", "vz", "yaw_rate")),
+    ),
+    "published-19": (
+        ("perception.collision_status", "time_to_collision"),
+        ("perception.collision_status", "future_collision_seq"),
+        *(("planning.waypoint", name) for name in ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az")),
+        *(("planning.waypoint", name) for name in ("yaw", "duration", "trajectory_seq", "future_collision_seq")),
+        *(("control.command", name) for name in ("vx", "vy", "vz", "yaw_rate")),
+    ),
+}
+"""Fields that detectors watch, by the name of the set: (state, field), in the order of the input vector."""
+
+
+def find_state(name: str) -> StateSpec:
+    """The named state.
+
+    Raises:
+        BadInputError: There is no such state.
+    """
+    try:
+        return STATES[name]
+    except KeyError:
+        raise BadInputError(f"no state {name!r}; allowed: {', '.join(STATES)}") from None

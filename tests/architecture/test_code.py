@@ -1,0 +1,105 @@
+"""Rules that the linters do not know: numba's flags, what kernels may see, sizes."""
+
+import ast
+
+from tests.architecture.source import PACKAGE, body_lines, dotted, functions, imports, modules
+
+COMPILERS = {"njit", "jit", "vectorize", "guvectorize", "jitclass", "cfunc", "stencil", "prange", "generated_jit"}
+LONGEST_FILE = 400
+LONGEST_FUNCTION = 60
+
+
+def kernels():
+    return {name: tree for name, tree in modules().items() if name.startswith("kernels/")}
+
+
+def keywords(tree):
+    return [node for node in ast.walk(tree) if isinstance(node, ast.keyword)]
+
+
+def test_the_package_is_found():
+    assert "states.py" in modules() and len(modules()) > 20
+
+
+def test_fast_math_and_parallel_sums_are_off_everywhere():
+    found = [
+        f"{name}:{keyword.value.lineno} {keyword.arg}"
+        for name, tree in modules().items()
+        for keyword in keywords(tree)
+        if keyword.arg in ("fastmath", "parallel") and not (
+            isinstance(keyword.value, ast.Constant) and keyword.value.value is False
+        )
+    ]  # fmt: skip
+    assert found == []
+
+
+def test_numba_compiles_through_kernel_jit_only():
+    found = {
+        name: compilers
+        for name, tree in modules().items()
+        if name != "numerics/jit.py"
+        and (compilers := {i for i in imports(tree) if i.startswith("numba.") and i.split(".")[-1] in COMPILERS}
+             | {d for node in ast.walk(tree) if (d := dotted(node)) in {f"numba.{c}" for c in COMPILERS}})
+    }  # fmt: skip
+    assert found == {}
+
+
+def test_kernels_import_only_numpy_numba_math_and_numerics():
+    allowed = ("numpy", "numba", "math", "typing", "collections", "mavfi.numerics", "mavfi.kernels")
+    found = {
+        f"{name}: {imported}"
+        for name, tree in kernels().items()
+        for imported in imports(tree)
+        if not any(imported == a or imported.startswith(f"{a}.") for a in allowed)
+    }
+    assert found == set()
+
+
+def test_kernels_carry_their_randomness_in_their_memory():
+    found = [
+        f"{name}:{node.lineno}"
+        for name, tree in kernels().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and dotted(node).startswith(("np.random", "numpy.random", "random."))
+    ]
+    assert found == []
+
+
+def test_the_library_does_not_print():
+    found = [
+        f"{name}:{node.lineno}"
+        for name, tree in modules().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+    ]
+    assert found == []
+
+
+def test_only_sim_imports_mujoco_and_only_the_ros_host_imports_ros():
+    homes = {"mujoco": "sim/", "rospy": "hosts/ros/"}
+    found = [
+        f"{name}: {imported}"
+        for name, tree in modules().items()
+        for imported in imports(tree)
+        if (home := homes.get(imported.split(".")[0])) and not name.startswith(home)
+    ]
+    assert found == []
+
+
+def test_files_can_be_read_in_one_sitting():
+    lengths = {name: len((PACKAGE / name).read_text(encoding="utf-8").splitlines()) for name in modules()}
+    assert {name: lines for name, lines in lengths.items() if lines > LONGEST_FILE} == {}
+
+
+def test_functions_fit_on_a_screen():
+    found = {
+        f"{name}:{function.lineno} {function.name}": lines
+        for name, tree in modules().items()
+        for function in functions(tree)
+        if (lines := body_lines(function)) > LONGEST_FUNCTION
+    }
+    assert found == {}
+
+
+def test_every_module_says_what_it_is_for():
+    assert [name for name, tree in modules().items() if not ast.get_docstring(tree)] == []

@@ -1,0 +1,45 @@
+"""The lock file pins what pyproject.toml asks for, and says nothing about the machine on which it was made."""
+
+import re
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+import mavfi
+from tests.architecture.source import ROOT, imports, modules
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+LOCK = [
+    line
+    for line in (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()
+    if line and not line.startswith("#")
+]
+
+
+@pytest.mark.parametrize("line", LOCK)
+def test_every_line_of_the_lock_is_a_name_and_one_version(line):
+    assert re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9_.!+-]+", line)
+
+
+@pytest.mark.parametrize("wanted", PROJECT["dependencies"] + PROJECT["optional-dependencies"]["dev"])
+def test_the_lock_satisfies_every_requirement(wanted):
+    requirement = Requirement(wanted)
+    pinned = {canonicalize_name(name): version for name, version in (line.split("==") for line in LOCK)}
+    assert requirement.specifier.contains(pinned[canonicalize_name(requirement.name)])
+
+
+def test_the_version_is_in_the_changelog_and_the_citation():
+    assert f"## [{mavfi.__version__}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"version: {mavfi.__version__}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_whatever_is_imported_is_asked_for():
+    asked = {canonicalize_name(Requirement(wanted).name) for wanted in PROJECT["dependencies"]}
+    imported = {name.split(".")[0] for tree in modules().values() for name in imports(tree)}
+    homes = packages_distributions()
+    foreign = imported - set(sys.stdlib_module_names) - {"mavfi"}
+    assert {name for name in foreign if not {canonicalize_name(home) for home in homes[name]} & asked} == set()

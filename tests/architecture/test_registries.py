@@ -1,0 +1,91 @@
+"""The tables from which the rest is derived: states, monitored sets, entry points, shipped configurations."""
+
+from importlib.metadata import entry_points
+
+import numpy as np
+import pytest
+
+from mavfi import config
+from mavfi.mission import MissionStatus
+from mavfi.states import MONITORED_SETS, PPC_STAGES, STACKS, STATES, Stage
+
+UNITS = {"m", "m/s", "m/s^2", "rad", "rad/s", "s", "-"}
+MODELS = {
+    "environments": config.EnvironmentConfig,
+    "stacks": config.StackConfig,
+    "platforms": config.PlatformConfig,
+    "vehicles": config.VehicleConfig,
+}
+
+
+def shipped():
+    return [(kind, name) for kind in MODELS for name in config.names(kind)]
+
+
+@pytest.mark.parametrize("state", STATES.values(), ids=STATES)
+def test_every_field_of_a_state_has_a_unit_and_a_type_that_can_be_struck(state):
+    assert state.fields
+    for field in state.fields:
+        assert field.unit in UNITS, field.name
+        assert field.dtype in ("f8", "f4", "i4", "?"), field.name
+        assert set(field.read_in) <= set(STACKS), field.name
+
+
+@pytest.mark.parametrize("state", STATES.values(), ids=STATES)
+def test_a_state_is_named_after_its_stage(state):
+    assert state.name.split(".")[0] == state.stage
+    assert state.writer and state.rate
+
+
+@pytest.mark.parametrize("state", STATES.values(), ids=STATES)
+def test_the_float64_fields_of_a_header_come_first(state):
+    kinds = [field.dtype == "f8" for field in state.header]
+    assert kinds == sorted(kinds, reverse=True)
+    assert state.header_dtype.itemsize == sum(np.dtype(field.dtype).itemsize for field in state.header)
+
+
+def test_a_state_acts_on_a_counter_that_it_has():
+    for state in STATES.values():
+        assert not state.acted_on or state.find(state.acted_on).dtype == "i4"
+
+
+def test_every_stage_of_the_paper_publishes_something():
+    assert {state.stage for state in STATES.values()} == {Stage.SENSOR, *PPC_STAGES}
+
+
+def test_monitored_sets_have_the_sizes_in_their_names_and_fields_that_exist():
+    for name, fields in MONITORED_SETS.items():
+        assert len(fields) == len(set(fields)) == int(name.split("-")[1])
+        for state, field in fields:
+            STATES[state].find(field)
+
+
+def test_mission_statuses_are_sentences():
+    for status in MissionStatus:
+        assert status.value[0].isupper() and status.value.endswith(".")
+
+
+@pytest.mark.parametrize("group", ["mavfi.environments", "mavfi.planners", "mavfi.detectors"])
+def test_entry_points_resolve(group):
+    found = list(entry_points(group=group))
+    assert found
+    for point in found:
+        assert callable(point.load()), point.name
+
+
+@pytest.mark.parametrize(("kind", "name"), shipped(), ids=lambda value: value)
+def test_shipped_configurations_load_and_are_named_as_their_files(kind, name):
+    assert config.shipped(kind, MODELS[kind], name).name == name
+
+
+def test_what_the_paper_flew_is_shipped():
+    assert {"factory", "farm", "sparse", "dense", "clutter"} <= set(config.names("environments"))
+    assert {"i9-9940x", "cortex-a57"} <= set(config.names("platforms"))
+    assert set(STACKS) == set(config.names("stacks"))
+
+
+@pytest.mark.parametrize("name", config.names("environments"))
+def test_environments_name_a_generator_and_a_vehicle_that_exist(name):
+    environment = config.shipped("environments", config.EnvironmentConfig, name)
+    assert environment.generator in entry_points(group="mavfi.environments").names
+    assert environment.vehicle in config.names("vehicles")

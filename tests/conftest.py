@@ -1,0 +1,15 @@
+"""What all tests share: one thread per process, and property tests that are the same on every machine."""
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")  # before numpy is loaded: sums keep their order
+os.environ.setdefault("MPLBACKEND", "Agg")
+
+from hypothesis import settings
+
+# The first call of a compiled function takes seconds, so there is no deadline; `--hypothesis-profile=search` looks
+# for new examples instead of repeating the same ones.
+settings.register_profile("repeatable", deadline=None, derandomize=True, max_examples=100)
+settings.register_profile("search", deadline=None, max_examples=2000)
+settings.load_profile("repeatable")
