@@ -1,6 +1,6 @@
 """The paper's own figures, to stand beside ours.
 
-Source: Hsiao, Wan, Jia, Ghosal, Mazumdar, Krishnan, Raychowdhury, Reddi et al., "MAVFI: An End-to-End Fault Analysis
+Source: Hsiao, Wan, Jia, Ghosal, Mahmoud, Raychowdhury, Brooks, Wei, Reddi, "MAVFI: An End-to-End Fault Analysis
 Framework with Anomaly Detection and Recovery for Micro Aerial Vehicles".  Its faults are at the instruction level
 (100 per stage), ours here at the state level: "state-level variant of the paper's Table I".
 """

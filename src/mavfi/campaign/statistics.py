@@ -120,7 +120,7 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
     return Paired(len(first), first_only, second_only, p_value)
 
 
-def cluster_sums(clusters: Sequence[object], *columns: Sequence[float]) -> np.ndarray:
+def cluster_sums(clusters: Sequence[object], *columns: Sequence[float] | np.ndarray) -> np.ndarray:
     """Sums of columns by cluster.
 
     Args:

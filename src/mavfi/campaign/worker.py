@@ -150,8 +150,9 @@ def record_of(log: FlightLog) -> dict[str, Any]:
 
     Returns:
         end, status, success, digest, flight_time_s, energy_j, distance_m, injections, alarms (the first `MOST_ALARMS`),
-        alarm_counts (by "source/action/outcome"), alarms_total, events (counts by kind), replans, and of the log's meta
-        data the modelled compute times, numbers of publications, course, time limit and clearance.
+        alarm_counts (by "source/action/outcome"), alarms_total, alarm_latency_s (from the injection to the first alarm at
+        or after it), events (counts by kind), replans, and of the log's meta data the modelled compute times, numbers
+        of publications, course, time limit and clearance.
     """
     qof = quality_of_flight(log)
     events = Counter(event.kind for event in log.events)
@@ -171,11 +172,19 @@ def record_of(log: FlightLog) -> dict[str, Any]:
             "alarms_total": len(log.alarms),
             "alarm_counts": dict(alarm_counts),
             "events": dict(events),
+            "alarm_latency_s": _alarm_latency(log),
             "replans": max(0, events["plan"] - 1),
             "meta": meta,
         }
     )
     return record
+
+
+def _alarm_latency(log: FlightLog) -> float | None:
+    """Time from the injection to the first alarm at or after it (s); None without both."""
+    struck = [injection["time_s"] for injection in log.injections if injection["hit"]]
+    after = [alarm["time_s"] - struck[0] for alarm in log.alarms if struck and alarm["time_s"] >= struck[0]]
+    return min(after, default=None)
 
 
 def plain(value: Any) -> Any:

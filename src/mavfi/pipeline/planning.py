@@ -23,6 +23,7 @@ PLANNING_ACCELERATION = 2.5
 BRAKING = 4.0
 """Hardest deceleration that a plan may ask for (m/s^2)."""
 _RETRY_US = 500_000
+_ADOPTION_US = 3_000_000
 _REACH = 3.0
 _MARGIN = 0.3
 _STUCK_US = 4_000_000
@@ -112,12 +113,22 @@ class MotionPlanner:
             self._crumbs.append(position.copy())
         if self._every_map:
             return False
-        return self._memory.alarm >= 0.0 or (self._idle() and time_us >= self._memory.retry_us)
+        if self._memory.alarm >= 0.0:
+            return True
+        return self._idle() and time_us >= self._memory.retry_us and not self._adoption_pending(time_us)
 
     def _idle(self) -> bool:
         """Whether nothing is flown although a map and no plan is there."""
-        holding = self._waypoint is None or int(self._waypoint.header["index"][0]) < 0
-        return holding and self.room.updates > 0
+        if self._waypoint is None or self.room.updates == 0:
+            return False
+        return int(self._waypoint.header["index"][0]) < 0
+
+    def _adoption_pending(self, time_us: int) -> bool:
+        """Whether the last trajectory is about to be taken over, e.g. once the vehicle has come to rest."""
+        if self._trajectory is None or len(self._trajectory.elements) == 0:
+            return False
+        new = self._waypoint is None or not self._same_trajectory(self._waypoint)
+        return new and time_us - self._memory.progress_us < _ADOPTION_US
 
     def _on_trajectory(self) -> tuple[int, float]:
         """Index of the way-point on the trajectory known here, and its arc length; (-1, 0) when none is flown."""

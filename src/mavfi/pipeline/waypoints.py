@@ -87,11 +87,12 @@ class WaypointHandOver:
         self._watch(time_us)
         memory = self._memory
         if memory.stop_us >= 0 and time_us >= memory.stop_us:
-            self._set(trajectory=None, index=-1, stop_us=-1, stopping=True)
-            return [self._hold()]
+            return [self._brake()]
         waiting = memory.waiting
-        if waiting is not None and memory.stop_us < 0 and self._slow_enough(waiting):
+        if waiting is not None and self._slow_enough(waiting):
             return [self._adopt(waiting)]
+        if waiting is not None and not memory.stopping:
+            return [self._brake()]
         if self._published is None:
             return [self._hold()]
         if memory.trajectory is None:
@@ -111,8 +112,8 @@ class WaypointHandOver:
 
     def stop(self) -> list[State]:
         """Give the trajectory up and hold; the planner then plans anew."""
-        self._set(trajectory=None, index=-1, stop_us=-1, stopping=True, waiting=None)
-        return [self._hold()]
+        self._set(waiting=None)
+        return [self._brake()]
 
     def mark(self) -> None:
         """Remember the memory as it is."""
@@ -208,17 +209,18 @@ class WaypointHandOver:
         if self._memory.stopping:
             return not speed > _STANDING
         first = float(np.linalg.norm(floats(waiting.elements, POINT_WIDTH).reshape(-1, POINT_WIDTH)[0, 4:7]))
-        if not speed > first + _SPEED_STEP:
-            return True
-        self._set(trajectory=None, index=-1, stopping=True)
-        return False
+        return not speed > first + _SPEED_STEP
+
+    def _brake(self) -> State:
+        self._set(trajectory=None, index=-1, stop_us=-1, stopping=True)
+        return self._hold()
 
     def _adopt(self, trajectory: State) -> State:
         if len(trajectory.elements) == 0:
             self._set(trajectory=None, index=-1, waiting=None)
             return self._hold(turn=_HOLD_TURN)
         self._load(trajectory)
-        self._set(trajectory=trajectory, waiting=None, stopping=False, index=0, clock=(0.0, 1.0, 0.0))
+        self._set(trajectory=trajectory, waiting=None, stopping=False, stop_us=-1, index=0, clock=(0.0, 1.0, 0.0))
         if not self._governed:
             return self._publish(0, self._points[0])
         start = self._nearest_start()

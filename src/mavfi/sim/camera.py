@@ -12,9 +12,9 @@ import numpy as np
 from mavfi.config import CameraConfig
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.rotations import rotation_matrix
-from mavfi.sim.environments.world import World
+from mavfi.sim.environments.world import Voxels, World
 
-_COLUMN = 3.0
+_COLUMN = 8.0
 
 
 class Columns(NamedTuple):
@@ -205,14 +205,6 @@ def voxel_distance_along(
     return limit
 
 
-class Voxels(NamedTuple):
-    """Solid voxels to look at; an empty grid in a world of boxes."""
-
-    occupied: np.ndarray
-    origin: np.ndarray
-    resolution: float
-
-
 @kernel_jit
 def cast_rays(
     columns: Columns, voxels: Voxels, pose: np.ndarray, directions: np.ndarray, limit: float, ranges: np.ndarray
@@ -283,7 +275,7 @@ class Camera:
         self.directions.flags.writeable = False
         self._config = config
         self._columns = build_columns(world.lower, world.upper)
-        self._voxels = Voxels(world.occupied, world.origin, world.resolution)
+        self._voxels = world.voxels
         self._noise_key = noise_key
 
     def capture(self, pose: np.ndarray, time_us: int) -> np.ndarray:

@@ -13,7 +13,7 @@ from mavfi.sim.camera import Camera
 from mavfi.sim.environments.world import World
 from mavfi.sim.imu import Imu
 from mavfi.sim.scene import STEP_US, build_model
-from mavfi.sim.vehicle import YAW_REFERENCE, Body, Voxels, advance, airframe_of, hover_memory
+from mavfi.sim.vehicle import YAW_REFERENCE, Body, advance, airframe_of, hover_memory
 
 _PURPOSE_SENSOR_NOISE = 2
 _LONGEST_COMMAND = 1e6
@@ -63,7 +63,7 @@ class Simulator:
         )  # fmt: skip
         self._airframe = airframe_of(vehicle)
         self._controller = hover_memory(self._airframe)
-        self._voxels = Voxels(world.occupied, world.origin, world.resolution)
+        self._voxels = world.voxels
         self._speed_limit = vehicle.setpoint_limit * scenario.v_max
         self._yaw_rate_limit = vehicle.max_yaw_rate
         self._setpoint = np.zeros(4)

@@ -15,6 +15,7 @@ from mavfi.config import VehicleConfig
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.rotations import rotation_matrix, wrap_angle, yaw_of
 from mavfi.sim.contact import sphere_touches_voxels
+from mavfi.sim.environments.world import Voxels
 from mavfi.sim.scene import CONTACTS, GRAVITY, STEP_US, mj_step
 
 STEP = STEP_US * 1e-6
@@ -242,14 +243,6 @@ class Body(NamedTuple):
     qvel: np.ndarray
     qfrc: np.ndarray
     sensors: np.ndarray
-
-
-class Voxels(NamedTuple):
-    """Solid voxels to touch; an empty grid in a world of boxes."""
-
-    occupied: np.ndarray
-    origin: np.ndarray
-    resolution: float
 
 
 @kernel_jit

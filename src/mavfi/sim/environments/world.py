@@ -3,10 +3,22 @@
 import hashlib
 import math
 from dataclasses import dataclass, field, fields
+from typing import NamedTuple
 
 import numpy as np
 
 from mavfi.numerics.jit import kernel_jit
+
+
+class Voxels(NamedTuple):
+    """The solid voxels of a world, for compiled code; an empty grid in a world of boxes.
+
+    There is one such class: Numba dispatches slowly when two named tuples share a name.
+    """
+
+    occupied: np.ndarray
+    origin: np.ndarray
+    resolution: float
 
 
 def _no_boxes() -> np.ndarray:
@@ -60,6 +72,11 @@ class World:
     def is_voxels(self) -> bool:
         """Whether the obstacles are voxels."""
         return self.occupied.size > 0
+
+    @property
+    def voxels(self) -> Voxels:
+        """Its voxels for compiled code."""
+        return Voxels(self.occupied, self.origin, self.resolution)
 
     def clearance(self, points: np.ndarray) -> np.ndarray:
         """True distance to the nearest obstacle, or to the ground in a world of boxes.

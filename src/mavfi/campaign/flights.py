@@ -1,0 +1,171 @@
+"""The runs of a ledger as rows that analyses select from."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from mavfi.campaign.plan import FI, GOLDEN, NULL, RECOVERY, RunSpec
+from mavfi.campaign.store import Store
+from mavfi.campaign.worker import End
+from mavfi.faults.strata import bit_class
+from mavfi.outcomes import FlightEnd, Outcome, classify
+from mavfi.states import MONITORED_SETS, STATES
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One run that is done.
+
+    Attributes:
+        spec: What was planned.
+        record: What was recorded.
+        twin: Record of the golden run with the same detector; None for golden runs.
+        golden: Record of the golden run without a detector, for flight times.
+    """
+
+    spec: RunSpec
+    record: dict[str, Any]
+    twin: dict[str, Any] | None
+    golden: dict[str, Any] | None
+
+    @property
+    def world(self) -> tuple[str, int]:
+        """Environment and seed."""
+        return self.spec.environment, self.spec.seed
+
+    @property
+    def pair(self) -> tuple[str, str, int]:
+        """Environment, target and number of the fault: the same in `fi` and every `dr_<arm>`."""
+        return self.spec.environment, self.spec.target, self.spec.index
+
+    @property
+    def judged(self) -> bool:
+        """Whether it is known how the run ended; unknown ones are counted apart."""
+        return bool(self.record["end"] != End.UNKNOWN)
+
+    @property
+    def success(self) -> bool:
+        """Whether the mission succeeded; a run that died did not."""
+        return bool(self.record.get("success", False))
+
+    @property
+    def status(self) -> str:
+        """Mission status, or "due" or "unknown"."""
+        return str(self.record.get("status", self.record["end"]))
+
+    @property
+    def stratum(self) -> str:
+        """Bit stratum of the draw."""
+        return "" if self.spec.fault is None else self.spec.fault.stratum
+
+    @property
+    def weight(self) -> float:
+        """Weight of the draw in the whole word."""
+        return 1.0 if self.spec.fault is None else self.spec.fault.weight
+
+    @property
+    def state(self) -> str:
+        """State of the fault's site."""
+        return "" if self.spec.fault is None else self.spec.fault.site.state
+
+    @property
+    def field(self) -> str:
+        """Field of the fault's site, with its state."""
+        return "" if self.spec.fault is None else f"{self.state}.{self.spec.fault.site.field}"
+
+    @property
+    def stage(self) -> str:
+        """Stage of the fault's site."""
+        return "" if self.spec.fault is None else self.spec.fault.stage
+
+    @property
+    def bits(self) -> str:
+        """Class of the flipped bit."""
+        fault = self.spec.fault
+        if fault is None or fault.bit is None:
+            return ""
+        return bit_class(STATES[fault.site.state].find(fault.site.field), fault.bit)
+
+    @property
+    def site_fate(self) -> str:
+        """ "hit", "no_site" (the golden flight published nothing to strike) or "not_hit" (the injected flight did not)."""
+        if self.spec.fault is None or not self.spec.fault.has_site:
+            return "no_site"
+        hit = any(injection["hit"] for injection in self.record.get("injections", ()))
+        return "hit" if hit or self.record["end"] != End.FLOWN else "not_hit"
+
+    @property
+    def inflation(self) -> float | None:
+        """Flight time / that of the golden run - 1, where both succeed."""
+        return self._relative("flight_time_s")
+
+    @property
+    def energy_inflation(self) -> float | None:
+        """Energy / that of the golden run - 1, where both succeed."""
+        return self._relative("energy_j")
+
+    def _relative(self, key: str) -> float | None:
+        if not self.success or self.golden is None or not self.golden.get("success"):
+            return None
+        return float(self.record[key] / self.golden[key] - 1)
+
+    def watched(self, monitored_set: str) -> bool:
+        """Whether detectors watch the field that was struck."""
+        fault = self.spec.fault
+        return fault is not None and (fault.site.state, fault.site.field) in MONITORED_SETS[monitored_set]
+
+    @property
+    def outcome(self) -> Outcome:
+        """What the fault did; `unknown` where the records do not allow a verdict."""
+        try:
+            return classify(None if self.twin is None else _end(self.twin), _end(self.record))
+        except (KeyError, TypeError, ValueError):
+            return Outcome.UNKNOWN
+
+
+def _end(record: dict[str, Any]) -> FlightEnd:
+    return FlightEnd(record.get("digest"), record["end"] == End.DUE)
+
+
+def read_rows(store: Store) -> list[Row]:
+    """All runs of a ledger that are done, in the order of the plan."""
+    runs = [(run.spec, run.record) for run in store.runs(done=True) if run.record is not None]
+    golden = {(s.setting, s.environment, s.seed): record for s, record in runs if s.fault is None}
+    return [
+        Row(
+            spec,
+            record,
+            None if spec.fault is None else golden.get((spec.golden_setting, spec.environment, spec.seed)),
+            golden.get((GOLDEN, spec.environment, spec.seed)),
+        )
+        for spec, record in runs
+    ]
+
+
+def settings_of(rows: Iterable[Row]) -> list[str]:
+    """Settings that fly faults, `fi` first; golden and null runs are not among them."""
+    found = dict.fromkeys(row.spec.setting for row in rows if is_injected(row))
+    return sorted(found, key=lambda setting: setting != FI)
+
+
+def is_injected(row: Row) -> bool:
+    """Whether the row flew with a fault that changes something."""
+    return row.spec.setting == FI or row.spec.setting.startswith(f"{RECOVERY}_")
+
+
+def is_null(row: Row) -> bool:
+    """Whether the row flew with an empty mask."""
+    return row.spec.setting == NULL or row.spec.setting.startswith(f"{NULL}_")
+
+
+def is_golden(row: Row) -> bool:
+    """Whether the row flew without a fault."""
+    return row.spec.fault is None
+
+
+def group(rows: Iterable[Row], key: Callable[[Row], Any]) -> dict[Any, list[Row]]:
+    """Rows by the value of a key, in the order in which the values first appear."""
+    groups: dict[Any, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(key(row), []).append(row)
+    return groups
