@@ -5,7 +5,7 @@
 run from the folder that holds `examples`, or `detector_speed_limit:SpeedLimit` from within it.
 """
 
-import numpy as np
+import math
 
 from mavfi.detectors import Alarm
 from mavfi.states import State, floats
@@ -23,10 +23,10 @@ class SpeedLimit:
         """Called with every published state before a consumer sees it."""
         if state.spec.name != "control.command":
             return None
-        speed = float(np.linalg.norm(floats(state.header, 3)))
+        speed = math.hypot(*floats(state.header, 3))
         if speed <= self.limit:  # false for NaN, too
             return None
-        score = speed / self.limit if np.isfinite(speed) else 1e9
+        score = speed / self.limit if math.isfinite(speed) else 1e9
         return Alarm("speed_limit", stage="control", score=score)
 
     def accept(self, state: State, time_us: int) -> None:

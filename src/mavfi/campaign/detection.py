@@ -41,7 +41,7 @@ def false_alarms(rows: list[Row]) -> list[dict[str, Any]]:
 
 
 def detections(rows: list[Row], monitored_set: str) -> list[dict[str, Any]]:
-    """Faults that hit and were followed by an alarm within `PROMPT`, by environment, arm, stratum and whether watched."""
+    """Faults that hit and were followed by an alarm within `PROMPT`: by environment, arm, stratum, watched or not."""
     table = []
     struck = [row for row in rows if is_injected(row) and row.spec.arm and row.site_fate == "hit" and row.judged]
     groups = group(
@@ -71,10 +71,11 @@ def overheads(rows: list[Row]) -> list[dict[str, Any]]:
     table = []
     watched = [row for row in rows if row.spec.arm and "meta" in row.record]
     for (environment, setting), own in group(watched, lambda r: (r.spec.environment, r.spec.setting)).items():
-        compute = sum(sum(row.record["meta"].get("compute_us", {}).values()) for row in own)
         spent: Counter[str] = Counter()
         for row in own:
-            spent.update(row.record["meta"].get("recompute_us", {}))
+            spent.update(row.record["meta"]["recompute_us"])
+        # kernels charge each of their steps, recomputations included
+        compute = sum(sum(row.record["meta"]["compute_us"].values()) for row in own) - sum(spent.values())
         stages = {str(stage): spent[stage] / compute if compute else None for stage in PPC_STAGES}
         table.append(
             {

@@ -88,7 +88,7 @@ class Row:
 
     @property
     def site_fate(self) -> str:
-        """ "hit", "no_site" (the golden flight published nothing to strike) or "not_hit" (the injected flight did not)."""
+        """Where the fault went: "hit"; "no_site" in the golden flight; "not_hit": none in the injected flight."""
         if self.spec.fault is None or not self.spec.fault.has_site:
             return "no_site"
         hit = any(injection["hit"] for injection in self.record.get("injections", ()))

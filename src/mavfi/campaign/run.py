@@ -21,7 +21,6 @@ from mavfi.campaign.plan import (
     plan_golden,
     plan_injected,
 )
-from mavfi.campaign.scenarios import build_scenario
 from mavfi.campaign.store import Store
 from mavfi.campaign.tools import host_tools
 from mavfi.campaign.worker import End, RunResult, Task, Tools, run_task
@@ -140,7 +139,7 @@ def run_campaign(  # noqa: PLR0913 - everything after the directory has a defaul
     """
     pool = LocalPool(workers)
     tools = tools or host_tools()
-    scenarios = campaign_scenarios(campaign)
+    scenarios = campaign_scenarios(campaign, tools)
     arms = arms_of(campaign, model_hashes(campaign, scenarios, models_dir, tools))
     identity = {
         "campaign": campaign.model_dump(mode="json"),
@@ -165,14 +164,14 @@ def _fly_phases(sitting: _Sitting, arms: list[Arm]) -> None:
     sitting.fly(PHASE_INJECTED)
 
 
-def campaign_scenarios(campaign: Campaign) -> dict[str, Scenario]:
+def campaign_scenarios(campaign: Campaign, tools: Tools) -> dict[str, Scenario]:
     """Scenario with the campaign's first seed, by environment.
 
     Raises:
         BadInputError: A name is not known.
     """
     return {
-        name: build_scenario(
+        name: tools.make_scenario(
             name,
             campaign.first_seed,
             stack=campaign.stack,

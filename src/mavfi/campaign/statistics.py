@@ -159,7 +159,7 @@ def weighted_rate(
     """Rate over a population of which each stratum was sampled at its own density; clustered bootstrap interval.
 
     A draw's weight is the share of the population that its stratum stands for; sum over strata of the mean of
-    weight x success, over the same without success.
+    weight x success, over the same without success.  Where all flights end alike, the interval is Wilson's.
 
     Args:
         success: 0 or 1 by flight.
@@ -175,8 +175,24 @@ def weighted_rate(
     inside = [np.array([s == name for s in stratum], np.float64) for name in names]
     sums = cluster_sums(world, *(part for i in inside for part in (i * w * y, i * w, i)))
     rate = float(_ratio_of_means(sums.sum(axis=0)[None])[0])
-    low, high = _interval(_ratio_of_means(resample(sums)))
+    if y.min() == y.max():
+        low, high = _unanimous(rate, [(float((i * w).sum()) / i.sum(), float(i.sum())) for i in inside])
+    else:
+        low, high = _interval(_ratio_of_means(resample(sums)))
     return Rate(n, rate, low, high)
+
+
+def _unanimous(rate: float, strata: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Wilson's interval where no flight differs from the others, so that resampling shows no spread.
+
+    Args:
+        rate: 0 or 1 (up to rounding).
+        strata: Weight in the population and number of flights of each.
+    """
+    whole = sum(weight for weight, _ in strata)
+    n = 1 / sum((weight / whole) ** 2 / count for weight, count in strata)  # of as exact a sample without strata
+    z2 = float(norm.ppf(1 - _TAIL)) ** 2
+    return (n / (n + z2), 1.0) if rate > 0.5 else (0.0, z2 / (n + z2))
 
 
 def _ratio_of_means(totals: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from mavfi.mission import Scenario
 
 def host_tools() -> Tools:
     """The tools that campaigns fly with."""
-    return Tools(_fly, _load_detector)
+    return Tools(_fly, _load_detector, _make_scenario)
 
 
 def _fly(scenario: Scenario, fault: Fault | None, detector: Detector | None, *, want_profile: bool) -> Flight:
@@ -32,3 +32,11 @@ def _load_detector(detector: str, profile: str, models_dir: Path | None, scenari
         "planner": scenario.planner.name,
     }
     return load_detector(detector, profile, models_dir, fits)
+
+
+def _make_scenario(
+    environment: str, seed: int, *, stack: str, platform: str, planner: str, v_max: float | None
+) -> Scenario:
+    from mavfi.hosts.compose import make_scenario
+
+    return make_scenario(environment, seed, stack=stack, platform=platform, planner=planner, v_max=v_max)

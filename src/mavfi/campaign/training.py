@@ -7,7 +7,6 @@ from pathlib import Path
 
 from mavfi.campaign.config import TRAINING_SEED
 from mavfi.campaign.executors.local import LocalPool, Lost
-from mavfi.campaign.scenarios import build_scenario
 from mavfi.campaign.tools import host_tools
 from mavfi.campaign.worker import Tools
 from mavfi.detectors.recorder import Recorder, Recording
@@ -111,8 +110,11 @@ def train(  # noqa: PLR0913 - what models are trained for, and how
     from mavfi.detectors.training import fit, save  # scikit-learn takes a second to load; only training needs it
 
     _check_writable(folder)
-    scenario = build_scenario(ENVIRONMENT, TRAINING_SEED, stack=stack, platform=platform, planner=planner, v_max=v_max)
-    recordings = record_flights(scenario, flights, workers, tools or host_tools(), progress)
+    tools = tools or host_tools()
+    scenario = tools.make_scenario(
+        ENVIRONMENT, TRAINING_SEED, stack=stack, platform=platform, planner=planner, v_max=v_max
+    )
+    recordings = record_flights(scenario, flights, workers, tools, progress)
     provenance = {
         "stack": scenario.stack.name,
         "platform": scenario.platform.name,

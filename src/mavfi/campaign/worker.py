@@ -22,11 +22,11 @@ from mavfi.qof import quality_of_flight
 
 MOST_ALARMS = 20
 """Alarms of a flight that are kept one by one; all are counted."""
-_KEPT_META = ("course_m", "time_limit_s", "compute_us", "recompute_us", "publications", "clearance_m", "hung")
+_KEPT_META = ("course_m", "time_limit_s", "compute_us", "recompute_us", "publications", "rejected_commands")
 
 
 class End(StrEnum):
-    """How a run ended, as a piece of computation."""
+    """How a run ended, as a piece of computation: with a log; by dying each time; or for a reason that is ours."""
 
     FLOWN = "flown"
     DUE = "due"
@@ -58,12 +58,22 @@ class LoadDetector(Protocol):
         """Load, refuse what does not fit the scenario, and answer the sha256 of the model too."""
 
 
+class MakeScenario(Protocol):
+    """Resolves names of configurations."""
+
+    def __call__(
+        self, environment: str, seed: int, *, stack: str, platform: str, planner: str, v_max: float | None
+    ) -> Scenario:
+        """Make the scenario; raises `BadInputError` for a name that is not known."""
+
+
 @dataclass(frozen=True, slots=True)
 class Tools:
-    """What runs are flown with; both are known by their module, so that a worker can be told which they are."""
+    """What runs are flown with; all are known by their module, so that a worker can be told which they are."""
 
     fly: Fly
     load_detector: LoadDetector
+    make_scenario: MakeScenario
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,18 +159,18 @@ def record_of(log: FlightLog) -> dict[str, Any]:
         log: The flight.
 
     Returns:
-        end, status, success, digest, flight_time_s, energy_j, distance_m, injections, alarms (the first `MOST_ALARMS`),
-        alarm_counts (by "source/action/outcome"), alarms_total, alarm_latency_s (from the injection to the first alarm at
-        or after it), events (counts by kind), replans, and of the log's meta data the modelled compute times, numbers
-        of publications, course, time limit and clearance.
+        end, status, success, digest, flight_time_s, energy_j, distance_m, injections, alarms (the first
+        `MOST_ALARMS`), alarm_counts (by "source/action/outcome"), alarms_total, alarm_latency_s (from the injection to
+        the first alarm at or after it), events (counts by kind), replans, and of the log's meta data the modelled
+        compute times, numbers of publications and of rejected commands, course and time limit.
     """
     qof = quality_of_flight(log)
     events = Counter(event.kind for event in log.events)
-    alarm_counts = Counter(f"{a.get('source')}/{a.get('action')}/{a.get('outcome')}" for a in log.alarms)
+    alarm_counts = Counter(f"{a['source']}/{a['action']}/{a['outcome']}" for a in log.alarms)
     meta = {key: log.meta[key] for key in _KEPT_META if key in log.meta}
     record: dict[str, Any] = plain(
         {
-            "end": End.DUE if log.meta.get("hung") else End.FLOWN,
+            "end": End.FLOWN,
             "status": log.status.label,
             "success": log.status.label == "success",
             "digest": log.digest(),

@@ -101,7 +101,7 @@ def excess(errors: np.ndarray, regime: int, limit: np.ndarray) -> float:
 
 @kernel_jit
 def judge(
-    content: np.ndarray, slot: int, time_us: int, watch: Watch, network: Network, limit: np.ndarray,
+    content: np.ndarray, slot: int, watch: Watch, network: Network, limit: np.ndarray,
     vector: np.ndarray, errors: np.ndarray,
 ) -> float:  # fmt: skip
     """Score of all last deltas, of which this publication renews its own.
@@ -109,7 +109,6 @@ def judge(
     Args:
         content: As of `features.measure`.
         slot: As of `features.measure`.
-        time_us: As of `features.measure`.
         watch: As of `features.measure`.
         network: The network.
         limit: As of `excess`.
@@ -119,7 +118,7 @@ def judge(
     Returns:
         Score; > 1 is an alarm.
     """
-    regime = features.measure(content, slot, time_us, watch, vector)
+    regime = features.measure(content, slot, watch, vector)
     residuals(vector, network, errors)
     return NOT_FINITE if regime < 0 else excess(errors, regime, limit)
 
@@ -175,7 +174,7 @@ class AutoencoderDetector:
         if slot is None:
             return None
         content = state.header.view(np.uint8)
-        score = self._judge(content, slot, time_us)
+        score = self._judge(content, slot)
         return None if score <= 1.0 else self._alarm(slot, score, content)
 
     def accept(self, state: State, time_us: int) -> None:
@@ -186,17 +185,19 @@ class AutoencoderDetector:
             known.note(state)
             return
         content = state.header.view(np.uint8)
-        normal = self._judge(content, slot, time_us) <= 1.0
+        normal = self._judge(content, slot) <= 1.0
         first, last = known.range_of(slot)
         self._held[first:last] = self._vector[first:last] if normal else 0
+        if not normal:
+            self._held[int(np.argmax(self._errors / self._key))] = 0
         if known.is_waypoint(slot):
             self._anomalous_waypoint = not normal
-        features.commit(content, slot, time_us, known.watch)
+        features.commit(content, slot, known.watch)
 
-    def _judge(self, content: np.ndarray, slot: int, time_us: int) -> float:
+    def _judge(self, content: np.ndarray, slot: int) -> float:
         self._vector[:] = self._held
         watch = self._features.watch
-        return judge(content, slot, time_us, watch, self._network, self._limit, self._vector, self._errors)
+        return judge(content, slot, watch, self._network, self._limit, self._vector, self._errors)
 
     def _alarm(self, slot: int, score: float, content: np.ndarray) -> Alarm:
         worst = int(np.argmax(self._errors / self._key))

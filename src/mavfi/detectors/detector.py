@@ -1,4 +1,4 @@
-"""What a detector is to the host: it watches published states, and may ask for a recomputation.  It never sees a fault."""
+"""What a detector is to the host: it watches published states, may ask for a recomputation, and never sees a fault."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol

@@ -29,16 +29,16 @@ FIRST, LAST, TRAJECTORY, DURATION = range(4)
 """Columns of a place table, one row per watched state: range of its fields in the vector [FIRST, LAST), byte offsets of
 trajectory_seq and duration (-1: it is not the way-point)."""
 
-SEEN, TIME, REGIME = range(3)
-"""Columns of a memory, one row per watched state: whether it was published yet, when last (us), and the largest regime
-that a way-point has caused since then.  The last row holds the vehicle: x, y, z (m) and whether it is known."""
+SEEN, REGIME = range(2)
+"""Columns of a memory, one row per watched state: whether it was published yet, and the largest regime that a way-point
+has caused since then."""
 
 PLAIN, SWITCH, NEW_TRAJECTORY = range(3)
 REGIMES = 3
 """Regimes: no change of plan / another way-point / the first way-point of a trajectory since the last publication."""
 
-KNOWN = 3
-"""Column of the memory's last row."""
+KNOWN = 6
+"""Where `Watch.vehicle` says whether the vehicle is known."""
 ODOMETRY = -1
 """Kind of a recorded event that is not a watched state but the vehicle's odometry."""
 _LARGEST_WRAPPED = 20.0
@@ -50,14 +50,16 @@ class Watch(NamedTuple):
     Attributes:
         places: Place table. Shape (slots, 4), int64.
         table: Field table. Shape (n, 5), int64.
-        memory: Shape (slots + 1, 4), float64.
+        memory: Shape (slots, 2), float64.
         last: Bytes that were published last. Shape (slots, largest size), uint8.
+        vehicle: x, y, z (m), vx, vy, vz (m/s), and whether they are known. Shape (7,), float64.
     """
 
     places: np.ndarray
     table: np.ndarray
     memory: np.ndarray
     last: np.ndarray
+    vehicle: np.ndarray
 
 
 class Events(NamedTuple):
@@ -65,13 +67,11 @@ class Events(NamedTuple):
 
     Attributes:
         slots: Watched state of each event, ODOMETRY for the vehicle. Shape (m,), int64.
-        times_us: Instant of each event. Shape (m,), int64.
         ends: Where the bytes of each event end in `content`. Shape (m,), int64.
         content: Bytes of all events. Shape (total,), uint8.
     """
 
     slots: np.ndarray
-    times_us: np.ndarray
     ends: np.ndarray
     content: np.ndarray
 
@@ -100,9 +100,8 @@ def _regime(content: np.ndarray, place: np.ndarray, memory_row: np.ndarray, last
 
 @kernel_jit
 def _innovation(
-    content: np.ndarray, last: np.ndarray, field: np.ndarray, duration: float, elapsed: float, origin: float,
-    fresh: bool,
-) -> float:  # fmt: skip
+    content: np.ndarray, last: np.ndarray, field: np.ndarray, duration: float, vehicle: np.ndarray
+) -> float:
     """Position minus its prediction from the velocity, per axis (m).
 
     Args:
@@ -110,19 +109,15 @@ def _innovation(
         last: Bytes published last.
         field: Row of the field table.
         duration: How long the new way-point is held (s).
-        elapsed: Time since the last publication (s).
-        origin: Where the vehicle is, for the first point of a trajectory (m).
-        fresh: Whether this is the first point of a trajectory.
+        vehicle: Where the motion starts if not at the last way-point, as `Watch.vehicle`; or shape (0,).
     """
-    position = real_at(content, field[OFFSET])
     velocity = real_at(content, field[VELOCITY])
-    if field[RULE] == CODE_OF_INTERVAL:
-        start = origin if fresh else real_at(last, field[OFFSET])
-        return position - start - velocity * duration
-    if fresh:
-        return position - origin
-    mean = 0.5 * (velocity + real_at(last, field[VELOCITY]))
-    return position - real_at(last, field[OFFSET]) - mean * elapsed
+    if len(vehicle) > 0:
+        start, before = vehicle[field[AXIS]], vehicle[3 + field[AXIS]]
+    else:
+        start, before = real_at(last, field[OFFSET]), real_at(last, field[VELOCITY])
+    mean = velocity if field[RULE] == CODE_OF_INTERVAL else 0.5 * (velocity + before)
+    return float(real_at(content, field[OFFSET]) - start - mean * duration)
 
 
 @kernel_jit
@@ -146,31 +141,27 @@ def _difference(content: np.ndarray, last: np.ndarray, field: np.ndarray) -> int
 
 
 @kernel_jit
-def measure(content: np.ndarray, slot: int, time_us: int, watch: Watch, deltas: np.ndarray) -> int:
+def measure(content: np.ndarray, slot: int, watch: Watch, deltas: np.ndarray) -> int:
     """Deltas of a publication; changes nothing but `deltas`.
 
     The rules: DELTA_OF_CODES, the paper's: code first, then difference.  INTEGER: difference, saturated to 16 bits.
     CODE_OF_DELTA: difference in float64 first, then its code.  CODE_OF_ANGLE: the same of an angle, wrapped to ±pi.
-    CODE_OF_INTERVAL: code of a position minus where the way-point before it (the vehicle, for the first one of a
-    trajectory) gets with this way-point's velocity in its duration.  CODE_OF_TRAPEZOID: the same with the mean of the
-    two velocities in the time between the publications; the first one of a trajectory is compared with the vehicle.
-    A first publication has no delta: 0 (but a position is compared with the vehicle).
+    CODE_OF_INTERVAL: code of a position minus where the last way-point gets with this one's velocity in this one's
+    duration.  CODE_OF_TRAPEZOID: the same with the mean of both way-points' velocities.  The first way-point of a
+    trajectory is predicted from the vehicle instead of the last way-point.  A first publication has no delta: 0.
 
     Args:
         content: Bytes of the published header. Shape (size,), uint8.
         slot: Which watched state.
-        time_us: When (us).
         watch: What is remembered.
         deltas: Filled in from places[slot, FIRST] to places[slot, LAST]. Shape (n,), int16.
 
     Returns:
         The regime, or -1 - regime if a watched float64 is not finite.
     """
-    memory = watch.memory
-    place, own, before, vehicle = watch.places[slot], memory[slot], watch.last[slot], memory[len(memory) - 1]
+    place, own, before, vehicle = watch.places[slot], watch.memory[slot], watch.last[slot], watch.vehicle
     regime = _regime(content, place, own, before)
     fresh = regime == NEW_TRAJECTORY
-    elapsed = 1e-6 * (time_us - own[TIME])
     finite = True
     for index in range(place[FIRST], place[LAST]):
         field = watch.table[index]
@@ -180,8 +171,8 @@ def measure(content: np.ndarray, slot: int, time_us: int, watch: Watch, deltas: 
         delta = 0
         if rule >= CODE_OF_INTERVAL:
             if not fresh or vehicle[KNOWN] != 0.0:
-                duration, origin = real_at(content, place[DURATION]), vehicle[field[AXIS]]
-                error = _innovation(content, before, field, duration, elapsed, origin, fresh)
+                duration = real_at(content, place[DURATION])
+                error = _innovation(content, before, field, duration, vehicle if fresh else vehicle[:0])
                 delta = sign_exponent_code(error, field[THRESHOLD])
         elif own[SEEN] != 0.0:
             delta = _difference(content, before, field)
@@ -195,25 +186,31 @@ def not_finite(content: np.ndarray, table: np.ndarray) -> np.ndarray:
 
 
 @kernel_jit
-def commit(content: np.ndarray, slot: int, time_us: int, watch: Watch) -> None:
+def commit(content: np.ndarray, slot: int, watch: Watch) -> None:
     """Remember a publication; arguments as of `measure`."""
-    memory = watch.memory
-    own = memory[slot]
+    own = watch.memory[slot]
     if watch.places[slot, TRAJECTORY] >= 0:
         regime = _regime(content, watch.places[slot], own, watch.last[slot])
-        for other in range(len(memory) - 1):
-            memory[other, REGIME] = max(memory[other, REGIME], float(regime))
-    own[SEEN], own[TIME], own[REGIME] = 1.0, float(time_us), float(PLAIN)
+        for other in range(len(watch.memory)):
+            watch.memory[other, REGIME] = max(watch.memory[other, REGIME], float(regime))
+    own[SEEN], own[REGIME] = 1.0, float(PLAIN)
     watch.last[slot, : len(content)] = content
 
 
 @kernel_jit
-def note_vehicle(content: np.ndarray, memory: np.ndarray) -> None:
-    """Remember where the vehicle is (x, y, z lead its odometry); a position that is not finite is not taken."""
-    vehicle = memory[len(memory) - 1]
-    x, y, z = real_at(content, 0), real_at(content, 8), real_at(content, 16)
-    if math.isfinite(x) and math.isfinite(y) and math.isfinite(z):
-        vehicle[0], vehicle[1], vehicle[2], vehicle[KNOWN] = x, y, z, 1.0
+def note_vehicle(content: np.ndarray, vehicle: np.ndarray) -> None:
+    """Remember where the vehicle is; odometry that is not finite is not taken.
+
+    Args:
+        content: Bytes of its odometry, led by x, y, z, vx, vy, vz.
+        vehicle: Filled in, see `Watch`.
+    """
+    for index in range(KNOWN):
+        if not math.isfinite(real_at(content, 8 * index)):
+            return
+    for index in range(KNOWN):
+        vehicle[index] = real_at(content, 8 * index)
+    vehicle[KNOWN] = 1.0
 
 
 @kernel_jit
@@ -229,12 +226,12 @@ def replay(events: Events, watch: Watch, vectors: np.ndarray, regimes: np.ndarra
     held = np.zeros(len(watch.table), np.int16)
     start = 0
     for event in range(len(events.slots)):
-        slot, time_us, end = events.slots[event], events.times_us[event], events.ends[event]
+        slot, end = events.slots[event], events.ends[event]
         piece = events.content[start:end]
         start = end
         if slot == ODOMETRY:
-            note_vehicle(piece, watch.memory)
+            note_vehicle(piece, watch.vehicle)
         else:
-            regimes[event] = measure(piece, slot, time_us, watch, held)
-            commit(piece, slot, time_us, watch)
+            regimes[event] = measure(piece, slot, watch, held)
+            commit(piece, slot, watch)
         vectors[event] = held

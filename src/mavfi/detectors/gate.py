@@ -120,9 +120,6 @@ class PhysicsGate:
             self._position[:] = _reals(state)[:3]
 
     def _judge_status(self, state: State) -> int:
-        found = int(_not_finite(_reals(state)))
-        if found >= 0:
-            return found
         if not (0.0 <= float(state.header["time_to_collision"][0]) <= LONGEST_TIME_TO_COLLISION):
             return _index(state.spec, "time_to_collision")
         step = 0 if self._sequence is None else int(state.header["future_collision_seq"][0]) - self._sequence

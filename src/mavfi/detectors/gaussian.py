@@ -48,14 +48,13 @@ class Frozen(NamedTuple):
 
 @kernel_jit
 def judge_online(
-    content: np.ndarray, slot: int, time_us: int, watch: Watch, rule: Online, deltas: np.ndarray, scores: np.ndarray
+    content: np.ndarray, slot: int, watch: Watch, rule: Online, deltas: np.ndarray, scores: np.ndarray
 ) -> float:
     """Distance from the running mean in units of n standard deviations.
 
     Args:
         content: As of `features.measure`.
         slot: As of `features.measure`.
-        time_us: As of `features.measure`.
         watch: As of `features.measure`.
         rule: What to judge by.
         deltas: Filled in for the fields of this state. Shape (n,), int16.
@@ -64,7 +63,7 @@ def judge_online(
     Returns:
         The largest score.
     """
-    regime = features.measure(content, slot, time_us, watch, deltas)
+    regime = features.measure(content, slot, watch, deltas)
     worst = 0.0
     for index in range(watch.places[slot, features.FIRST], watch.places[slot, features.LAST]):
         count, mean, squares = rule.statistics[index]
@@ -78,27 +77,27 @@ def judge_online(
 
 @kernel_jit
 def learn_online(
-    content: np.ndarray, slot: int, time_us: int, watch: Watch, rule: Online, deltas: np.ndarray, scores: np.ndarray
+    content: np.ndarray, slot: int, watch: Watch, rule: Online, deltas: np.ndarray, scores: np.ndarray
 ) -> None:
     """Update the statistics with a published value, except where it would have raised an alarm, and remember it.
 
     Arguments as of `judge_online`; `rule.statistics` and `watch` change.
     """
-    worst = judge_online(content, slot, time_us, watch, rule, deltas, scores)
+    worst = judge_online(content, slot, watch, rule, deltas, scores)
     if worst < NOT_FINITE and watch.memory[slot, features.SEEN] != 0.0:
         for index in range(watch.places[slot, features.FIRST], watch.places[slot, features.LAST]):
             if scores[index] <= 1.0:
                 count, mean, squares = rule.statistics[index]
                 rule.statistics[index] = welford.update(count, mean, squares, float(deltas[index]))
-    features.commit(content, slot, time_us, watch)
+    features.commit(content, slot, watch)
 
 
 @kernel_jit
 def judge_frozen(
-    content: np.ndarray, slot: int, time_us: int, watch: Watch, rule: Frozen, deltas: np.ndarray, scores: np.ndarray
+    content: np.ndarray, slot: int, watch: Watch, rule: Frozen, deltas: np.ndarray, scores: np.ndarray
 ) -> float:
     """Distance from the trained mean of the regime in units of its trained limit; arguments as of `judge_online`."""
-    regime = features.measure(content, slot, time_us, watch, deltas)
+    regime = features.measure(content, slot, watch, deltas)
     if regime < 0:
         return NOT_FINITE
     worst = 0.0
@@ -111,8 +110,9 @@ def judge_frozen(
 class GaussianDetector:
     """GAD in either profile.
 
-    `paper`: one n for all fields; mean and deviation go on online from the trained ones, a value is tested before they
-    are updated, and they are never updated with one that raised an alarm.  `tuned`: limits per field and regime, frozen.
+    `paper`: one n for all fields; mean and deviation go on online from the trained ones, a value is tested before
+    they are updated, and they are never updated with one that raised an alarm.  `tuned`:
+    limits per field and regime, frozen.
     """
 
     model_kind = SOURCE
@@ -150,9 +150,9 @@ class GaussianDetector:
             return None
         content, watch = state.header.view(np.uint8), self._features.watch
         if isinstance(self._rule, Online):
-            score = judge_online(content, slot, time_us, watch, self._rule, self._deltas, self._scores)
+            score = judge_online(content, slot, watch, self._rule, self._deltas, self._scores)
         else:
-            score = judge_frozen(content, slot, time_us, watch, self._rule, self._deltas, self._scores)
+            score = judge_frozen(content, slot, watch, self._rule, self._deltas, self._scores)
         return None if score <= 1.0 else self._alarm(slot, score, content)
 
     def accept(self, state: State, time_us: int) -> None:
@@ -163,9 +163,9 @@ class GaussianDetector:
             return
         content, watch = state.header.view(np.uint8), self._features.watch
         if isinstance(self._rule, Online):
-            learn_online(content, slot, time_us, watch, self._rule, self._deltas, self._scores)
+            learn_online(content, slot, watch, self._rule, self._deltas, self._scores)
         else:
-            features.commit(content, slot, time_us, watch)
+            features.commit(content, slot, watch)
 
     def _alarm(self, slot: int, score: float, content: np.ndarray) -> Alarm:
         first, last = self._features.range_of(slot)

@@ -14,8 +14,8 @@ from mavfi.states import MONITORED_SETS, STATES, State, StateSpec
 
 PROFILES = ("paper", "tuned")
 PREDICTIONS = {"interval": features.CODE_OF_INTERVAL, "trapezoid": features.CODE_OF_TRAPEZOID}
-"""How a way-point's position is predicted, see `features.measure`: "interval" where it is the end of an interval
-that is flown with the way-point's velocity, "trapezoid" where way-points are samples of a motion."""
+"""How a way-point's position is predicted, see `features.measure`: "interval" where way-points carry the mean
+velocity on the way to them, "trapezoid" where they carry the velocity at their position."""
 VEHICLE_STATE = "sensor.odometry"
 
 _HALF_METRE, _QUARTER, _ONE_SECOND, _EIGHTH = -1, -2, 0, -3
@@ -54,19 +54,21 @@ class Preprocessor:
         self.watch = features.Watch(
             places=np.array([_place(STATES[name], watched) for name in names], np.int64),
             table=np.array(rows, np.int64),
-            memory=np.zeros((len(names) + 1, 4)),
+            memory=np.zeros((len(names), 2)),
             last=np.zeros((len(names), size), np.uint8),
+            vehicle=np.zeros(features.KNOWN + 1),
         )
 
     def start(self) -> None:
         """Forget the last flight."""
         self.watch.memory[:] = 0.0
         self.watch.last[:] = 0
+        self.watch.vehicle[:] = 0.0
 
     def note(self, state: State) -> None:
         """Remember where the vehicle is, if this state says so."""
         if state.spec.name == VEHICLE_STATE:
-            features.note_vehicle(state.header.view(np.uint8), self.watch.memory)
+            features.note_vehicle(state.header.view(np.uint8), self.watch.vehicle)
 
     def range_of(self, slot: int) -> tuple[int, int]:
         """First and one past the last index in the vector of a watched state's fields."""

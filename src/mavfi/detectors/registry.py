@@ -108,13 +108,12 @@ def _find(name: str) -> Any:  # noqa: ANN401 - a user's own class
 def _import(name: str, place: str) -> Any:  # noqa: ANN401 - a user's own class
     module, _, attribute = place.partition(":")
     # A console script does not look into the working directory, where a user's own module usually is.
-    sys.path.append(str(Path.cwd()))
+    if str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))
     try:
         return getattr(importlib.import_module(module), attribute)
     except (ImportError, AttributeError, ValueError) as error:
         raise BadInputError(f"detector {name!r}: cannot be loaded ({error}); allowed: package:Class") from None
-    finally:
-        sys.path.pop()
 
 
 def _build(name: str, factory: Any, *arguments: Model, **options: object) -> Detector:  # noqa: ANN401

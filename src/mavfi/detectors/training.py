@@ -119,7 +119,7 @@ def _replay(recording: Recording, preprocessor: Preprocessor) -> Sample:
     slots = lookup[recording.kinds]
     vectors = np.zeros((len(slots), len(preprocessor.fields)), np.int16)
     regimes = np.zeros(len(slots), np.int64)
-    events = features.Events(slots, recording.times_us, recording.ends, recording.content)
+    events = features.Events(slots, recording.ends, recording.content)
     features.replay(events, preprocessor.watch, vectors, regimes)
     first = np.zeros(len(slots), bool)
     first[np.unique(slots, return_index=True)[1]] = True
@@ -133,15 +133,13 @@ def innovations(recording: Recording) -> dict[str, np.ndarray]:
     Returns:
         By prediction (see `preprocess.PREDICTIONS`), error per axis (m). Shape (k, 3).
     """
-    times_us, headers = recording.headers("planning.waypoint")
+    _, headers = recording.headers("planning.waypoint")
     position, velocity = (np.stack([headers[name] for name in names], 1) for names in (("x", "y", "z"), _VELOCITY))
     same = headers["trajectory_seq"][1:] == headers["trajectory_seq"][:-1]
     step = np.diff(position, axis=0)
     mean = (velocity[1:] + velocity[:-1]) / 2.0
-    return {
-        "interval": (step - velocity[1:] * headers["duration"][1:, None])[same],
-        "trapezoid": (step - mean * (1e-6 * np.diff(times_us))[:, None])[same],
-    }
+    duration = headers["duration"][1:, None]
+    return {"interval": (step - velocity[1:] * duration)[same], "trapezoid": (step - mean * duration)[same]}
 
 
 _VELOCITY = ("vx", "vy", "vz")

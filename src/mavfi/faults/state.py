@@ -1,16 +1,11 @@
 """State-level faults: one bit of one field of one published inter-kernel state, once."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, FaultSite, Injection
 from mavfi.faults.strata import WORD_BITS
-from mavfi.flight_log import Profile
 from mavfi.states import State, StateSpec, find_state
-
-_US = 1e-6
 
 
 def flip(state: State, site: FaultSite, bit: int | None) -> tuple[State, float | int | bool, float | int | bool]:
@@ -104,40 +99,13 @@ class StateInjector:
         fault = self._fault
         struck, before, after = flip(state, fault.site, fault.bit)
         hit = struck.same_bits(state) == (fault.bit is None)
-        self.injections.append(Injection(fault.level, str(fault.site), time_us * _US, fault.bit, before, after, hit))
+        self.injections.append(Injection(fault.level, str(fault.site), time_us / 1e6, fault.bit, before, after, hit))
         return struck
 
     def finish(self) -> list[Injection]:
         """All that it did; if the publication never came, one record that says so."""
         if not self.injections:
             fault = self._fault
-            time_s = fault.time_us * _US if fault.has_site else 0.0
+            time_s = fault.time_us / 1e6 if fault.has_site else 0.0
             self.injections.append(Injection(fault.level, str(fault.site), time_s, fault.bit, None, None, hit=False))
         return self.injections
-
-
-@dataclass(slots=True)
-class ProfileRecorder:
-    """A tap that changes nothing and notes which publications a fault could strike."""
-
-    _times: dict[str, list[int]] = field(default_factory=dict)
-    _counts: dict[str, list[int]] = field(default_factory=dict)
-    _acted_on: dict[str, ActedOn] = field(default_factory=dict)
-
-    def __call__(self, state: State, time_us: int) -> State:
-        """Note a publication and pass it on."""
-        name = state.spec.name
-        if name not in self._times:
-            self._times[name], self._counts[name] = [], []
-            self._acted_on[name] = ActedOn(state.spec)
-        if self._acted_on[name](state):
-            self._times[name].append(time_us)
-            self._counts[name].append(len(state.elements))
-        return state
-
-    def profile(self) -> Profile:
-        """What was noted."""
-        return Profile(
-            {name: np.array(times, np.int64) for name, times in self._times.items()},
-            {name: np.array(counts, np.int32) for name, counts in self._counts.items()},
-        )

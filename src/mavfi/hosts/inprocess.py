@@ -28,6 +28,9 @@ from mavfi.states import STATES, Stage, State, floats, new_state
 
 _PHYSICS_US = 4_000
 
+Observer = Callable[[State, int], None]
+"""Sees every published value and the instant (microseconds); it must not change it."""
+
 
 @dataclass(slots=True)
 class Flight:
@@ -48,13 +51,10 @@ class Flight:
 
 @dataclass(slots=True)
 class _Redo:
-    """A recomputation on its way."""
+    """A recomputation on its way; the value that comes out is published, whatever the detector says."""
 
-    alarm: Alarm
     rejected: State
     record: dict[str, Any]
-    final: bool
-    """The value that comes out is accepted, whatever the detector says."""
 
 
 @dataclass(slots=True)
@@ -94,8 +94,9 @@ class _Host:
     """One flight."""
 
     def __init__(
-        self, scenario: Scenario, fault: Fault | None, detector: Detector | None, want_profile: bool
-    ) -> None:
+        self, scenario: Scenario, fault: Fault | None, detector: Detector | None, want_profile: bool,
+        observer: Observer | None,
+    ) -> None:  # fmt: skip
         self.scenario = scenario
         self.world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
         self.sim = Simulator(self.world, scenario)
@@ -110,6 +111,7 @@ class _Host:
             name: [kernel for kernel in self.kernels.values() if name in kernel.reads] for name in STATES
         }
         self.publications = _Publications(want_profile)
+        self.observer = observer
         self.queue: list[tuple[int, int, Callable[[int], None]]] = []
         self.order = 0
         self.now = 0
@@ -227,6 +229,8 @@ class _Host:
         """Consumers see a value; steps that it makes due begin."""
         name = state.spec.name
         self.publications.note(state, now)
+        if self.observer is not None:
+            self.observer(state, now)
         self._note_event(state, now)
         for kernel in self.readers[name]:
             if kernel.receive(state, now) and kernel.name not in PERIODIC:
@@ -251,12 +255,10 @@ class _Host:
         """Whether a value may be published; if not, its recomputation has begun."""
         redo = self.redo.pop(state.spec.name, None)
         if redo is not None:
-            same = state.same_bits(redo.rejected)
             if redo.record["action"] == "recompute":
-                redo.record["outcome"] = "accepted" if same else "repaired"
-            if redo.final:
-                detector.accept(state, now)
-                return True
+                redo.record["outcome"] = "accepted" if state.same_bits(redo.rejected) else "repaired"
+            detector.accept(state, now)
+            return True
         alarm = detector.check(state, now)
         if alarm is None:
             detector.accept(state, now)
@@ -275,14 +277,14 @@ class _Host:
             record["action"] = "stop" if alarm.stop else "abandon"
             states = waypoint.stop() if alarm.stop else waypoint.abandon(now)
             self.recompute_us[Stage.CONTROL.value] += stage_latency(platform, Stage.CONTROL)
-            self.redo["planning.waypoint"] = _Redo(alarm, state, record, final=alarm.stop)
+            self.redo["planning.waypoint"] = _Redo(state, record)
             self.finish(waypoint, states, now, stage_latency(platform, Stage.CONTROL))
             return name == "planning.waypoint"
         kernel = self.kernels[state.spec.writer]
         if stage is not kernel.stage:
             return self._recompute_elsewhere(record, stage, now)
         self.recompute_us[stage.value] += stage_latency(platform, stage)
-        self.redo[name] = _Redo(alarm, state, record, final=True)
+        self.redo[name] = _Redo(state, record)
         if stage is Stage.PERCEPTION:
             for member in STAGE_KERNELS[stage]:
                 self.kernels[member].rollback()
@@ -337,8 +339,9 @@ class _Host:
 
 
 def fly(
-    scenario: Scenario, fault: Fault | None = None, detector: Detector | None = None, *, want_profile: bool = False
-) -> Flight:
+    scenario: Scenario, fault: Fault | None = None, detector: Detector | None = None, *, want_profile: bool = False,
+    observer: Observer | None = None,
+) -> Flight:  # fmt: skip
     """Fly one mission.
 
     Args:
@@ -346,6 +349,7 @@ def fly(
         fault: What to inject; None = golden flight.
         detector: What watches; None = nothing.
         want_profile: Whether to record when which state was published.
+        observer: Sees what is published.
 
     Returns:
         The flight; the same arguments give the same bytes.
@@ -354,4 +358,4 @@ def fly(
         BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
     """
     with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
-        return _Host(scenario, fault, detector, want_profile).fly()
+        return _Host(scenario, fault, detector, want_profile, observer).fly()

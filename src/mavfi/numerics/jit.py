@@ -5,12 +5,11 @@ infinity, and `parallel` would reorder sums: none of them is available here (see
 """
 
 from collections.abc import Callable
-
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from numba import njit
 
-F = TypeVar("F", bound=Callable)
+F = TypeVar("F", bound=Callable[..., object])
 
 
 def kernel_jit(function: F) -> F:
@@ -22,4 +21,4 @@ def kernel_jit(function: F) -> F:
     Returns:
         The compiled dispatcher; its pure Python twin is `function.py_func`.
     """
-    return njit(cache=True, error_model="numpy", fastmath=False, nogil=True)(function)
+    return cast(F, njit(cache=True, error_model="numpy", fastmath=False, nogil=True)(function))

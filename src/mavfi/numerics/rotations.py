@@ -48,21 +48,9 @@ def wrap_angle(angle: float) -> float:
     Args:
         angle: Any angle (rad).
     """
-    if -math.pi <= angle < math.pi:
-        return angle
-    turns = math.floor((angle + math.pi) / (2.0 * math.pi))
-    return angle - 2.0 * math.pi * turns
-
-
-@kernel_jit
-def quaternion_from_yaw(yaw: float, quaternion: np.ndarray) -> None:
-    """Level attitude with a heading.
-
-    Args:
-        yaw: Heading (rad).
-        quaternion: Result, w x y z. Shape (4,).
-    """
-    quaternion[0] = math.cos(0.5 * yaw)
-    quaternion[1] = 0.0
-    quaternion[2] = 0.0
-    quaternion[3] = math.sin(0.5 * yaw)
+    wrapped = float(np.fmod(angle, 2.0 * math.pi))
+    if wrapped >= math.pi:
+        return wrapped - 2.0 * math.pi
+    if wrapped < -math.pi:
+        return wrapped + 2.0 * math.pi
+    return wrapped

@@ -138,6 +138,9 @@ class CollisionCheck:
         self._remaining = 0.0
         self._published = new_state("perception.collision_status")
         self._escaping_seq = -1
+        self._used = self._inputs()
+        self._rolled_back = False
+        self._again = False
 
     def receive(self, state: State, time_us: int) -> bool:
         """A map update makes a step due; where every map is checked, a new trajectory does too."""
@@ -145,6 +148,7 @@ class CollisionCheck:
         name = state.spec.name
         if name == "perception.map_update":
             self.room.apply(state)
+            self._again = self._rolled_back
             return True
         if name == "sensor.odometry":
             self._position = floats(state.header, 3)
@@ -171,6 +175,10 @@ class CollisionCheck:
             self._escaping_seq = int(state.header["trajectory_seq"][0])
         return self._every_map
 
+    def _inputs(self) -> tuple[State | None, int, int, np.ndarray, float]:
+        """What a step looks at beside the map."""
+        return (*self._in_force(), self._position, self._remaining)
+
     def _in_force(self) -> tuple[State | None, int, int]:
         """Trajectory in force, index of its point, and its epoch."""
         if self._every_map and self._trajectories:
@@ -192,7 +200,11 @@ class CollisionCheck:
         seq = int(self._published.header["future_collision_seq"][0])
         status = State(STATES[self.writes[0]], np.zeros(1, self._published.header.dtype), self._published.elements)
         status.header[0] = (collision_check.NO_COLLISION, np.inf, np.inf, seq, -1, False)
-        trajectory, index, epoch = self._in_force()
+        if self._again:
+            self._again = self._rolled_back = False  # a recomputation works on the inputs of the first time
+        else:
+            self._used = self._inputs()
+        trajectory, index, epoch, position, remaining = self._used
         if trajectory is None or index < 0 or index >= len(trajectory.elements):
             return [status]
         if epoch < seq and not self._every_map:
@@ -200,7 +212,7 @@ class CollisionCheck:
         points = floats(trajectory.elements, 11).reshape(-1, 11)
         config = self._config
         time = collision_check.time_to_collision(
-            self.room.narrow, self.room.grid, self._position, points, index, self._remaining, config.stack.geofence
+            self.room.narrow, self.room.grid, position, points, index, remaining, config.stack.geofence
         )
         header = status.header[0]
         if self._every_map:
@@ -233,5 +245,6 @@ class CollisionCheck:
         self.room.mark()
 
     def rollback(self) -> None:
-        """Take the map updates since the last mark back."""
+        """Take the map updates since the last mark back; the next map is checked with the inputs of the last step."""
         self.room.rollback()
+        self._rolled_back = True

@@ -54,7 +54,6 @@ class WaypointHandOver:
         self._governed = config.stack.sampling == "interpolated"
         self._memory = _Memory()
         self._marked = self._memory
-        self._marked_inbox: list[State] = []
         self._inbox: list[State] = []
         self._odometry = np.zeros(13)
         self._remaining = 0.0
@@ -62,6 +61,7 @@ class WaypointHandOver:
         self._points = np.zeros((0, POINT_WIDTH))
         self._arc = np.zeros(0)
         self._published: State | None = None
+        self._marked_inputs: tuple[list[State], float, State | None] = ([], 0.0, None)
         self._creep = min(_CREEP_SPEED, _CREEP_STEP / max(config.map_latency, 1e-3))
 
     def receive(self, state: State, time_us: int) -> bool:
@@ -118,12 +118,13 @@ class WaypointHandOver:
     def mark(self) -> None:
         """Remember the memory as it is."""
         self._marked = self._memory
-        self._marked_inbox = list(self._inbox)
+        self._marked_inputs = (list(self._inbox), self._remaining, self._published)
 
     def rollback(self) -> None:
         """Put the memory, and the inputs that the step consumed, back."""
         self._memory = self._marked
-        self._inbox = self._marked_inbox + self._inbox
+        inbox, self._remaining, self._published = self._marked_inputs
+        self._inbox = inbox + self._inbox
         self._load(self._memory.trajectory)
 
     # ---- epochs -----------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.sim.environments.world import Voxels, World
 
-_COLUMN = 8.0
+_COLUMN = 3.0
 
 
 class Columns(NamedTuple):

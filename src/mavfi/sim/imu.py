@@ -61,4 +61,5 @@ class Imu:
         white, walk = stream.standard_normal((2, 6))
         self.bias = self.bias + _WALK * math.sqrt(interval) * walk
         self.time_us = time_us
-        return truth + self.bias + _WHITE / math.sqrt(interval) * white
+        measured: np.ndarray = truth + self.bias + _WHITE / math.sqrt(interval) * white
+        return measured

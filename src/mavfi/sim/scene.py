@@ -64,7 +64,8 @@ def build_model(world: World, vehicle: VehicleConfig) -> mujoco.MjModel:
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=np.array([0.0, 0.0, 1.0]))
         for centre, half in zip(0.5 * (world.lower + world.upper), 0.5 * (world.upper - world.lower), strict=True):
             spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half)
-    body = spec.worldbody.add_body(pos=world.start, mass=vehicle.mass, inertia=np.array(vehicle.inertia), ipos=np.zeros(3))
+    body = spec.worldbody.add_body(pos=world.start)
+    body.mass, body.inertia, body.ipos = vehicle.mass, np.array(vehicle.inertia), np.zeros(3)
     body.explicitinertial = True
     body.add_freejoint()
     body.add_geom(name="hull", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=np.array([vehicle.hull_radius, 0.0, 0.0]))

@@ -36,6 +36,20 @@ class Snapshot:
     imu: Imu
 
 
+def _shortened(velocity: tuple[float, float, float], limit: float) -> tuple[float, float, float]:
+    """The same direction, not longer than the limit; the largest part is divided out before squares can overflow."""
+    x, y, z = velocity
+    largest = max(abs(x), abs(y), abs(z))
+    if largest == 0.0:
+        return velocity
+    x, y, z = x / largest, y / largest, z / largest
+    norm = math.sqrt(x * x + y * y + z * z)
+    if largest <= limit / norm:
+        return velocity
+    scale = limit / norm
+    return x * scale, y * scale, z * scale
+
+
 class Simulator:
     """Flies one vehicle in one world.
 
@@ -102,19 +116,11 @@ class Simulator:
             duration: How long it holds (s); 0 and less = hover at once.
         """
         vx, vy, vz, yaw_rate = (float(value) for value in velocity_yaw_rate)
-        if not (math.isfinite(vx + vy + vz + yaw_rate + duration)) and not all(
-            map(math.isfinite, (vx, vy, vz, yaw_rate, duration))
-        ):
+        if not all(map(math.isfinite, (vx, vy, vz, yaw_rate, duration))):
             self.rejected_commands += 1
             return
-        largest = max(abs(vx), abs(vy), abs(vz))
-        if largest > 0.0:
-            norm = largest * math.sqrt((vx / largest) ** 2 + (vy / largest) ** 2 + (vz / largest) ** 2)
-            if not (norm <= self._speed_limit):
-                scale = self._speed_limit / math.sqrt((vx / largest) ** 2 + (vy / largest) ** 2 + (vz / largest) ** 2)
-                vx, vy, vz = vx / largest * scale, vy / largest * scale, vz / largest * scale
         limit = self._yaw_rate_limit
-        self._setpoint[:] = (vx, vy, vz, min(limit, max(-limit, yaw_rate)))
+        self._setpoint[:] = (*_shortened((vx, vy, vz), self._speed_limit), min(limit, max(-limit, yaw_rate)))
         self._expiry_us = self.time_us + int(min(max(duration, 0.0), _LONGEST_COMMAND) * 1e6)
 
     def advance(self, time_us: int) -> None:
@@ -127,7 +133,7 @@ class Simulator:
             BadInputError: It is neither.
         """
         if time_us % STEP_US or time_us < self.time_us:
-            raise BadInputError(f"time {time_us} us: must be a multiple of {STEP_US} us, and not before {self.time_us} us")
+            raise BadInputError(f"time {time_us} us: must be a multiple of {STEP_US} us from {self.time_us} us on")
         steps = (time_us - self.time_us) // STEP_US
         commanded = max(0, self._expiry_us - self.time_us + STEP_US - 1) // STEP_US
         touched = advance(

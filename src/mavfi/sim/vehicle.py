@@ -59,7 +59,7 @@ class Airframe(NamedTuple):
 
 
 def airframe_of(config: VehicleConfig) -> Airframe:
-    """The airframe that a configuration describes; `rotor_step` is the share of its way that a rotor makes in a step."""
+    """The airframe that a configuration describes; `rotor_step` is the share of its way a rotor makes in a step."""
     lag = config.rotor_time_constant
     return Airframe(
         config.mass,
@@ -278,7 +278,7 @@ def advance(
         rotation_matrix(body.qpos[3:7], matrix)
         control(airframe, memory, setpoint if step < commanded_steps else hover, body.qpos, body.qvel, matrix)
         apply_forces(airframe, memory, body.qvel, matrix, body.qfrc)
-        mj_step(body.model, body.data)
+        mj_step(body.model, body.data)  # type: ignore[call-overload]
         touched = touched or body.sensors[CONTACTS] > 0.0
         if voxels.occupied.size > 0:
             touched = touched or sphere_touches_voxels(

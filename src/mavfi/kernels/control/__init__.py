@@ -1,1 +1,1 @@
-""""""
+"""Kernels from way-point to command."""

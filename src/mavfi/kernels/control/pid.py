@@ -43,6 +43,8 @@ class Gains(NamedTuple):
 def _saturate(command: np.ndarray, limit: float) -> float:
     """Rescale a velocity to `limit` if it is larger; returns by how much it was too large (1 = not)."""
     largest = max(abs(command[0]), max(abs(command[1]), abs(command[2])))
+    if math.isnan(command[0] + command[1] + command[2]):
+        largest = np.nan  # `max` looks at NaN in its first argument only
     if not largest <= _HUGE:  # its square would overflow; a NaN stays one and is refused by the flight controller
         for axis in range(3):
             command[axis] /= largest
@@ -65,7 +67,7 @@ def _anti_windup(integral: float, limit: float) -> float:
         return limit
     if integral < -limit:
         return -limit
-    return integral if integral == integral else 0.0
+    return 0.0 if math.isnan(integral) else integral
 
 
 @kernel_jit

@@ -1,1 +1,1 @@
-""""""
+"""Kernels from depth image to collision check."""

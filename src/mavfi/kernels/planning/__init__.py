@@ -1,1 +1,1 @@
-""""""
+"""Kernels from map to way-point."""

@@ -10,7 +10,15 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import kernel_jit
-from mavfi.sim.environments.arena import CEILING, HALF_WIDTH, LENGTH, arena_world, checked_number, draw_ends, world_stream
+from mavfi.sim.environments.arena import (
+    CEILING,
+    HALF_WIDTH,
+    LENGTH,
+    arena_world,
+    checked_number,
+    draw_ends,
+    world_stream,
+)
 from mavfi.sim.environments.world import World
 
 HALO = 6.0
@@ -71,14 +79,12 @@ def _most_cuboids(side: float, gap: float) -> int:
 
 def _does_not_fit(density: float, side: float, gap: float, count: int) -> BadInputError:
     return BadInputError(
-        f"parameters density {density:g}, side {side:g}: {count} cuboids with gaps of {gap:g} m do not fit into the arena "
-        f"of {LENGTH:g} x {2 * HALF_WIDTH:g} m; allowed: a lower density, about {0.45 * (side / (side + gap)) ** 2:.2g}"
+        f"parameters density {density:g}, side {side:g}: {count} cuboids with gaps of {gap:g} m do not fit into "
+        f"{LENGTH:g} x {2 * HALF_WIDTH:g} m; allowed: a lower density, about {0.45 * (side / (side + gap)) ** 2:.2g}"
     )
 
 
-def _place(
-    stream: np.random.Generator, ends: np.ndarray, count: int, side: float, gap: float
-) -> np.ndarray | None:
+def _place(stream: np.random.Generator, ends: np.ndarray, count: int, side: float, gap: float) -> np.ndarray | None:
     """Random sequential placement, begun anew a few times when it jams."""
     margin = np.array([0.5 * side, 0.5 * side - HALF_WIDTH])
     span = np.array([LENGTH - side, 2.0 * HALF_WIDTH - side])

@@ -18,6 +18,7 @@ import numpy as np
 from mavfi.config import Vector
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import kernel_jit
+from mavfi.sim.environments.arena import checked_number
 from mavfi.sim.environments.world import World
 
 _DEPTH = 16
@@ -42,12 +43,17 @@ class Leaves(NamedTuple):
     occupied: np.ndarray
 
 
-def octomap_file(seed: int, path: str, start: Vector | None = None, goal: Vector | None = None) -> World:
+def octomap_file(
+    seed: int, path: str, band: float = 0.6, start: Vector | None = None, goal: Vector | None = None
+) -> World:
     """The world of a scan: what it has not seen is solid.
+
+    Planners are kept to the heights of start and goal: a camera that looks ahead does not see ceiling and floor.
 
     Args:
         seed: Not used: a scan is the same for every seed.
         path: File, `.bt` or `.ot`.
+        band: How far planners may go above and below start and goal (m).
         start: Start (m); must be given.
         goal: Goal (m); must be given.
 
@@ -65,13 +71,15 @@ def octomap_file(seed: int, path: str, start: Vector | None = None, goal: Vector
         raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
     occupied, origin, resolution = _read_grid(path, modified)
     lower, upper = origin, origin + resolution * np.array(occupied.shape)
+    band = checked_number("band", band, 0.0, 1000.0)
+    lowest, highest = min(start[2], goal[2]) - band, max(start[2], goal[2]) + band
     return World(
         start=np.array(start),
         goal=np.array(goal),
         arena_lower=lower,
         arena_upper=upper,
-        flight_lower=lower,
-        flight_upper=upper,
+        flight_lower=np.array([*lower[:2], max(lower[2], lowest)]),
+        flight_upper=np.array([*upper[:2], min(upper[2], highest)]),
         occupied=occupied,
         origin=origin,
         resolution=resolution,
@@ -145,13 +153,13 @@ def _read_header(path: Path, content: bytes) -> tuple[bool, float, int]:
             values[key] = value.strip()
         offset = end + 1
     if values.get(b"id") != b"OcTree":
-        raise BadInputError(f"{path}: id {values.get(b'id', b'').decode(errors='replace')!r}; allowed: OcTree")
+        raise BadInputError(f"{path}: id {values.get(b'id')!r}; allowed: OcTree")
     try:
         resolution = float(values[b"res"])
     except (KeyError, ValueError):
         resolution = math.nan
     if not 1e-3 <= resolution <= 100.0:
-        raise BadInputError(f"{path}: res {values.get(b'res', b'').decode(errors='replace')!r}; allowed: 0.001 to 100 m")
+        raise BadInputError(f"{path}: res {values.get(b'res')!r}; allowed: 0.001 to 100 m")
     return _HEADERS[first.strip()], resolution, offset
 
 

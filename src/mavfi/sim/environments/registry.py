@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.config import EnvironmentConfig, VehicleConfig, Vector, shipped
+from mavfi.config import EnvironmentConfig, Vector, VehicleConfig, shipped
 from mavfi.errors import BadInputError
 from mavfi.sim.environments.world import World
 
@@ -94,7 +94,7 @@ def generators() -> dict[str, str]:
     return found | _BUILT_IN
 
 
-def environment_for_file(path: str) -> EnvironmentConfig:
+def environment_for_file(path: str | Path) -> EnvironmentConfig:
     """The environment of a scanned map, with values that suit the inside of a building.
 
     A small quadrotor flies slowly on a fine map, because a scan leaves little room: unknown space is solid, and rays
@@ -106,14 +106,15 @@ def environment_for_file(path: str) -> EnvironmentConfig:
     Raises:
         BadInputError: It has another ending or is absent.
     """
-    if not path.endswith(_SCAN_ENDINGS):
+    path = Path(path)
+    if path.suffix not in _SCAN_ENDINGS:
         raise BadInputError(f"{path}: not a scanned map; allowed: a file ending in {' or '.join(_SCAN_ENDINGS)}")
-    if not Path(path).is_file():
+    if not path.is_file():
         raise BadInputError(f"{path}: there is no such file")
     return EnvironmentConfig(
-        name=Path(path).stem,
+        name=path.stem,
         generator="octomap_file",
-        parameters={"path": path},
+        parameters={"path": str(path)},
         vehicle="small_quad",
         v_max=1.2,
         map_resolution=0.08,

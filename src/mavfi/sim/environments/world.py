@@ -64,7 +64,7 @@ class World:
             if attribute.name == "resolution":
                 continue
             wanted = np.bool_ if attribute.name == "occupied" else np.float64
-            array = np.ascontiguousarray(value, wanted).view()
+            array: np.ndarray = np.ascontiguousarray(value, wanted).view()
             array.flags.writeable = False
             object.__setattr__(self, attribute.name, array)
 
@@ -126,9 +126,7 @@ def _clearance_of_boxes(points: np.ndarray, lower: np.ndarray, upper: np.ndarray
 
 
 @kernel_jit
-def _clearance_of_voxels(
-    points: np.ndarray, occupied: np.ndarray, origin: np.ndarray, resolution: float
-) -> np.ndarray:
+def _clearance_of_voxels(points: np.ndarray, occupied: np.ndarray, origin: np.ndarray, resolution: float) -> np.ndarray:
     distances = np.empty(len(points))
     for i in range(len(points)):
         distances[i] = _distance_to_voxels(points[i], occupied, origin, resolution)

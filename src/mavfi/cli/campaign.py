@@ -1,0 +1,83 @@
+"""`mavfi campaign run | status | digest`: fly many missions, see how far they are, prove what came out."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+import typer
+
+from mavfi.cli.console import JSON_HELP, console, write_json
+
+app = typer.Typer(help="Fly a campaign, see how far it is, prove what came out.", no_args_is_help=False)
+
+DEFAULT_WORKERS = 2
+_STOPPED = 130
+
+
+@app.command("run")
+def run(
+    config: str = typer.Argument(metavar="CONFIG.yaml", help="A YAML file, or the name of a shipped campaign."),
+    out: Path = typer.Option(..., help="Folder of the ledger; made if absent, gone on with if it holds this campaign."),
+    workers: int = typer.Option(DEFAULT_WORKERS, help="Processes; the result does not depend on them."),
+    scale: str = typer.Option("quick", help="quick, or another size that the campaign names, e.g. paper."),
+    models: Path = typer.Option(None, help="Folder of trained models; the shipped ones by default."),
+) -> None:
+    """Fly a campaign, or what is left of it.  Ctrl-C stops it (exit code 130); the same command goes on.
+
+    Example: [bold]mavfi campaign run configs/campaigns/states.yaml --out out/states[/bold]
+    """
+    from mavfi.campaign.config import load_campaign
+    from mavfi.campaign.run import run_campaign
+    from mavfi.cli.progress import Bar
+
+    campaign = load_campaign(config).at_scale(scale)
+    try:
+        with Bar(f"campaign {campaign.name}") as bar:
+            run_campaign(campaign, out, workers=workers, models_dir=models, progress=bar.show_campaign)
+    except KeyboardInterrupt:
+        console(error=True).print(f"Stopped. What is flown is kept in {out}; the same command goes on.")
+        raise typer.Exit(_STOPPED) from None
+    console().print(f"Done. Tables and figures: [bold]mavfi report {out}[/bold]")
+
+
+@app.command("status")
+def status(
+    directory: Path = typer.Argument(metavar="DIR", help="Folder of the ledger."),
+    as_json: bool = typer.Option(False, "--json", help=JSON_HELP),
+) -> None:
+    """Print how far a campaign is, and how many missions succeeded in each setting.
+
+    Example: [bold]mavfi campaign status out/states[/bold]
+    """
+    from mavfi.campaign.run import status as status_of
+    from mavfi.cli.progress import success_counts
+
+    found = status_of(directory)
+    if as_json:
+        settings = {
+            name: dict(zip(("planned", "flown", "succeeded"), counts, strict=True))
+            for name, counts in found.settings.items()
+        }
+        write_json({**asdict(found), "complete": found.complete, "settings": settings})
+        return
+    out = console()
+    out.print(f"{found.done} of {found.total} flights" + (", complete" if found.complete else ""))
+    out.print(success_counts(found.settings))
+
+
+@app.command("digest")
+def digest(
+    directory: Path = typer.Argument(metavar="DIR", help="Folder of the ledger."),
+    as_json: bool = typer.Option(False, "--json", help=JSON_HELP),
+) -> None:
+    """Print the hash of plan and records: the same for any number of workers, and after any stop.
+
+    Example: [bold]mavfi campaign digest out/states[/bold]
+    """
+    from mavfi.campaign.store import Store
+
+    with Store.open(directory) as store:
+        found = store.digest()
+    if as_json:
+        write_json({"digest": found})
+    else:
+        typer.echo(found)

@@ -1,0 +1,95 @@
+"""Progress of long work: a bar with rate and time left in a terminal, a line now and then elsewhere."""
+
+import math
+import time
+from collections.abc import Mapping
+from types import TracebackType
+
+from rich.console import Group
+from rich.live import Live
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.table import Table
+from rich.text import Text
+
+from mavfi.campaign.run import Progress as CampaignProgress
+from mavfi.cli.console import console
+
+_LINE_EVERY = 15.0
+"""Seconds between two lines where the output is no terminal."""
+
+
+class Bar:
+    """Shows how far some work is, on stderr; use as a context manager.
+
+    Args:
+        label: What is being done.
+        unit: What is counted.
+    """
+
+    def __init__(self, label: str, unit: str = "flights") -> None:
+        self._label, self._unit = label, unit
+        self._console = console(error=True)
+        self._bar = Progress(
+            TextColumn("[bold]{task.description}"), BarColumn(bar_width=40), MofNCompleteColumn(),
+            TextColumn("{task.fields[pace]}"), console=self._console,
+        )  # fmt: skip
+        self._task = self._bar.add_task(label, total=None, pace="")
+        self._live = Live(console=self._console, refresh_per_second=5, transient=False)
+        self._begun = time.perf_counter()
+        self._told = self._begun
+
+    def __enter__(self) -> "Bar":
+        if self._console.is_terminal:
+            self._live.start()
+            self._live.update(self._bar)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: BaseException | TracebackType | None) -> None:
+        if self._console.is_terminal:
+            self._live.stop()
+
+    def show(self, done: int, total: int) -> None:
+        """Tell how much is done; rate and time left count from the beginning of the bar."""
+        seconds = time.perf_counter() - self._begun
+        rate = done / seconds if seconds > 0 else 0.0
+        self._tell(done, total, rate, (total - done) / rate if rate > 0 else math.inf, None)
+
+    def show_campaign(self, progress: CampaignProgress) -> None:
+        """Tell how far a campaign is, and how many missions succeeded in each setting."""
+        left = progress.remaining_s
+        self._tell(progress.done, progress.total, progress.rate, left, progress.settings or None)
+
+    def _tell(
+        self, done: int, total: int, rate: float, left: float, settings: Mapping[str, tuple[int, int, int]] | None
+    ) -> None:
+        pace = f"{rate:.1f} {self._unit}/s · {duration(left)} left" if done < total else ""
+        if self._console.is_terminal:
+            self._bar.update(self._task, completed=done, total=total, pace=pace)
+            self._live.update(Group(self._bar, success_counts(settings)) if settings else self._bar)
+            return
+        now = time.perf_counter()
+        if now - self._told >= _LINE_EVERY or done == total:
+            self._told = now
+            self._console.print(f"{self._label} {done}/{total} {self._unit}  {pace}".rstrip())
+
+
+def success_counts(settings: Mapping[str, tuple[int, int, int]]) -> Table:
+    """Planned, flown and succeeded runs by setting."""
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    for heading in ("setting", "flown", "planned", "succeeded", ""):
+        table.add_column(heading, justify="left" if heading in ("setting", "") else "right")
+    for setting, (planned, done, success) in settings.items():
+        share = f"{100 * success / done:.1f} %" if done else ""
+        table.add_row(setting, str(done), str(planned), str(success), Text(share, style="dim"))
+    return table
+
+
+def duration(seconds: float) -> str:
+    """A wall time for people."""
+    if not math.isfinite(seconds):
+        return "?"
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes:02d} min"
+    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"

@@ -1,0 +1,269 @@
+"""A picture of one flight: obstacles, what the map knew, the paths, and the moment of the fault; from above and side."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib.patheffects as effects
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PatchCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from scipy.spatial import cKDTree
+
+from mavfi.hosts.inprocess import Flight
+from mavfi.kernels.perception.clearance import OCCUPIED
+from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus
+from mavfi.reports import style
+from mavfi.sim.environments import World
+
+NEAR = 3.0
+"""The side view shows what lies about within this distance of the flown path, as seen from above (m)."""
+_MARGIN = 2.0
+_SCAN_MARGIN = 5.0
+_WIDTH = 11.0
+_SIDE_STRETCH = 1.6
+"""Heights in the side view are drawn larger by this factor."""
+_SOLID, _EDGE, _MAP = "#D4D4D4", "#A8A8A8", "#3B3B3B"
+_HALO = [effects.withStroke(linewidth=4.0, foreground="white")]
+
+
+@dataclass(frozen=True, slots=True)
+class _Course:
+    """A path to draw. `points`: shape (n, 3), finite."""
+
+    label: str
+    points: np.ndarray
+    line: dict[str, Any]
+
+
+def draw_flight(path: Path, flight: Flight, golden: Flight | None = None, recovered: Flight | None = None) -> Path:
+    """Draw a flight; beside it, if given, its golden twin, and the same fault with a detector on.
+
+    Args:
+        path: File to write: .png, .svg or .pdf.
+        flight: The flight; its map is drawn too.
+        golden: The error-free twin.
+        recovered: The flight with the same fault, watched by a detector.
+
+    Returns:
+        The file.
+
+    Raises:
+        BadInputError: The place cannot be written.
+    """
+    courses = _courses(flight, golden, recovered)
+    with style.house_style():
+        lower, upper = _limits(flight.world, courses)
+        figure, above, side = _axes(lower, upper)
+        _draw_world(above, side, flight.world, courses[-1 if recovered is None else -2].points)
+        known = _draw_map(above, side, flight, (lower, upper))
+        for axes, index in ((above, 1), (side, 2)):
+            for course in courses:
+                axes.plot(course.points[:, 0], course.points[:, index], **course.line)
+        marks = _draw_marks(above, side, flight)
+        _label(figure, above, side, flight, golden)
+        _legend(figure, courses, marks, known, flight.world)
+        for axes, index in ((above, 1), (side, 2)):
+            axes.set_xlim(lower[0], upper[0])
+            axes.set_ylim(lower[index], upper[index])
+        return style.write(figure, path)
+
+
+def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None) -> list[_Course]:
+    courses = []
+    if golden is not None:
+        line = {"color": style.BLUE, "linewidth": 1.2, "zorder": 6}
+        courses.append(_Course("golden flight", _positions(golden), line))
+    alone = golden is None
+    label = "flight" if alone else "flight with the fault"
+    line = {"color": style.BLUE if alone else style.ORANGE, "linewidth": 2.6, "zorder": 5, "path_effects": _HALO}
+    courses.append(_Course(label, _positions(flight), line))
+    if recovered is not None:
+        line = {"color": style.GREEN, "linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 7}
+        courses.append(_Course("same fault, detector on", _positions(recovered), line))
+    return courses
+
+
+def _positions(flight: Flight) -> np.ndarray:
+    """Flown points that can be drawn. Shape (n, 3)."""
+    points = flight.log.columns("x", "y", "z")
+    kept: np.ndarray = points[np.isfinite(points).all(axis=1)]
+    return kept
+
+
+def _limits(world: World, courses: list[_Course]) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of what is shown: the arena, or, in a scan, what surrounds the paths."""
+    points = np.concatenate([course.points for course in courses] + [world.start[None], world.goal[None]])
+    points = np.clip(points, world.arena_lower - FLY_AWAY_MARGIN, world.arena_upper + FLY_AWAY_MARGIN)
+    low, high = points.min(axis=0), points.max(axis=0)
+    if world.is_voxels:
+        lower = np.maximum(low - _SCAN_MARGIN, world.arena_lower)
+        upper = np.minimum(high + _SCAN_MARGIN, world.arena_upper)
+        return lower, upper
+    return np.minimum(world.arena_lower, low - _MARGIN), np.maximum(world.arena_upper, high + _MARGIN)
+
+
+def _axes(lower: np.ndarray, upper: np.ndarray) -> tuple[Figure, Axes, Axes]:
+    """One figure whose two views share the x axis and its scale."""
+    left, right, top, between, bottom = 0.6, 0.15, 0.95, 0.62, 0.5
+    extent = upper - lower
+    inch = (_WIDTH - left - right) / extent[0]
+    plan, elevation = inch * extent[1], inch * extent[2] * _SIDE_STRETCH
+    height = top + plan + between + elevation + bottom
+    figure = Figure(figsize=(_WIDTH, height))
+    width = (_WIDTH - left - right) / _WIDTH
+    side = figure.add_axes((left / _WIDTH, bottom / height, width, elevation / height))
+    above = figure.add_axes((left / _WIDTH, (bottom + elevation + between) / height, width, plan / height))
+    return figure, above, side
+
+
+def _draw_world(above: Axes, side: Axes, world: World, course: np.ndarray) -> None:
+    if world.is_voxels:
+        _draw_scan(above, side, world, course)
+        return
+    boxes = [Rectangle((x, y), u - x, v - y) for (x, y, _), (u, v, _) in zip(world.lower, world.upper, strict=True)]
+    near = _near(world, course)
+    fronts = [
+        Rectangle((low[0], low[2]), high[0] - low[0], high[2] - low[2])
+        for low, high in zip(world.lower[near], world.upper[near], strict=True)
+    ]
+    for axes, patches in ((above, boxes), (side, fronts)):
+        axes.add_collection(PatchCollection(patches, facecolor=_SOLID, edgecolor=_EDGE, linewidth=0.5, zorder=1))
+    side.axhline(0.0, color=_EDGE, linewidth=0.8, zorder=1)
+
+
+def _near(world: World, course: np.ndarray) -> np.ndarray:
+    """Which boxes stand about within `NEAR` of the path, seen from above. Shape (boxes,), bool."""
+    points = course[:: max(1, len(course) // 500), :2]
+    below = world.lower[:, None, :2] - points[None]
+    beyond = points[None] - world.upper[:, None, :2]
+    distance = np.linalg.norm(np.maximum(np.maximum(below, beyond), 0.0), axis=2)
+    near: np.ndarray = distance.min(axis=1, initial=np.inf) < NEAR + 1.0
+    return near
+
+
+def _draw_scan(above: Axes, side: Axes, world: World, course: np.ndarray) -> None:
+    """Solid voxels at the heights that were flown, and, from the side, along the path."""
+    shape = np.array(world.occupied.shape)
+    end = world.origin + shape * world.resolution
+    cells = np.clip(((course - world.origin) / world.resolution).astype(int), 0, shape - 1)
+    middle = int(np.median(cells[:, 2]))
+    plan = world.occupied[:, :, max(0, middle - 1) : middle + 2].any(axis=2)
+    columns = np.arange(shape[0])
+    order = np.argsort(cells[:, 0], kind="stable")
+    rows = np.interp(columns, cells[order, 0], cells[order, 1]).round().astype(int)
+    elevation = world.occupied[columns, rows, :]
+    for axes, solid, index in ((above, plan, 1), (side, elevation, 2)):
+        extent = (world.origin[0], end[0], world.origin[index], end[index])
+        _shade(axes, solid, extent, _SOLID, 1)
+
+
+def _shade(axes: Axes, cells: np.ndarray, extent: tuple[float, float, float, float], colour: str, order: int) -> None:
+    """Colour the cells that are set; shape (columns, rows)."""
+    image = np.zeros((cells.shape[1], cells.shape[0], 4))
+    image[..., :3] = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    image[..., 3] = cells.T
+    axes.imshow(image, origin="lower", extent=extent, interpolation="nearest", aspect="auto", zorder=order)
+
+
+def _draw_map(above: Axes, side: Axes, flight: Flight, limits: tuple[np.ndarray, np.ndarray]) -> bool:
+    """Voxels that the planner's map held for occupied in the end; whether there are any."""
+    room: Any = getattr(flight.pipeline.get("planner"), "room", None)
+    if room is None:
+        return False
+    grid = room.grid
+    ix, iy, iz = np.nonzero(room.cells.reshape(grid.nx, grid.ny, grid.nz) == OCCUPIED)
+    centres = np.array([grid.x0, grid.y0, grid.z0]) + (np.stack([ix, iy, iz], axis=1) + 0.5) * grid.resolution
+    lower, upper = limits
+    centres = centres[((centres > lower) & (centres < upper)).all(axis=1)]
+    course = _positions(flight)[::10]
+    if flight.world.is_voxels:  # the same slices as of the world: the map of a corridor would cover all
+        from_above = centres[np.abs(centres[:, 2] - np.median(course[:, 2])) < 1.5 * grid.resolution]
+        from_side = centres[_distance(centres, course) < grid.resolution]
+    else:
+        from_above = centres[centres[:, 2] > grid.resolution]  # so would the ground
+        from_side = from_above[_distance(from_above, course) < NEAR]
+    size = 72 * (_WIDTH - 0.75) / (upper[0] - lower[0]) * grid.resolution
+    shape = {"marker": "s", "linestyle": "", "markersize": size, "markeredgewidth": 0, "color": _MAP, "zorder": 2}
+    for axes, points, index in ((above, from_above, 1), (side, from_side, 2)):
+        seen = np.unique(points[:, [0, index]], axis=0)
+        axes.plot(seen[:, 0], seen[:, 1], alpha=0.5, **shape)
+    return len(centres) > 0
+
+
+def _distance(points: np.ndarray, course: np.ndarray) -> np.ndarray:
+    """Distance of points to a path, seen from above (m). Shapes (n, 3), (k, 3) -> (n,)."""
+    if len(course) == 0 or len(points) == 0:
+        return np.full(len(points), np.inf)
+    found: np.ndarray = cKDTree(course[:, :2]).query(points[:, :2])[0]
+    return found
+
+
+def _draw_marks(above: Axes, side: Axes, flight: Flight) -> list[Line2D]:
+    """Start, goal, fault, and where a failed flight ended; answers what the legend says of them."""
+    time = flight.log.column("time")
+    points = flight.log.columns("x", "y", "z")
+    plain = {"linestyle": "", "markeredgecolor": "white", "markeredgewidth": 1.0}
+    marks: list[tuple[np.ndarray, str, dict[str, Any]]] = [
+        (flight.world.start, "start", {"marker": "o", "markersize": 9, "color": style.INK}),
+        (flight.world.goal, "goal", {"marker": "s", "markersize": 9, "color": style.INK}),
+    ]
+    for injection in flight.log.injections:
+        if injection["hit"]:
+            row = min(int(np.searchsorted(time, injection["time_s"])), len(time) - 1)
+            marks.append((points[row], "moment of the fault", {"marker": "*", "markersize": 17, "color": style.AMBER}))
+    if flight.log.status is not MissionStatus.SUCCESS:
+        finite = points[np.isfinite(points).all(axis=1)]
+        label = flight.log.status.label.replace("_", " ")
+        marks.append((finite[-1], label, {"marker": "X", "markersize": 11, "color": style.ORANGE}))
+    handles = []
+    for point, label, look in marks:
+        edge = plain | ({"markeredgecolor": style.INK, "markeredgewidth": 0.8} if look["marker"] == "*" else {})
+        for axes, index in ((above, 1), (side, 2)):
+            axes.plot(point[0], point[index], zorder=9, clip_on=False, **edge, **look)
+        handles.append(Line2D([], [], label=label, **edge, **{**look, "markersize": 0.7 * look["markersize"] + 1.5}))
+    return handles
+
+
+def _label(figure: Figure, above: Axes, side: Axes, flight: Flight, golden: Flight | None) -> None:
+    scenario = flight.log.meta["scenario"]
+    height = figure.get_figheight()
+    title = f"{scenario['environment']['name']} · seed {scenario['seed']} · stack {scenario['stack']['name']}"
+    figure.text(0.6 / _WIDTH, 1 - 0.24 / height, title, fontsize=12.5, fontweight="bold", va="center")
+    told = f"{flight.log.column('time')[-1]:.1f} s"
+    if golden is not None:
+        told += f" (golden {golden.log.column('time')[-1]:.1f} s)"
+    for injection in flight.log.injections:
+        if injection["hit"] and injection["bit"] is not None:
+            change = f"{_short(injection['before'])} → {_short(injection['after'])}"
+            told = f"{injection['site']}, bit {injection['bit']} at {injection['time_s']:.2f} s: {change}   ·   {told}"
+    figure.text(1 - 0.15 / _WIDTH, 1 - 0.24 / height, told, ha="right", va="center", color=style.GREY)
+    above.set_ylabel("y (m)")
+    side.set_ylabel("z (m)")
+    side.set_xlabel("x (m)")
+    above.text(0, 1.012, "from above", transform=above.transAxes, color=style.GREY, va="bottom")
+    beside = "along the path" if flight.world.is_voxels else "obstacles near the path"
+    heights = f"from the side: {beside}; heights × {_SIDE_STRETCH:g}"
+    side.text(0, 1.02, heights, transform=side.transAxes, color=style.GREY, va="bottom")
+
+
+def _short(number: object) -> str:
+    return f"{number:.4g}" if isinstance(number, float) else str(number)
+
+
+def _legend(figure: Figure, courses: list[_Course], marks: list[Line2D], known: bool, world: World) -> None:
+    """Above both views, where it covers nothing."""
+    handles: list[Any] = [Line2D([], [], label=c.label, color=c.line["color"], linewidth=c.line["linewidth"],
+                                 linestyle=c.line.get("linestyle", "-")) for c in courses]  # fmt: skip
+    handles += marks
+    handles.append(Patch(facecolor=_SOLID, edgecolor=_EDGE, label="solid" if world.is_voxels else "obstacle"))
+    if known:
+        handles.append(Patch(facecolor=_MAP, alpha=0.5, label="occupied in the map"))
+    height = figure.get_figheight()
+    figure.legend(
+        handles=handles, loc="center right", bbox_to_anchor=(1 - 0.1 / _WIDTH, 1 - 0.62 / height), ncols=len(handles),
+        fontsize=8.5, handlelength=1.6, columnspacing=1.4, borderpad=0, handletextpad=0.6,
+    )  # fmt: skip

@@ -1,0 +1,39 @@
+"""Inference equals scikit-learn's."""
+
+import numpy as np
+import pytest
+
+from mavfi.detectors import autoencoder, training
+
+
+@pytest.fixture(scope="module")
+def network():
+    inputs = np.random.default_rng(3).normal(size=(600, 13)) @ np.random.default_rng(4).normal(size=(13, 13)) / 4
+    return training.train_network(inputs)
+
+
+def test_the_layers_are_those_of_the_paper(network):
+    assert [coefficients.shape for coefficients in network.coefs_] == [(13, 6), (6, 3), (3, 6), (6, 13)]
+    assert (network.activation, network.out_activation_) == ("tanh", "identity")
+
+
+def test_outputs_are_those_of_scikit_learn(network):
+    exported = training.export(network, np.ones(13))
+    for inputs in np.random.default_rng(5).uniform(-10, 10, (200, 13)):
+        autoencoder.reconstruct(inputs, exported)
+        assert np.abs(exported.work[0, :13] - network.predict(inputs[None])[0]).max() < 1e-12
+
+
+def test_residuals_are_those_of_scaled_and_clamped_inputs(network):
+    scale = np.random.default_rng(6).uniform(1, 20, 13)
+    vectors = np.random.default_rng(7).integers(-1000, 1000, (50, 13)).astype(np.int16)
+    inputs = np.clip(vectors / scale, -10, 10)
+    expected = np.abs(inputs - network.predict(inputs))
+    assert np.abs(training.all_residuals(vectors, training.export(network, scale)) - expected).max() < 1e-12
+
+
+def test_scores_are_mean_square_or_the_largest_ratio():
+    errors = np.random.default_rng(8).uniform(0, 2, 13)
+    limit = np.random.default_rng(9).uniform(0.1, 1, (13, 3))
+    assert autoencoder.excess(errors, 1, limit) == pytest.approx((errors / limit[:, 1]).max())
+    assert autoencoder.excess(errors, 1, np.array([[0.25]])) == pytest.approx((errors**2).mean() / 0.25)

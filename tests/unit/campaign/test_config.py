@@ -1,0 +1,61 @@
+import pytest
+
+from mavfi.campaign.config import Campaign, load_campaign
+from mavfi.campaign.plan import count_runs
+from mavfi.config import parse
+from mavfi.errors import BadInputError
+
+BASE = {"name": "c", "environments": ["sparse"]}
+GROUP = {"name": "g", "sites": ["planning.waypoint.x"]}
+
+
+@pytest.mark.parametrize("name", ["table1", "states", "bits", "smoke"])
+def test_shipped_campaigns_are_valid_and_fly_evaluation_seeds(name):
+    campaign = load_campaign(name)
+    assert campaign.name == name
+    assert not campaign.on_design_seeds
+
+
+def test_table1_has_the_size_of_the_paper():
+    quick = load_campaign("table1")
+    assert count_runs(quick) - 4 * quick.null_runs == 4 * (3 * 30 + 3 * 90) == 1440
+    large = quick.at_scale("paper")
+    assert (large.flights, large.faults) == (100, 100)
+    assert quick.at_scale("quick") == quick
+    assert large.key() != quick.key()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"colour": "red"}, "unknown key 'colour'; allowed: name"),
+        ({"environments": []}, "key 'environments'"),
+        ({"law": "groups"}, "groups are given where, and only where"),
+        ({"groups": [GROUP]}, "groups are given where, and only where"),
+        ({"law": "groups", "groups": [GROUP, GROUP]}, "same name"),
+        ({"law": "groups", "groups": [{"name": "g", "sites": ["planning.waypoint.roll"]}]}, "no field 'roll'"),
+        ({"law": "groups", "groups": [{**GROUP, "strata": {"high": 1}}]}, "stratum 'high': allowed: sign_exponent"),
+        ({"strata": {"mantissa": 0}}, "shares above 0"),
+        ({"monitored_set": "all"}, "monitored_set: allowed: paper-13"),
+        ({"first_seed": 999_990}, "seeds from 1000000 on are for training"),
+        (
+            {
+                "law": "groups",
+                "groups": [{"name": "flag", "sites": ["perception.collision_status.collision"]}],
+            },
+            "flag: no field has bits of the stratum 'mantissa'",
+        ),
+    ],
+)
+def test_mistakes_are_named_when_the_file_is_read(changes, message):
+    with pytest.raises(BadInputError, match="campaign.yaml: .*") as caught:
+        parse(Campaign, {**BASE, **changes}, "campaign.yaml")
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_names_tell_what_is_known():
+    with pytest.raises(BadInputError, match="allowed: bits, smoke, states, table1"):
+        load_campaign("table2")
+    with pytest.raises(BadInputError, match="allowed: quick, paper"):
+        load_campaign("table1").at_scale("huge")

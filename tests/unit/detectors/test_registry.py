@@ -1,0 +1,101 @@
+import sys
+
+import numpy as np
+import pytest
+
+from mavfi.detectors import detector_names, load_detector
+from mavfi.detectors.autoencoder import AutoencoderDetector
+from mavfi.detectors.gate import Chain
+from mavfi.detectors.gaussian import GaussianDetector
+from mavfi.detectors.registry import NoDetector
+from mavfi.errors import BadInputError, SpecMismatchError
+from tests.architecture.source import ROOT
+from tests.unit.detectors.streams import command, flight, fly, waypoint
+
+FITS = {"stack": "published", "platform": "i9-9940x", "v_max": 3.0, "planner": "rrt_connect"}
+
+
+@pytest.mark.parametrize(("name", "kind"), [("gaussian", GaussianDetector), ("autoencoder", AutoencoderDetector)])
+def test_the_detectors_of_the_paper_come_with_their_models(models, model_folder, name, kind):
+    detector, sha256 = load_detector(name, "paper", model_folder, FITS)
+    assert isinstance(detector, kind)
+    assert sha256 == models[f"{name}-paper"].sha256
+
+
+def test_the_physics_gate_stands_in_front_of_tuned_detectors(model_folder):
+    wrong = waypoint([1.0, 0, 0], [400.0, 0, 0])
+    for profile, gate, source in (("paper", None, None), ("tuned", None, "physics_gate"), ("tuned", False, None)):
+        detector, _ = load_detector("gaussian", profile, model_folder, FITS, gate=gate)
+        alarm = detector.check(wrong, 0)
+        assert (alarm.source if alarm else None) == source
+        assert isinstance(detector, Chain) == (source is not None)
+
+
+def test_the_arena_reaches_the_gate(model_folder):
+    fits = {**FITS, "arena": ((0.0, 0.0, 0.0), (10.0, 10.0, 10.0))}
+    detector, _ = load_detector("gaussian", "tuned", model_folder, fits)
+    assert detector.check(waypoint([11.0, 5, 5], [0, 0, 0]), 0).fields == ("planning.waypoint.x",)
+
+
+def test_options_reach_the_detector(model_folder):
+    detector, _ = load_detector("autoencoder", "paper", model_folder, FITS, policy="keyed")
+    detector.accept(waypoint([1, 0, 0], [0, 0, 0]), 0)
+    assert detector.check(waypoint([1e30, 0, 0], [0, 0, 0]), 0).stage == "planning"
+    detector, _ = load_detector("gaussian", "paper", model_folder, FITS, sigmas=1e6)
+    assert fly(detector, flight(3)) == []
+    with pytest.raises(BadInputError, match="has no option policy"):
+        load_detector("gaussian", "paper", model_folder, FITS, policy="keyed")
+
+
+def test_none_watches_nothing():
+    detector, sha256 = load_detector("none", "paper", None, {})
+    assert isinstance(detector, NoDetector)
+    assert sha256 == ""
+    assert fly(detector, flight(3, ticks=50)) == []
+
+
+def test_a_detector_of_ones_own_is_found(monkeypatch):
+    monkeypatch.chdir(ROOT / "examples")
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    detector, sha256 = load_detector("detector_speed_limit:SpeedLimit", "paper", None, FITS)
+    assert sha256 == ""
+    assert detector.check(command([3, 0, 0]), 0) is None
+    assert detector.check(waypoint([1e9, 0, 0], [1e9, 0, 0]), 0) is None
+    assert detector.check(command([1e200, 0, 0]), 0).stage == "control"
+    assert detector.check(command([np.nan, 0, 0]), 0).score == 1e9
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("gausian", "not known; allowed: autoencoder, gaussian, none, or package:Class"),
+        ("no_such_package:Detector", "cannot be loaded"),
+        ("json:NoSuchClass", "cannot be loaded"),
+        ("fractions:Fraction", "lacks start, check, accept"),
+        (":", "cannot be loaded"),
+    ],
+)
+def test_what_is_no_detector_is_refused_in_one_line(name, message):
+    with pytest.raises(BadInputError, match=message) as error:
+        load_detector(name, "paper", None, FITS)
+    assert "\n" not in str(error.value)
+
+
+def test_profiles_and_models_that_are_not_there_are_named(model_folder, tmp_path):
+    with pytest.raises(BadInputError, match="profile 'best': not known; allowed: paper, tuned"):
+        load_detector("gaussian", "best", model_folder, FITS)
+    with pytest.raises(BadInputError, match=r"gaussian-paper\.json: no model is trained"):
+        load_detector("gaussian", "paper", tmp_path, FITS)
+    with pytest.raises(SpecMismatchError, match=r"trained for v_max 3\.0, used with v_max 5\.0"):
+        load_detector("gaussian", "paper", model_folder, {**FITS, "v_max": 5.0})
+
+
+def test_a_model_of_another_kind_under_this_name_is_refused(model_folder, tmp_path):
+    other = model_folder / "published-i9-9940x-gaussian-tuned.json"
+    (tmp_path / "published-i9-9940x-gaussian-paper.json").write_bytes(other.read_bytes())
+    with pytest.raises(BadInputError, match="is a model gaussian-tuned; needed: gaussian-paper"):
+        load_detector("gaussian", "paper", tmp_path, FITS)
+
+
+def test_all_names_are_listed():
+    assert {"none", "gaussian", "autoencoder"} <= set(detector_names())

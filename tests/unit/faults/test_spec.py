@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import FaultSite
+from mavfi.faults.spec import parse
+from mavfi.flight_log import Profile
+from mavfi.states import STACKS
+
+PROFILE = Profile(
+    {
+        "planning.waypoint": np.array([100, 200, 300], np.int64),
+        "planning.trajectory": np.array([50, 250], np.int64),
+    },
+    {"planning.waypoint": np.zeros(3, np.int32), "planning.trajectory": np.array([0, 7], np.int32)},
+)
+
+
+def test_everything_named():
+    request = parse("state:planning.trajectory.x[3]:bit=62@5.0")
+    assert not request.needs_profile
+    fault = request.resolve(0, "published")
+    assert fault.site == FaultSite("planning.trajectory", "x", 3)
+    assert (fault.bit, fault.time_us, fault.stage) == (62, 5_000_000, "planning")
+
+
+def test_header_field_with_bit_and_instant():
+    fault = parse("state:planning.waypoint.x:bit=62@20.0").resolve(0, "published")
+    assert (str(fault.site), fault.bit, fault.time_us) == ("planning.waypoint.x", 62, 20_000_000)
+
+
+def test_instant_and_bit_are_drawn_from_the_seed():
+    request = parse("state:planning.waypoint.x")
+    assert request.needs_profile
+    faults = [request.resolve(seed, "published", PROFILE) for seed in range(1000)]
+    assert request.resolve(5, "published", PROFILE) == faults[5]
+    assert {fault.time_us for fault in faults} == {100, 200, 300}
+    assert {fault.bit for fault in faults} == set(range(64))
+
+
+def test_the_field_is_drawn_from_those_that_are_read():
+    request = parse("state:planning.waypoint")
+    drawn = {stack: {request.resolve(seed, stack, PROFILE).site.field for seed in range(300)} for stack in STACKS}
+    assert drawn["hardened"] - drawn["published"] == {"ax", "ay", "az"}
+    assert {"x", "y", "z", "yaw", "vx", "vy", "vz", "duration"} <= drawn["published"]
+
+
+def test_a_named_bit_leaves_only_fields_that_have_it():
+    request = parse("state:perception.collision_status:bit=40@1")
+    assert {request.resolve(seed, "published").site.field for seed in range(50)} == {"time_to_collision"}
+
+
+def test_the_element_is_drawn_from_the_publication_that_will_be_struck():
+    request = parse("state:planning.trajectory.x:bit=3@0.0001")
+    assert request.needs_profile
+    faults = [request.resolve(seed, "published", PROFILE) for seed in range(100)]
+    assert {fault.site.element for fault in faults} == set(range(7))
+    assert {fault.time_us for fault in faults} == {100}
+
+
+def test_null_is_an_empty_mask_at_a_drawn_instant():
+    fault = parse("null").resolve(3, "published", PROFILE)
+    assert fault.bit is None
+    assert fault.time_us in (100, 200, 300)
+
+
+def test_no_site_without_a_publication():
+    assert not parse("state:planning.waypoint.x").resolve(0, "published", Profile()).has_site
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("", "null, or state:STATE"),
+        ("state:", "null, or state:STATE"),
+        ("nul", "null, or state:STATE"),
+        ("planning.waypoint.x", "null, or state:STATE"),
+        ("state:planning.waypoint.x:bit=x", "null, or state:STATE"),
+        ("state:planning.waypoint.x@-3", "null, or state:STATE"),
+        ("state:planning.waypoint.x@20.0:bit=3", "null, or state:STATE"),
+        ("state:planning.waypoint.x[-1]", "null, or state:STATE"),
+        ("state:planning.waypoint.roll", "x, y, z, yaw"),
+        ("state:planning.waipoint.x", "sensor.depth"),
+        ("state:nothing", "sensor.depth"),
+        ("state:planning.waypoint.x:bit=64", "0 to 63"),
+        ("state:perception.collision_status.collision:bit=1", "0 to 0"),
+        ("state:control.command:bit=70", "0 to 63"),
+        ("state:planning.waypoint.x[3]", "no element"),
+        ("state:control.command[0]", "no element"),
+        ("state:planning.waypoint.x@1e99", "0 to 1e+09"),
+        ("instruction:octomap", "level 'instruction' is not available"),
+        ("register:1234", "level 'register' is not available"),
+    ],
+)
+def test_errors_are_one_line_that_says_what_is_allowed(text, names):
+    with pytest.raises(BadInputError) as caught:
+        parse(text)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert names in message
+    assert repr(text) in message
+    assert "allowed:" in message

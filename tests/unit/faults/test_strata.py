@@ -1,0 +1,46 @@
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.faults.strata import HEADLINE, REMAINDER, WORD_BITS, bit_class, bits_of, word_share
+from mavfi.states import Field
+
+
+@pytest.mark.parametrize(
+    ("dtype", "stratum", "bits"),
+    [
+        ("f8", "sign_exponent", range(52, 64)),
+        ("f8", "mantissa", range(52)),
+        ("f8", "sign", range(63, 64)),
+        ("f8", "exponent", range(52, 63)),
+        ("f4", "sign_exponent", range(23, 32)),
+        ("f4", "mantissa", range(23)),
+        ("i4", "sign_exponent", range(31, 32)),
+        ("i4", "mantissa", range(31)),
+        ("i4", "exponent", range(0)),
+        ("?", "sign_exponent", range(1)),
+        ("?", "mantissa", range(0)),
+    ],
+)
+def test_bits_of_each_stratum(dtype, stratum, bits):
+    assert bits_of(Field("f", dtype, "-"), stratum) == bits
+
+
+@pytest.mark.parametrize("dtype", WORD_BITS)
+def test_the_two_strata_part_every_word(dtype):
+    field = Field("f", dtype, "-")
+    both = [*bits_of(field, REMAINDER), *bits_of(field, HEADLINE)]
+    assert both == list(range(WORD_BITS[dtype]))
+    assert word_share(field, HEADLINE) + word_share(field, REMAINDER) == 1
+
+
+def test_class_of_a_bit():
+    assert [bit_class(Field("f", "f8", "m"), bit) for bit in (63, 62, 52, 51, 0)] == [
+        "sign", "exponent", "exponent", "mantissa", "mantissa",
+    ]  # fmt: skip
+    assert bit_class(Field("n", "i4", "-"), 30) == "other"
+    assert bit_class(Field("b", "?", "-"), 0) == "flag"
+
+
+def test_unknown_stratum_is_refused():
+    with pytest.raises(BadInputError, match="allowed: sign_exponent, mantissa"):
+        bits_of(Field("f", "f8", "m"), "high")

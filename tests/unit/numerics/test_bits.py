@@ -1,0 +1,53 @@
+import numpy as np
+import pytest
+
+from mavfi.numerics import bits
+
+SMALLEST = 5e-324
+LARGEST = np.finfo(np.float64).max
+
+
+@pytest.mark.parametrize(
+    ("value", "sign", "exponent", "mantissa"),
+    [
+        (0.0, 0, 0, 0),
+        (-0.0, 1, 0, 0),
+        (SMALLEST, 0, 0, 1),
+        (1.0, 0, 1023, 0),
+        (-1.5, 1, 1023, 1 << 51),
+        (np.inf, 0, 2047, 0),
+        (-np.inf, 1, 2047, 0),
+        (np.nan, 0, 2047, 1 << 51),
+    ],
+)
+def test_fields_of_a_float64(value, sign, exponent, mantissa):
+    assert bits.sign_field(value) == sign
+    assert bits.exponent_field(value) == exponent
+    assert bits.mantissa_field(value) == mantissa
+
+
+@pytest.mark.parametrize("threshold", [-3, -2, -1, 0])
+def test_zeros_denormals_and_small_numbers_have_code_zero(threshold):
+    below = np.nextafter(2.0**threshold, 0.0)
+    for value in (0.0, -0.0, SMALLEST, -SMALLEST, 2.2e-308, below, -below):
+        assert bits.sign_exponent_code(value, threshold) == 0
+
+
+def test_the_code_counts_octaves_with_the_sign():
+    codes = [bits.sign_exponent_code(value, -1) for value in (0.5, 1.0, 1.99, 2.0, 60.0, -0.5, -60.0)]
+    assert codes == [1, 2, 2, 3, 7, -1, -7]
+
+
+@pytest.mark.parametrize("threshold", [-3, 0])
+def test_infinities_and_nan_get_the_code_beyond_the_largest_finite_one(threshold):
+    assert bits.sign_exponent_code(LARGEST, threshold) == 1024 - threshold
+    assert bits.sign_exponent_code(np.inf, threshold) == 1025 - threshold
+    assert bits.sign_exponent_code(-np.inf, threshold) == threshold - 1025
+    assert abs(bits.sign_exponent_code(np.nan, threshold)) == 1025 - threshold
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"), [(0, 0), (32767, 32767), (32768, 32767), (-32768, -32767), (1 << 40, 32767)]
+)
+def test_differences_saturate_in_16_bits(value, expected):
+    assert bits.saturated_int16(value) == expected

@@ -1,0 +1,26 @@
+import numpy as np
+import pytest
+
+from mavfi.numerics import welford
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e3, 1e9])
+def test_mean_and_deviation_are_those_of_numpy_even_far_from_zero(offset):
+    values = np.random.default_rng(1).normal(size=20_000) + offset
+    count, mean, squares = welford.accumulate(values)
+    assert count == len(values)
+    assert mean == pytest.approx(values.mean(), rel=1e-14, abs=1e-12)
+    assert welford.deviation(count, squares) == pytest.approx((values - offset).std(ddof=1), rel=1e-7)
+
+
+def test_the_first_sample_is_the_mean_without_a_deviation():
+    assert welford.update(0.0, 0.0, 0.0, 7.5) == (1.0, 7.5, 0.0)
+    assert welford.deviation(1.0, 0.0) == 0.0
+
+
+def test_the_recurrences_are_those_of_the_paper():
+    previous, mean, squares = 4.0, 2.0, 3.0
+    value = 7.0
+    expected_mean = mean + (value - mean) / 5.0
+    expected = (5.0, expected_mean, squares + (value - mean) * (value - expected_mean))
+    assert welford.update(previous, mean, squares, value) == pytest.approx(expected, rel=1e-15)
