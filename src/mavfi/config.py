@@ -23,7 +23,7 @@ ConfigType = TypeVar("ConfigType", bound=Config)
 class VehicleConfig(Config):
     """Airframe, rotors and the gains of its flight controller (docs: reference values and sources in docs/fidelity.md).
 
-    The inner loop is a cascade: velocity -> attitude -> rate.  `hull_radius` is the sphere whose contact is a collision.
+    The inner loop is a cascade: velocity -> attitude -> rate.  Contact of the sphere `hull_radius` is a collision.
     """
 
     name: str
@@ -100,8 +100,8 @@ class StackConfig(Config):
     acceleration_feed_forward: float = 0.0
     command_limit: float = Field(gt=0, description="largest command / v_max")
     slowdown_cap: float = Field(ge=1, description="largest slow-down of reference time on saturation; 1 = none")
-    plan_radius: float = Field(gt=0, description="m")
-    check_radius: float = Field(gt=0, description="m")
+    plan_radius: float = Field(gt=0, description="m, for a hull of 0.35 m; goes with the hull")
+    check_radius: float = Field(gt=0, description="m, likewise")
     distance: Literal["centres", "boxes"] = Field(description="between which points of voxels a radius is measured")
     replanning: Literal["event", "every_map"]
     grace: float = Field(ge=0, description="s")
@@ -124,8 +124,6 @@ class EnvironmentConfig(Config):
     v_max: float | None = Field(None, gt=0, description="m/s, default of this environment")
     map_resolution: float | None = Field(None, gt=0)
     camera_range: float | None = Field(None, gt=0)
-    plan_radius: float | None = Field(None, gt=0)
-    check_radius: float | None = Field(None, gt=0)
 
 
 def config_root() -> Path:

@@ -3,9 +3,11 @@
 import hashlib
 import io
 import json
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -46,7 +48,7 @@ class Profile:
     def to_bytes(self) -> bytes:
         """Compressed form for the ledger."""
         buffer = io.BytesIO()
-        arrays = {f"t:{name}": times for name, times in self.times_us.items()}
+        arrays: dict[str, Any] = {f"t:{name}": times for name, times in self.times_us.items()}
         arrays |= {f"n:{name}": counts for name, counts in self.counts.items()}
         np.savez_compressed(buffer, **arrays)
         return buffer.getvalue()
@@ -131,5 +133,5 @@ class FlightLog:
             return FlightLog(
                 rows, MissionStatus[data["status"]], events, data["injections"], data["alarms"], data["meta"]
             )
-        except (OSError, KeyError, ValueError) as error:
+        except (OSError, EOFError, LookupError, ValueError, TypeError, BadZipFile, zlib.error) as error:
             raise BadInputError(f"{path}: is not a flight log ({error})") from None

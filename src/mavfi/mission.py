@@ -13,8 +13,8 @@ from mavfi.config import (
     PlannerConfig,
     PlatformConfig,
     StackConfig,
-    VehicleConfig,
     Vector,
+    VehicleConfig,
 )
 
 ARRIVAL_RADIUS = 2.0

@@ -121,9 +121,7 @@ class State:
 
     def same_bits(self, other: "State") -> bool:
         """Whether both carry the same bits (NaNs compare as bit patterns)."""
-        return (
-            self.header.tobytes() == other.header.tobytes() and self.elements.tobytes() == other.elements.tobytes()
-        )
+        return self.header.tobytes() == other.header.tobytes() and self.elements.tobytes() == other.elements.tobytes()
 
 
 def floats(header: np.ndarray, count: int) -> np.ndarray:

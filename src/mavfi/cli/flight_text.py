@@ -14,6 +14,11 @@ from mavfi.mission import MissionStatus
 from mavfi.outcomes import Outcome
 from mavfi.states import STATES
 
+_MEANING = {
+    Outcome.MASKED.label: "bit for bit the golden flight",
+    Outcome.SDC.label: "another flight than the golden one",
+    Outcome.UNKNOWN.label: Outcome.UNKNOWN.value,
+}
 MOST_ALARMS = 6
 """Alarms that are shown one by one."""
 
@@ -76,8 +81,7 @@ def _fault(flown: Flown, data: dict[str, Any]) -> RenderableType | None:
         lines.append(place.append(f"  {bit}  at {injection['time_s']:.3f} s"))
         lines.append(Text(f"       {value(injection['before'])} → {value(injection['after'])}"))
     verdict = outcome(flown)
-    meaning = next(kind.value for kind in Outcome if kind.label == verdict)
-    lines.append(Text.assemble("       ", (f"{verdict}: ", "bold"), (meaning, "dim")))
+    lines.append(Text.assemble("       ", (f"{verdict}: ", "bold"), (_MEANING[verdict or ""], "dim")))
     return Group(*lines)
 
 

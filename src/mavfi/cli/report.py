@@ -1,2 +1,36 @@
-def report() -> None:
-    ''
+"""`mavfi report`: the tables of a campaign in the terminal; report.md and figures in its folder."""
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from mavfi.cli.console import JSON_HELP, check_folder, console, write_json
+
+
+def report(
+    directory: Path = typer.Argument(metavar="DIR", help="Folder of the ledger."),
+    as_json: bool = typer.Option(False, "--json", help=JSON_HELP),
+    draw_run: bool = typer.Option(True, help="Fly a telling run again and draw it."),
+) -> None:
+    """Print the tables of a campaign, and write report.md, its figures and summary.json into its folder.
+
+    Example: [bold]mavfi report out/states[/bold]
+    """
+    from mavfi.campaign.store import Store
+    from mavfi.reports.campaign_report import write_report
+    from mavfi.reports.terminal import show
+
+    Store.open(directory).close()  # what is no campaign is left as it is
+    check_folder(directory)
+    out = console()
+
+    def tell(analysis: dict[str, Any]) -> None:
+        if as_json:
+            write_json(analysis)
+        else:
+            show(analysis, out)
+
+    written = write_report(directory, draw_run=draw_run, shown=tell)
+    if not as_json:
+        out.print(f"[dim]wrote[/dim] {', '.join(path.name for path in written.files)} [dim]in[/dim] {directory}")

@@ -81,20 +81,25 @@ def residuals(vector: np.ndarray, network: Network, errors: np.ndarray) -> None:
 
 
 @kernel_jit
-def excess(errors: np.ndarray, regime: int, limit: np.ndarray) -> float:
+def excess(errors: np.ndarray, regime: int, limit: np.ndarray, first: int, last: int) -> float:
     """Score of residuals in units of what is allowed; > 1 is an alarm.
+
+    The mean is over all outputs, as in the paper.  Limits per output judge the renewed ones only: a delta that was let
+    pass would otherwise raise the same alarm again with every publication until it is renewed.
 
     Args:
         errors: Residuals. Shape (n,).
         regime: Regime of the publication.
         limit: Largest mean squared error, shape (1, 1); or largest error of each output and regime, shape (n, 3).
+        first: First output that the publication renews.
+        last: One past the last.
     """
     worst = 0.0
     if len(limit) == 1:
         for error in errors:
             worst += error * error
         return float(worst / len(errors) / limit[0, 0])
-    for index in range(len(errors)):
+    for index in range(first, last):
         worst = max(worst, errors[index] / limit[index, regime])
     return worst
 
@@ -120,7 +125,10 @@ def judge(
     """
     regime = features.measure(content, slot, watch, vector)
     residuals(vector, network, errors)
-    return NOT_FINITE if regime < 0 else excess(errors, regime, limit)
+    if regime < 0:
+        return NOT_FINITE
+    first, last = watch.places[slot, features.FIRST], watch.places[slot, features.LAST]
+    return excess(errors, regime, limit, first, last)
 
 
 class AutoencoderDetector:
@@ -188,8 +196,6 @@ class AutoencoderDetector:
         normal = self._judge(content, slot) <= 1.0
         first, last = known.range_of(slot)
         self._held[first:last] = self._vector[first:last] if normal else 0
-        if not normal:
-            self._held[int(np.argmax(self._errors / self._key))] = 0
         if known.is_waypoint(slot):
             self._anomalous_waypoint = not normal
         features.commit(content, slot, known.watch)

@@ -11,8 +11,8 @@ from mavfi.config import (
     PlannerConfig,
     PlatformConfig,
     StackConfig,
-    VehicleConfig,
     Vector,
+    VehicleConfig,
     shipped,
 )
 from mavfi.errors import BadInputError
@@ -24,6 +24,8 @@ from mavfi.states import Stage
 
 CONTROL_PERIOD_US = 20_000
 DEFAULT_V_MAX = 3.0
+NOMINAL_HULL = 0.35
+"""Hull that the radii of a stack are meant for (m)."""
 
 
 def find_environment(name: str) -> EnvironmentConfig:
@@ -37,7 +39,7 @@ def find_environment(name: str) -> EnvironmentConfig:
     return shipped("environments", EnvironmentConfig, name)
 
 
-def make_scenario(
+def make_scenario(  # noqa: PLR0913 (one keyword for each option of the command line)
     environment: str,
     seed: int,
     *,
@@ -91,13 +93,14 @@ def pipeline_config(scenario: Scenario, world: World, directions: np.ndarray) ->
         world: Its world: only limits and goal are passed on, obstacles are for the camera to see.
         directions: Ray of each pixel. Shape (n, 3).
     """
-    environment, stack = scenario.environment, scenario.stack
+    stack = scenario.stack
+    hull = scenario.vehicle.hull_radius / NOMINAL_HULL
     return PipelineConfig(
         stack=stack, planner=scenario.planner, map=scenario.map, camera=scenario.camera, directions=directions,
         arena_lower=world.arena_lower, arena_upper=world.arena_upper, flight_lower=world.flight_lower,
         flight_upper=world.flight_upper, goal=world.goal, seed=scenario.seed, v_max=scenario.v_max,
-        a_max=scenario.a_max, plan_radius=environment.plan_radius or stack.plan_radius,
-        check_radius=environment.check_radius or stack.check_radius, control_period_us=CONTROL_PERIOD_US,
+        a_max=scenario.a_max, plan_radius=stack.plan_radius * hull,
+        check_radius=stack.check_radius * hull, control_period_us=CONTROL_PERIOD_US,
         tracker_slowdown=scenario.platform.tracker_slowdown,
         map_latency=1e-6 * stage_latency(scenario.platform, Stage.PERCEPTION),
         plan_latency=1e-6 * stage_latency(scenario.platform, Stage.PLANNING),

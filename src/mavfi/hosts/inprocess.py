@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors.detector import Alarm, Detector
+from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
-from mavfi.faults.state import StateInjector
+from mavfi.faults.state import ActedOn, StateInjector
 from mavfi.flight_log import COLUMNS, Event, FlightLog, Profile
 from mavfi.hosts.compose import CONTROL_PERIOD_US, pipeline_config
 from mavfi.mission import ARRIVAL_RADIUS, FLY_AWAY_MARGIN, MissionStatus, Scenario, time_limit
@@ -65,19 +66,15 @@ class _Publications:
     count: dict[str, int] = field(default_factory=lambda: dict.fromkeys(STATES, 0))
     times: dict[str, list[int]] = field(default_factory=lambda: {name: [] for name in STATES})
     sizes: dict[str, list[int]] = field(default_factory=lambda: {name: [] for name in STATES})
-    acted: dict[str, int] = field(default_factory=dict)
+    acted_on: dict[str, ActedOn] = field(default_factory=lambda: {s.name: ActedOn(s) for s in STATES.values()})
 
     def note(self, state: State, time_us: int) -> None:
         name = state.spec.name
         self.count[name] += 1
         if not self.wanted:
             return
-        if state.spec.acted_on:
-            number = int(state.header[state.spec.acted_on][0])
-            grown = number > self.acted.get(name, 0)
-            self.acted[name] = number
-            if not grown:
-                return
+        if not self.acted_on[name](state):
+            return
         self.times[name].append(time_us)
         self.sizes[name].append(len(state.elements))
 
@@ -209,10 +206,14 @@ class _Host:
         self.busy[kernel.name] = None
 
         def done(then: int) -> None:
-            waiting = self.busy.pop(kernel.name)
+            waiting = self.busy.pop(kernel.name, None)
             for state in states:
                 self.deliver(state, then)
-            if waiting is not None and kernel.name not in self.busy and kernel.receive(waiting, then):
+            if waiting is None:
+                return
+            if kernel.name in self.busy:  # it is run again: what waits goes on waiting
+                self.busy[kernel.name] = self.busy[kernel.name] or waiting
+            elif kernel.receive(waiting, then):
                 self.start(kernel, then)
 
         self.at(now + latency_us, done)
@@ -268,7 +269,7 @@ class _Host:
     def _recover(self, alarm: Alarm, state: State, now: int) -> bool:
         """Answer an alarm; False where nothing can be run again (the value passes)."""
         platform = self.scenario.platform
-        stage = Stage(alarm.stage)
+        stage = _stage_of(alarm)
         name = state.spec.name
         waypoint: Any = self.kernels["waypoint"]
         record = {"time_s": 1e-6 * now, **alarm.to_json(), "state": name, "action": "recompute", "outcome": "replaced"}
@@ -280,11 +281,13 @@ class _Host:
             self.redo["planning.waypoint"] = _Redo(state, record)
             self.finish(waypoint, states, now, stage_latency(platform, Stage.CONTROL))
             return name == "planning.waypoint"
-        kernel = self.kernels[state.spec.writer]
-        if stage is not kernel.stage:
+        kernel = self.kernels.get(state.spec.writer)
+        if kernel is None or stage is not kernel.stage:
             return self._recompute_elsewhere(record, stage, now)
-        self.recompute_us[stage.value] += stage_latency(platform, stage)
         self.redo[name] = _Redo(state, record)
+        if kernel.name in self.busy:
+            return True  # an alarm at another of its states has made it run again
+        self.recompute_us[stage.value] += stage_latency(platform, stage)
         if stage is Stage.PERCEPTION:
             for member in STAGE_KERNELS[stage]:
                 self.kernels[member].rollback()
@@ -336,6 +339,19 @@ class _Host:
             "rejected_commands": self.sim.rejected_commands,
         }  # fmt: skip
         return FlightLog(np.array(self.rows), status, self.events, injections, self.alarms, meta)
+
+
+def _stage_of(alarm: Alarm) -> Stage:
+    """The stage that an alarm names.
+
+    Raises:
+        BadInputError: It names none that can be run again.
+    """
+    for stage in STAGE_KERNELS:
+        if stage.value == alarm.stage:
+            return stage
+    allowed = ", ".join(STAGE_KERNELS)
+    raise BadInputError(f"detector {alarm.source!r}: stage {alarm.stage!r}: cannot be run again; allowed: {allowed}")
 
 
 def fly(

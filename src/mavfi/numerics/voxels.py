@@ -18,6 +18,7 @@ STEP_CAP = 200_000
 FREE = 2.0
 """What `first_blocked` returns for a free segment; blocked ones give a share of their length in [0, 1]."""
 _NEVER = 1e300
+_STILL = 1e-300
 
 
 class Grid(NamedTuple):
@@ -81,19 +82,17 @@ def voxel_of(grid: Grid, x: float, y: float, z: float) -> int:
 @kernel_jit
 def _axis(start: float, delta: float, cell: int) -> tuple[int, float, float]:
     """Step direction, share of the segment per voxel, and share up to the first face, along one axis."""
-    if delta > 0.0:
+    if delta > _STILL:
         per_voxel = 1.0 / delta
         return 1, per_voxel, (cell + 1 - start) * per_voxel
-    if delta < 0.0:
+    if delta < -_STILL:  # the reciprocal of a denormal number would be infinite
         per_voxel = -1.0 / delta
         return -1, per_voxel, (start - cell) * per_voxel
     return 0, _NEVER, _NEVER
 
 
 @kernel_jit
-def first_blocked(
-    counter: np.ndarray, grid: Grid, a: np.ndarray, b: np.ndarray, outside_blocked: bool
-) -> float:
+def first_blocked(counter: np.ndarray, grid: Grid, a: np.ndarray, b: np.ndarray, outside_blocked: bool) -> float:
     """Where the segment a -> b first enters a blocked voxel (Amanatides & Woo 1987).
 
     Args:
@@ -120,9 +119,7 @@ def first_blocked(
     sx, ex, tx = _axis(x, end_x - x, ix)
     sy, ey, ty = _axis(y, end_y - y, iy)
     sz, ez, tz = _axis(z, end_z - z, iz)
-    steps = (
-        abs(int(math.floor(end_x)) - ix) + abs(int(math.floor(end_y)) - iy) + abs(int(math.floor(end_z)) - iz)
-    )
+    steps = abs(int(math.floor(end_x)) - ix) + abs(int(math.floor(end_y)) - iy) + abs(int(math.floor(end_z)) - iz)
     share = 0.0
     for _ in range(min(steps, STEP_CAP) + 1):
         if ix < 0 or iy < 0 or iz < 0 or ix >= grid.nx or iy >= grid.ny or iz >= grid.nz:

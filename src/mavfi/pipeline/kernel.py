@@ -18,10 +18,21 @@ from mavfi.states import Stage, State
 class Kernel(Protocol):
     """One computation of the pipeline (one node of a ROS graph)."""
 
-    name: str
-    stage: Stage
-    reads: tuple[str, ...]
-    writes: tuple[str, ...]
+    @property
+    def name(self) -> str:
+        """As in the latency table of a platform."""
+
+    @property
+    def stage(self) -> Stage:
+        """The stage that is run again on an alarm."""
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """States that it takes in."""
+
+    @property
+    def writes(self) -> tuple[str, ...]:
+        """States that it gives."""
 
     def receive(self, state: State, time_us: int) -> bool:
         """Note an input; says whether a step is due now."""

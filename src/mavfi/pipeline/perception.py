@@ -1,5 +1,7 @@
 """Perception: depth image -> point cloud -> map update -> collision status (MAVFI section III-A)."""
 
+import math
+
 import numpy as np
 
 from mavfi.kernels.perception import collision_check, octomap, point_cloud
@@ -10,7 +12,6 @@ from mavfi.pipeline.room import Room
 from mavfi.states import STATES, Stage, State, floats, new_state
 
 _UNKNOWN_HORIZON = 15.0
-_UNKNOWN_REACH = 1.0
 
 
 class PointCloud:
@@ -67,8 +68,8 @@ class OctoMap:
         rule = config.map
         # half a voxel: OctoMap's voxel borders are multiples of the resolution, ours lie between them
         half = 0.5 * rule.resolution
-        keys = [round((corner + half) / rule.resolution) for corner in (grid.x0, grid.y0, grid.z0)]
-        self._frame = octomap.KeyFrame(rule.resolution, half, half, half, *keys, grid.nx, grid.ny, grid.nz)
+        kx, ky, kz = (round((corner + half) / rule.resolution) for corner in (grid.x0, grid.y0, grid.z0))
+        self._frame = octomap.KeyFrame(rule.resolution, half, half, half, kx, ky, kz, grid.nx, grid.ny, grid.nz)
         self._rule = octomap.UpdateRule(
             *(octomap.log_odds(p) for p in (rule.hit, rule.miss, rule.clamp_min, rule.clamp_max))
         )
@@ -115,8 +116,8 @@ class OctoMap:
 class CollisionCheck:
     """Kernel `collision_check`: one-shot alarm by epochs, or a look at every map.
 
-    The counter of collisions lives in the last published status, as in the published code, where the message is kept and
-    sent again: whatever happened to it on its way is what counting goes on from.
+    The counter of collisions lives in the last published status, as in the published code, where the message is kept
+    and sent again: whatever happened to it on its way is what counting goes on from.
     """
 
     name = "collision_check"
@@ -130,7 +131,8 @@ class CollisionCheck:
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
         self._every_map = config.stack.replanning == "every_map"
-        self._reach = max(1, round(_UNKNOWN_REACH / config.map.resolution))
+        # not beyond the planner's clearance, or a path along a wall would always see the unknown inside of the wall
+        self._reach = max(1, math.ceil(config.plan_radius / config.map.resolution))
         self.room = Room(config)
         self._trajectories: dict[int, State] = {}
         self._waypoint: State | None = None
@@ -139,6 +141,7 @@ class CollisionCheck:
         self._published = new_state("perception.collision_status")
         self._escaping_seq = -1
         self._used = self._inputs()
+        self._stepped = False
         self._rolled_back = False
         self._again = False
 
@@ -197,6 +200,7 @@ class CollisionCheck:
     def step(self, time_us: int) -> list[State]:
         """Check the rest of the trajectory in force on the present map."""
         del time_us
+        self._stepped = True
         seq = int(self._published.header["future_collision_seq"][0])
         status = State(STATES[self.writes[0]], np.zeros(1, self._published.header.dtype), self._published.elements)
         status.header[0] = (collision_check.NO_COLLISION, np.inf, np.inf, seq, -1, False)
@@ -243,8 +247,9 @@ class CollisionCheck:
     def mark(self) -> None:
         """Remember the map as it is."""
         self.room.mark()
+        self._stepped = False
 
     def rollback(self) -> None:
-        """Take the map updates since the last mark back; the next map is checked with the inputs of the last step."""
+        """Take the map updates since the last mark back; a step since then is repeated with the inputs that it had."""
         self.room.rollback()
-        self._rolled_back = True
+        self._rolled_back = self._stepped

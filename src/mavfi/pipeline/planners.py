@@ -2,7 +2,7 @@
 
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -96,15 +96,20 @@ def make_search(config: PlannerConfig, seed: int) -> PathSearch:
     if config.name in _SHIPPED:
         return _SHIPPED[config.name](config, seed)
     found = {point.name: point for point in entry_points(group=GROUP)}
-    if config.name in found:
-        planner: PathSearch = found[config.name].load()(config, seed)
-        return planner
-    module, _, attribute = config.name.partition(":")
-    try:
-        planner = getattr(import_module(module), attribute)(config, seed) if attribute else None
-    except (ImportError, AttributeError):
-        planner = None
+    planner = found[config.name].load() if config.name in found else _class_at(config.name)
     if planner is None:
         allowed = ", ".join(sorted({*_SHIPPED, *found}))
         raise BadInputError(f"planner {config.name!r}: not known; allowed: {allowed}, or package:Class")
-    return planner
+    search: PathSearch = planner(config, seed)
+    return search
+
+
+def _class_at(address: str) -> Any:
+    """What "package:Class" names; None if there is no such thing."""
+    module, _, attribute = address.partition(":")
+    if not (module and attribute) or module.startswith("."):
+        return None
+    try:
+        return getattr(import_module(module), attribute, None)
+    except ImportError:
+        return None

@@ -1,4 +1,4 @@
-"""Planning: request -> path -> trajectory (MAVFI section III-A); way-point hand-over is in `waypoints`.
+"""The motion planner: request -> path (MAVFI section III-A); what becomes of a path is in `trajectories`.
 
 The motion planner decides when to plan and from where; two policies share its code.  `event`: on a newly predicted
 collision and when nothing is flown (the published code).  `every_map`: whenever the present trajectory is blocked, ends
@@ -16,12 +16,9 @@ from mavfi.numerics.voxels import segment_free, voxel_of
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.planners import PathSearch, make_search
 from mavfi.pipeline.room import Room
+from mavfi.pipeline.trajectories import BRAKING, PLANNING_ACCELERATION
 from mavfi.states import Stage, State, floats, new_state
 
-PLANNING_ACCELERATION = 2.5
-"""Along the path (m/s^2); half of a_max, the rest is for corners and tracking."""
-BRAKING = 4.0
-"""Hardest deceleration that a plan may ask for (m/s^2)."""
 _RETRY_US = 500_000
 _ADOPTION_US = 3_000_000
 _REACH = 3.0
@@ -212,16 +209,11 @@ class MotionPlanner:
         return found if len(found) else None
 
     def _plan_from_rest(self) -> State | None:
-        """From where the vehicle will stand."""
+        """From where the vehicle will stand; where there is no room for the planner's radius, with the checker's."""
         position, velocity = self._odometry[:3], self._odometry[3:6]
         speed = float(np.linalg.norm(velocity))
         stop = position + velocity * self._config.velocity_lag if speed < 2.0 * self._config.v_max else position.copy()
-        found = self._search_between(stop, self.room.wide)
-        if found is None:
-            return None
-        if paths.distance(found[0], stop) > 1e-6:
-            found = np.vstack([stop, found])
-        return self._path(found, 0.0)
+        return self._path_from(stop, 0.0, -1)
 
     def _plan_in_flight(self, alarm: float) -> State | None:
         """Replace the trajectory without a stop, if the collision is far enough away."""
@@ -260,12 +252,15 @@ class MotionPlanner:
             junction = min(int(np.searchsorted(self._arc, distance)), len(self._arc) - 1)
             points = floats(self._trajectory.elements, timing.POINT_WIDTH)  # type: ignore[union-attr]
             start = points.reshape(-1, timing.POINT_WIDTH)[junction, :3].copy()
+        return self._path_from(start, speed, junction)
+
+    def _path_from(self, start: np.ndarray, entry_speed: float, junction: int) -> State | None:
         for counter, tight in ((self.room.wide, False), (self.room.narrow, True)):
             found = self._search_between(start, counter)
             if found is not None:
                 if paths.distance(found[0], start) > 1e-6:
                     found = np.vstack([start, found])
-                return self._path(found, speed, junction, tight)
+                return self._path(found, entry_speed, junction, tight)
         return None
 
     def _standing_point(self) -> np.ndarray:
@@ -306,123 +301,3 @@ class MotionPlanner:
         self._memory = self._marked[0]
         self._search.random[:] = self._marked[1]
         self.mark()
-
-
-class TrajectoryGenerator:
-    """Kernel `trajectory`: smooths a path, times it, publishes points.  It runs beside the planner, on the same map."""
-
-    name = "trajectory"
-    stage = Stage.PLANNING
-    reads = ("planning.path", "planning.waypoint", "planning.trajectory")
-    writes = ("planning.trajectory",)
-
-    def __init__(self, config: PipelineConfig, room: Room) -> None:
-        self._config = config
-        self._splices = config.stack.replanning == "every_map"
-        self._room = room
-        self._path = new_state("planning.path")
-        self._waypoint: State | None = None
-        self._flown: State | None = None
-        self._seq = 0
-        self._marked_seq = 0
-        self._corners = np.zeros((timing.CURVE_LIMIT, 3))
-        self._curve = np.zeros((timing.CURVE_LIMIT, 3))
-        self._arc = np.zeros(timing.CURVE_LIMIT)
-        self._speed = np.zeros(timing.CURVE_LIMIT)
-        self._dense = np.zeros((timing.POINT_LIMIT, timing.POINT_WIDTH))
-        self._held = np.zeros((timing.POINT_LIMIT, timing.POINT_WIDTH))
-
-    def receive(self, state: State, time_us: int) -> bool:
-        """A path makes a step due."""
-        del time_us
-        name = state.spec.name
-        if name == "planning.path":
-            self._path = state
-            return True
-        if name == "planning.waypoint":
-            self._waypoint = state
-        else:
-            self._flown = state
-        return False
-
-    def step(self, time_us: int) -> list[State]:
-        """Time the path; an empty one becomes an empty trajectory, as in the published code."""
-        del time_us
-        self._seq += 1
-        points = self._points()
-        trajectory = new_state("planning.trajectory", len(points))
-        trajectory.header["trajectory_seq"] = self._seq
-        trajectory.header["future_collision_seq"] = self._path.header["future_collision_seq"]
-        floats(trajectory.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH)[:] = points
-        return [trajectory]
-
-    def _points(self) -> np.ndarray:
-        config, room = self._config, self._room
-        vertices = floats(self._path.elements, 3).reshape(-1, 3)
-        entry = float(self._path.header["entry_speed"][0])
-        if len(vertices) and self._splices:
-            vertices, entry = self._splice(vertices, entry)
-        vertices = _without_repeats(vertices)
-        if len(vertices) < 2 or len(vertices) > timing.CURVE_LIMIT // 40:
-            return np.zeros((0, timing.POINT_WIDTH))
-        tight = bool(self._path.header["tight"][0])
-        # held points are tracked a little late: a reserve of speed keeps the vehicle from falling behind
-        top = config.v_max if self._splices else 0.97 * config.v_max
-        limits = timing.Limits(
-            top, min(1.0, top) if tight else top, 0.7 * config.a_max, PLANNING_ACCELERATION, BRAKING, 2.0, 3.0
-        )
-        count = timing.smooth(
-            room.narrow, room.grid, vertices, len(vertices), limits.blend, self._corners, self._curve
-        )
-        if count < 2:
-            return np.zeros((0, timing.POINT_WIDTH))
-        timing.speed_profile(room.wide, room.grid, self._curve, count, entry, limits, self._arc, self._speed)
-        step = 1e-6 * config.control_period_us
-        n = timing.sample(
-            self._curve, count, self._arc, self._speed, step, limits.look, 0.0, self._dense
-        )
-        if config.stack.sampling == "interpolated":
-            return self._dense[:n]
-        per_point = max(1, round(config.stack.point_period / step))
-        n = timing.hold_points(self._dense, n, per_point, step, round(config.stack.look_ahead / step), self._held)
-        return self._held[:n]
-
-    def _splice(self, vertices: np.ndarray, entry: float) -> tuple[np.ndarray, float]:
-        """Rest of the trajectory in force up to the junction, then the new path; timed from the present speed."""
-        junction = int(self._path.header["junction"][0])
-        if self._waypoint is None or self._flown is None or junction < 0:
-            return vertices, 0.0
-        points = floats(self._flown.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH)
-        index = int(self._waypoint.header["index"][0])
-        if not 0 <= index < len(points) or not junction < len(points):
-            return vertices, entry
-        arc = np.empty(len(points))
-        handover.arc_lengths(points, arc)
-        waypoint = floats(self._waypoint.header, timing.POINT_WIDTH)
-        speed = float(np.linalg.norm(waypoint[4:7]))
-        stand = int(np.searchsorted(arc, arc[index] + speed**2 / (2.0 * BRAKING)))
-        tail = vertices
-        if stand > junction and speed > _MARGIN:
-            junction = min(stand, len(points) - 1)
-            tail = np.vstack([points[junction, :3], vertices])
-        head = [waypoint[:3].copy()]
-        last = arc[index]
-        for k in range(index, junction):
-            if arc[k] - last >= 0.7 and arc[junction] - arc[k] >= 0.5:
-                head.append(points[k, :3])
-                last = arc[k]
-        return np.vstack([*head, tail]), speed
-
-    def mark(self) -> None:
-        """Remember the sequence number."""
-        self._marked_seq = self._seq
-
-    def rollback(self) -> None:
-        """Put the sequence number back."""
-        self._seq = self._marked_seq
-
-
-def _without_repeats(vertices: np.ndarray) -> np.ndarray:
-    """Vertices without those that repeat their predecessor."""
-    kept = [row for row in range(len(vertices)) if row == 0 or paths.distance(vertices[row], vertices[row - 1]) > 1e-3]
-    return np.ascontiguousarray(vertices[kept])

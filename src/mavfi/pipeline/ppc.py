@@ -3,7 +3,8 @@
 from mavfi.pipeline.control import Tracker
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.pipeline.perception import CollisionCheck, OctoMap, PointCloud
-from mavfi.pipeline.planning import MotionPlanner, TrajectoryGenerator
+from mavfi.pipeline.planning import MotionPlanner
+from mavfi.pipeline.trajectories import TrajectoryGenerator
 from mavfi.pipeline.waypoints import WaypointHandOver
 
 PERIODIC = ("waypoint", "pid")

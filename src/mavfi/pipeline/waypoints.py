@@ -12,17 +12,16 @@ from mavfi.kernels.planning import waypoint as handover
 from mavfi.kernels.planning.trajectory import POINT_WIDTH
 from mavfi.numerics.rotations import yaw_of
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.pipeline.planning import PLANNING_ACCELERATION
+from mavfi.pipeline.trajectories import PLANNING_ACCELERATION
 from mavfi.states import Stage, State, floats, new_state
 
 _EMERGENCY_STOP_TIME = 0.6
 _STANDING = 0.4
 _SPEED_STEP = 1.0
 _HOLD_TURN = 0.6
-_CREEP_SPEED = 1.0
+_CREEP_SHARE = 1.0 / 3.0
 _CREEP_STEP = 0.3
 _ADOPTION_WINDOW = 50
-_LIVENESS_REJECTIONS = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +61,7 @@ class WaypointHandOver:
         self._arc = np.zeros(0)
         self._published: State | None = None
         self._marked_inputs: tuple[list[State], float, State | None] = ([], 0.0, None)
-        self._creep = min(_CREEP_SPEED, _CREEP_STEP / max(config.map_latency, 1e-3))
+        self._creep = min(_CREEP_SHARE * config.v_max, _CREEP_STEP / max(config.map_latency, 1e-3))
 
     def receive(self, state: State, time_us: int) -> bool:
         """Note an input; steps are due at the control period only."""

@@ -94,8 +94,10 @@ def track(
         if not abs(rate) < _HUGE:
             rate = 0.0
         memory[3 + axis] = error
+        # without its gain the acceleration is not read: 0 x inf would be NaN
+        lead = gains.acceleration * waypoint[7 + axis] if gains.acceleration != 0.0 else 0.0
         command[axis] = (
-            gains.velocity * waypoint[4 + axis] + gains.acceleration * waypoint[7 + axis]
+            gains.velocity * waypoint[4 + axis] + lead
             + gains.p[axis] * error + gains.i[axis] * memory[axis] + gains.d[axis] * rate
         )  # fmt: skip
     memory[6] = 1.0

@@ -86,6 +86,4 @@ def undo_updates(
 ) -> None:  # fmt: skip
     """Take the last `apply_updates` back; arguments as there, `count` is what it returned."""
     for i in range(count - 1, -1, -1):
-        set_cell(
-            grid, cells, wide, wide_offsets, narrow, narrow_offsets, journal_voxels[i], journal_cells[i]
-        )
+        set_cell(grid, cells, wide, wide_offsets, narrow, narrow_offsets, journal_voxels[i], journal_cells[i])

@@ -62,6 +62,19 @@ def _near_unknown(cells: np.ndarray, grid: Grid, voxel: int, reach: int) -> bool
 
 
 @kernel_jit
+def _step_to(points: np.ndarray, i: int) -> float:
+    """Length of the step to a point (m); 0 for the first and for a corrupted one, which is blocked in any case."""
+    if i == 0:
+        return 0.0
+    step = math.sqrt(
+        (points[i, 0] - points[i - 1, 0]) ** 2
+        + (points[i, 1] - points[i - 1, 1]) ** 2
+        + (points[i, 2] - points[i - 1, 2]) ** 2
+    )
+    return step if step < np.inf else 0.0
+
+
+@kernel_jit
 def known_free_distance(
     counter: np.ndarray, cells: np.ndarray, grid: Grid, points: np.ndarray, first: int, horizon: float, reach: int,
     escaping: bool,
@@ -89,12 +102,7 @@ def known_free_distance(
     leading = escaping
     last = -2
     for i in range(points.shape[0]):
-        if i > 0:
-            length += math.sqrt(
-                (points[i, 0] - points[i - 1, 0]) ** 2
-                + (points[i, 1] - points[i - 1, 1]) ** 2
-                + (points[i, 2] - points[i - 1, 2]) ** 2
-            )
+        length += _step_to(points, i)
         if i == first:
             start = length
         if i < first:

@@ -131,6 +131,32 @@ def _walk_free(
 
 
 @kernel_jit
+def _end_of_ray(start: np.ndarray, point: np.ndarray, max_range: float, frame: KeyFrame, end: np.ndarray) -> int:
+    """Where the ray to a point ends, at `max_range` at the latest; returns the voxel that it hits, -1 = none."""
+    x = _F32(np.float64(point[0]) + frame.shift_x)
+    y = _F32(np.float64(point[1]) + frame.shift_y)
+    z = _F32(np.float64(point[2]) + frame.shift_z)
+    dx = _F32(x - start[0])
+    dy = _F32(y - start[1])
+    dz = _F32(z - start[2])
+    distance = math.sqrt(np.float64(_F32(_F32(_F32(dx * dx) + _F32(dy * dy)) + _F32(dz * dz))))
+    voxel = -1
+    if distance > max_range:
+        far = _F32(distance)
+        reach = _F32(max_range)
+        x = _F32(start[0] + _F32(_F32(dx / far) * reach))
+        y = _F32(start[1] + _F32(_F32(dy / far) * reach))
+        z = _F32(start[2] + _F32(_F32(dz / far) * reach))
+    else:
+        inverse = 1.0 / frame.resolution
+        voxel = _index(frame, int(math.floor(inverse * x)), int(math.floor(inverse * y)), int(math.floor(inverse * z)))
+    end[0] = x
+    end[1] = y
+    end[2] = z
+    return voxel
+
+
+@kernel_jit
 def insert_scan(
     points: np.ndarray, origin: np.ndarray, max_range: float, frame: KeyFrame, rule: UpdateRule, log_odds: np.ndarray,
     stamp: np.ndarray, scan: int, touched: np.ndarray, before: np.ndarray,
@@ -155,7 +181,6 @@ def insert_scan(
     """
     if not usable(origin[0], origin[1], origin[2]):
         return 0
-    inverse = 1.0 / frame.resolution
     free_stamp = 2 * scan
     start = np.empty(3, np.float32)
     start[0] = _F32(origin[0] + frame.shift_x)
@@ -168,31 +193,12 @@ def insert_scan(
     for i in range(points.shape[0]):
         if not usable(points[i, 0], points[i, 1], points[i, 2]):
             continue
-        x = _F32(np.float64(points[i, 0]) + frame.shift_x)
-        y = _F32(np.float64(points[i, 1]) + frame.shift_y)
-        z = _F32(np.float64(points[i, 2]) + frame.shift_z)
-        dx = _F32(x - start[0])
-        dy = _F32(y - start[1])
-        dz = _F32(z - start[2])
-        distance = math.sqrt(np.float64(_F32(_F32(_F32(dx * dx) + _F32(dy * dy)) + _F32(dz * dz))))
-        if distance > max_range:
-            far = _F32(distance)
-            reach = _F32(max_range)
-            x = _F32(start[0] + _F32(_F32(dx / far) * reach))
-            y = _F32(start[1] + _F32(_F32(dy / far) * reach))
-            z = _F32(start[2] + _F32(_F32(dz / far) * reach))
-        else:
-            voxel = _index(
-                frame, int(math.floor(inverse * x)), int(math.floor(inverse * y)), int(math.floor(inverse * z))
-            )
-            if voxel >= 0 and stamp[voxel] != free_stamp + 1:
-                stamp[voxel] = free_stamp + 1
-                occupied[n_occupied] = voxel
-                n_occupied += 1
-        ends[n_ends, 0] = x
-        ends[n_ends, 1] = y
-        ends[n_ends, 2] = z
+        voxel = _end_of_ray(start, points[i], max_range, frame, ends[n_ends])
         n_ends += 1
+        if voxel >= 0 and stamp[voxel] != free_stamp + 1:
+            stamp[voxel] = free_stamp + 1
+            occupied[n_occupied] = voxel
+            n_occupied += 1
     count = 0
     for i in range(n_ends):
         count = _walk_free(frame, start, ends[i], stamp, free_stamp, touched, count)

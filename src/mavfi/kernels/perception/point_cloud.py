@@ -24,7 +24,7 @@ def back_project(
         points: Result (m); NaN where the depth is invalid. Shape (n, 3), float32.
     """
     for i in range(ranges.shape[0]):
-        distance = np.float64(ranges[i])
+        distance = float(ranges[i])
         if distance > max_range:
             distance = max_range * BEYOND_RANGE
         x = directions[i, 0] * distance

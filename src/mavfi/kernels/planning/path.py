@@ -124,6 +124,15 @@ def shortcut_random(
 
 
 @kernel_jit
+def _inside(point: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
+    """Whether a point lies in a box."""
+    for axis in range(3):
+        if not lower[axis] <= point[axis] <= upper[axis]:
+            return False
+    return True
+
+
+@kernel_jit
 def nearest_with_room(
     room: np.ndarray, check: np.ndarray, grid: Grid, point: np.ndarray, lower: np.ndarray, upper: np.ndarray,
     radius: float, result: np.ndarray,
@@ -146,11 +155,9 @@ def nearest_with_room(
     voxel = voxel_of(grid, point[0], point[1], point[2])
     if voxel < 0:
         return False
-    inside = True
     for axis in range(3):
         result[axis] = point[axis]
-        inside = inside and lower[axis] <= point[axis] <= upper[axis]
-    if inside and room[voxel] == 0:
+    if _inside(point, lower, upper) and room[voxel] == 0:
         return True
     blocked_here = check[voxel] > 0
     ix = voxel // (grid.ny * grid.nz)
@@ -162,18 +169,14 @@ def nearest_with_room(
     for x in range(max(ix - reach, 0), min(ix + reach, grid.nx - 1) + 1):
         for y in range(max(iy - reach, 0), min(iy + reach, grid.ny - 1) + 1):
             for z in range(max(iz - reach, 0), min(iz + reach, grid.nz - 1) + 1):
-                if room[(x * grid.ny + y) * grid.nz + z] > 0:
-                    continue
                 centre[0] = grid.x0 + (x + 0.5) / grid.inverse
                 centre[1] = grid.y0 + (y + 0.5) / grid.inverse
                 centre[2] = grid.z0 + (z + 0.5) / grid.inverse
-                allowed = True
-                for axis in range(3):
-                    allowed = allowed and lower[axis] <= centre[axis] <= upper[axis]
                 away = distance(point, centre)
-                if not allowed or away >= best or away > radius:
+                blocked = room[(x * grid.ny + y) * grid.nz + z] > 0
+                if blocked or not _inside(centre, lower, upper) or away >= best or away > radius:
                     continue
-                if not blocked_here and not segment_free(check, grid, point, centre):
+                if not (blocked_here or segment_free(check, grid, point, centre)):
                     continue
                 best = away
                 for axis in range(3):

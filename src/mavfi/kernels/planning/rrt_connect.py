@@ -50,9 +50,7 @@ def nearest(nodes: np.ndarray, count: int, target: np.ndarray) -> int:
 @kernel_jit
 def steer(source: np.ndarray, target: np.ndarray, max_step: float, result: np.ndarray) -> bool:
     """Point at most `max_step` from `source` towards `target`; returns whether it is the target itself."""
-    distance = math.sqrt(
-        (target[0] - source[0]) ** 2 + (target[1] - source[1]) ** 2 + (target[2] - source[2]) ** 2
-    )
+    distance = math.sqrt((target[0] - source[0]) ** 2 + (target[1] - source[1]) ** 2 + (target[2] - source[2]) ** 2)
     share = 1.0 if distance <= max_step else max_step / distance
     for axis in range(3):
         result[axis] = source[axis] + (target[axis] - source[axis]) * share
@@ -103,6 +101,17 @@ def _collect(trees: Trees, from_start: int, from_goal: int, path: np.ndarray) ->
 
 
 @kernel_jit
+def _plant(trees: Trees, start: np.ndarray, goal: np.ndarray) -> None:
+    """Make both trees consist of their root."""
+    for axis in range(3):
+        trees.nodes[0, 0, axis] = start[axis]
+        trees.nodes[1, 0, axis] = goal[axis]
+    for which in range(2):
+        trees.parents[which, 0] = -1
+        trees.counts[which] = 1
+
+
+@kernel_jit
 def plan(
     counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray,
     max_step: float, iterations: int, random: np.ndarray, trees: Trees, path: np.ndarray,
@@ -129,12 +138,7 @@ def plan(
         path[0] = start
         path[1] = goal
         return 2
-    for axis in range(3):
-        trees.nodes[0, 0, axis] = start[axis]
-        trees.nodes[1, 0, axis] = goal[axis]
-    for which in range(2):
-        trees.parents[which, 0] = -1
-        trees.counts[which] = 1
+    _plant(trees, start, goal)
     sample = np.empty(3)
     new = np.empty(3)
     joint = np.empty(3)

@@ -49,7 +49,9 @@ class Limits(NamedTuple):
 
 
 @kernel_jit
-def _blend_point(corner: np.ndarray, before: np.ndarray, after: np.ndarray, reach: float, t: float, out: np.ndarray) -> None:
+def _blend_point(
+    corner: np.ndarray, before: np.ndarray, after: np.ndarray, reach: float, t: float, out: np.ndarray
+) -> None:
     """Point of the quintic blend around a corner; control points at 1, 0.6 and 0.2 of `reach` on both sides."""
     u = 1.0 - t
     first = u**5 + 0.6 * 5.0 * u**4 * t + 0.2 * 10.0 * u**3 * t * t

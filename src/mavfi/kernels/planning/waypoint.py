@@ -29,7 +29,7 @@ def hand_over(points: np.ndarray, index: int, remaining: float, waypoint: np.nda
     """
     if remaining <= 1e-9 or index < 0:
         index += 1
-    if index < points.shape[0]:
+    if 0 <= index < points.shape[0]:
         for column in range(points.shape[1]):
             waypoint[column] = points[index, column]
     return index
@@ -38,7 +38,8 @@ def hand_over(points: np.ndarray, index: int, remaining: float, waypoint: np.nda
 @kernel_jit
 def arc_lengths(points: np.ndarray, arc: np.ndarray) -> None:
     """Arc length of each point from the start of its trajectory (m). `arc` has shape (n,)."""
-    arc[0] = 0.0
+    if points.shape[0] > 0:
+        arc[0] = 0.0
     for i in range(1, points.shape[0]):
         arc[i] = arc[i - 1] + math.sqrt(
             (points[i, 0] - points[i - 1, 0]) ** 2
@@ -48,14 +49,20 @@ def arc_lengths(points: np.ndarray, arc: np.ndarray) -> None:
 
 
 @kernel_jit
+def _point_before(position: float, last: int) -> int:
+    """Index of the point at or before a position on the trajectory; of the first one if it is corrupted."""
+    return int(min(position, float(last))) if position >= 0.0 else 0
+
+
+@kernel_jit
 def advance_clock(
     clock: np.ndarray, points: np.ndarray, arc: np.ndarray, dt: float, blocked: float, unknown: float, braking: float,
     creep: float, fastest: float,
 ) -> None:  # fmt: skip
     """Move the reference clock on by one control period.
 
-    The rate falls so that the reference can stop before the first blocked or unknown sample; limited by unknown space it
-    never gets slower than `creep`, since a voxel that the camera never sees would stop the vehicle for ever.
+    The rate falls so that the reference can stop before the first blocked or unknown sample; limited by unknown space
+    it never gets slower than `creep`, since a voxel that the camera never sees would stop the vehicle for ever.
 
     Args:
         clock: Memory, see `CLOCK_WIDTH`; changed. Shape (3,).
@@ -69,7 +76,9 @@ def advance_clock(
         fastest: Largest rate of the clock; less than 1 on a computer whose loop cannot keep up.
     """
     last = points.shape[0] - 1
-    i = min(int(clock[0]), last)
+    if last < 0:
+        return
+    i = _point_before(clock[0], last)
     speed = math.sqrt(points[i, 4] ** 2 + points[i, 5] ** 2 + points[i, 6] ** 2)
     margin = 0.3
     limit = np.inf
@@ -96,10 +105,12 @@ def reference(clock: np.ndarray, points: np.ndarray, waypoint: np.ndarray) -> No
     Args:
         clock: Memory. Shape (3,).
         points: Trajectory. Shape (n, 11).
-        waypoint: Result, columns as a point. Shape (11,).
+        waypoint: Result, columns as a point; unchanged where there is no trajectory. Shape (11,).
     """
     last = points.shape[0] - 1
-    i = min(int(clock[0]), last)
+    if last < 0:
+        return
+    i = _point_before(clock[0], last)
     j = min(i + 1, last)
     share = clock[0] - i
     rate = clock[1]

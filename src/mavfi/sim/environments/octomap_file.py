@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy import ndimage
 
 from mavfi.config import Vector
 from mavfi.errors import BadInputError
 from mavfi.numerics.jit import kernel_jit
 from mavfi.sim.environments.arena import checked_number
-from mavfi.sim.environments.world import World
+from mavfi.sim.environments.world import Voxels, World
 
 _DEPTH = 16
 _HALF_RANGE = 1 << (_DEPTH - 1)
@@ -27,6 +28,8 @@ _MARGIN = 1
 _LARGEST_GRID = 1 << 30
 _HEADERS = {b"# Octomap OcTree binary file": False, b"# Octomap OcTree file": True}
 _TRUNCATED, _TOO_DEEP = -1, -2
+_PASSAGE, _NEAR = 0.2, 1.0
+_MARGINS = (1.0, 2.0, 4.0, 8.0, 16.0, math.inf)
 
 
 class Leaves(NamedTuple):
@@ -44,11 +47,12 @@ class Leaves(NamedTuple):
 
 
 def octomap_file(
-    seed: int, path: str, band: float = 0.6, start: Vector | None = None, goal: Vector | None = None
+    seed: int, path: str, band: float = 0.9, start: Vector | None = None, goal: Vector | None = None
 ) -> World:
     """The world of a scan: what it has not seen is solid.
 
-    Planners are kept to the heights of start and goal: a camera that looks ahead does not see ceiling and floor.
+    Planners take unknown space for free, and a camera that looks ahead sees neither floor and ceiling nor what is
+    behind.  So they are kept to a box around start and goal: `band` high, and as narrow as lets a sphere of 0.2 m pass.
 
     Args:
         seed: Not used: a scan is the same for every seed.
@@ -58,7 +62,8 @@ def octomap_file(
         goal: Goal (m); must be given.
 
     Raises:
-        BadInputError: The file is absent, foreign, truncated or too large, or start or goal are missing.
+        BadInputError: The file is absent, foreign, truncated or too large, start or goal are missing, or no way leads
+            from one to the other.
     """
     del seed
     if not isinstance(path, str):
@@ -70,20 +75,52 @@ def octomap_file(
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
     occupied, origin, resolution = _read_grid(path, modified)
-    lower, upper = origin, origin + resolution * np.array(occupied.shape)
-    band = checked_number("band", band, 0.0, 1000.0)
-    lowest, highest = min(start[2], goal[2]) - band, max(start[2], goal[2]) + band
+    voxels, band = Voxels(occupied, origin, resolution), checked_number("band", band, 0.1, 1000.0)
+    box = _flight_box(voxels, np.array([start, goal], float), band)
+    if box is None:
+        raise BadInputError(
+            f"{path}: no way from {start} to {goal} for a sphere of {_PASSAGE} m within {band} m of their heights"
+        )
     return World(
         start=np.array(start),
         goal=np.array(goal),
-        arena_lower=lower,
-        arena_upper=upper,
-        flight_lower=np.array([*lower[:2], max(lower[2], lowest)]),
-        flight_upper=np.array([*upper[:2], min(upper[2], highest)]),
+        arena_lower=origin,
+        arena_upper=origin + resolution * np.array(occupied.shape),
+        flight_lower=box[0],
+        flight_upper=box[1],
         occupied=occupied,
         origin=origin,
         resolution=resolution,
     )
+
+
+def _flight_box(voxels: Voxels, ends: np.ndarray, band: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """The narrowest box around both ends in which there is a way; its corners (m)."""
+    corner = voxels.origin + voxels.resolution * np.array(voxels.occupied.shape)
+    for margin in _MARGINS:
+        lower = np.maximum(voxels.origin, ends.min(axis=0) - (margin, margin, band))
+        upper = np.minimum(corner, ends.max(axis=0) + (margin, margin, band))
+        if (lower < upper).all() and _is_passable(voxels, ends, lower, upper):
+            return lower, upper
+    return None
+
+
+def _is_passable(voxels: Voxels, ends: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
+    """Whether a sphere gets from near the start to near the goal while its centre stays in a box."""
+    first = np.floor((lower - voxels.origin) / voxels.resolution).astype(int)
+    last = np.ceil((upper - voxels.origin) / voxels.resolution).astype(int)
+    reach = math.ceil(_PASSAGE / voxels.resolution) + 1
+    around = tuple(slice(max(0, a - reach), b + reach) for a, b in zip(first, last, strict=True))
+    free = np.pad(~voxels.occupied[around], reach)
+    distance = ndimage.distance_transform_edt(free) * voxels.resolution
+    offset = reach + first - np.maximum(0, first - reach)
+    inside = tuple(slice(o, o + n) for o, n in zip(offset, last - first, strict=True))
+    regions, _ = ndimage.label(distance[inside] > _PASSAGE + 0.5 * voxels.resolution, np.ones((3, 3, 3)))
+    places = np.argwhere(regions > 0)
+    found = regions[tuple(places.T)]
+    centres = voxels.origin + voxels.resolution * (first + places + 0.5)
+    near_start, near_goal = (found[np.linalg.norm(centres - end, axis=1) < _NEAR] for end in ends)
+    return bool(np.intersect1d(near_start, near_goal).size)
 
 
 @lru_cache(maxsize=2)

@@ -116,11 +116,9 @@ def environment_for_file(path: str | Path) -> EnvironmentConfig:
         generator="octomap_file",
         parameters={"path": str(path)},
         vehicle="small_quad",
-        v_max=1.2,
+        v_max=0.6,
         map_resolution=0.08,
         camera_range=8.0,
-        plan_radius=0.15,
-        check_radius=0.12,
     )
 
 

@@ -1,0 +1,332 @@
+"""Tables of a report as plain text, derived from the analysis of a campaign; terminal and Markdown show the same."""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from mavfi.faults.strata import HEADLINE
+from mavfi.reports import text
+
+Analysis = Mapping[str, Any]
+Entry = Mapping[str, Any]
+
+DEVIATIONS = (
+    "deviates from the published code: grace 1 s not 0, slow-down of the clock capped at 10, flight-controller limits, "
+    "leg to the first point checked"
+)
+NOT_THE_PAPERS = "not the paper's: what a careful team would fly"
+ONE_FAULT = "rates are conditional on one fault per mission"
+HEALS = "a one-shot state fault heals on any recompute: recovery equals detection by construction"
+VARIANT = "state-level variant of the paper's Table I (instruction level follows)"
+SETTINGS = (
+    "golden = no fault; fi = one fault; dr_X = the same faults with detector X on; golden_X = no fault, detector X on"
+)
+INTERVALS = "per cent, [95 % interval: Wilson; whole word: clustered bootstrap], n"
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """One table.
+
+    Attributes:
+        title: What it shows.
+        columns: Headings.
+        rows: Cells.
+        notes: Lines below it.
+        detail: Shown in the file only, not in the terminal.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+    notes: tuple[str, ...] = field(default=())
+    detail: bool = False
+
+
+def tables(analysis: Analysis) -> list[Table]:
+    """All tables that have rows, most important first; each says which stack flew."""
+    makers: tuple[Callable[[Analysis], Iterable[Table]], ...] = (
+        success, recovery, faults_by, outcomes, endings, flight_times, false_alarms, detections, overheads, sites,
+    )  # fmt: skip
+    stack = analysis["campaign"]["stack"]
+    flew = {"published": DEVIATIONS, "hardened": NOT_THE_PAPERS}.get(stack, "")
+    below = f"stack {stack}" + (f"; {flew}" if flew else "")
+    found = [table for maker in makers for table in maker(analysis) if table.rows]
+    return [Table(t.title, t.columns, t.rows, (*t.notes, below), t.detail) for t in found]
+
+
+def _ordered(entries: Iterable[Entry], *keys: str) -> dict[tuple[Any, ...], list[Entry]]:
+    groups: dict[tuple[Any, ...], list[Entry]] = {}
+    for entry in entries:
+        groups.setdefault(tuple(entry[key] for key in keys), []).append(entry)
+    return groups
+
+
+def populations_of(entries: Iterable[Entry]) -> list[str]:
+    """Bit strata in the order in which reports show them: headline, whole word, the others."""
+    found = dict.fromkeys(entry["population"] for entry in entries)
+    order = (HEADLINE, "sign", "exponent", "whole_word", "mantissa")
+    return sorted((name for name in found if name != "all"), key=lambda p: order.index(p) if p in order else len(order))
+
+
+def success(analysis: Analysis) -> Iterable[Table]:
+    """Success per environment and setting, beside the paper's figures."""
+    entries = analysis["success"]
+    populations = populations_of(entries)
+    rows = []
+    for (environment, setting), own in _ordered(entries, "environment", "setting").items():
+        rates = {entry["population"]: text.rate(entry) for entry in own}
+        first = rates.get("all", rates.get(populations[0], text.ABSENT) if populations else text.ABSENT)
+        others = [rates.get(name, "") for name in populations[1:]]
+        rows.append((environment, setting, first, text.percent(own[0]["paper"]), *others))
+    first_heading = f"success %, {text.population(populations[0])}" if populations else "success %"
+    columns = ("environment", "setting", first_heading, "paper", *map(text.population, populations[1:]))
+    notes = [VARIANT, ONE_FAULT, SETTINGS, INTERVALS, "paper: instruction level, 100 golden flights, 300 with a fault"]
+    unknown = sum(entry["unknown"] for entry in {(e["environment"], e["setting"]): e for e in entries}.values())
+    if unknown:
+        notes.append(f"{unknown} flights could not be judged (unknown) and are left out")
+    yield Table("Success of missions", columns, rows, tuple([*notes, *_separable(analysis)]))
+
+
+def _separable(analysis: Analysis) -> list[str]:
+    told = [
+        f"{entry['environment']} {text.percent(entry['golden_fi'], 0)} / {text.percent(entry['fi_dr'], 0)}"
+        for entry in analysis["separable"]
+    ]
+    if not told:
+        return []
+    return ["smaller differences than these are not told apart (golden – fi / fi – dr, power 80 %): " + "; ".join(told)]
+
+
+def recovery(analysis: Analysis) -> Iterable[Table]:
+    """Recovery rate and McNemar's test of each arm; the cost of the faults themselves."""
+    rows = []
+    for entry in analysis["recovery"]:
+        found, test = entry["recovery"], entry["mcnemar"]
+        told = text.ABSENT
+        if found is not None:
+            told = "undefined" if found["rate"] is None else (
+                f"{text.percent(found['rate'])} {text.interval(found['low'], found['high'])}"
+            )  # fmt: skip
+        loss = text.ABSENT if found is None else (
+            f"{100 * found['loss']:+.1f} {text.interval(found['loss_low'], found['loss_high'])}"
+        )  # fmt: skip
+        rows.append((
+            entry["environment"], entry["setting"], text.population(entry["population"]), told,
+            text.percent(entry["paper"]) if entry["population"] == HEADLINE else "", loss, str(test["n"]),
+            f"{test['first_only']} / {test['second_only']}", f"{test['p_value']:.3g}",
+        ))  # fmt: skip
+    columns = (
+        "environment", "setting", "bits", "recovery", "paper", "golden – fi (points)", "pairs", "fi / dr only", "p",
+    )  # fmt: skip
+    notes = (
+        "recovery = (dr – fi) / (golden – fi); undefined while the interval of golden – fi contains 0", HEALS,
+        "fi / dr only: pairs in which only that one succeeds; p: McNemar's exact test", ONE_FAULT,
+    )  # fmt: skip
+    yield Table("Recovery", columns, rows, notes)
+    rows = [
+        (e["environment"], text.population(e["population"]), str(e["n"]), str(e["first_only"]), str(e["second_only"]),
+         f"{e['p_value']:.3g}")
+        for e in analysis["golden_against_faults"]
+    ]  # fmt: skip
+    columns = ("environment", "bits", "pairs", "only golden succeeds", "only fi succeeds", "p")
+    yield Table("Golden against one fault, in pairs", columns, rows, ("p: McNemar's exact test", ONE_FAULT))
+
+
+_BY = (
+    ("by_stage", "stage", "Success by stage of the fault"),
+    ("by_target", "target", "Success by group of fields"),
+    ("by_state", "state", "Success by inter-kernel state"),
+    ("by_bits", "bits", "Success by class of the flipped bit"),
+    ("by_field", "field", "Success by field"),
+)
+
+
+def faults_by(analysis: Analysis) -> Iterable[Table]:
+    """Success by properties of the fault: over all environments in the terminal, each environment in the file."""
+    groups = analysis["campaign"]["law"] == "groups"
+    for key, name, title in _BY:
+        if (key == "by_target" and not groups) or (key == "by_stage" and groups):
+            continue
+        entries = analysis[key]
+        environments = list(dict.fromkeys(entry["environment"] for entry in entries))
+        for environment in environments:
+            own = [entry for entry in entries if entry["environment"] == environment]
+            whole = environment == "all" or len(environments) == 1
+            where = "" if environment == "all" else f", {environment}"
+            yield _success_by(own, name, f"{title}{where}", detail=not whole or key == "by_field")
+
+
+def _success_by(entries: list[Entry], name: str, title: str, detail: bool) -> Table:
+    populations = populations_of(entries)
+    rows = []
+    for (value, setting), own in _ordered(entries, name, "setting").items():
+        by_population = {entry["population"]: entry for entry in own}
+        shown = populations[0] if populations[0] in by_population else own[0]["population"]
+        hurt = by_population[shown]["fails_or_slower"]
+        cells = [text.rate(by_population[p]) if p in by_population else text.ABSENT for p in populations]
+        worst = text.signed_percent(by_population[shown]["worst_inflation"])
+        rows.append((value, setting, *cells, f"{text.percent(hurt['rate'])}", worst))
+    columns = (name, "setting", *map(text.population, populations), "hurt", "worst time")
+    notes = (
+        f"success: {INTERVALS}",
+        f"hurt: fails or takes more than 5 % longer than the golden twin; worst time of successes; both for "
+        f"{text.population(populations[0])}",
+        ONE_FAULT,
+    )
+    return Table(title, columns, rows, notes, detail)
+
+
+_OUTCOMES = ("masked", "sdc", "due", "unknown")
+_FATES = ("hit", "no_site", "not_hit")
+
+
+def outcomes(analysis: Analysis) -> Iterable[Table]:
+    """What faults did to the computation, and where they went."""
+    notes = (
+        "masked = bit for bit the golden twin; sdc = differs, and nothing said so; due = died or hung",
+        "no site: the golden flight never published the state; not hit: the injected flight did not; both are kept in "
+        "every rate (intention to treat)",
+    )
+    headings = ("n", *_OUTCOMES, *(fate.replace("_", " ") for fate in _FATES))
+    for keys, detail in ((("environment", "setting"), False), (("environment", "setting", "stage"), True)):
+        rows = []
+        for values, own in _ordered(analysis["outcomes"], *keys).items():
+            counts = (str(sum(entry[name] for entry in own)) for name in ("n", *_OUTCOMES, *_FATES))
+            rows.append((*values, *counts))
+        title = "Outcomes of faults" + (", by stage" if detail else "")
+        yield Table(title, (*keys, *headings), rows, notes, detail)
+
+
+def endings(analysis: Analysis) -> Iterable[Table]:
+    """How missions ended."""
+    statuses = list(dict.fromkeys(name for entry in analysis["endings"] for name in entry["statuses"]))
+    rows = [
+        (e["environment"], e["setting"], str(e["n"]), *(str(e["statuses"].get(name, 0)) for name in statuses))
+        for e in analysis["endings"]
+    ]
+    headings = (name.replace("_", " ") for name in statuses)
+    yield Table("How missions ended", ("environment", "setting", "n", *headings), rows)
+
+
+def flight_times(analysis: Analysis) -> Iterable[Table]:
+    """Flight time against the golden twin, and golden flights themselves."""
+    rows = []
+    for e in analysis["flight_times"]:
+        time, energy = e["time"] or {}, e["energy"] or {}
+        rows.append((
+            e["environment"], e["setting"], str(e["pairs"]), text.signed_percent(time.get("median")),
+            text.signed_percent(time.get("p95")), text.signed_percent(time.get("worst")),
+            text.signed_percent(e["paper_worst"]), text.number(e["time_limit_s"], 0, "s"),
+            text.signed_percent(energy.get("worst")), f"{e['censored']}/{e['n']}",
+        ))  # fmt: skip
+    columns = (
+        "environment", "setting", "pairs", "median", "95 %", "worst", "paper, worst", "time limit", "worst energy", "fail",
+    )  # fmt: skip
+    notes = (
+        "flight time / that of the golden flight of the same world – 1, on pairs that succeed in all settings; failures "
+        "have no flight time, see the last column",
+        "the time limit bounds the worst case; the paper recovers percentage points of its worst case", ONE_FAULT,
+    )  # fmt: skip
+    yield Table("Flight time", columns, rows, notes)
+    rows = [
+        (e["environment"], e["setting"], str(e["n"]), text.number(e["flight_time_s"], 1, "s"),
+         text.number(e["energy_j"] / 1000, 1, "kJ"), text.number(e["distance_m"], 1, "m"), f"{e['replans']:g}")
+        for e in analysis["golden"]
+    ]  # fmt: skip
+    columns = ("environment", "setting", "n", "flight time", "energy", "distance", "replans")
+    yield Table("Golden flights that succeed, medians", columns, rows)
+
+
+def false_alarms(analysis: Analysis) -> Iterable[Table]:
+    """Alarms on golden flights."""
+    rows = []
+    for e in analysis["false_alarms"]:
+        per_hour = text.ABSENT if e["per_hour"] is None else f"{e['per_hour']:.2f} [{e['low']:.2f}, {e['high']:.2f}]"
+        kinds = ", ".join(f"{kind} {count}" for kind, count in e["kinds"].items())
+        rows.append((
+            e["environment"], e["setting"], str(e["flights"]), str(e["flights_with_alarm"]), str(e["events"]),
+            f"{e['hours']:.2f} h", per_hour, text.number(e["upper"], 2), kinds,
+        ))  # fmt: skip
+    columns = (
+        "environment", "setting", "flights", "with alarm", "alarms", "exposure", "per hour", "upper bound", "kinds",
+    )  # fmt: skip
+    notes = ("golden flights; per hour of flight, Poisson 95 % interval; upper bound: one-sided 95 %",)
+    yield Table("False alarms", columns, rows, notes)
+
+
+def detections(analysis: Analysis) -> Iterable[Table]:
+    """Faults that were followed by an alarm."""
+    rows = [
+        (e["environment"], e["setting"], text.population(e["population"]), "yes" if e["monitored"] else "no",
+         text.rate(e), text.ABSENT if e["median_latency_s"] is None else f"{1000 * e['median_latency_s']:.0f} ms")
+        for e in analysis["detections"]
+    ]  # fmt: skip
+    columns = ("environment", "setting", "bits", "field watched", "alarm within 1 s", "median latency")
+    yield Table("Detection of faults that hit", columns, rows, (HEALS, "coupling inline: latency is mostly 0"), True)
+
+
+def overheads(analysis: Analysis) -> Iterable[Table]:
+    """Recomputation against the compute time of the pipeline."""
+    rows = []
+    for e in analysis["overheads"]:
+        if e["setting"].startswith("null"):
+            continue
+        stages = [text.small_percent(e["recompute"][stage]) for stage in ("perception", "planning", "control")]
+        paper = e["paper"] or {}
+        beside = " / ".join(text.small_percent(paper[stage]) for stage in paper) or text.ABSENT
+        rows.append((e["environment"], e["setting"], str(e["flights"]), *stages, text.small_percent(e["total"]), beside))
+    columns = ("environment", "setting", "flights", "perception", "planning", "control", "total", "paper (stages)")
+    notes = ("recomputation / compute time of the pipeline, both in the platform's modelled time; nothing was measured "
+             "on that hardware",)  # fmt: skip
+    yield Table("Overhead of recomputation", columns, rows, notes)
+
+
+def sites(analysis: Analysis) -> Iterable[Table]:
+    """Failures at fields that no detector watches; publications that nobody acts on; the null runs."""
+    watched = analysis["campaign"]["monitored_set"]
+    rows = [(e["environment"], str(e["n"]), text.rate({**e, "successes": e["unmonitored"]}))
+            for e in analysis["unmonitored_failures"]]  # fmt: skip
+    columns = ("environment", "failures (fi)", "at unmonitored sites")
+    yield Table("Failures at sites that no detector watches", columns, rows, (f"monitored set {watched}",))
+    rows = [
+        (e["environment"], e["state"], str(e["publications"]), str(e["acted_on"]),
+         text.percent(e["acted_on"] / e["publications"] if e["publications"] else None, 2))
+        for e in analysis["acted_on"]
+    ]  # fmt: skip
+    columns = ("environment", "state", "publications", "acted on", "share")
+    notes = ("golden flights; faults on this state strike only publications that consumers act on",)
+    yield Table("Publications that consumers act on", columns, rows, notes)
+
+
+def null_line(analysis: Analysis) -> str:
+    """Whether flights with an empty mask were the golden ones."""
+    check = analysis["null_check"]
+    if not check["n"]:
+        return "Null runs: none flown."
+    if check["passed"]:
+        return f"Null runs: all {check['n']} flights with an empty mask have the digest of their golden twins."
+    return f"Null runs: {len(check['differing'])} of {check['n']} DIFFER from their golden twins: " + ", ".join(
+        check["differing"]
+    )
+
+
+def header(analysis: Analysis) -> list[str]:
+    """What was flown, in lines."""
+    c = analysis["campaign"]
+    seeds = f"seeds {c['seeds'][0]} to {c['seeds'][1]}"
+    strata = " : ".join(f"{text.population(name)} {share:g}" for name, share in sorted(c["strata"].items(), reverse=True))
+    each = "group" if c["law"] == "groups" else "stage"
+    speed = "" if c["v_max"] is None else f" · {c['v_max']:g} m/s"
+    lines = [
+        f"campaign {c['name']} · stack {c['stack']} · {c['platform']} · {c['planner']}{speed}",
+        f"{c['flights']} missions per environment ({seeds}), {c['faults']} faults per {each}, drawn {strata}, "
+        f"fields: {c['sites']}",
+        f"{c['done']} of {c['total']} flights done · digest {c['digest'][:16]}…",
+        " · ".join(f"{name} {version}" for name, version in sorted(c["versions"].items(), key=lambda v: v[0] != "mavfi")),
+    ]
+    if c["on_design_seeds"]:
+        lines.append("Flown on design seeds: no figure for publication.")
+    if c["done"] < c["total"]:
+        lines.append("Not complete: what follows is of the flights that are done.")
+    return lines

@@ -1,0 +1,234 @@
+"""Every compiled kernel with sound arguments, and what corrupted ones may never do.
+
+Run as a program with NUMBA_BOUNDSCHECK=1, it feeds corrupted numbers to all kernels and fails on the first access out of
+bounds; that such an access is really found is proved first.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mavfi.kernels.control import pid
+from mavfi.kernels.perception import clearance, collision_check, octomap, point_cloud
+from mavfi.kernels.planning import path as paths
+from mavfi.kernels.planning import rrt_connect, trajectory, waypoint
+from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.random import seed_generator
+from mavfi.numerics.voxels import Grid, first_blocked, offsets_within, segment_free, voxel_of
+
+SPECIAL = (np.nan, np.inf, -np.inf, 1e30, -1e30, 1e300, -1e300, -0.0, 5e-324)
+GRID = Grid(-2.0, -2.0, 0.0, 2.0, 12, 10, 6)
+LOWER, UPPER = np.array([-2.0, -2.0, 0.0]), np.array([4.0, 3.0, 3.0])
+FRAME = octomap.KeyFrame(0.5, 0.25, 0.25, 0.25, -4, -4, 0, 12, 10, 6)
+RULE = octomap.UpdateRule(*(octomap.log_odds(p) for p in (0.7, 0.4, 0.12, 0.97)))
+GAINS = pid.Gains(np.full(3, 0.2), np.full(3, 0.1), np.full(3, 0.1), 1.0, 1.0, 0.4, 3.0, 10.0, 1.5)
+LIMITS = trajectory.Limits(3.0, 1.0, 3.5, 2.5, 4.0, 2.0, 3.0)
+OFFSETS = offsets_within(0.8, 0.5, False)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A kernel, a maker of fresh sound arguments, and a test of what it did."""
+
+    function: Any
+    arguments: Callable[[], list[Any]]
+    sound: Callable[[Any, list[Any]], bool]
+
+
+def blocked():
+    counter = np.zeros(GRID.size, np.int16)
+    counter[:: 7] = 1
+    return counter
+
+
+def points(count=8):
+    rows = np.zeros((count, 11))
+    rows[:, 0] = np.linspace(-1.5, 3.5, count)
+    rows[:, 2] = 1.0
+    rows[:, 4] = 2.0
+    rows[:, 10] = 0.02
+    return rows
+
+
+def vertices(count, room):
+    path = np.zeros((room, 3))
+    path[:count] = np.linspace([-1.9, -1.9, 0.1], [3.9, 2.9, 2.9], count)
+    path[1 : count - 1, 1] += 0.4
+    return path
+
+
+def path_of(count):
+    return vertices(count, count)
+
+
+def scan():
+    cloud = np.random.default_rng(0).uniform(-4, 4, (20, 3)).astype(np.float32)
+    state = np.zeros(720, np.float32), np.zeros(720, np.int32)
+    return [cloud, np.array([0.1, 0.2, 1.0]), 6.0, FRAME, RULE, *state, 1, np.zeros(720, np.int32),
+            np.zeros(720, np.float32)]  # fmt: skip
+
+
+def updates():
+    counters = [GRID, np.zeros(GRID.size, np.uint8), np.zeros(GRID.size, np.int16), OFFSETS,
+                np.zeros(GRID.size, np.int16), OFFSETS]  # fmt: skip
+    voxels = np.array([0, -1, 719, 720, 300, 2**31 - 1, -(2**31)], np.int32)
+    return [voxels, np.ones(7, np.float32), *counters, np.zeros(7, np.int32), np.zeros(7, np.uint8)]
+
+
+def curve(count=30):
+    return np.linspace([-1.9, -1.9, 0.1], [3.9, 2.9, 2.9], count)
+
+
+def never(_result, _arguments):
+    return True
+
+
+def index_below(limit):
+    return lambda result, _arguments: -1 <= result < limit
+
+
+def count_up_to(limit):
+    return lambda result, _arguments: 0 <= result <= limit
+
+
+CASES = {
+    "voxel_of": Case(voxel_of, lambda: [GRID, 0.3, 0.4, 0.5], index_below(GRID.size)),
+    "first_blocked": Case(
+        first_blocked, lambda: [blocked(), GRID, np.array([-1.9, -1.9, 0.1]), np.array([3.9, 2.9, 2.9]), True],
+        lambda result, _: 0.0 <= result <= 2.0,
+    ),
+    "segment_free": Case(
+        segment_free, lambda: [blocked(), GRID, np.array([-1.9, -1.9, 0.1]), np.array([3.9, 2.9, 2.9])], never
+    ),
+    "back_project": Case(
+        point_cloud.back_project,
+        lambda: [np.ones(6, np.float32), np.full((6, 3), 0.6), np.eye(3), np.ones(3), 20.0, np.zeros((6, 3), np.float32)],
+        never,
+    ),
+    "insert_scan": Case(
+        octomap.insert_scan, scan,
+        lambda result, a: 0 <= result <= 720 and bool((np.abs(a[5]) < 4.0).all())
+        and len(set(a[8][:result].tolist())) == result,
+    ),
+    "apply_updates": Case(
+        clearance.apply_updates, updates,
+        lambda result, a: 0 <= result <= 7 and set(a[3].tolist()) <= {0, 1, 2} and a[4].min() >= 0,
+    ),
+    "time_to_collision": Case(
+        collision_check.time_to_collision, lambda: [blocked(), GRID, np.zeros(3), points(), 1, 0.1, True],
+        lambda result, _: result == -1.0 or result >= 0.0,
+    ),
+    "known_free_distance": Case(
+        collision_check.known_free_distance,
+        lambda: [np.zeros(GRID.size, np.int16), np.ones(GRID.size, np.uint8), GRID, points(), 1, 5.0, 1, True],
+        lambda result, _: all(value >= 0.0 for value in result),
+    ),
+    "nearest": Case(
+        rrt_connect.nearest, lambda: [np.ones((5, 3)), 5, np.zeros(3)], lambda result, _: 0 <= result < 5
+    ),
+    "steer": Case(rrt_connect.steer, lambda: [np.zeros(3), np.ones(3), 0.5, np.zeros(3)], never),
+    "rrt_connect": Case(
+        rrt_connect.plan,
+        lambda: [blocked(), GRID, np.array([-1.9, -1.9, 0.7]), np.array([3.9, 2.9, 2.9]), LOWER.copy(), UPPER.copy(), 1.0,
+                 50, seed_generator(1), rrt_connect.new_trees(), np.zeros((2 * rrt_connect.NODE_LIMIT, 3))],
+        count_up_to(2 * rrt_connect.NODE_LIMIT),
+    ),
+    "nearest_with_room": Case(
+        paths.nearest_with_room,
+        lambda: [blocked(), blocked(), GRID, np.array([-1.9, -1.9, 0.1]), LOWER.copy(), UPPER.copy(), 1.5, np.zeros(3)],
+        never,
+    ),
+    "shortcut_greedy": Case(
+        paths.shortcut_greedy, lambda: [blocked(), GRID, path_of(6), 6], lambda result, _: 2 <= result <= 6
+    ),
+    "shortcut_random": Case(
+        paths.shortcut_random,
+        lambda: [blocked(), GRID, vertices(6, 12), 6, 20, seed_generator(2), np.zeros((12, 3))],
+        lambda result, _: 0 <= result <= 10,
+    ),
+    "smooth": Case(
+        trajectory.smooth,
+        lambda: [np.zeros(GRID.size, np.int16), GRID, path_of(5), 5, 1.0, np.zeros((trajectory.CURVE_LIMIT, 3)),
+                 np.zeros((trajectory.CURVE_LIMIT, 3))],
+        lambda result, _: 1 <= result <= trajectory.CURVE_LIMIT,
+    ),
+    "speed_profile": Case(
+        trajectory.speed_profile,
+        lambda: [blocked(), GRID, curve(), 30, 1.0, LIMITS, np.zeros(30), np.zeros(30)], never,
+    ),
+    "sample": Case(
+        trajectory.sample,
+        lambda: [curve(), 30, np.linspace(0, 8.6, 30), np.full(30, 2.0), 0.02, 3.0, 0.0, np.zeros((400, 11))],
+        count_up_to(400),
+    ),
+    "hold_points": Case(
+        trajectory.hold_points, lambda: [points(50), 50, 25, 0.02, 15, np.zeros((400, 11))], count_up_to(400)
+    ),
+    "hand_over": Case(waypoint.hand_over, lambda: [points(), 3, 0.0, np.zeros(11)], lambda result, _: 3 <= result <= 4),
+    "arc_lengths": Case(waypoint.arc_lengths, lambda: [points(), np.zeros(8)], never),
+    "advance_clock": Case(
+        waypoint.advance_clock,
+        lambda: [np.array([1.0, 0.5, 0.0]), points(), np.linspace(0, 5, 8), 0.02, 3.0, 4.0, 2.5, 0.5, 1.0], never,
+    ),
+    "reference": Case(waypoint.reference, lambda: [np.array([1.0, 0.5, 0.0]), points(), np.zeros(11)], never),
+    "track": Case(
+        pid.track, lambda: [np.ones(11), np.ones(13), np.zeros(pid.MEMORY_WIDTH), GAINS, 0.02, np.zeros(4)], never
+    ),
+}  # fmt: skip
+"""Arguments that are results or work space come last and are corrupted, too: kernels may not rely on what is in them."""
+
+
+def corrupted(case):
+    """Argument lists in which one number, or all numbers of one array, are corrupted."""
+    for position, argument in enumerate(case.arguments()):
+        if isinstance(argument, float):
+            places = [None]
+        elif isinstance(argument, np.ndarray) and argument.dtype.kind == "f":
+            middle = argument.size // 2
+            places = [0, middle, argument.size - 1, slice(None)]
+        elif isinstance(argument, pid.Gains | trajectory.Limits):
+            places = [name for name, value in argument._asdict().items() if isinstance(value, float)]
+        else:
+            continue
+        for place in places:
+            for value in SPECIAL:
+                arguments = case.arguments()
+                if place is None:
+                    arguments[position] = value
+                elif isinstance(place, str):
+                    arguments[position] = argument._replace(**{place: value})
+                else:
+                    with np.errstate(over="ignore"):
+                        arguments[position].reshape(-1)[place] = value
+                yield f"argument {position}, place {place}, value {value}", arguments
+
+
+@kernel_jit
+def read_at(values, index):
+    """The canary: reads where it is told to."""
+    return values[index]
+
+
+def main() -> None:
+    """Feed corrupted numbers to all kernels."""
+    try:
+        read_at(np.zeros(3), 5)
+    except IndexError:
+        pass
+    else:
+        raise SystemExit("bounds are not checked")
+    total = 0
+    for name, case in CASES.items():
+        for label, arguments in corrupted(case):
+            try:
+                case.function(*arguments)
+            except IndexError as error:
+                raise SystemExit(f"{name}: {label}: {error}") from None
+            total += 1
+    print(total)
+
+
+if __name__ == "__main__":
+    main()
