@@ -127,7 +127,7 @@ class FlightLog:
             BadInputError: The file is absent or is no flight log.
         """
         try:
-            with np.load(path) as archive:
+            with np.load(io.BytesIO(path.read_bytes())) as archive:
                 rows, data = archive["rows"], json.loads(archive["record"].tobytes())
             events = [Event(*event) for event in data["events"]]
             return FlightLog(

@@ -72,7 +72,7 @@ def test_any_law_is_met_or_refused_at_once(density, side, seed):
         assert "density" in str(error) and "\n" not in str(error)
     else:
         assert len(world.lower) == cuboid_count(density, side)
-    assert time.process_time() - began < 5.0
+    assert time.process_time() - began < 2.0
 
 
 @given(density=st.floats(0.001, 0.2), side=st.floats(4.0, 12.0), seed=seeds)

@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from typing import Annotated
 
 import typer
 
@@ -40,7 +41,9 @@ def _tell_version(wanted: bool) -> None:
 
 @app.callback()
 def _mavfi(
-    version: bool = typer.Option(False, "--version", callback=_tell_version, is_eager=True, help="Print the version."),
+    version: Annotated[
+        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Print the version.")
+    ] = False,
 ) -> None:
     pass
 
@@ -62,7 +65,8 @@ def run(arguments: Sequence[str]) -> int:
     except MavfiError as error:
         return complain(str(error), EXIT_FAILURE)
     except typer.TyperException as error:  # a missing argument, an option that there is not, no number
-        return complain(f"{error.format_message()} See mavfi {_verb(arguments)}--help", EXIT_BAD_INPUT)
+        message = error.format_message().rstrip(".")
+        return complain(f"{message}; see `mavfi {_verb(arguments)}--help`", EXIT_BAD_INPUT)
     except typer.Abort:
         return EXIT_STOPPED
     return code if isinstance(code, int) else EXIT_DONE

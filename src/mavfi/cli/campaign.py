@@ -2,6 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
@@ -15,11 +16,15 @@ _STOPPED = 130
 
 @app.command("run")
 def run(
-    config: str = typer.Argument(metavar="CONFIG.yaml", help="A YAML file, or the name of a shipped campaign."),
-    out: Path = typer.Option(..., help="Folder of the ledger; made if absent, gone on with if it holds this campaign."),
-    workers: int = typer.Option(DEFAULT_WORKERS, help="Processes; the result does not depend on them."),
-    scale: str = typer.Option("quick", help="quick, or another size that the campaign names, e.g. paper."),
-    models: Path = typer.Option(None, help="Folder of trained models; the shipped ones by default."),
+    config: Annotated[
+        str, typer.Argument(metavar="CONFIG.yaml", help="A YAML file, or the name of a shipped campaign.")
+    ],
+    out: Annotated[
+        Path, typer.Option(help="Folder of the ledger; made if absent, gone on with if it holds this campaign.")
+    ],
+    workers: Annotated[int, typer.Option(help="Processes; the result does not depend on them.")] = DEFAULT_WORKERS,
+    scale: Annotated[str, typer.Option(help="quick, or another size that the campaign names, e.g. paper.")] = "quick",
+    models: Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")] = None,
 ) -> None:
     """Fly a campaign, or what is left of it.  Ctrl-C stops it (exit code 130); the same command goes on.
 
@@ -41,8 +46,8 @@ def run(
 
 @app.command("status")
 def status(
-    directory: Path = typer.Argument(metavar="DIR", help="Folder of the ledger."),
-    as_json: bool = typer.Option(False, "--json", help=JSON_HELP),
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
+    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
 ) -> None:
     """Print how far a campaign is, and how many missions succeeded in each setting.
 
@@ -66,8 +71,8 @@ def status(
 
 @app.command("digest")
 def digest(
-    directory: Path = typer.Argument(metavar="DIR", help="Folder of the ledger."),
-    as_json: bool = typer.Option(False, "--json", help=JSON_HELP),
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
+    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
 ) -> None:
     """Print the hash of plan and records: the same for any number of workers, and after any stop.
 

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from mavfi.errors import BadInputError
 
-WIDE = 120
+WIDE = 140
 """Columns where the output is no terminal: tables in a file are not folded."""
 LARGEST_SEED = 2**63 - 1
 JSON_HELP = "One JSON object instead of text."

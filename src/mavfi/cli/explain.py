@@ -1,6 +1,7 @@
 """`mavfi explain`: what a fault did, step by step."""
 
 from pathlib import Path
+from typing import Annotated
 
 import typer
 from rich.table import Table
@@ -9,9 +10,9 @@ from mavfi.cli.console import JSON_HELP, console, write_json
 
 
 def explain(
-    directory: Path = typer.Argument(metavar="DIR", help="Folder of the ledger."),
-    run_id: str = typer.Argument(metavar="RUN_ID", help="The run, or an unambiguous beginning of its id."),
-    as_json: bool = typer.Option(False, "--json", help=JSON_HELP),
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
+    run_id: Annotated[str, typer.Argument(metavar="RUN_ID", help="The run, or an unambiguous beginning of its id.")],
+    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
 ) -> None:
     """Fly a run and its golden twin again, and tell what the fault did: to values, to the path, to the mission.
 

@@ -8,7 +8,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from mavfi.cli.fly import Flown, outcome, replans, to_json
+from mavfi.cli.flown import Flown, outcome, replans, to_json
 from mavfi.faults.strata import bit_class
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Outcome
@@ -36,8 +36,8 @@ def panel(flown: Flown) -> Panel:
     title = f"[bold]{data['environment']}[/bold] · seed {data['seed']} · stack [bold]{data['stack']}[/bold]{watched}"
     below = f"{data['platform']} · {data['planner']} · {data['v_max']:g} m/s"
     return Panel(
-        Group(*parts), title=title, subtitle=f"[dim]{below}[/dim]", box=box.ROUNDED, border_style=colour, padding=(1, 2),
-        expand=False, title_align="left", subtitle_align="right",
+        Group(*parts), title=title, subtitle=f"[dim]{below}[/dim]", box=box.ROUNDED, border_style=colour,
+        padding=(1, 2), expand=False, title_align="left", subtitle_align="right",
     )  # fmt: skip
 
 
@@ -86,7 +86,7 @@ def _fault(flown: Flown, data: dict[str, Any]) -> RenderableType | None:
 
 
 def _class(flown: Flown) -> str:
-    assert flown.fault is not None and flown.fault.bit is not None  # noqa: PT018, S101 - asked for real faults only
+    assert flown.fault is not None and flown.fault.bit is not None  # asked for real faults only
     return bit_class(STATES[flown.fault.site.state].find(flown.fault.site.field), flown.fault.bit)
 
 

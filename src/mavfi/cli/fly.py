@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,52 +11,46 @@ from mavfi.cli.console import JSON_HELP, check_number, check_point, check_seed, 
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
+    from mavfi.cli.flown import Flown
     from mavfi.detectors.detector import Detector
-    from mavfi.faults.fault import Fault
     from mavfi.faults.spec import FaultRequest
-    from mavfi.hosts.inprocess import Flight
     from mavfi.mission import Scenario
 
 PICTURES = (".png", ".svg", ".pdf")
 
 
-@dataclass(frozen=True, slots=True)
-class Flown:
-    """A flight, and what it is compared with.
-
-    Attributes:
-        scenario: The mission.
-        flight: The flight that was asked for.
-        golden: Its error-free twin with the same detector; None where the flight is golden itself.
-        fault: What was injected.
-        detector: Name and profile; "" = none watched.
-    """
-
-    scenario: Scenario
-    flight: Flight
-    golden: Flight | None
-    fault: Fault | None
-    detector: str
-
-
 def fly(  # noqa: PLR0913 - one parameter per option
-    environment: str = typer.Option("sparse", help="Name, a YAML file, or a scanned map (.bt, .ot of OctoMap)."),
-    seed: int = typer.Option(0, help="All randomness of the mission comes from it."),
-    start: tuple[float, float, float] = typer.Option(None, metavar="X Y Z", help="m, instead of the environment's."),
-    goal: tuple[float, float, float] = typer.Option(None, metavar="X Y Z", help="m, instead of the environment's."),
-    stack: str = typer.Option("published", help="published, hardened, or a YAML file."),
-    planner: str = typer.Option("rrt_connect", help="Name, or package:Class."),
-    platform: str = typer.Option("i9-9940x", help="Computer whose latencies are charged: a name, or a YAML file."),
-    v_max: float = typer.Option(None, help="Speed limit, m/s; the environment's by default."),
-    depth_noise: float = typer.Option(0.0, help="Of the depth camera: standard deviation / range."),
-    fault: str = typer.Option(None, metavar="SPEC", help="null, or state:STATE[.FIELD][[ELEMENT]][:bit=N][@SECONDS]."),
-    fault_seed: int = typer.Option(0, help="Draws what the fault does not name: instant, element, bit."),
-    detector: str = typer.Option("none", help="gaussian, autoencoder, another entry point, or package:Class."),
-    profile: str = typer.Option("paper", help="Of the detector: paper or tuned."),
-    models: Path = typer.Option(None, help="Folder of trained models; the shipped ones by default."),
-    as_json: bool = typer.Option(False, "--json", help=JSON_HELP),
-    save: Path = typer.Option(None, metavar="FILE.npz", help="Write the whole record of the flight."),
-    picture: Path = typer.Option(None, metavar="FILE.png", help="Draw the flight from above and from the side."),
+    environment: Annotated[
+        str, typer.Option(help="Name, a YAML file, or a scanned map (.bt, .ot of OctoMap).")
+    ] = "sparse",
+    seed: Annotated[int, typer.Option(help="All randomness of the mission comes from it.")] = 0,
+    start: Annotated[
+        tuple[float, float, float] | None, typer.Option(metavar="X Y Z", help="m, instead of the environment's.")
+    ] = None,
+    goal: Annotated[
+        tuple[float, float, float] | None, typer.Option(metavar="X Y Z", help="m, instead of the environment's.")
+    ] = None,
+    stack: Annotated[str, typer.Option(help="published, hardened, or a YAML file.")] = "published",
+    planner: Annotated[str, typer.Option(help="Name, or package:Class.")] = "rrt_connect",
+    platform: Annotated[
+        str, typer.Option(help="Computer whose latencies are charged: a name, or a YAML file.")
+    ] = "i9-9940x",
+    v_max: Annotated[float | None, typer.Option(help="Speed limit, m/s; the environment's by default.")] = None,
+    depth_noise: Annotated[float, typer.Option(help="Of the depth camera: standard deviation / range.")] = 0.0,
+    fault: Annotated[
+        str | None, typer.Option(metavar="SPEC", help=r"null, or state:STATE[.FIELD][[ELEMENT]][:bit=N]\[@SECONDS].")
+    ] = None,
+    fault_seed: Annotated[int, typer.Option(help="Draws what the fault does not name: instant, element, bit.")] = 0,
+    detector: Annotated[
+        str, typer.Option(help="gaussian, autoencoder, another entry point, or package:Class.")
+    ] = "none",
+    profile: Annotated[str, typer.Option(help="Of the detector: paper or tuned.")] = "paper",
+    models: Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    save: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Write the whole record of the flight.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw the flight from above and from the side.")
+    ] = None,
 ) -> None:
     """Fly one mission, and tell how it went; with a fault, beside its error-free twin.
 
@@ -85,10 +78,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         flown.flight.log.save(save)
     if picture is not None:
         _draw(flown, picture)
-    if as_json:
-        write_json(to_json(flown))
-    else:
-        _show(flown, [path for path in (save, picture) if path is not None])
+    _show(flown, as_json, [path for path in (save, picture) if path is not None])
 
 
 def _check_picture(path: Path | None) -> None:
@@ -117,6 +107,7 @@ def _fly(
     scenario: Scenario, request: FaultRequest | None, fault_seed: int, detector: Detector | None, watching: str
 ) -> Flown:
     """The golden twin first, then the draw of the fault from its publications, then the flight."""
+    from mavfi.cli.flown import Flown
     from mavfi.hosts.inprocess import fly as fly_mission
 
     if request is None:
@@ -129,67 +120,18 @@ def _fly(
     return Flown(scenario, fly_mission(scenario, fault, detector), golden, fault, watching)
 
 
-def to_json(flown: Flown) -> dict[str, Any]:
-    """What `--json` prints.
-
-    Returns:
-        status, status_text, flight_time_s, energy_j, distance_m, battery_used, digest, injections, alarms, replans,
-        events (counts by kind), what flew (environment, seed, stack, platform, planner, v_max, detector, start, goal,
-        course_m, time_limit_s), fault, outcome, and golden (of the error-free twin: the figures), the last three null
-        for a golden flight.
-    """
-    log = flown.flight.log
-    scenario = flown.scenario
-    kinds = [event.kind for event in log.events]
-    return {
-        **_figures(flown.flight),
-        "injections": log.injections,
-        "alarms": log.alarms,
-        "replans": replans(flown.flight),
-        "events": {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)},
-        "environment": scenario.environment.name,
-        "seed": scenario.seed,
-        "stack": scenario.stack.name,
-        "platform": scenario.platform.name,
-        "planner": scenario.planner.name,
-        "v_max": scenario.v_max,
-        "detector": flown.detector,
-        **{key: log.meta[key] for key in ("start", "goal", "course_m", "time_limit_s")},
-        "fault": None if flown.fault is None else flown.fault.to_json(),
-        "outcome": outcome(flown),
-        "golden": None if flown.golden is None else _figures(flown.golden),
-    }
-
-
-def _figures(flight: Flight) -> dict[str, Any]:
-    from mavfi.qof import quality_of_flight
-
-    status = flight.log.status
-    quality = asdict(quality_of_flight(flight.log))
-    return {"status": status.label, "status_text": status.value, **quality, "digest": flight.log.digest()}
-
-
-def replans(flight: Flight) -> int:
-    """Plans after the first one."""
-    return max(0, flight.log.count("plan") - 1)
-
-
-def outcome(flown: Flown) -> str | None:
-    """What the fault did, against the golden twin; None for a golden flight."""
-    from mavfi.outcomes import FlightEnd, classify
-
-    if flown.golden is None:
-        return None
-    return classify(FlightEnd(flown.golden.log.digest()), FlightEnd(flown.flight.log.digest())).label
-
-
 def _draw(flown: Flown, path: Path) -> None:
     from mavfi.reports.picture import draw_flight
 
     draw_flight(path, flown.flight, flown.golden)
 
 
-def _show(flown: Flown, written: list[Path]) -> None:
+def _show(flown: Flown, as_json: bool, written: list[Path]) -> None:
+    from mavfi.cli.flown import to_json
+
+    if as_json:
+        write_json(to_json(flown))
+        return
     from mavfi.cli.flight_text import panel
 
     out = console()

@@ -1,6 +1,7 @@
 """`mavfi replay`: fly a stored run again, and say whether the same flight came out."""
 
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
@@ -8,9 +9,9 @@ from mavfi.cli.console import JSON_HELP, console, write_json
 
 
 def replay(
-    directory: Path = typer.Argument(metavar="DIR", help="Folder of the ledger."),
-    run_id: str = typer.Argument(metavar="RUN_ID", help="The run, or an unambiguous beginning of its id."),
-    as_json: bool = typer.Option(False, "--json", help=JSON_HELP),
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
+    run_id: Annotated[str, typer.Argument(metavar="RUN_ID", help="The run, or an unambiguous beginning of its id.")],
+    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
 ) -> None:
     """Fly a run again from its spec, and say whether the digest is the same.
 

@@ -1,7 +1,7 @@
 """`mavfi report`: the tables of a campaign in the terminal; report.md and figures in its folder."""
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
@@ -9,9 +9,9 @@ from mavfi.cli.console import JSON_HELP, check_folder, console, write_json
 
 
 def report(
-    directory: Path = typer.Argument(metavar="DIR", help="Folder of the ledger."),
-    as_json: bool = typer.Option(False, "--json", help=JSON_HELP),
-    draw_run: bool = typer.Option(True, help="Fly a telling run again and draw it."),
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
+    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    draw_run: Annotated[bool, typer.Option(help="Fly a telling run again and draw it.")] = True,
 ) -> None:
     """Print the tables of a campaign, and write report.md, its figures and summary.json into its folder.
 

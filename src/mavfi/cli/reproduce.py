@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,9 +17,9 @@ _STOPPED = 130
 
 
 def reproduce(
-    scale: str = typer.Option("quick", help="quick: 30 missions per environment; paper: 100."),
-    out: Path = typer.Option(Path("out/reproduce"), help="Folder of everything that is written."),
-    workers: int = typer.Option(2, help="Processes; the result does not depend on them."),
+    scale: Annotated[str, typer.Option(help="quick: 30 missions per environment; paper: 100.")] = "quick",
+    out: Annotated[Path, typer.Option(help="Folder of everything that is written.")] = Path("out/reproduce"),
+    workers: Annotated[int, typer.Option(help="Processes; the result does not depend on them.")] = 2,
 ) -> None:
     """Train the detectors, fly the paper's success table, print it, write the report.
 

@@ -1,6 +1,6 @@
 """`mavfi states`: the table of inter-kernel states."""
 
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 from rich import box
@@ -14,9 +14,13 @@ _DEFAULT_SET = "paper-13"
 
 
 def states(
-    stack: str = typer.Option("published", help="Stack whose dead fields are marked: published or hardened."),
-    monitored: str = typer.Option(_DEFAULT_SET, help="Set of fields that detectors watch: paper-13 or published-19."),
-    as_json: bool = typer.Option(False, "--json", help=JSON_HELP),
+    stack: Annotated[
+        str, typer.Option(help="Stack whose dead fields are marked: published or hardened.")
+    ] = "published",
+    monitored: Annotated[
+        str, typer.Option(help="Set of fields that detectors watch: paper-13 or published-19.")
+    ] = _DEFAULT_SET,
+    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
 ) -> None:
     """Print every value that one kernel hands to another: what can be struck, and what is watched.
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich import box
@@ -12,30 +13,38 @@ from rich.table import Table
 from mavfi.cli.console import JSON_HELP, check_folder, check_number, console, write_json
 
 if TYPE_CHECKING:
+    from mavfi.campaign.statistics import EventRate
     from mavfi.detectors.model import Model
 
 _STOPPED = 130
 
 
 def train(  # noqa: PLR0913 - one parameter per option
-    flights: int = typer.Option(100, help="Error-free missions; fewer than 100 give thresholds that do not hold."),
-    out: Path = typer.Option(Path("out/models"), help="Folder of the models; made if absent."),
-    stack: str = typer.Option("published", help="published, hardened, or a YAML file."),
-    platform: str = typer.Option("i9-9940x", help="Computer whose latencies are charged: a name, or a YAML file."),
-    planner: str = typer.Option("rrt_connect", help="Name, or package:Class."),
-    v_max: float = typer.Option(None, help="Speed limit, m/s; the environment's by default."),
-    workers: int = typer.Option(2, help="Processes; the models do not depend on them."),
-    as_json: bool = typer.Option(False, "--json", help=JSON_HELP),
+    flights: Annotated[
+        int, typer.Option(help="Error-free missions; fewer than 100 give thresholds that do not hold.")
+    ] = 100,
+    out: Annotated[Path, typer.Option(help="Folder of the models; made if absent.")] = Path("out/models"),
+    stack: Annotated[str, typer.Option(help="published, hardened, or a YAML file.")] = "published",
+    platform: Annotated[
+        str, typer.Option(help="Computer whose latencies are charged: a name, or a YAML file.")
+    ] = "i9-9940x",
+    planner: Annotated[str, typer.Option(help="Name, or package:Class.")] = "rrt_connect",
+    v_max: Annotated[float | None, typer.Option(help="Speed limit, m/s; the environment's by default.")] = None,
+    workers: Annotated[int, typer.Option(help="Processes; the models do not depend on them.")] = 2,
+    check: Annotated[int, typer.Option(help="Flights of other seeds on which false alarms are counted.")] = 10,
+    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
 ) -> None:
     """Fly error-free missions in randomised worlds (none of the evaluation's), and fit every detector to them.
 
     Example: [bold]mavfi train --flights 100 --stack hardened --out out/models[/bold]
     """
     check_number("--flights", flights, 1, 100_000)
+    check_number("--check", check, 0, 100_000)
     check_number("--v-max", v_max, 0.1, 20.0)
     check_folder(out)
 
     from mavfi.campaign.training import train as train_models
+    from mavfi.cli.false_alarms import count_false_alarms
     from mavfi.cli.progress import Bar
     from mavfi.detectors.model import Model
 
@@ -45,13 +54,16 @@ def train(  # noqa: PLR0913 - one parameter per option
                 out, flights, stack=stack, platform=platform, planner=planner, v_max=v_max, workers=workers,
                 progress=bar.show,
             )  # fmt: skip
+        models = [Model.load(path) for path in files]
+        with Bar("checking flights") as bar:
+            alarms = count_false_alarms(models, out, check, workers, stack, bar.show)
     except KeyboardInterrupt:
         raise typer.Exit(_STOPPED) from None
-    models = [Model.load(path) for path in files]
     if as_json:
-        write_json({"models": [{"file": str(f), **told(m)} for f, m in zip(files, models, strict=True)]})
+        rows = zip(files, models, alarms, strict=True)
+        write_json({"models": [{"file": str(f), **told(m), "false_alarms": asdict(a)} for f, m, a in rows]})
         return
-    console().print(table(models, files))
+    console().print(table(models, alarms, out))
 
 
 def told(model: Model) -> dict[str, Any]:
@@ -64,21 +76,28 @@ def told(model: Model) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def table(models: list[Model], files: list[Path]) -> Table:
+def table(models: list[Model], alarms: list[EventRate], folder: Path) -> Table:
     """The models for people."""
     origin = models[0].provenance
     seeds = origin["seeds"]
     shown = Table(
         title=f"Trained on {origin['flights']} error-free flights · stack {origin['stack']} · {origin['platform']} · "
         f"{origin['planner']} · {origin['v_max']:g} m/s", title_style="bold", title_justify="left", box=box.SIMPLE_HEAD,
-        pad_edge=False, caption=f"worlds: {origin['environment']}, seeds {min(seeds)} to {max(seeds)}; "
-        "false alarms are counted by campaigns, on golden flights of other seeds", caption_justify="left",
+        pad_edge=False, caption=f"worlds: {origin['environment']}, seeds {min(seeds)} to {max(seeds)}; false alarms: "
+        f"per flight hour, on {alarms[0].hours:.2f} h of error-free flight in other such worlds; files: {folder}",
+        caption_justify="left",
     )  # fmt: skip
-    for heading in ("detector", "profile", "alarm above", "sha256", "file"):
+    for heading in ("detector", "profile", "alarm above", "false alarms", "sha256"):
         shown.add_column(heading, overflow="fold")
-    for model, path in zip(models, files, strict=True):
-        shown.add_row(model.kind, model.profile, _threshold(model), model.sha256[:12], str(path))
+    for model, rate in zip(models, alarms, strict=True):
+        shown.add_row(model.kind, model.profile, _threshold(model), _alarms(rate), model.sha256[:16])
     return shown
+
+
+def _alarms(rate: EventRate) -> str:
+    if rate.per_hour is None:
+        return "not counted"
+    return f"{rate.events}: {rate.per_hour:.1f} per h [{rate.low:.1f}, {rate.high:.1f}]"
 
 
 def _threshold(model: Model) -> str:

@@ -144,6 +144,7 @@ class _Host:
             # the vehicle is where the first physics step at or after this instant leaves it
             self.sim.advance(-(-self.now // _PHYSICS_US) * _PHYSICS_US)
             action(self.now)
+        self.queue.clear()  # what was still to come refers back to this host: a cycle would keep its maps in memory
         return Flight(self._log(self.status), self.publications.profile(), self.world, self.kernels)
 
     # ---- sensors and the control period -----------------------------------------------------------------------------

@@ -31,9 +31,9 @@ class Tracker:
         )  # fmt: skip
         self._memory = np.zeros(pid.MEMORY_WIDTH)
         self._remaining = 0.0
-        self._marked = (self._memory.copy(), 0.0, False)
         self._waypoint: np.ndarray | None = None
         self._fresh = False
+        self._marked = (self._memory.copy(), 0.0, False, self._waypoint)
         self._odometry = np.zeros(13)
 
     def receive(self, state: State, time_us: int) -> bool:
@@ -66,9 +66,10 @@ class Tracker:
 
     def mark(self) -> None:
         """Remember the memory as it is."""
-        self._marked = (self._memory.copy(), self._remaining, self._fresh)
+        self._marked = (self._memory.copy(), self._remaining, self._fresh, self._waypoint)
 
     def rollback(self) -> None:
-        """Put the memory back."""
-        memory, self._remaining, self._fresh = self._marked
+        """Put the memory back; a way-point that came since is new to it."""
+        memory, self._remaining, fresh, waypoint = self._marked
+        self._fresh = fresh or self._waypoint is not waypoint
         self._memory[:] = memory

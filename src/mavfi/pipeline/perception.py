@@ -79,7 +79,9 @@ class OctoMap:
         self._touched = np.zeros(grid.size, np.int32)
         self._before = np.zeros(grid.size, np.float32)
         self._count = 0
+        self._stamps = 0
         self._scan = 0
+        self._marked_scan = 0
         self._cloud = new_state("perception.point_cloud")
 
     def receive(self, state: State, time_us: int) -> bool:
@@ -92,10 +94,11 @@ class OctoMap:
         """Integrate the cloud."""
         del time_us
         self._scan += 1
+        self._stamps += 1
         points = self._cloud.elements.view(np.float32).reshape(-1, 3)
         self._count = octomap.insert_scan(
             points, floats(self._cloud.header, 3), self._range, self._frame, self._rule, self.log_odds, self._stamp,
-            self._scan, self._touched, self._before,
+            self._stamps, self._touched, self._before,
         )  # fmt: skip
         update = new_state("perception.map_update", self._count)
         update.header["scan"] = self._scan
@@ -104,13 +107,15 @@ class OctoMap:
         return [update]
 
     def mark(self) -> None:
-        """The journal of a scan is kept anyway."""
+        """Remember the number of the scan; the journal of a scan is kept anyway."""
         self._count = 0
+        self._marked_scan = self._scan
 
     def rollback(self) -> None:
-        """Take the scan since the last mark back; its number is not used again."""
+        """Take the scan since the last mark back; its stamp is not used again, since stamps are not taken back."""
         octomap.undo_scan(self.log_odds, self._touched, self._before, self._count)
         self._count = 0
+        self._scan = self._marked_scan
 
 
 class CollisionCheck:

@@ -1,4 +1,4 @@
-"""Everything that is written of a campaign: report.md, its figures, the block of the README, and the figures as JSON."""
+"""Everything that is written of a campaign: report.md, figures, the block of the README, all numbers as JSON."""
 
 import json
 from collections.abc import Callable
@@ -11,6 +11,7 @@ from mavfi.campaign.analysis import analyse
 from mavfi.campaign.worker import plain
 from mavfi.errors import BadInputError
 from mavfi.reports import figures, markdown
+from mavfi.reports.comparable import only_comparable
 from mavfi.reports.telling import draw_telling_run
 
 PICTURE = "flight.png"
@@ -40,7 +41,7 @@ def write_report(
     Raises:
         BadInputError: There is no campaign, or the folder cannot be written.
     """
-    analysis = analyse(directory)
+    analysis = only_comparable(analyse(directory))
     if shown is not None:
         shown(analysis)
     today = date.today().isoformat()

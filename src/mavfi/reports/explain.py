@@ -11,7 +11,7 @@ from mavfi.campaign.replay import golden_twin
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.flight_log import FlightLog
-from mavfi.reports.watch import Difference, fly_watched, first_difference
+from mavfi.reports.watch import Difference, first_difference, fly_watched
 
 LEFT = 0.1
 """Distance from the twin, at the same instant, from which a flight counts as having left its path (m)."""
@@ -124,7 +124,7 @@ def lines(found: Explanation) -> list[tuple[str, str]]:
     story = [("run", f"{spec.run_id}: {spec.environment}, seed {spec.seed}, setting {spec.setting}{watched}")]
     if not found.same:
         story.append(("note", "another digest than the stored one: other versions or another machine flew it"))
-    story += [("fault", _fault(injection)) for injection in found.log.injections]
+    story += [("fault", _fault(spec, injection)) for injection in found.log.injections]
     story.append(("first difference", _difference(found.first)))
     story.append(("path", _path(found.departure)))
     story += _alarms(found.log.alarms)
@@ -132,7 +132,9 @@ def lines(found: Explanation) -> list[tuple[str, str]]:
     return story
 
 
-def _fault(injection: dict[str, Any]) -> str:
+def _fault(spec: RunSpec, injection: dict[str, Any]) -> str:
+    if spec.fault is not None and not spec.fault.has_site:
+        return f"{injection['site']}: no site, the golden flight never published it"
     if not injection["hit"]:
         return f"{injection['site']}: not hit, no such publication came"
     bit = "empty mask" if injection["bit"] is None else f"bit {injection['bit']}"
@@ -144,16 +146,15 @@ def _difference(first: Difference | None) -> str:
     if first is None:
         return "none: every published value is bit for bit that of the golden twin"
     where = f"{first.state}.{first.field}" if first.field else first.state
-    return (
-        f"{where} at {1e-6 * first.time_us:.3f} s: golden {_short(first.golden)}, here {_short(first.injected)}"
-    )
+    return f"{where} at {1e-6 * first.time_us:.3f} s: golden {_short(first.golden)}, here {_short(first.injected)}"
 
 
 def _path(parted: Departure) -> str:
     if parted.time_s is None or parted.position is None:
         if parted.largest_m == 0.0:
             return "never left that of the golden twin"
-        return f"stayed within {LEFT:g} m of the golden twin's (largest {parted.largest_m:.2g} m at {parted.largest_s:.2f} s)"
+        farthest = f"largest distance {parted.largest_m:.2g} m at {parted.largest_s:.2f} s"
+        return f"stayed within {LEFT:g} m of the golden twin's; {farthest}"
     x, y, z = parted.position
     return (
         f"left the golden twin's at {parted.time_s:.2f} s, at ({x:.1f}, {y:.1f}, {z:.1f}) m; "

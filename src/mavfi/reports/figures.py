@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from mavfi.campaign.plan import FI
@@ -43,6 +44,16 @@ def _headline(entries: list[Entry]) -> list[Entry]:
     return [entry for entry in entries if entry["population"] in wanted]
 
 
+def _leading(entries: list[Entry], name: str) -> list[Entry]:
+    """Of each value and setting the leading bit stratum; groups may be drawn from strata of their own."""
+    order = populations_of(entries)
+    found: dict[tuple[str, ...], Entry] = {}
+    for entry in sorted(entries, key=lambda entry: order.index(entry["population"])):
+        found.setdefault((entry["environment"], entry[name], entry["setting"]), entry)
+    places = [(entry["environment"], entry[name], entry["setting"]) for entry in entries]
+    return [found[place] for place in dict.fromkeys(places)]
+
+
 def _names(entries: list[Entry], key: str) -> list[str]:
     return list(dict.fromkeys(entry[key] for entry in entries))
 
@@ -53,7 +64,7 @@ def success(analysis: Analysis) -> Figure | None:
     environments, settings = _names(entries, "environment"), _names(entries, "setting")
     if not entries:
         return None
-    figure = Figure(figsize=(max(5.5, 2.2 + 1.9 * len(environments)), 3.9), layout="constrained")
+    figure = Figure(figsize=(max(6.6, 1.6 + 1.7 * len(environments)), 3.9), layout="constrained")
     axes = figure.subplots()
     colours = style.setting_colours(settings)
     width = 0.8 / len(settings)
@@ -77,10 +88,13 @@ def success(analysis: Analysis) -> Figure | None:
         for a, value in beside:
             axes.plot([a - 0.36 * width, a + 0.36 * width], [value] * 2, color=style.INK, linewidth=2.0, zorder=3)
             lowest = min(lowest, value)
-    if any(entry["paper"] is not None for entry in entries):
-        axes.plot([], [], color=style.INK, linewidth=2.0, label="the paper (instruction level)")
     _frame(axes, environments, max(0.0, np.floor(10 * lowest - 0.5) / 10))
-    axes.set_title(f"Success · stack {analysis['campaign']['stack']} · one fault per mission", pad=30)
+    axes.set_title(f"Success · stack {analysis['campaign']['stack']} · one fault per mission", pad=10)
+    handles, labels = axes.get_legend_handles_labels()
+    if any(entry["paper"] is not None for entry in entries):
+        handles.append(Line2D([], [], color=style.INK, linewidth=2.0))
+        labels.append("the paper (instruction level)")
+    figure.legend(handles, labels, loc="outside lower left", ncols=6, fontsize=8.5, columnspacing=1.2, handlelength=1.2)
     return figure
 
 
@@ -94,7 +108,6 @@ def _frame(axes: Axes, environments: list[str], lowest: float) -> None:
     axes.yaxis.set_major_formatter(lambda share, _: f"{100 * share:.0f} %")
     axes.grid(axis="y")
     axes.set_ylabel("missions that succeed")
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=6, fontsize=8.5, columnspacing=1.2, handlelength=1.2)
 
 
 def flight_time(analysis: Analysis) -> Figure | None:
@@ -114,7 +127,7 @@ def flight_time(analysis: Analysis) -> Figure | None:
             values = np.array(entry["inflations"])
             x = np.concatenate([[-1.0], values, [reach]])
             share = np.concatenate([[0.0], np.arange(1, len(values) + 1), [len(values)]]) / entry["n"]
-            width = 3.2 if entry["setting"] == FI else 1.4  # where arms do as fi does, both are seen
+            width = 2.8 if entry["setting"] == FI else 1.4  # where arms do as fi does, both are seen
             axes.step(x, share, where="post", color=colours[entry["setting"]], linewidth=width, label=entry["setting"])
         axes.set_title(environment)
         axes.set_xlim(-0.05, reach)
@@ -138,7 +151,7 @@ def _arrived(entry: Entry, inflation: float) -> float:
 def states(analysis: Analysis) -> Figure | None:
     """What each state (or group of fields) costs: share of missions that fail or take more than 5 % longer."""
     key, name = ("by_target", "target") if analysis["campaign"]["law"] == "groups" else ("by_state", "state")
-    entries = _headline([entry for entry in analysis[key] if entry["population"] != "all"])
+    entries = _leading(analysis[key], name)
     environments = _names(entries, "environment")
     whole = "all" if "all" in environments else (environments[0] if environments else "")
     entries = [entry for entry in entries if entry["environment"] == whole]
@@ -159,7 +172,7 @@ def states(analysis: Analysis) -> Figure | None:
     axes.xaxis.set_major_formatter(lambda share, _: f"{100 * share:.0f} %")
     axes.grid(axis="x")
     axes.tick_params(axis="y", length=0)
-    bits = text.population(entries[0]["population"])
+    bits = ", ".join(text.population(name) for name in _names(entries, "population"))
     where = "all environments" if whole == "all" else whole
     axes.set_xlabel(f"missions that fail or take more than 5 % longer ({bits}, {where})")
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=6, fontsize=8.5, handlelength=1.2)

@@ -38,9 +38,9 @@ def readme_block(analysis: Analysis, date: str) -> str:
     each = "group" if c["law"] == "groups" else "stage"
     head = (
         f"Generated on {date} by mavfi {c['versions']['mavfi']} ({versions}): campaign `{c['name']}`, stack "
-        f"`{c['stack']}`, platform `{c['platform']}`, planner `{c['planner']}`, {c['flights']} missions per environment "
-        f"(seeds {c['seeds'][0]} to {c['seeds'][1]}), {c['faults']} faults per {each}, {c['done']} flights, digest "
-        f"`{c['digest'][:16]}`."
+        f"`{c['stack']}`, platform `{c['platform']}`, planner `{c['planner']}`, {c['flights']} missions "
+        f"per environment (seeds {c['seeds'][0]} to {c['seeds'][1]}), {c['faults']} faults per {each}, {c['done']} "
+        f"flights, digest `{c['digest'][:16]}`."
     )
     return "\n\n".join([head, _grid(table), _notes(table), null_line(analysis)]) + "\n"
 

@@ -1,4 +1,4 @@
-"""A picture of one flight: obstacles, what the map knew, the paths, and the moment of the fault; from above and side."""
+"""A picture of one flight, from above and from the side: obstacles, what the map knew, the paths, the fault."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -76,14 +76,14 @@ def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None) ->
     courses = []
     if golden is not None:
         line = {"color": style.BLUE, "linewidth": 1.2, "zorder": 6}
-        courses.append(_Course("golden flight", _positions(golden), line))
+        courses.append(_Course("golden", _positions(golden), line))
     alone = golden is None
-    label = "flight" if alone else "flight with the fault"
+    label = "flight" if alone else "with the fault"
     line = {"color": style.BLUE if alone else style.ORANGE, "linewidth": 2.6, "zorder": 5, "path_effects": _HALO}
     courses.append(_Course(label, _positions(flight), line))
     if recovered is not None:
         line = {"color": style.GREEN, "linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 7}
-        courses.append(_Course("same fault, detector on", _positions(recovered), line))
+        courses.append(_Course("with fault and detector", _positions(recovered), line))
     return courses
 
 
@@ -151,11 +151,11 @@ def _draw_scan(above: Axes, side: Axes, world: World, course: np.ndarray) -> Non
     end = world.origin + shape * world.resolution
     cells = np.clip(((course - world.origin) / world.resolution).astype(int), 0, shape - 1)
     middle = int(np.median(cells[:, 2]))
-    plan = world.occupied[:, :, max(0, middle - 1) : middle + 2].any(axis=2)
+    plan = np.asarray(world.occupied[:, :, max(0, middle - 1) : middle + 2].any(axis=2))
     columns = np.arange(shape[0])
     order = np.argsort(cells[:, 0], kind="stable")
     rows = np.interp(columns, cells[order, 0], cells[order, 1]).round().astype(int)
-    elevation = world.occupied[columns, rows, :]
+    elevation: np.ndarray = world.occupied[columns, rows, :]
     for axes, solid, index in ((above, plan, 1), (side, elevation, 2)):
         extent = (world.origin[0], end[0], world.origin[index], end[index])
         _shade(axes, solid, extent, _SOLID, 1)
@@ -206,7 +206,7 @@ def _draw_marks(above: Axes, side: Axes, flight: Flight) -> list[Line2D]:
     """Start, goal, fault, and where a failed flight ended; answers what the legend says of them."""
     time = flight.log.column("time")
     points = flight.log.columns("x", "y", "z")
-    plain = {"linestyle": "", "markeredgecolor": "white", "markeredgewidth": 1.0}
+    plain: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white", "markeredgewidth": 1.0}
     marks: list[tuple[np.ndarray, str, dict[str, Any]]] = [
         (flight.world.start, "start", {"marker": "o", "markersize": 9, "color": style.INK}),
         (flight.world.goal, "goal", {"marker": "s", "markersize": 9, "color": style.INK}),
@@ -214,7 +214,7 @@ def _draw_marks(above: Axes, side: Axes, flight: Flight) -> list[Line2D]:
     for injection in flight.log.injections:
         if injection["hit"]:
             row = min(int(np.searchsorted(time, injection["time_s"])), len(time) - 1)
-            marks.append((points[row], "moment of the fault", {"marker": "*", "markersize": 17, "color": style.AMBER}))
+            marks.append((points[row], "fault strikes", {"marker": "*", "markersize": 17, "color": style.AMBER}))
     if flight.log.status is not MissionStatus.SUCCESS:
         finite = points[np.isfinite(points).all(axis=1)]
         label = flight.log.status.label.replace("_", " ")
@@ -261,9 +261,9 @@ def _legend(figure: Figure, courses: list[_Course], marks: list[Line2D], known: 
     handles += marks
     handles.append(Patch(facecolor=_SOLID, edgecolor=_EDGE, label="solid" if world.is_voxels else "obstacle"))
     if known:
-        handles.append(Patch(facecolor=_MAP, alpha=0.5, label="occupied in the map"))
+        handles.append(Patch(facecolor=_MAP, alpha=0.5, label="seen by the map"))
     height = figure.get_figheight()
     figure.legend(
         handles=handles, loc="center right", bbox_to_anchor=(1 - 0.1 / _WIDTH, 1 - 0.62 / height), ncols=len(handles),
-        fontsize=8.5, handlelength=1.6, columnspacing=1.4, borderpad=0, handletextpad=0.6,
+        fontsize=8.5, handlelength=1.6, columnspacing=1.3, borderpad=0, handletextpad=0.6,
     )  # fmt: skip

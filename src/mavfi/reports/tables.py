@@ -1,6 +1,6 @@
 """Tables of a report as plain text, derived from the analysis of a campaign; terminal and Markdown show the same."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -38,7 +38,7 @@ class Table:
 
     title: str
     columns: tuple[str, ...]
-    rows: list[tuple[str, ...]]
+    rows: Sequence[tuple[str, ...]]
     notes: tuple[str, ...] = field(default=())
     detail: bool = False
 
@@ -52,7 +52,13 @@ def tables(analysis: Analysis) -> list[Table]:
     flew = {"published": DEVIATIONS, "hardened": NOT_THE_PAPERS}.get(stack, "")
     below = f"stack {stack}" + (f"; {flew}" if flew else "")
     found = [table for maker in makers for table in maker(analysis) if table.rows]
-    return [Table(t.title, t.columns, t.rows, (*t.notes, below), t.detail) for t in found]
+    return [Table(t.title, t.columns, _together(t.rows), (*t.notes, below), t.detail) for t in found]
+
+
+def _together(rows: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Rows that begin with the same cell one below the other, in the order in which these cells first appear."""
+    first = list(dict.fromkeys(row[0] for row in rows))
+    return sorted(rows, key=lambda row: first.index(row[0]))
 
 
 def _ordered(entries: Iterable[Entry], *keys: str) -> dict[tuple[Any, ...], list[Entry]]:
@@ -90,12 +96,18 @@ def success(analysis: Analysis) -> Iterable[Table]:
 
 def _separable(analysis: Analysis) -> list[str]:
     told = [
-        f"{entry['environment']} {text.percent(entry['golden_fi'], 0)} / {text.percent(entry['fi_dr'], 0)}"
+        f"{entry['environment']} {_points(entry['golden_fi'])} / {_points(entry['fi_dr'])}"
         for entry in analysis["separable"]
     ]
     if not told:
         return []
-    return ["smaller differences than these are not told apart (golden – fi / fi – dr, power 80 %): " + "; ".join(told)]
+    return [
+        "smaller differences, in points, are not told apart (golden – fi / fi – dr, power 80 %): " + "; ".join(told)
+    ]
+
+
+def _points(share: float | None) -> str:
+    return text.ABSENT if share is None else f"{100 * share:.0f}"
 
 
 def recovery(analysis: Analysis) -> Iterable[Table]:
@@ -124,13 +136,13 @@ def recovery(analysis: Analysis) -> Iterable[Table]:
         "fi / dr only: pairs in which only that one succeeds; p: McNemar's exact test", ONE_FAULT,
     )  # fmt: skip
     yield Table("Recovery", columns, rows, notes)
-    rows = [
+    pairs = [
         (e["environment"], text.population(e["population"]), str(e["n"]), str(e["first_only"]), str(e["second_only"]),
          f"{e['p_value']:.3g}")
         for e in analysis["golden_against_faults"]
     ]  # fmt: skip
-    columns = ("environment", "bits", "pairs", "only golden succeeds", "only fi succeeds", "p")
-    yield Table("Golden against one fault, in pairs", columns, rows, ("p: McNemar's exact test", ONE_FAULT))
+    headings = ("environment", "bits", "pairs", "only golden succeeds", "only fi succeeds", "p")
+    yield Table("Golden against one fault, in pairs", headings, pairs, ("p: McNemar's exact test", ONE_FAULT))
 
 
 _BY = (
@@ -221,32 +233,33 @@ def flight_times(analysis: Analysis) -> Iterable[Table]:
             text.signed_percent(energy.get("worst")), f"{e['censored']}/{e['n']}",
         ))  # fmt: skip
     columns = (
-        "environment", "setting", "pairs", "median", "95 %", "worst", "paper, worst", "time limit", "worst energy", "fail",
+        "environment", "setting", "pairs", "median", "95 %", "worst", "paper's worst", "limit", "worst energy", "fail",
     )  # fmt: skip
     notes = (
-        "flight time / that of the golden flight of the same world – 1, on pairs that succeed in all settings; failures "
-        "have no flight time, see the last column",
+        "flight time / that of the golden flight of the same world – 1, on pairs that succeed in all settings; "
+        "failures have no flight time, see the last column",
         "the time limit bounds the worst case; the paper recovers percentage points of its worst case", ONE_FAULT,
     )  # fmt: skip
     yield Table("Flight time", columns, rows, notes)
-    rows = [
+    medians = [
         (e["environment"], e["setting"], str(e["n"]), text.number(e["flight_time_s"], 1, "s"),
          text.number(e["energy_j"] / 1000, 1, "kJ"), text.number(e["distance_m"], 1, "m"), f"{e['replans']:g}")
         for e in analysis["golden"]
     ]  # fmt: skip
-    columns = ("environment", "setting", "n", "flight time", "energy", "distance", "replans")
-    yield Table("Golden flights that succeed, medians", columns, rows)
+    headings = ("environment", "setting", "n", "flight time", "energy", "distance", "replans")
+    yield Table("Golden flights that succeed, medians", headings, medians)
 
 
 def false_alarms(analysis: Analysis) -> Iterable[Table]:
     """Alarms on golden flights."""
     rows = []
     for e in analysis["false_alarms"]:
-        per_hour = text.ABSENT if e["per_hour"] is None else f"{e['per_hour']:.2f} [{e['low']:.2f}, {e['high']:.2f}]"
-        kinds = ", ".join(f"{kind} {count}" for kind, count in e["kinds"].items())
+        per_hour = text.ABSENT if e["per_hour"] is None else f"{e['per_hour']:.1f} [{e['low']:.1f}, {e['high']:.1f}]"
+        # "source/action/outcome"; the source is in the name of the setting
+        kinds = ", ".join(f"{' '.join(kind.split('/')[1:])} {count}" for kind, count in e["kinds"].items())
         rows.append((
             e["environment"], e["setting"], str(e["flights"]), str(e["flights_with_alarm"]), str(e["events"]),
-            f"{e['hours']:.2f} h", per_hour, text.number(e["upper"], 2), kinds,
+            f"{e['hours']:.2f} h", per_hour, text.number(e["upper"]), kinds,
         ))  # fmt: skip
     columns = (
         "environment", "setting", "flights", "with alarm", "alarms", "exposure", "per hour", "upper bound", "kinds",
@@ -275,7 +288,8 @@ def overheads(analysis: Analysis) -> Iterable[Table]:
         stages = [text.small_percent(e["recompute"][stage]) for stage in ("perception", "planning", "control")]
         paper = e["paper"] or {}
         beside = " / ".join(text.small_percent(paper[stage]) for stage in paper) or text.ABSENT
-        rows.append((e["environment"], e["setting"], str(e["flights"]), *stages, text.small_percent(e["total"]), beside))
+        total = text.small_percent(e["total"])
+        rows.append((e["environment"], e["setting"], str(e["flights"]), *stages, total, beside))
     columns = ("environment", "setting", "flights", "perception", "planning", "control", "total", "paper (stages)")
     notes = ("recomputation / compute time of the pipeline, both in the platform's modelled time; nothing was measured "
              "on that hardware",)  # fmt: skip
@@ -289,14 +303,14 @@ def sites(analysis: Analysis) -> Iterable[Table]:
             for e in analysis["unmonitored_failures"]]  # fmt: skip
     columns = ("environment", "failures (fi)", "at unmonitored sites")
     yield Table("Failures at sites that no detector watches", columns, rows, (f"monitored set {watched}",))
-    rows = [
+    shares = [
         (e["environment"], e["state"], str(e["publications"]), str(e["acted_on"]),
          text.percent(e["acted_on"] / e["publications"] if e["publications"] else None, 2))
         for e in analysis["acted_on"]
     ]  # fmt: skip
-    columns = ("environment", "state", "publications", "acted on", "share")
+    headings = ("environment", "state", "publications", "acted on", "share")
     notes = ("golden flights; faults on this state strike only publications that consumers act on",)
-    yield Table("Publications that consumers act on", columns, rows, notes)
+    yield Table("Publications that consumers act on", headings, shares, notes)
 
 
 def null_line(analysis: Analysis) -> str:
@@ -315,7 +329,9 @@ def header(analysis: Analysis) -> list[str]:
     """What was flown, in lines."""
     c = analysis["campaign"]
     seeds = f"seeds {c['seeds'][0]} to {c['seeds'][1]}"
-    strata = " : ".join(f"{text.population(name)} {share:g}" for name, share in sorted(c["strata"].items(), reverse=True))
+    shares = sorted(c["strata"].items(), reverse=True)
+    strata = " : ".join(f"{text.population(name)} {share:g}" for name, share in shares)
+    versions = sorted(c["versions"].items(), key=lambda item: item[0] != "mavfi")
     each = "group" if c["law"] == "groups" else "stage"
     speed = "" if c["v_max"] is None else f" · {c['v_max']:g} m/s"
     lines = [
@@ -323,8 +339,16 @@ def header(analysis: Analysis) -> list[str]:
         f"{c['flights']} missions per environment ({seeds}), {c['faults']} faults per {each}, drawn {strata}, "
         f"fields: {c['sites']}",
         f"{c['done']} of {c['total']} flights done · digest {c['digest'][:16]}…",
-        " · ".join(f"{name} {version}" for name, version in sorted(c["versions"].items(), key=lambda v: v[0] != "mavfi")),
+        " · ".join(f"{name} {version}" for name, version in versions),
     ]
+    if c["detectors"]:
+        arms = (
+            f"{name} ({arm['profile']})"
+            if name == arm["detector"]
+            else f"{name} = {arm['detector']} ({arm['profile']})"
+            for name, arm in sorted(c["detectors"].items())
+        )
+        lines.insert(2, f"detectors: {', '.join(arms)}; coupling inline; monitored set {c['monitored_set']}")
     if c["on_design_seeds"]:
         lines.append("Flown on design seeds: no figure for publication.")
     if c["done"] < c["total"]:

@@ -1,11 +1,12 @@
 """Numbers as text for people: the same everywhere in a report."""
 
+from collections.abc import Mapping
 from typing import Any
 
 ABSENT = "—"
 POPULATIONS = {
-    "all": "all", "sign_exponent": "sign + exponent", "mantissa": "mantissa", "whole_word": "whole word", "sign": "sign",
-    "exponent": "exponent",
+    "all": "all", "sign_exponent": "sign + exponent", "mantissa": "mantissa", "whole_word": "whole word",
+    "sign": "sign", "exponent": "exponent",
 }  # fmt: skip
 
 
@@ -29,7 +30,7 @@ def interval(low: float | None, high: float | None) -> str:
     return "" if low is None or high is None else f"[{100 * low:.1f}, {100 * high:.1f}]"
 
 
-def rate(entry: dict[str, Any] | None) -> str:
+def rate(entry: Mapping[str, Any] | None) -> str:
     """A rate in per cent with its interval and n: "93.3 [78.7, 98.2] 28/30"; a weighted rate has no count: "n=30"."""
     if entry is None or entry["rate"] is None:
         return ABSENT

@@ -62,7 +62,7 @@ def fly_watched(store: Store, spec: RunSpec) -> Watched:
     watcher = _Watcher()
     tools = host_tools()
     fly_again(store, spec, Tools(watcher, tools.load_detector, tools.make_scenario))
-    assert watcher.flight is not None  # noqa: S101 - fly_again has flown
+    assert watcher.flight is not None  # fly_again has flown
     return Watched(watcher.flight, watcher.publications)
 
 
@@ -121,4 +121,3 @@ def _first_row(before: np.ndarray, after: np.ndarray) -> int | None:
     bits = [np.ascontiguousarray(values).view(np.uint8).reshape(-1, size) for values in (before, after)]
     rows = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
     return int(rows[0]) if len(rows) else None
-

@@ -140,10 +140,9 @@ def recount(grid, occupied, offsets):
     """For each voxel, how many occupied ones have it in their ball."""
     counter = np.zeros((grid.nx, grid.ny, grid.nz), np.int16)
     for cell in np.argwhere(occupied.reshape(counter.shape)):
-        for offset in offsets:
-            target = cell + offset
-            if np.all(target >= 0) and np.all(target < counter.shape):
-                counter[tuple(target)] += 1
+        targets = cell + np.asarray(offsets)
+        inside = ((targets >= 0) & (targets < counter.shape)).all(axis=1)
+        np.add.at(counter, tuple(targets[inside].T), 1)
     return counter.ravel()
 
 
@@ -182,9 +181,7 @@ def known_free_distance(counter, cells, grid, points, first, horizon, reach, esc
             unknown = min(unknown, arcs[first])
             continue
         leading = False
-        box = tuple(
-            slice(max(c - r, 0), c + r + 1) for c, r in zip(cell, (reach, reach, 1), strict=True)
-        )
+        box = tuple(slice(max(c - r, 0), c + r + 1) for c, r in zip(cell, (reach, reach, 1), strict=True))
         if arcs[i] - arcs[first] < horizon and (known[box] == 0).any():
             unknown = min(unknown, arcs[i])
     return math.inf, unknown

@@ -27,6 +27,4 @@ def test_a_segment_is_free_when_no_voxel_on_it_is_blocked():
     for _ in range(200):
         counter = scenes.counter(random, 0.05)
         a, b = scenes.point(random), scenes.point(random)
-        assert segment_free(counter, scenes.GRID, a, b) == (
-            naive.first_blocked(counter, scenes.GRID, a, b, True) > 1.0
-        )
+        assert segment_free(counter, scenes.GRID, a, b) == (naive.first_blocked(counter, scenes.GRID, a, b, True) > 1.0)

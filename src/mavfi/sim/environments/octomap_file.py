@@ -47,7 +47,7 @@ class Leaves(NamedTuple):
 
 
 def octomap_file(
-    seed: int, path: str, band: float = 0.9, start: Vector | None = None, goal: Vector | None = None
+    seed: int, path: str, start: Vector | None = None, goal: Vector | None = None, band: float = 0.9
 ) -> World:
     """The world of a scan: what it has not seen is solid.
 
@@ -57,9 +57,9 @@ def octomap_file(
     Args:
         seed: Not used: a scan is the same for every seed.
         path: File, `.bt` or `.ot`.
-        band: How far planners may go above and below start and goal (m).
         start: Start (m); must be given.
         goal: Goal (m); must be given.
+        band: How far planners may go above and below start and goal (m).
 
     Raises:
         BadInputError: The file is absent, foreign, truncated or too large, start or goal are missing, or no way leads

@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from mavfi.errors import BadInputError
 from mavfi.sim.environments import build_world, environment_for_file
+from mavfi.sim.environments import octomap_file as octomap_file_module
 from mavfi.sim.environments.octomap_file import octomap_file, read_octree
 
 SCAN = Path(__file__).parents[5] / "shared" / "data" / "geb079.bt"
@@ -134,6 +135,41 @@ def test_an_absent_file_or_end_is_refused(tmp_path, voxels):
         octomap_file(0, str(write(tmp_path / "room.bt", voxels, bits)), START, None)
     with pytest.raises(BadInputError, match="path"):
         octomap_file(0, 7, START, GOAL)
+
+
+def hall(wall=()):
+    """Free space of 20 x 10 x 4 m in voxels of 0.25 m, with solid slices at x = 10 m."""
+    occupied = np.ones((82, 42, 18), bool)
+    occupied[1:-1, 1:-1, 1:-1] = False
+    for low, high in wall:
+        occupied[40, low:high] = True
+    return occupied
+
+
+@pytest.mark.parametrize(
+    ("wall", "half_width"),
+    (
+        ((), 1.0),
+        (((0, 20), (24, 42)), 1.0),  # a door in the middle
+        (((0, 32), (36, 42)), 4.0),  # a door 3 m aside
+    ),
+)
+def test_planners_are_kept_to_the_narrowest_box_with_a_way(tmp_path, monkeypatch, wall, half_width):
+    path = tmp_path / "hall.bt"
+    path.write_bytes(b"")
+    monkeypatch.setattr(octomap_file_module, "_read_grid", lambda *_: (hall(wall), np.array([0.0, -5.25, 0.0]), 0.25))
+    world = octomap_file(0, str(path), (5.0, 0.0, 1.5), (15.0, 0.0, 2.0))
+    np.testing.assert_allclose(world.flight_lower, (5.0 - half_width, -half_width, 0.6))
+    np.testing.assert_allclose(world.flight_upper, (15.0 + half_width, half_width, 2.9))
+
+
+def test_ends_without_a_way_between_them_are_refused(tmp_path, monkeypatch):
+    path = tmp_path / "hall.bt"
+    path.write_bytes(b"")
+    blocked = (hall([(0, 42)]), np.array([0.0, -5.25, 0.0]), 0.25)
+    monkeypatch.setattr(octomap_file_module, "_read_grid", lambda *_: blocked)
+    with pytest.raises(BadInputError, match="no way"):
+        octomap_file(0, str(path), (5.0, 0.0, 1.5), (15.0, 0.0, 2.0))
 
 
 def test_a_changed_file_is_read_again(tmp_path, voxels):

@@ -1,0 +1,60 @@
+"""Short missions, flown once each, and what tests need beside them."""
+
+from functools import cache
+
+import numpy as np
+
+from mavfi.detectors import Alarm
+from mavfi.faults.fault import Fault, FaultSite
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.inprocess import fly
+from mavfi.sim.environments.arena import arena_world
+
+STACKS = ("published", "hardened")
+GOAL = (45.0, 5.0, 3.0)
+"""Behind an obstacle: there is a predicted collision and a second plan on the way."""
+
+
+def mission(stack="published", **changes):
+    """36 m through dense boxes, about 15 s."""
+    return make_scenario("dense", 1, stack=stack, goal=GOAL, **changes)
+
+
+@cache
+def golden(stack="published"):
+    return fly(mission(stack), want_profile=True)
+
+
+def fault(state, field, at, bit=None, element=None):
+    return Fault("state", FaultSite(state, field, element), int(1e6 * at), bit)
+
+
+class Scripted:
+    """A detector that alarms at the n-th publication of one state, and remembers what it was shown."""
+
+    def __init__(self, state="", n=10, stage="control", times=1, **alarm):
+        self.state, self.n, self.stage, self.times, self.alarm = state, n, stage, times, alarm
+
+    def start(self):
+        self.seen, self.accepted, self.alarmed = 0, [], []
+
+    def check(self, state, time_us):
+        if state.spec.name != self.state:
+            return None
+        self.seen += 1
+        if not self.n <= self.seen < self.n + self.times:
+            return None
+        self.alarmed.append((time_us, state.copy()))
+        return Alarm("scripted", self.stage, **self.alarm)
+
+    def accept(self, state, time_us):
+        self.accepted.append((time_us, state.spec.name))
+
+
+def walled(seed, start=None, goal=None):
+    """A start in a closed yard."""
+    del seed
+    lower = [(5.0, -8.0, 0.0), (5.0, 7.0, 0.0), (4.0, -8.0, 0.0), (20.0, -8.0, 0.0)]
+    upper = [(21.0, -7.0, 12.0), (21.0, 8.0, 12.0), (5.0, 8.0, 12.0), (21.0, 8.0, 12.0)]
+    ends = (start or (12.0, 0.0, 3.0), goal or (60.0, 0.0, 3.0))
+    return arena_world(np.array(lower), np.array(upper), *(np.array(end, float) for end in ends))

@@ -1,0 +1,116 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavfi.hosts.inprocess import fly
+from mavfi.mission import MissionStatus
+from mavfi.states import STATES
+from tests.hosts.missions import GOAL, STACKS, fault, golden, mission
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_the_short_mission_succeeds_and_replans(stack):
+    log = golden(stack).log
+    assert log.status is MissionStatus.SUCCESS
+    assert log.count("plan") >= 2 and log.count("collision_predicted") >= 1
+    assert np.isfinite(log.rows).all()
+    assert log.injections == [] and log.alarms == []
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_the_same_scenario_gives_the_same_bytes(stack):
+    again = fly(mission(stack))
+    assert again.log.digest() == golden(stack).log.digest()
+    assert again.log.rows.tobytes() == golden(stack).log.rows.tobytes()
+    assert again.log.events == golden(stack).log.events
+
+
+def test_another_process_gives_the_same_digest():
+    program = (
+        "from mavfi.hosts.compose import make_scenario\nfrom mavfi.hosts.inprocess import fly\n"
+        f"print(fly(make_scenario('dense', 1, goal={GOAL})).log.digest())"
+    )
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == golden().log.digest()
+
+
+def test_another_seed_or_stack_gives_another_digest():
+    digests = {golden(stack).log.digest() for stack in STACKS}
+    digests.add(fly(mission(depth_noise=0.01)).log.digest())
+    assert len(digests) == 3
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("state", STATES)
+def test_a_null_fault_gives_the_golden_digest(state, stack):
+    spec = STATES[state]
+    flight = fly(mission(stack), fault(state, spec.fields[0].name, 5.0))
+    assert flight.log.digest() == golden(stack).log.digest()
+    (injection,) = flight.log.injections
+    published = (golden(stack).profile.times_us[state] >= 5_000_000).any()
+    assert injection["hit"] == published
+    assert injection["before"] == injection["after"]
+
+
+DEAD = [
+    (stack, state, field.name)
+    for stack in STACKS
+    for state, spec in STATES.items()
+    for field in spec.fields
+    if field.dead_in(stack)
+]
+
+
+@pytest.mark.parametrize(("stack", "state", "field"), DEAD)
+def test_a_fault_in_a_dead_field_is_masked(stack, state, field):
+    kind = STATES[state].find(field).dtype
+    struck = 0.5 * golden(stack).profile.times_us[state][[0, -1]].sum() * 1e-6
+    bit = {"f8": 62, "i4": 30, "?": 0}[kind]
+    flight = fly(mission(stack), fault(state, field, struck, bit, element=0))
+    assert flight.log.injections[0]["hit"]
+    assert flight.log.digest() == golden(stack).log.digest()
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_an_acceleration_that_becomes_infinite_is_dead_or_refused(stack):
+    times = golden(stack).profile.times_us["planning.waypoint"]
+    for at in times[[3, len(times) // 2]]:
+        flight = fly(mission(stack), fault("planning.waypoint", "ax", 1e-6 * at, 62))
+        assert np.isfinite(flight.log.columns("x", "y", "z", "vx", "vy", "vz")).all()
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_injected_twins_are_equal_until_the_fault_and_differ_after(stack):
+    flight = fly(mission(stack), fault("planning.waypoint", "y", 4.0, 60))
+    (injection,) = flight.log.injections
+    assert injection["hit"] and injection["before"] != injection["after"]
+    ours, theirs = flight.log.rows, golden(stack).log.rows
+    n = min(len(ours), len(theirs))
+    differs = (ours[:n] != theirs[:n]).any(axis=1)
+    before = ours[:n, 0] <= injection["time_s"]
+    assert differs.any() and not differs[before].any()
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_a_fault_strikes_the_first_publication_at_or_after_its_time_once(stack):
+    times = golden(stack).profile.times_us["planning.waypoint"]
+    due = times[times >= 4_000_000][0]
+    changed = []
+
+    def watch(state, time_us):
+        if state.spec.name == "planning.waypoint" and abs(state.header["z"][0]) > 100.0:
+            changed.append(time_us)
+
+    flight = fly(mission(stack), fault("planning.waypoint", "z", 4.0, 61), observer=watch)
+    assert flight.log.injections[0]["time_s"] == pytest.approx(1e-6 * due)
+    assert changed == [due]
+
+
+def test_noise_leaves_the_world_alone():
+    noisy = fly(mission(depth_noise=0.01))
+    assert noisy.world.digest() == golden().world.digest()

@@ -1,0 +1,157 @@
+import numpy as np
+import pytest
+
+from mavfi.config import EnvironmentConfig
+from mavfi.errors import BadInputError
+from mavfi.hosts import inprocess
+from mavfi.hosts.compose import find_environment, make_scenario
+from mavfi.hosts.inprocess import fly
+from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus
+from mavfi.states import floats
+from tests.hosts.missions import STACKS, fault, golden, mission
+
+
+@pytest.mark.parametrize(
+    ("stack", "expected"),
+    [("published", MissionStatus.NO_PATH), ("hardened", MissionStatus.TIMEOUT)],  # hardened goes back and tries again
+)
+def test_in_a_closed_yard_no_path_is_found(stack, expected):
+    yard = EnvironmentConfig(name="yard", generator="tests.hosts.missions:walled")
+    scenario = mission(stack).model_copy(update={"environment": yard, "goal": (60.0, 0.0, 3.0)})
+    few = scenario.stack.model_copy(update={"max_failed_plans": 6})
+    flight = fly(scenario.model_copy(update={"stack": few}))
+    assert flight.log.status is expected
+    assert flight.log.count("plan_failed") > 6
+
+
+def test_the_time_limit_ends_a_flight(monkeypatch):
+    monkeypatch.setattr(inprocess, "time_limit", lambda *_: 2.0)
+    flight = fly(mission())
+    assert flight.log.status is MissionStatus.TIMEOUT
+    assert flight.log.column("time")[-1] == pytest.approx(2.0)
+    assert flight.log.meta["time_limit_s"] == 2.0
+
+
+def test_a_blind_vehicle_collides():
+    class Blind:
+        """The depth image says that nothing is there."""
+
+        def __init__(self, host):
+            self.depth = host.sim.depth
+
+        def __call__(self):
+            ranges, pose = self.depth()
+            return np.full_like(ranges, np.inf), pose
+
+    host = inprocess._Host(mission(), None, None, False, None)
+    host.sim.depth = Blind(host)
+    flight = host.fly()
+    assert flight.log.status is MissionStatus.COLLISION
+
+
+def judge(odometry, now=1_000_000, **changes):
+    host = inprocess._Host(mission(), None, None, False, None)
+    state = host.sim.odometry.copy()
+    for index, value in odometry.items():
+        state[index] = value
+    host.sim.odometry = state
+    for name, value in changes.items():
+        setattr(host, name, value)
+    return host._judge(now)
+
+
+@pytest.mark.parametrize(
+    ("odometry", "expected"),
+    [
+        ({}, None),
+        ({0: np.nan}, MissionStatus.INVALID_STATE),
+        ({12: np.inf}, MissionStatus.INVALID_STATE),
+        ({0: 45.0, 1: 5.0, 2: 4.9}, MissionStatus.SUCCESS),
+        ({0: 45.0, 1: 5.0, 2: 5.1}, None),
+        ({0: 120.0 + FLY_AWAY_MARGIN + 0.1}, MissionStatus.FLY_AWAY),
+        ({1: -30.0 - FLY_AWAY_MARGIN - 0.1}, MissionStatus.FLY_AWAY),
+        ({2: 12.0 + FLY_AWAY_MARGIN - 0.1}, None),
+    ],
+)
+def test_the_vehicles_state_is_judged(odometry, expected):
+    assert judge(odometry) is expected
+
+
+def test_failed_plans_and_time_are_judged():
+    limit = golden().log.meta["time_limit_s"] * 1e6
+    assert judge({}, failed_plans=mission().stack.max_failed_plans) is None
+    assert judge({}, failed_plans=mission().stack.max_failed_plans + 1) is MissionStatus.NO_PATH
+    assert judge({}, int(limit)) is MissionStatus.TIMEOUT
+    assert judge({}, int(limit) - 20_000) is None
+
+
+def test_every_warning_of_the_simulator_is_an_event(monkeypatch):
+    monkeypatch.setattr(inprocess.Simulator, "warnings", lambda _: ["BADQACC (2)", "CONTACTFULL (1)"])
+    monkeypatch.setattr(inprocess, "time_limit", lambda *_: 0.1)
+    log = fly(mission()).log
+    assert [event.data["text"] for event in log.events if event.kind == "warning"] == ["BADQACC (2)", "CONTACTFULL (1)"]
+    monkeypatch.undo()
+    assert golden().log.count("warning") == 0
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_reference_that_is_not_a_number_never_reaches_the_vehicle_and_heals(axis, stack):
+    class Corrupt:
+        """A fault injector of another kind: puts NaN into one way-point."""
+
+        done = False
+
+        def __call__(self, state, time_us):
+            if not self.done and time_us > 5_000_000 and state.spec.name == "planning.waypoint":
+                self.done = True
+                state = state.copy()
+                state.header[axis] = np.nan
+            return state
+
+        def finish(self):
+            return []
+
+    host = inprocess._Host(mission(stack), None, None, False, None)
+    host.injector = Corrupt()
+    flight = host.fly()
+    assert flight.log.meta["rejected_commands"] > 0
+    assert np.isfinite(flight.log.columns("x", "y", "z", "vx", "vy", "vz")).all()
+    assert flight.log.status in (MissionStatus.SUCCESS, MissionStatus.COLLISION)
+    assert flight.log.column("time")[-1] < 40.0
+
+
+def test_a_huge_command_is_shortened():
+    seen = []
+    probe = fault("control.command", "vz", 2.0, 62)
+    flight = fly(mission(), probe, observer=lambda s, t: seen.append(floats(s.header, 5).copy())
+                 if s.spec.name == "control.command" else None)  # fmt: skip
+    assert max(abs(values[2]) for values in seen) > 1e100
+    assert np.abs(flight.log.columns("vx", "vy", "vz")).max() < 6.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "message"),
+    [
+        (("nowhere", 1), {}, "environment 'nowhere': not known; allowed: "),
+        (("sparse", -1), {}, "seed: -1"),
+        (("sparse", 1), {"v_max": 99.0}, "v_max: 99.0"),
+        (("sparse", 1), {"stack": "soft"}, "stack 'soft': not known; allowed: hardened, published"),
+        (("sparse", 1), {"platform": "abacus"}, "platform 'abacus': not known"),
+    ],
+)
+def test_bad_names_are_told_with_what_is_allowed(arguments, options, message):
+    with pytest.raises(BadInputError, match=message):
+        make_scenario(*arguments, **options)
+
+
+def test_an_unknown_planner_is_told_when_the_flight_begins():
+    with pytest.raises(BadInputError, match="planner 'dowsing': not known; allowed: rrt_connect"):
+        fly(mission(planner="dowsing"))
+
+
+def test_what_is_not_given_comes_from_the_environment():
+    scenario = make_scenario("sparse", 3)
+    assert scenario.v_max == 3.0 and scenario.environment == find_environment("sparse")
+    assert make_scenario("sparse", 3, v_max=2.0).v_max == 2.0
+    assert make_scenario("sparse", 3).key() != make_scenario("sparse", 4).key()

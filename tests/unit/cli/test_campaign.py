@@ -1,0 +1,148 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from mavfi.cli import run
+
+CAMPAIGN = """
+name: tiny
+environments: [sparse]
+flights: {flights}
+faults: 1
+strata: {{sign_exponent: 1}}
+null_runs: 1
+"""
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory):
+    path = tmp_path_factory.mktemp("config") / "tiny.yaml"
+    path.write_text(CAMPAIGN.format(flights=1))
+    return path
+
+
+@pytest.fixture(scope="module")
+def flown(config, tmp_path_factory):
+    directory = tmp_path_factory.mktemp("flown")
+    assert run(["campaign", "run", str(config), "--out", str(directory), "--workers", "1"]) == 0
+    return directory
+
+
+def _json(capsys, *arguments):
+    assert run([*arguments, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_status_counts_by_setting(capsys, flown):
+    data = _json(capsys, "campaign", "status", str(flown))
+    assert data["complete"] and data["done"] == data["total"] == 5
+    assert data["settings"]["fi"] == {"planned": 3, "flown": 3, "succeeded": data["settings"]["fi"]["succeeded"]}
+
+
+def test_digest_is_the_same_when_run_again(capsys, config, flown):
+    digest = _json(capsys, "campaign", "digest", str(flown))["digest"]
+    assert run(["campaign", "run", str(config), "--out", str(flown), "--workers", "1"]) == 0
+    capsys.readouterr()
+    assert run(["campaign", "digest", str(flown)]) == 0
+    assert capsys.readouterr().out.strip() == digest
+
+
+def test_report_prints_tables_and_writes_files(capsys, flown):
+    assert run(["report", str(flown), "--no-draw-run"]) == 0
+    text = capsys.readouterr().out
+    assert "Success of missions" in text and "stack published" in text
+    assert {"report.md", "readme_block.md", "summary.json", "success.png"} <= {path.name for path in flown.iterdir()}
+    assert _json(capsys, "report", str(flown), "--no-draw-run")["campaign"]["name"] == "tiny"
+
+
+def test_replay_gives_the_same_bytes(capsys, flown):
+    data = _json(capsys, "replay", str(flown), "sparse-10000-fi-planning")
+    assert data["same"] and data["digest"] == data["stored_digest"]
+    assert run(["replay", str(flown), "sparse-10000-golden-"]) == 0
+    assert "the same flight, bit for bit" in capsys.readouterr().out
+
+
+def test_explain_tells_the_story(capsys, flown):
+    assert run(["explain", str(flown), "sparse-10000-fi-planning"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("run") and "first difference" in text and "end" in text
+    assert _json(capsys, "explain", str(flown), "sparse-10000-fi-planning")["same_digest"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["campaign", "run", "smoke", "--out", "OUT", "--workers", "0"], "workers: 0"),
+        (["campaign", "run", "nothing", "--out", "OUT"], "allowed: bits"),
+        (["campaign", "run", "absent.yaml", "--out", "OUT"], "absent.yaml"),
+        (["campaign", "run", "CONFIG", "--out", "CONFIG"], "cannot be written"),
+        (["campaign", "run", "CONFIG", "--out", "OUT", "--scale", "huge"], "scale 'huge'"),
+        (["campaign", "run", "smoke"], "--out"),
+        (["campaign", "status", "OUT"], "holds no campaign"),
+        (["campaign", "digest", "OUT"], "holds no campaign"),
+        (["report", "OUT"], "holds no campaign"),
+        (["replay", "OUT", "run"], "holds no campaign"),
+        (["explain", "OUT", "run"], "holds no campaign"),
+        (["replay", "FLOWN", "nothing"], "no run of that name"),
+        (["explain", "FLOWN", "sparse-10000-golden-"], "no fault to explain"),
+        (["reproduce", "--scale", "huge", "--out", "OUT"], "scale 'huge'"),
+        (["reproduce", "--workers", "0", "--out", "OUT"], "workers: 0"),
+        (["reproduce", "--out", "CONFIG"], "cannot be written"),
+        (["train", "--flights", "0", "--out", "OUT"], "--flights: 0"),
+        (["train", "--out", "CONFIG"], "cannot be written"),
+        (["states", "--stack", "soft"], "--stack"),
+        (["nothing"], "nothing"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, config, flown, arguments, told):
+    places = {"OUT": str(tmp_path / "out"), "CONFIG": str(config), "FLOWN": str(flown)}
+    assert run([places.get(argument, argument) for argument in arguments]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("mavfi: ") and error.count("\n") == 1
+    assert told in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_with_another_campaign_is_left_alone(capsys, tmp_path, flown):
+    before = _json(capsys, "campaign", "digest", str(flown))
+    other = tmp_path / "other.yaml"
+    other.write_text(CAMPAIGN.format(flights=2))
+    assert run(["campaign", "run", str(other), "--out", str(flown)]) == 2
+    assert "holds another campaign" in capsys.readouterr().err
+    assert _json(capsys, "campaign", "digest", str(flown)) == before
+
+
+@pytest.mark.slow
+def test_ctrl_c_stops_cleanly_and_the_same_command_goes_on(capsys, tmp_path):
+    config, out = tmp_path / "many.yaml", tmp_path / "out"
+    config.write_text(CAMPAIGN.format(flights=8))
+    command = [sys.executable, "-c", "from mavfi.cli import main; main()", "campaign", "run", str(config)]
+    command += ["--out", str(out), "--workers", "1"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    for _ in range(300):
+        time.sleep(0.1)
+        if out.is_dir() and (out / "campaign.sqlite").is_file() and _flown(out) >= 2:
+            break
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the workers too
+    _, error = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "Stopped." in error and "Traceback" not in error
+    assert 2 <= _flown(out) < 12
+    assert run(["campaign", "run", str(config), "--out", str(out), "--workers", "1"]) == 0
+    capsys.readouterr()
+    assert _json(capsys, "campaign", "status", str(out))["complete"]
+
+
+def _flown(directory):
+    from mavfi.campaign.run import status
+    from mavfi.errors import BadInputError
+
+    try:
+        return status(directory).done
+    except (BadInputError, TypeError):  # the ledger is being made
+        return 0

@@ -1,0 +1,158 @@
+import json
+import struct
+
+import pytest
+
+from mavfi.cli import run
+from mavfi.flight_log import FlightLog
+
+
+def _fly(capsys, *arguments):
+    assert run(["fly", "--environment", "sparse", "--seed", "7", "--json", *arguments]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.fixture(scope="module")
+def golden_digest():
+    from mavfi.hosts.compose import make_scenario
+    from mavfi.hosts.inprocess import fly
+
+    return fly(make_scenario("sparse", 7)).log.digest()
+
+
+def test_json_has_what_is_promised(capsys, golden_digest):
+    data = _fly(capsys)
+    assert data["status"] == "success"
+    assert data["digest"] == golden_digest
+    assert 25 < data["flight_time_s"] < 60
+    assert data["energy_j"] > 5_000
+    assert 80 < data["distance_m"] < 200
+    assert data["injections"] == [] and data["alarms"] == []
+    assert data["replans"] >= 0
+    assert (data["environment"], data["seed"], data["stack"]) == ("sparse", 7, "published")
+    assert data["golden"] is None and data["outcome"] is None
+
+
+def test_twice_the_same_seed_twice_the_same_digest(capsys, golden_digest):
+    assert _fly(capsys)["digest"] == golden_digest
+
+
+def test_a_null_fault_prints_the_golden_digest(capsys, golden_digest):
+    data = _fly(capsys, "--fault", "null")
+    assert data["digest"] == data["golden"]["digest"] == golden_digest
+    assert data["outcome"] == "masked"
+    assert data["injections"][0]["hit"] and data["injections"][0]["bit"] is None
+
+
+def test_a_named_fault_is_recorded_with_proof(capsys, golden_digest):
+    data = _fly(capsys, "--fault", "state:planning.waypoint.x:bit=62@20.0")
+    (injection,) = data["injections"]
+    assert injection["level"] == "state" and injection["site"] == "planning.waypoint.x" and injection["bit"] == 62
+    assert injection["hit"] and 20.0 <= injection["time_s"] < 21.0
+    before, after = (struct.unpack("<Q", struct.pack("<d", float(injection[key])))[0] for key in ("before", "after"))
+    assert before ^ after == 1 << 62
+    assert data["golden"]["digest"] == golden_digest != data["digest"]
+    assert data["outcome"] == "sdc"
+
+
+def test_a_drawn_fault_depends_on_its_seed(capsys):
+    sites = [_fly(capsys, "--fault", "state:control.command.vx", "--fault-seed", str(s))["fault"] for s in (1, 1, 2)]
+    assert sites[0] == sites[1] != sites[2]
+
+
+def test_text_for_people_names_stack_fate_fault_and_digest(capsys, golden_digest):
+    command = ["fly", "--environment", "sparse", "--seed", "7", "--fault", "state:planning.waypoint.x:bit=62@20.0"]
+    assert run(command) == 0
+    text = capsys.readouterr().out
+    assert "stack published" in text and "planning.waypoint.x" in text and "bit 62 (exponent)" in text
+    assert "golden" in text and "digest" in text
+
+
+def test_saved_flight_and_picture(capsys, tmp_path, golden_digest):
+    log, picture = tmp_path / "flight.npz", tmp_path / "flight.png"
+    _fly(capsys, "--save", str(log), "--picture", str(picture))
+    assert FlightLog.load(log).digest() == golden_digest
+    assert picture.stat().st_size > 10_000
+
+
+def test_a_mission_that_fails_is_no_failure_of_the_program(capsys, monkeypatch):
+    monkeypatch.setattr("mavfi.mission.TIME_LIMIT_FACTOR", 0.1)
+    assert _fly(capsys)["status"] == "timeout"
+    assert run(["fly", "--environment", "sparse", "--seed", "7"]) == 0
+    assert "Did not reach the goal in time." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--environment", "nowhere"], "allowed: clutter, dense"),
+        (["--seed", "-1"], "--seed: -1"),
+        (["--seed", "seven"], "--seed"),
+        (["--fault-seed", "-1"], "--fault-seed: -1"),
+        (["--depth-noise", "-0.1"], "--depth-noise"),
+        (["--depth-noise", "nan"], "--depth-noise"),
+        (["--v-max", "0"], "--v-max"),
+        (["--v-max", "inf"], "--v-max"),
+        (["--start", "nan", "0", "1"], "--start"),
+        (["--start", "1", "2"], "--start"),
+        (["--stack", "soft"], "allowed: hardened, published"),
+        (["--platform", "abacus"], "allowed: cortex-a57, i9-9940x"),
+        (["--planner", "dijkstra"], "planner 'dijkstra'"),
+        (["--detector", "oracle"], "detector 'oracle'"),
+        (["--detector", "gaussian", "--profile", "rough"], "allowed: paper, tuned"),
+        (["--detector", "gaussian", "--models", "absent"], "mavfi train"),
+        (["--fault", "planning.waypoint.x"], "fault 'planning.waypoint.x'"),
+        (["--fault", "state:planning.nothing.x"], "no state"),
+        (["--fault", "state:planning.waypoint.q"], "no field 'q'"),
+        (["--fault", "state:planning.waypoint.x:bit=64"], "no bit 64"),
+        (["--picture", "flight.txt"], "allowed endings: .png"),
+        (["--save", "absent/flight.npz"], "cannot be written"),
+        (["--picture", "absent/flight.png"], "cannot be written"),
+        (["--frobnicate"], "--frobnicate"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, arguments, told):
+    monkeypatch.chdir(tmp_path)
+    assert run(["fly", *arguments]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("mavfi: ") and captured.err.count("\n") == 1
+    assert told in captured.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_start_inside_an_obstacle(capsys):
+    from mavfi.hosts.compose import make_scenario
+    from mavfi.sim.environments import build_world
+
+    world = build_world(make_scenario("dense", 7).environment, 7)
+    x, y = 0.5 * (world.lower[0] + world.upper[0])[:2]
+    assert run(["fly", "--environment", "dense", "--seed", "7", "--start", str(x), str(y), "2"]) == 2
+    error = capsys.readouterr().err
+    assert "start" in error and error.count("\n") == 1
+
+
+def test_an_impossible_density_and_an_unknown_key(capsys, tmp_path):
+    path = tmp_path / "full.yaml"
+    path.write_text("name: full\ngenerator: cuboids\nparameters: {density: 0.9, side: 10.0}\n")
+    assert run(["fly", "--environment", str(path)]) == 2
+    assert "density" in capsys.readouterr().err
+    path.write_text("name: full\ngenerator: cuboids\nheight: 3\n")
+    assert run(["fly", "--environment", str(path)]) == 2
+    error = capsys.readouterr().err
+    assert "full.yaml" in error and "unknown key 'height'" in error
+
+
+def test_a_truncated_scan(capsys, tmp_path):
+    path = tmp_path / "cut.bt"
+    path.write_bytes(b"# Octomap OcTree binary file\nid OcTree\nsize 100\nres 0.05\ndata\n\x01\x02")
+    assert run(["fly", "--environment", str(path), "--start", "0", "0", "1", "--goal", "5", "0", "1"]) == 2
+    error = capsys.readouterr().err
+    assert "cut.bt" in error and error.count("\n") == 1
+
+
+def test_a_refused_place_keeps_what_is_there(capsys, tmp_path):
+    held = tmp_path / "flight.npz"
+    held.write_bytes(b"mine")
+    assert run(["fly", "--environment", "nowhere", "--save", str(held)]) == 2
+    assert held.read_bytes() == b"mine"

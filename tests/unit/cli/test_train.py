@@ -1,0 +1,21 @@
+import json
+
+import pytest
+
+from mavfi.cli import run
+
+
+@pytest.mark.slow
+def test_train_writes_models_that_fly(capsys, tmp_path):
+    assert run(["train", "--flights", "3", "--check", "1", "--workers", "1", "--out", str(tmp_path), "--json"]) == 0
+    models = json.loads(capsys.readouterr().out)["models"]
+    assert {(m["kind"], m["profile"]) for m in models} == {
+        (kind, profile) for kind in ("gaussian", "autoencoder") for profile in ("paper", "tuned")
+    }
+    assert all(m["provenance"]["flights"] == 3 and m["false_alarms"]["hours"] > 0 for m in models)
+    assert len(list(tmp_path.glob("*.json"))) == 4
+    arguments = ["--detector", "gaussian", "--models", str(tmp_path), "--json"]
+    assert run(["fly", "--environment", "sparse", "--seed", "7", *arguments]) == 0
+    assert json.loads(capsys.readouterr().out)["detector"] == "gaussian (paper)"
+    assert run(["fly", "--stack", "hardened", *arguments]) == 2
+    assert "mavfi train" in capsys.readouterr().err

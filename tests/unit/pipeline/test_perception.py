@@ -1,0 +1,160 @@
+import numpy as np
+import pytest
+
+from mavfi.numerics.voxels import voxel_of
+from mavfi.pipeline.kernel import map_grid
+from mavfi.pipeline.perception import CollisionCheck, OctoMap, PointCloud
+from mavfi.pipeline.room import Room
+from mavfi.states import floats, new_state
+from tests.unit.pipeline.parts import STACKS, config, map_update, odometry, same, trajectory, waypoint
+
+
+def depth(ranges=(4.0, 5.0, np.inf), position=(2.0, 5.0, 3.0)):
+    state = new_state("sensor.depth", len(ranges))
+    floats(state.header, 7)[:] = [*position, 1.0, 0.0, 0.0, 0.0]
+    state.elements["range"] = ranges
+    return state
+
+
+def test_a_depth_image_becomes_a_cloud_in_the_world_frame():
+    kernel = PointCloud(config())
+    assert kernel.receive(depth(), 0)
+    (cloud,) = kernel.step(0)
+    points = cloud.elements.view(np.float32).reshape(3, 3)
+    np.testing.assert_allclose(points, [[6, 5, 3], [6, 8, 3], [2 + 20, 5 - 15, 3]], atol=1e-5)
+    assert floats(cloud.header, 3).tolist() == [2.0, 5.0, 3.0]
+
+
+def clouds():
+    kernel = PointCloud(config())
+    for position in ((2.0, 5.0, 3.0), (2.5, 5.2, 3.0), (3.0, 4.8, 2.9)):
+        kernel.receive(depth(position=position), 0)
+        yield kernel.step(0)[0]
+
+
+def test_a_scan_that_is_taken_back_and_repeated_gives_the_same_update_and_map():
+    kernel = OctoMap(config())
+    for cloud in clouds():
+        kernel.receive(cloud, 0)
+        kernel.mark()
+        before = kernel.log_odds.tobytes()
+        first = kernel.step(0)
+        after = kernel.log_odds.tobytes()
+        kernel.rollback()
+        assert kernel.log_odds.tobytes() == before != after
+        assert same(first, kernel.step(0))
+        assert kernel.log_odds.tobytes() == after
+
+
+def test_the_update_carries_the_log_odds_of_the_map():
+    kernel = OctoMap(config())
+    for number, cloud in enumerate(clouds(), start=1):
+        kernel.receive(cloud, 0)
+        (update,) = kernel.step(0)
+        assert int(update.header["scan"][0]) == number
+        np.testing.assert_array_equal(kernel.log_odds[update.elements["voxel"]], update.elements["log_odds"])
+
+
+def at(grid, *point):
+    return voxel_of(grid, *point)
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_room_taken_back_is_the_room_before(stack):
+    room = Room(config(stack))
+    random = np.random.default_rng(0)
+    room.apply(map_update(random.integers(0, room.grid.size, 400), random.normal(size=400)))
+    room.mark()
+    before = room.cells.copy(), room.wide.copy(), room.narrow.copy(), room.updates
+    for _ in range(3):
+        room.apply(map_update(random.integers(-9, room.grid.size + 9, 400), random.normal(size=400)))
+    assert (room.wide != before[1]).any()
+    room.rollback()
+    np.testing.assert_array_equal(room.cells, before[0])
+    np.testing.assert_array_equal(room.wide, before[1])
+    np.testing.assert_array_equal(room.narrow, before[2])
+    assert room.updates == before[3]
+    room.rollback()
+    np.testing.assert_array_equal(room.cells, before[0])
+
+
+def checker(stack):
+    kernel = CollisionCheck(config(stack))
+    path = trajectory(count=20, period=0.5 if stack == "published" else 0.1)
+    point = waypoint()
+    point.header["trajectory_seq"] = 1
+    for state in (odometry(), path, point):
+        kernel.receive(state, 0)
+    return kernel
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_an_obstacle_on_the_trajectory_is_predicted_once_for_each_epoch(stack):
+    kernel = checker(stack)
+    grid = map_grid(config(stack))
+    assert kernel.receive(map_update([at(grid, 4.0, 5.0, 3.0)], -1.0), 0)
+    (free,) = kernel.step(0)
+    assert not free.header["collision"][0] and free.header["time_to_collision"][0] == 30.0
+    kernel.receive(free, 0)
+    kernel.receive(map_update([at(grid, 5.0, 5.0, 3.0)]), 0)
+    (hit,) = kernel.step(0)
+    assert hit.header["collision"][0] and int(hit.header["future_collision_seq"][0]) == 1
+    assert 0.0 <= hit.header["time_to_collision"][0] < 2.0
+    kernel.receive(hit, 0)
+    kernel.receive(map_update([]), 0)
+    (next_,) = kernel.step(0)
+    assert bool(next_.header["collision"][0]) == (stack == "hardened")  # published waits for an answer
+
+
+def test_counting_goes_on_from_whatever_was_published():
+    kernel = checker("hardened")
+    grid = map_grid(config("hardened"))
+    kernel.receive(map_update([at(grid, 5.0, 5.0, 3.0)]), 0)
+    (hit,) = kernel.step(0)
+    hit.header["future_collision_seq"] = 2**31 - 1
+    kernel.receive(hit, 0)
+    kernel.receive(map_update([]), 0)
+    assert int(kernel.step(0)[0].header["future_collision_seq"][0]) == -(2**31)
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_a_check_that_is_repeated_works_on_the_inputs_of_the_first_time(stack):
+    kernel = checker(stack)
+    grid = map_grid(config(stack))
+    update = map_update([at(grid, 6.0, 5.0, 3.0)])
+    kernel.mark()
+    kernel.receive(update, 0)
+    first = kernel.step(0)
+    kernel.rollback()
+    kernel.receive(odometry((3.0, 6.0, 3.0)), 0)
+    kernel.receive(update, 0)
+    assert same(first, kernel.step(0))
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_a_check_that_had_not_run_yet_works_on_the_latest_inputs(stack):
+    fresh, other = checker(stack), checker(stack)
+    grid = map_grid(config(stack))
+    for kernel in (fresh, other):
+        kernel.receive(map_update([]), 0)
+        kernel.step(0)
+        kernel.mark()
+    other.rollback()  # an alarm at the cloud, before the map update came
+    far = waypoint((6.0, 5.0, 3.0), index=4)
+    far.header["trajectory_seq"] = 1
+    results = []
+    for kernel in (fresh, other):
+        kernel.receive(far, 0)
+        kernel.receive(map_update([at(grid, 9.0, 5.0, 3.0)]), 0)
+        results.append(kernel.step(0))
+    assert same(*results)
+
+
+@pytest.mark.parametrize("index", [-1, 20, 2**31 - 1, -(2**31)])
+def test_an_index_outside_of_the_trajectory_predicts_nothing(index):
+    kernel = checker("published")
+    point = waypoint(index=index)
+    point.header["trajectory_seq"] = 1
+    kernel.receive(point, 0)
+    kernel.receive(map_update([]), 0)
+    assert not kernel.step(0)[0].header["collision"][0]

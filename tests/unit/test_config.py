@@ -1,0 +1,110 @@
+import pytest
+from pydantic import Field
+
+from mavfi.config import (
+    Config,
+    EnvironmentConfig,
+    PlatformConfig,
+    StackConfig,
+    VehicleConfig,
+    load,
+    names,
+    parse,
+    shipped,
+)
+from mavfi.errors import BadInputError
+
+
+class Wheel(Config):
+    radius: float = Field(gt=0)
+
+
+class Cart(Config):
+    name: str
+    wheel: Wheel
+    wheels: int = Field(2, ge=1)
+
+
+GOOD = {"name": "a", "wheel": {"radius": 0.3}}
+
+
+def refusal(data):
+    with pytest.raises(BadInputError) as caught:
+        parse(Cart, data, "cart.yaml")
+    return str(caught.value)
+
+
+def test_sound_data_become_a_frozen_model():
+    cart = parse(Cart, GOOD, "cart.yaml")
+    assert (cart.wheel.radius, cart.wheels) == (0.3, 2)
+    with pytest.raises(ValueError, match="frozen"):
+        cart.wheels = 3
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"weels": 2}, "cart.yaml: unknown key 'weels'; allowed: name, wheel, wheels"),
+        ({"wheel": {"radius": 1, "spokes": 8}}, "cart.yaml: unknown key 'wheel.spokes'; allowed: radius"),
+        ({"wheels": 0}, "cart.yaml: key 'wheels': 0: Input should be greater than or equal to 1"),
+        ({"wheel": {"radius": -1}}, "cart.yaml: key 'wheel.radius': -1: Input should be greater than 0"),
+        ({"wheel": {"radius": float("nan")}}, "cart.yaml: key 'wheel.radius': nan: Input should be a finite number"),
+        ({"wheel": {}}, "cart.yaml: key 'wheel.radius': absent: Field required"),
+    ],
+)
+def test_bad_data_are_refused_in_one_line_that_names_key_value_and_what_is_allowed(change, message):
+    assert refusal(GOOD | change) == message
+
+
+def test_an_absent_key_is_named():
+    assert refusal({"wheel": {"radius": 1.0}}) == "cart.yaml: key 'name': absent: Field required"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("name: [1", "not a YAML file"),
+        ("- 1\n- 2\n", "must hold keys and values, holds list"),
+        ("", "must hold keys and values, holds NoneType"),
+        ("just text", "must hold keys and values, holds str"),
+    ],
+)
+def test_a_file_that_holds_no_mapping_is_refused(tmp_path, content, message):
+    path = tmp_path / "bad.yaml"
+    path.write_text(content)
+    with pytest.raises(BadInputError, match=message) as caught:
+        load(Cart, path)
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_not_text_is_refused(tmp_path):
+    path = tmp_path / "bad.yaml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(BadInputError, match="not a YAML file"):
+        load(Cart, path)
+
+
+def test_an_absent_file_is_refused(tmp_path):
+    with pytest.raises(BadInputError, match=r"gone.yaml: cannot be read \(No such file or directory\)"):
+        load(Cart, tmp_path / "gone.yaml")
+
+
+KINDS = {
+    "environments": EnvironmentConfig, "stacks": StackConfig, "platforms": PlatformConfig, "vehicles": VehicleConfig,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "name"), [(kind, name) for kind in KINDS for name in names(kind)])
+def test_every_shipped_file_is_sound_and_carries_its_name(kind, name):
+    assert shipped(kind, KINDS[kind], name).name == name
+
+
+def test_an_unknown_name_is_told_with_what_is_allowed():
+    with pytest.raises(BadInputError, match=r"stack 'soft': not known; allowed: hardened, published, or a path to a"):
+        shipped("stacks", StackConfig, "soft")
+
+
+def test_a_file_of_ones_own_is_read_by_path(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text("name: mine\nlatency_us: {pid: 1}\n")
+    assert shipped("platforms", PlatformConfig, str(path)).latency_us == {"pid": 1}

@@ -1,0 +1,34 @@
+import json
+
+import pytest
+
+from mavfi.config import PlatformConfig, shipped
+from mavfi.hosts.compose import make_scenario
+from mavfi.mission import MissionStatus, Scenario, time_limit
+
+
+def test_the_time_limit_is_150_s_at_the_defaults():
+    platform = shipped("platforms", PlatformConfig, "i9-9940x")
+    assert time_limit(100.0, 3.0, platform) == pytest.approx(150.0)
+    slow = shipped("platforms", PlatformConfig, "cortex-a57")
+    assert time_limit(100.0, 3.0, slow) == pytest.approx(150.0 * slow.time_limit_factor)
+    assert time_limit(50.0, 1.5, platform) == pytest.approx(150.0)
+
+
+def test_every_end_is_a_sentence():
+    assert all(status.value[0].isupper() and status.value.endswith(".") for status in MissionStatus)
+    assert MissionStatus.FLY_AWAY.label == "fly_away"
+
+
+def test_a_scenario_survives_json_with_the_same_key():
+    scenario = make_scenario("dense", 7, stack="hardened", start=(10.0, 0.0, 3.0))
+    text = json.dumps(scenario.to_json())
+    again = Scenario.model_validate(json.loads(text))
+    assert again == scenario and again.key() == scenario.key()
+
+
+def test_whatever_decides_the_flight_changes_the_key():
+    base = {"environment": "dense", "seed": 7}
+    changes = [{}, {"seed": 8}, {"environment": "sparse"}, {"stack": "hardened"}, {"platform": "cortex-a57"},
+               {"v_max": 2.0}, {"goal": (50.0, 0.0, 3.0)}, {"depth_noise": 0.1}]  # fmt: skip
+    assert len({make_scenario(**base | change).key() for change in changes}) == len(changes)

@@ -1,0 +1,90 @@
+import numpy as np
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.states import MONITORED_SETS, PPC_STAGES, STACKS, STATES, Stage, find_state, floats, new_state
+
+WIDTH = {"f8": 8, "f4": 4, "i4": 4, "?": 1}
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_the_leading_floats_of_a_state_share_its_memory(name):
+    spec = STATES[name]
+    for fields, make in ((spec.header, lambda s: s.header), (spec.elements, lambda s: s.elements)):
+        count = next((i for i, field in enumerate(fields) if field.dtype != "f8"), len(fields))
+        for records in (1, 3) if fields is spec.elements else (1,):
+            if not count:
+                continue
+            state = new_state(name, records)
+            array = make(state)
+            plain = floats(array, count)
+            assert np.shares_memory(plain, array)
+            assert plain.shape == ((count,) if records == 1 else (records, count))
+            plain.reshape(records, count)[-1] = np.arange(1.0, count + 1.0)
+            assert [array[field.name][-1] for field in fields[:count]] == list(range(1, count + 1))
+            assert all(array[field.name][-1] == 0 for field in fields[count:])
+
+
+def test_no_elements_give_no_floats():
+    assert floats(new_state("planning.trajectory").elements, 11).shape == (0, 11)
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_records_are_packed(name):
+    spec = STATES[name]
+    assert spec.header_dtype.itemsize == sum(WIDTH[field.dtype] for field in spec.header)
+    assert spec.element_dtype.itemsize == sum(WIDTH[field.dtype] for field in spec.elements)
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_rows_of_the_table_fit_together(name):
+    spec = STATES[name]
+    assert name == spec.name and name.split(".")[0] == spec.stage.value
+    assert bool(spec.elements) == bool(spec.element)
+    assert not spec.acted_on or spec.find(spec.acted_on).dtype == "i4"
+    for fields in (spec.header, spec.elements):
+        assert len({field.name for field in fields}) == len(fields)
+        assert all(field.unit and set(field.read_in) <= set(STACKS) for field in fields)
+
+
+def test_every_stage_of_the_paper_writes_states():
+    assert {spec.stage for spec in STATES.values()} == {Stage.SENSOR, *PPC_STAGES}
+
+
+@pytest.mark.parametrize(("name", "size"), [("paper-13", 13), ("published-19", 19)])
+def test_monitored_sets_have_their_size_and_exist(name, size):
+    monitored = MONITORED_SETS[name]
+    assert len(monitored) == len(set(monitored)) == size
+    for state, field in monitored:
+        STATES[state].find(field)
+
+
+def test_a_copy_shares_nothing_and_has_the_same_bits():
+    state = new_state("planning.trajectory", 2)
+    state.elements["x"] = np.nan
+    copy = state.copy()
+    assert copy.same_bits(state)
+    copy.elements["x"][1] = -0.0
+    assert not copy.same_bits(state) and np.isnan(state.elements["x"]).all()
+    zero, minus = new_state("control.command"), new_state("control.command")
+    minus.header["vx"] = -0.0
+    assert not zero.same_bits(minus)
+    assert not new_state("planning.path", 1).same_bits(new_state("planning.path", 2))
+
+
+def test_a_name_in_both_parts_means_the_element():
+    spec = STATES["perception.point_cloud"]
+    assert spec.find("x").dtype == "f4" and spec.in_elements("x")
+    assert not STATES["planning.trajectory"].in_elements("trajectory_seq")
+
+
+def test_dead_fields_are_told_by_stack():
+    field = STATES["planning.waypoint"].find("ax")
+    assert field.dead_in("published") and not field.dead_in("hardened")
+
+
+def test_what_does_not_exist_is_told_with_what_does():
+    with pytest.raises(BadInputError, match="no state 'planning.magic'; allowed: sensor.depth, "):
+        find_state("planning.magic")
+    with pytest.raises(BadInputError, match="state control.command: no field 'vw'; allowed: vx, vy, vz, yaw_rate"):
+        find_state("control.command").find("vw")
