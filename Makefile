@@ -1,7 +1,7 @@
 # Everything that one does with this project. Each target sets the project up first, if that is still to be done.
 PYTHON ?= python3
 SCALE ?= quick
-OUT ?= out/reproduce
+OUT ?= out/reproduce$(if $(filter-out quick,$(SCALE)),-$(SCALE))
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed

@@ -69,8 +69,8 @@ def damaged():
     np.save(array, np.zeros(3))
     whole = buffer.getvalue()
     return {
-        "empty": b"", "text": b"hello", "truncated": whole[: len(whole) // 2], "foreign": whole, "array": array.getvalue(),
-        "header only": b"PK\x03\x04",
+        "empty": b"", "text": b"hello", "truncated": whole[: len(whole) // 2], "foreign": whole,
+        "array": array.getvalue(), "header only": b"PK\x03\x04",
     }  # fmt: skip
 
 

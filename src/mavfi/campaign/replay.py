@@ -7,6 +7,7 @@ from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.store import Run, Store
 from mavfi.campaign.tools import host_tools
 from mavfi.campaign.worker import Flight, Task, Tools, fly_task
+from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.mission import Scenario
 
@@ -55,7 +56,8 @@ def replay(directory: Path, run_id: str, tools: Tools | None = None) -> Replay:
 
 def fly_again(store: Store, spec: RunSpec, tools: Tools | None = None) -> Flight:
     """Fly any run of a ledger, for its whole log."""
-    template = Scenario.model_validate(store.meta("identity")["scenarios"][spec.environment])
+    stored = store.meta("identity")["scenarios"][spec.environment]
+    template = parse(Scenario, stored, f"ledger, scenario {spec.environment}")
     scenario = template.model_copy(update={"seed": spec.seed})
     models_dir = store.meta("models_dir")
     return fly_task(Task(spec, scenario, tools or host_tools(), None if models_dir is None else Path(models_dir)))

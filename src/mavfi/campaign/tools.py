@@ -24,12 +24,15 @@ def _fly(scenario: Scenario, fault: Fault | None, detector: Detector | None, *, 
 
 def _load_detector(detector: str, profile: str, models_dir: Path | None, scenario: Scenario) -> tuple[Detector, str]:
     from mavfi.detectors.registry import load_detector
+    from mavfi.sim.environments import build_world
 
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
     fits = {
         "stack": scenario.stack.name,
         "platform": scenario.platform.name,
         "v_max": scenario.v_max,
         "planner": scenario.planner.name,
+        "arena": (world.arena_lower.tolist(), world.arena_upper.tolist()),
     }
     return load_detector(detector, profile, models_dir, fits)
 

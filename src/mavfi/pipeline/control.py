@@ -33,7 +33,7 @@ class Tracker:
         self._remaining = 0.0
         self._waypoint: np.ndarray | None = None
         self._fresh = False
-        self._marked = (self._memory.copy(), 0.0, False, self._waypoint)
+        self._marked: tuple[np.ndarray, float, bool, np.ndarray | None] = (self._memory.copy(), 0.0, False, None)
         self._odometry = np.zeros(13)
 
     def receive(self, state: State, time_us: int) -> bool:

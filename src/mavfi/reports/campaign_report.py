@@ -33,7 +33,7 @@ def write_report(
     Args:
         directory: Where the ledger is.
         draw_run: Whether a telling run is flown again for a picture.
-        shown: Called with the analysis before anything is drawn.
+        shown: Called with the analysis when everything is written.
 
     Returns:
         Analysis and files: report.md, readme_block.md, summary.json and PNG figures.
@@ -42,8 +42,6 @@ def write_report(
         BadInputError: There is no campaign, or the folder cannot be written.
     """
     analysis = only_comparable(analyse(directory))
-    if shown is not None:
-        shown(analysis)
     today = date.today().isoformat()
     drawn = figures.draw(analysis, directory)
     captions = {}
@@ -59,6 +57,8 @@ def write_report(
     }
     for name, content in texts.items():
         _write(directory / name, content)
+    if shown is not None:
+        shown(analysis)
     return Report(analysis, tuple(directory / name for name in (*texts, *drawn)))
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 
-from mavfi.reports.tables import Analysis, Table, header, null_line, success, tables
+from mavfi.reports.tables import Analysis, Table, header, null_line, tables
 
 FIGURES = {
     "success.png": "Success with 95 % intervals (sign + exponent); black: the paper's figure.",
@@ -33,7 +33,7 @@ def report(analysis: Analysis, figures: Iterable[str], date: str, captions: Mapp
 def readme_block(analysis: Analysis, date: str) -> str:
     """The success table with what one must know to read it."""
     c = analysis["campaign"]
-    table = next(table for table in tables(analysis) if table.title == next(iter(success(analysis))).title)
+    table = tables(analysis)[0]
     versions = ", ".join(f"{name} {version}" for name, version in sorted(c["versions"].items()) if name != "mavfi")
     each = "group" if c["law"] == "groups" else "stage"
     head = (

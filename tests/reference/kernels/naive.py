@@ -7,7 +7,7 @@ import numpy as np
 F = np.float32
 
 
-# ---- voxels -----------------------------------------------------------------------------------------------------------
+# ---- voxels --------------------------------------------------------------------------------------------------------
 def cell_of(grid, point):
     """Voxel (ix, iy, iz) of a point, or None outside of the grid."""
     if not all(abs(value) < 4000.0 for value in point):
@@ -55,7 +55,7 @@ def first_blocked(counter, grid, a, b, outside_blocked):
     return 2.0
 
 
-# ---- perception -------------------------------------------------------------------------------------------------------
+# ---- perception ----------------------------------------------------------------------------------------------------
 def back_project(ranges, directions, rotation, origin, max_range):
     points = np.empty((len(ranges), 3), F)
     for i, distance in enumerate(ranges.astype(float)):
@@ -187,7 +187,7 @@ def known_free_distance(counter, cells, grid, points, first, horizon, reach, esc
     return math.inf, unknown
 
 
-# ---- planning ---------------------------------------------------------------------------------------------------------
+# ---- planning ------------------------------------------------------------------------------------------------------
 def length(path):
     return sum(math.dist(a, b) for a, b in zip(path[:-1], path[1:], strict=True))
 
@@ -241,7 +241,7 @@ def advance_clock(clock, points, arc, dt, blocked, unknown, braking, creep, fast
     return min(position + new, len(points) - 1.0), new, (new - rate) / dt
 
 
-# ---- control ----------------------------------------------------------------------------------------------------------
+# ---- control -------------------------------------------------------------------------------------------------------
 def track(waypoint, odometry, memory, gains, dt):
     """Command, slow-down and memory after one step."""
     error = waypoint[:3] - odometry[:3]

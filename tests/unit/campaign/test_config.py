@@ -55,7 +55,7 @@ def test_mistakes_are_named_when_the_file_is_read(changes, message):
 
 
 def test_unknown_names_tell_what_is_known():
-    with pytest.raises(BadInputError, match="allowed: bits, smoke, states, table1"):
+    with pytest.raises(BadInputError, match="allowed: .*bits.*smoke.*states.*table1"):
         load_campaign("table2")
     with pytest.raises(BadInputError, match="allowed: quick, paper"):
         load_campaign("table1").at_scale("huge")

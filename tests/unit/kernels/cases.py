@@ -1,9 +1,10 @@
 """Every compiled kernel with sound arguments, and what corrupted ones may never do.
 
-Run as a program with NUMBA_BOUNDSCHECK=1, it feeds corrupted numbers to all kernels and fails on the first access out of
-bounds; that such an access is really found is proved first.
+Run as a program with NUMBA_BOUNDSCHECK=1, it feeds corrupted numbers to all kernels and fails on the first access out
+of bounds; that such an access is really found is proved first.
 """
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -104,7 +105,8 @@ CASES = {
     ),
     "back_project": Case(
         point_cloud.back_project,
-        lambda: [np.ones(6, np.float32), np.full((6, 3), 0.6), np.eye(3), np.ones(3), 20.0, np.zeros((6, 3), np.float32)],
+        lambda: [np.ones(6, np.float32), np.full((6, 3), 0.6), np.eye(3), np.ones(3), 20.0,
+                 np.zeros((6, 3), np.float32)],
         never,
     ),
     "insert_scan": Case(
@@ -130,8 +132,8 @@ CASES = {
     "steer": Case(rrt_connect.steer, lambda: [np.zeros(3), np.ones(3), 0.5, np.zeros(3)], never),
     "rrt_connect": Case(
         rrt_connect.plan,
-        lambda: [blocked(), GRID, np.array([-1.9, -1.9, 0.7]), np.array([3.9, 2.9, 2.9]), LOWER.copy(), UPPER.copy(), 1.0,
-                 50, seed_generator(1), rrt_connect.new_trees(), np.zeros((2 * rrt_connect.NODE_LIMIT, 3))],
+        lambda: [blocked(), GRID, np.array([-1.9, -1.9, 0.7]), np.array([3.9, 2.9, 2.9]), LOWER.copy(), UPPER.copy(),
+                 1.0, 50, seed_generator(1), rrt_connect.new_trees(), np.zeros((2 * rrt_connect.NODE_LIMIT, 3))],
         count_up_to(2 * rrt_connect.NODE_LIMIT),
     ),
     "nearest_with_room": Case(
@@ -176,7 +178,7 @@ CASES = {
         pid.track, lambda: [np.ones(11), np.ones(13), np.zeros(pid.MEMORY_WIDTH), GAINS, 0.02, np.zeros(4)], never
     ),
 }  # fmt: skip
-"""Arguments that are results or work space come last and are corrupted, too: kernels may not rely on what is in them."""
+"""Results and work space come last and are corrupted, too: kernels may not rely on what is in them."""
 
 
 def corrupted(case):
@@ -226,7 +228,7 @@ def main() -> None:
             except IndexError as error:
                 raise SystemExit(f"{name}: {label}: {error}") from None
             total += 1
-    print(total)
+    sys.stdout.write(f"{total}\n")
 
 
 if __name__ == "__main__":
