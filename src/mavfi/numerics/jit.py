@@ -1,15 +1,55 @@
-"""The only place where Numba flags are set.
+"""The only place where Numba flags are set, and where compiled code is kept.
 
 `fastmath` would remove NaN guards and break replay, the default error model would raise where C++ yields an
 infinity, and `parallel` would reorder sums: none of them is available here (see docs/fault-model.md).
+
+Numba's cache looks at the file of a function, not at those of the functions that it calls: after a change in one
+module, callers in others would go on with the old code.  So the cache lies in a folder that is named after the text of
+all compiled modules.
 """
 
+import hashlib
+import os
+import shutil
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar, cast
 
-from numba import njit
+import numba
 
 F = TypeVar("F", bound=Callable[..., object])
+
+_COMPILED = ("numerics", "kernels", "sim", "detectors")
+"""Packages of mavfi that hold compiled functions."""
+_KEPT = 4
+
+
+def _cache_folder() -> Path:
+    """Where code compiled from the present text of the package is kept."""
+    package = Path(__file__).parents[1]
+    digest = hashlib.sha256()
+    for name in _COMPILED:
+        for path in sorted((package / name).rglob("*.py")):
+            digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
+    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mavfi"
+    return root / digest.hexdigest()[:16]
+
+
+def _use_cache(folder: Path) -> None:
+    """Keep compiled code in a folder, and forget all but the last few other ones."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        folder.touch()
+        others = sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
+    except OSError:
+        return  # Numba then keeps it beside the source, or nowhere
+    for stale in others[_KEPT:]:
+        shutil.rmtree(stale, ignore_errors=True)
+    numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
+
+
+if not numba.config.CACHE_DIR:  # type: ignore[attr-defined]
+    _use_cache(_cache_folder())
 
 
 def kernel_jit(function: F) -> F:
@@ -21,4 +61,4 @@ def kernel_jit(function: F) -> F:
     Returns:
         The compiled dispatcher; its pure Python twin is `function.py_func`.
     """
-    return cast(F, njit(cache=True, error_model="numpy", fastmath=False, nogil=True)(function))
+    return cast(F, numba.njit(cache=True, error_model="numpy", fastmath=False, nogil=True)(function))
