@@ -114,3 +114,16 @@ def test_a_fault_strikes_the_first_publication_at_or_after_its_time_once(stack):
 def test_noise_leaves_the_world_alone():
     noisy = fly(mission(depth_noise=0.01))
     assert noisy.world.digest() == golden().world.digest()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("state", STATES)
+def test_a_flipped_exponent_in_any_field_ends_in_a_status(state, stack):
+    spec = STATES[state]
+    times = golden(stack).profile.times_us[state]
+    for name in dict.fromkeys(field.name for field in spec.fields):
+        bit = {"f8": 62, "f4": 30, "i4": 30, "?": 0}[spec.find(name).dtype]
+        log = fly(mission(stack), fault(state, name, 1e-6 * times[len(times) // 2], bit, element=0)).log
+        assert log.injections[0]["hit"] and log.status in MissionStatus
+        assert np.isfinite(log.columns("x", "y", "z", "vx", "vy", "vz")).all()

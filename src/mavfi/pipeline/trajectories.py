@@ -85,7 +85,7 @@ class TrajectoryGenerator:
         limits = timing.Limits(
             top, min(1.0, top) if tight else top, 0.7 * config.a_max, PLANNING_ACCELERATION, BRAKING, _BLEND * slow,
             _LOOK * slow,
-        )
+        )  # fmt: skip
         count = timing.smooth(room.narrow, room.grid, vertices, len(vertices), limits.blend, self._corners, self._curve)
         if count < 2:
             return np.zeros((0, timing.POINT_WIDTH))
