@@ -157,9 +157,13 @@ def measure() -> list[Row]:
     for environment in ("sparse", "dense", "factory", "farm"):
         for stack in ("published", "hardened"):
             wall, factor = golden(environment, stack)
-            rows.append((f"golden {environment}, {stack}, median of {len(SEEDS)}", f"{wall:.3f} s, {factor:.0f} x real time"))
+            rows.append(
+                (f"golden {environment}, {stack}, median of {len(SEEDS)}", f"{wall:.3f} s, {factor:.0f} x real time")
+            )
     one, two = pool(1), pool(2)
-    rows.append((f"missions per hour, 1 worker / 2 workers ({POOL_FLIGHTS} sparse)", f"{3600 * one:.0f} / {3600 * two:.0f}"))
+    rows.append(
+        (f"missions per hour, 1 worker / 2 workers ({POOL_FLIGHTS} sparse)", f"{3600 * one:.0f} / {3600 * two:.0f}")
+    )
     rows.append(("two workers / one", f"{two / one:.2f} (the machine's own ceiling: {ceiling():.2f})"))
     rows.append(("mavfi fly, prompt to prompt, warm cache", f"{prompt_to_prompt():.2f} s"))
     return rows + detection_rows()
@@ -180,7 +184,9 @@ def main() -> None:
     versions = ", ".join(f"{name} {version(name)}" for name in ("mavfi", "numba", "numpy", "mujoco-core"))
     head = f"{date.today()} · {processor()}, {os.cpu_count()} cores · Python {platform.python_version()} · {versions}"
     lines = [f"| {what} | {value} |" for what, value in rows]
-    page = "\n".join(["# Speed", "", f"Measured by `make bench`: {head}.", "", "| what | value |", "|---|---|", *lines, ""])
+    page = "\n".join(
+        ["# Speed", "", f"Measured by `make bench`: {head}.", "", "| what | value |", "|---|---|", *lines, ""]
+    )
     Path(__file__).with_name("results.md").write_text(page, encoding="utf-8")
     for what, value in rows:
         sys.stdout.write(f"{what:60s} {value}\n")

@@ -153,6 +153,7 @@ def new_state(name: str, count: int = 0) -> State:
 
 
 _HARDENED = ("hardened",)
+_PUBLISHED = ("published",)
 _XYZ = (Field("x", "f8", "m"), Field("y", "f8", "m"), Field("z", "f8", "m"))
 _QUATERNION = tuple(Field(f"q{axis}", "f8", "-") for axis in "wxyz")
 _POINT = (
@@ -192,7 +193,7 @@ _TABLE = (
     StateSpec(
         "perception.collision_status", "collision_check", Stage.PERCEPTION, "per map update",
         header=(
-            Field("time_to_collision", "f8", "s"),
+            Field("time_to_collision", "f8", "s", _PUBLISHED),
             Field("distance_to_blocked", "f8", "m", _HARDENED), Field("distance_to_unknown", "f8", "m", _HARDENED),
             Field("future_collision_seq", "i4", "-"), Field("trajectory_seq", "i4", "-", _HARDENED),
             Field("collision", "?", "-"),
@@ -215,8 +216,8 @@ _TABLE = (
     StateSpec(
         "planning.waypoint", "waypoint", Stage.PLANNING, "at each hand-over (published 0.5 s, hardened 20 ms)",
         header=(
-            *_POINT, Field("trajectory_seq", "i4", "-"), Field("future_collision_seq", "i4", "-"),
-            Field("index", "i4", "-"),
+            *_POINT[:-1], Field("duration", "f8", "s", _PUBLISHED), Field("trajectory_seq", "i4", "-"),
+            Field("future_collision_seq", "i4", "-", _PUBLISHED), Field("index", "i4", "-"),
         ),
     ),
     StateSpec(
@@ -227,7 +228,7 @@ _TABLE = (
         ),
     ),
     StateSpec(
-        "control.tracking", "pid", Stage.CONTROL, "50 Hz", header=(Field("remaining", "f8", "s", ("published",)),),
+        "control.tracking", "pid", Stage.CONTROL, "50 Hz", header=(Field("remaining", "f8", "s", _PUBLISHED),),
     ),
 )  # fmt: skip
 

@@ -13,7 +13,7 @@ from tests.hosts.missions import STACKS, fault, golden, mission
 
 @pytest.mark.parametrize(
     ("stack", "expected"),
-    [("published", MissionStatus.NO_PATH), ("hardened", MissionStatus.TIMEOUT)],  # hardened goes back and tries again
+    [("published", MissionStatus.NO_PATH), ("hardened", MissionStatus.NO_PATH)],
 )
 def test_in_a_closed_yard_no_path_is_found(stack, expected):
     yard = EnvironmentConfig(name="yard", generator="tests.hosts.missions:walled")

@@ -25,6 +25,8 @@ _REACH = 3.0
 _MARGIN = 0.3
 _STUCK_US = 4_000_000
 _BACKTRACK_AFTER = 3
+_BACKTRACK_UNTIL = 12
+"""Failures in a row after which going back is no longer tried: there is no path."""
 _BACKTRACK_LENGTH = 4.0
 _CRUMB = 0.5
 _EMERGENCY_STOP_TIME = 0.6
@@ -271,7 +273,8 @@ class MotionPlanner:
 
     def _backtrack(self) -> State | None:
         """After repeated failures: back along the flown path, into space that was free (policy `every_map`)."""
-        if not self._every_map or self._memory.failures % _BACKTRACK_AFTER:
+        failures = self._memory.failures
+        if not self._every_map or failures % _BACKTRACK_AFTER or failures > _BACKTRACK_UNTIL:
             return None
         vertices, length = [self._standing_point()], 0.0
         for crumb in reversed(self._crumbs):

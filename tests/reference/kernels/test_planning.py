@@ -124,11 +124,15 @@ def test_the_speed_profile_holds_every_limit_and_is_as_fast_as_one_of_them_allow
         cell = naive.cell_of(GRID, sample)
         if cell is not None and wide[naive.flat(GRID, cell)]:
             top[i] = LIMITS.tight_speed
+    bends = np.zeros(len(curve))
     for i in range(1, len(curve) - 1):
         ahead, behind = curve[i + 1] - curve[i], curve[i] - curve[i - 1]
         h, k = np.linalg.norm(ahead), np.linalg.norm(behind)
-        bend = np.linalg.norm(ahead / h - behind / k) / (0.5 * (h + k))
-        top[i] = min(top[i], np.sqrt(LIMITS.lateral / bend)) if bend > 1e-9 else top[i]
+        bends[i] = np.linalg.norm(ahead / h - behind / k) / (0.5 * (h + k))
+    segments = 0.5 * (bends[:-1] + bends[1:])
+    for i in range(len(curve)):
+        sharpest = max(bends[i], segments[max(i - 1, 0) : i + 1].max())
+        top[i] = min(top[i], np.sqrt(LIMITS.lateral / sharpest)) if sharpest > 1e-9 else top[i]
     rates = np.diff(speed**2) / (2.0 * np.diff(arc))
     assert (speed <= top + 1e-9).all()
     assert speed[0] == speed[-1] == 0.0

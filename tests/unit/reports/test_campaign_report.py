@@ -43,7 +43,14 @@ def test_markdown_tables_are_rectangular(written):
 def test_readme_block_is_the_success_table_with_its_origin(written):
     text = next(path for path in written.files if path.name == "readme_block.md").read_text(encoding="utf-8")
     assert text.startswith("Generated on ")
-    for part in ("campaign `tiny`", "stack `published`", "numba", "seeds 10000 to 10001", "| Golden run | here |", "sparse"):
+    for part in (
+        "campaign `tiny`",
+        "stack `published`",
+        "numba",
+        "seeds 10000 to 10001",
+        "| Golden run | here |",
+        "sparse",
+    ):
         assert part in text
     assert "## " not in text
 

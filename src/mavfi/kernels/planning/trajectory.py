@@ -146,6 +146,15 @@ def _curvature(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
 
 
 @kernel_jit
+def _sharpest_bend(curve: np.ndarray, count: int, i: int) -> float:
+    """Curvature at sample i or in the sharper of both segments there (1/m): a direction turns evenly within one."""
+    here = _curvature(curve[i - 1], curve[i], curve[i + 1]) if 0 < i < count - 1 else 0.0
+    before = _curvature(curve[i - 2], curve[i - 1], curve[i]) if 1 < i < count else 0.0
+    after = _curvature(curve[i], curve[i + 1], curve[i + 2]) if i < count - 2 else 0.0
+    return max(here, 0.5 * (here + max(before, after)))
+
+
+@kernel_jit
 def speed_profile(
     wide: np.ndarray, grid: Grid, curve: np.ndarray, count: int, entry_speed: float, limits: Limits, arc: np.ndarray,
     speed: np.ndarray,
@@ -170,10 +179,9 @@ def speed_profile(
         voxel = voxel_of(grid, curve[i, 0], curve[i, 1], curve[i, 2])
         if voxel >= 0 and wide[voxel] > 0:
             speed[i] = min(speed[i], limits.tight_speed)
-        if 0 < i < count - 1:
-            bend = _curvature(curve[i - 1], curve[i], curve[i + 1])
-            if bend > 1e-9:
-                speed[i] = min(speed[i], math.sqrt(limits.lateral / bend))
+        bend = _sharpest_bend(curve, count, i)
+        if bend > 1e-9:
+            speed[i] = min(speed[i], math.sqrt(limits.lateral / bend))
     speed[count - 1] = 0.0
     for i in range(count - 2, -1, -1):
         speed[i] = min(speed[i], math.sqrt(speed[i + 1] ** 2 + 2.0 * limits.tangential * (arc[i + 1] - arc[i])))
@@ -184,6 +192,15 @@ def speed_profile(
         if speed[i + 1] < speed[i]:
             slowest = math.sqrt(max(0.0, speed[i] ** 2 - 2.0 * limits.braking * (arc[i + 1] - arc[i])))
             speed[i + 1] = max(speed[i + 1], slowest)
+
+
+@kernel_jit
+def _tangent(curve: np.ndarray, arc: np.ndarray, count: int, i: int, axis: int) -> float:
+    """One component of the direction of a curve at sample i; between samples it turns evenly."""
+    low = max(i - 1, 0)
+    high = min(i + 1, count - 1)
+    length = arc[high] - arc[low]
+    return (curve[high, axis] - curve[low, axis]) / length if length > 0.0 else 0.0
 
 
 @kernel_jit
@@ -219,9 +236,9 @@ def sample(
         square = speed[i] ** 2 + (speed[i + 1] ** 2 - speed[i] ** 2) * share
         v = math.sqrt(max(0.0, square))
         for axis in range(3):
-            run = curve[i + 1, axis] - curve[i, axis]
-            points[n, axis] = curve[i, axis] + run * share
-            points[n, 4 + axis] = run / length * v if length > 0.0 else 0.0
+            points[n, axis] = curve[i, axis] + (curve[i + 1, axis] - curve[i, axis]) * share
+            here = _tangent(curve, arc, count, i, axis)
+            points[n, 4 + axis] = v * (here + (_tangent(curve, arc, count, i + 1, axis) - here) * share)
         ahead = max(ahead, i)
         while ahead < count - 1 and arc[ahead] - along < look:
             ahead += 1
