@@ -25,8 +25,11 @@ INTERVALS = "per cent, [95 % interval: Wilson; whole word: clustered bootstrap],
 
 
 _PAPER_NAMES = {
-    "golden": "Golden run", "fi": "Injection run", "dr_gaussian": "Gaussian-based", "dr_autoencoder": "Autoencoder-based",
-}  # fmt: skip
+    "golden": "Golden run",
+    "fi": "Injection run",
+    "dr_gaussian": "Gaussian-based",
+    "dr_autoencoder": "Autoencoder-based",
+}
 """Rows of the paper's Table I."""
 
 
@@ -52,7 +55,8 @@ class Table:
 def tables(analysis: Analysis) -> list[Table]:
     """All tables that have rows, most important first; each says which stack flew."""
     makers: tuple[Callable[[Analysis], Iterable[Table]], ...] = (
-        as_in_the_paper, success, recovery, faults_by, outcomes, endings, flight_times, false_alarms, detections, overheads, sites,
+        as_in_the_paper, success, recovery, faults_by, outcomes, endings, flight_times, false_alarms, detections,
+        overheads, sites,
     )  # fmt: skip
     stack = analysis["campaign"]["stack"]
     flew = {"published": DEVIATIONS, "hardened": NOT_THE_PAPERS}.get(stack, "")
