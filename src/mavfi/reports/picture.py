@@ -108,7 +108,7 @@ def _limits(world: World, courses: list[_Course]) -> tuple[np.ndarray, np.ndarra
 
 def _axes(lower: np.ndarray, upper: np.ndarray) -> tuple[Figure, Axes, Axes]:
     """One figure whose two views share the x axis and its scale."""
-    left, right, top, between, bottom = 0.6, 0.15, 0.95, 0.62, 0.5
+    left, right, top, between, bottom = 0.6, 0.15, 1.17, 0.62, 0.5
     extent = upper - lower
     inch = (_WIDTH - left - right) / extent[0]
     plan, elevation = inch * extent[1], inch * extent[2] * _SIDE_STRETCH
@@ -240,7 +240,7 @@ def _label(figure: Figure, above: Axes, side: Axes, flight: Flight, golden: Flig
         if injection["hit"] and injection["bit"] is not None:
             change = f"{_short(injection['before'])} → {_short(injection['after'])}"
             told = f"{injection['site']}, bit {injection['bit']} at {injection['time_s']:.2f} s: {change}   ·   {told}"
-    figure.text(1 - 0.15 / _WIDTH, 1 - 0.24 / height, told, ha="right", va="center", color=style.GREY)
+    figure.text(0.6 / _WIDTH, 1 - 0.49 / height, told, va="center", color=style.GREY)
     above.set_ylabel("y (m)")
     side.set_ylabel("z (m)")
     side.set_xlabel("x (m)")
@@ -264,6 +264,6 @@ def _legend(figure: Figure, courses: list[_Course], marks: list[Line2D], known: 
         handles.append(Patch(facecolor=_MAP, alpha=0.5, label="seen by the map"))
     height = figure.get_figheight()
     figure.legend(
-        handles=handles, loc="center right", bbox_to_anchor=(1 - 0.1 / _WIDTH, 1 - 0.62 / height), ncols=len(handles),
+        handles=handles, loc="center left", bbox_to_anchor=(0.6 / _WIDTH, 1 - 0.78 / height), ncols=len(handles),
         fontsize=8.5, handlelength=1.6, columnspacing=1.3, borderpad=0, handletextpad=0.6,
     )  # fmt: skip
