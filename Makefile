@@ -16,10 +16,10 @@ export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test check format bench smoke train readme docs wheel lock clean
+.PHONY: help setup reproduce test check format bench smoke fault-map train readme docs wheel lock clean
 
 help:  ## list the targets
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-10s %s\n", $$1, $$2}'
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-10s %s\n", $$1, $$2}'
 
 setup: $(STAMP)  ## create .venv with the locked packages and this project
 
@@ -54,6 +54,11 @@ bench: setup  ## measure speed
 smoke: setup  ## a campaign of a few flights, and its report
 	@$(BIN)/mavfi campaign run configs/campaigns/smoke.yaml --out out/smoke
 	@$(BIN)/mavfi report out/smoke
+
+fault-map: setup  ## what one fault does, by site, on design seeds; writes docs/fault-map.md
+	@$(BIN)/mavfi campaign run configs/campaigns/fault_map.yaml --out out/fault_map
+	@$(BIN)/mavfi report out/fault_map > /dev/null
+	@$(BIN)/python docs/build_fault_map.py out/fault_map
 
 train: setup  ## train the detectors that are shipped
 	@$(BIN)/mavfi train --flights 100 --out src/mavfi/data/models
