@@ -143,9 +143,6 @@ def floats(header: np.ndarray, count: int) -> np.ndarray:
     return plain[0] if len(header) == 1 else plain
 
 
-_ZERO_ELEMENTS = np.zeros(0, np.uint8)
-
-
 def new_state(name: str, count: int = 0) -> State:
     """A zeroed state with `count` elements."""
     spec = STATES[name]

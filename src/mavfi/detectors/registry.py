@@ -1,10 +1,7 @@
 """Detectors by name: the two of the paper, those of other packages, and `package:Class`."""
 
-import importlib
 import inspect
-import sys
 from collections.abc import Mapping
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, cast
 
@@ -12,7 +9,8 @@ from mavfi.detectors.detector import Alarm, Detector
 from mavfi.detectors.gate import UNKNOWN_ARENA, Chain, PhysicsGate
 from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
 from mavfi.detectors.preprocess import PROFILES
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError
+from mavfi.plugins import build, known, load_object
 from mavfi.states import State
 
 GROUP = "mavfi.detectors"
@@ -22,6 +20,7 @@ SHIPPED_MODELS = Path(__file__).parents[1] / "data" / "models"
 _SHIPPED = {
     "autoencoder": "mavfi.detectors.autoencoder:AutoencoderDetector",
     "gaussian": "mavfi.detectors.gaussian:GaussianDetector",
+    "none": "mavfi.detectors.registry:NoDetector",
 }
 
 
@@ -41,7 +40,7 @@ class NoDetector:
 
 def detector_names() -> list[str]:
     """Every name that `load_detector` knows."""
-    return sorted({"none", *_SHIPPED, *entry_points(group=GROUP).names})
+    return sorted(known(GROUP, _SHIPPED))
 
 
 def load_detector(
@@ -71,7 +70,7 @@ def load_detector(
         raise BadInputError(f"detector profile {profile!r}: not known; allowed: {', '.join(PROFILES)}")
     if name == "none":
         return NoDetector(), ""
-    factory = _find(name)
+    factory = load_object("detector", name, GROUP, _SHIPPED)
     kind = getattr(factory, "model_kind", None)
     if kind is None:
         return _build(name, factory), ""
@@ -93,41 +92,10 @@ def _load_model(kind: str, profile: str, folder: Path, fits: Mapping[str, Any]) 
     return model
 
 
-def _find(name: str) -> Any:  # noqa: ANN401 - a user's own class
-    if name in _SHIPPED:
-        return _import(name, _SHIPPED[name])
-    for point in entry_points(group=GROUP):
-        if point.name == name:
-            return _import(name, point.value)
-    if ":" in name:
-        return _import(name, name)
-    allowed = ", ".join(detector_names())
-    raise BadInputError(f"detector {name!r}: not known; allowed: {allowed}, or package:Class")
-
-
-def _import(name: str, place: str) -> Any:  # noqa: ANN401 - a user's own class
-    module, _, attribute = place.partition(":")
-    # A console script does not look into the working directory, where a user's own module usually is.
-    if str(Path.cwd()) not in sys.path:
-        sys.path.append(str(Path.cwd()))
-    try:
-        return getattr(importlib.import_module(module), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise BadInputError(f"detector {name!r}: cannot be loaded ({error}); allowed: package:Class") from None
-
-
 def _build(name: str, factory: Any, *arguments: Model, **options: object) -> Detector:  # noqa: ANN401
     given = {key: value for key, value in options.items() if value is not None}
     unknown = set(given) - set(inspect.signature(factory).parameters)
     if unknown:
         raise BadInputError(f"detector {name!r}: has no option {', '.join(sorted(unknown))}")
-    try:
-        detector = factory(*arguments, **given)
-    except MavfiError:
-        raise
-    except (TypeError, KeyError, ValueError, IndexError) as error:
-        raise BadInputError(f"detector {name!r}: cannot be built ({error!r})") from None
-    lacking = [method for method in ("start", "check", "accept") if not callable(getattr(detector, method, None))]
-    if lacking:
-        raise BadInputError(f"detector {name!r}: lacks {', '.join(lacking)}")
-    return cast(Detector, detector)
+    made = build("detector", name, factory, *arguments, needs=("start", "check", "accept"), **given)
+    return cast(Detector, made)

@@ -1,5 +1,7 @@
 """State-level faults: one bit of one field of one published inter-kernel state, once."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from mavfi.errors import BadInputError
@@ -96,10 +98,13 @@ class StateInjector:
         return self._strike(state, time_us)
 
     def _strike(self, state: State, time_us: int) -> State:
-        fault = self._fault
-        struck, before, after = flip(state, fault.site, fault.bit)
+        fault, site = self._fault, self._fault.site
+        if self._in_elements:
+            # the list may be shorter than in the golden flight; the record names what was struck
+            site = replace(site, element=min(site.element or 0, len(state.elements) - 1))
+        struck, before, after = flip(state, site, fault.bit)
         hit = struck.same_bits(state) == (fault.bit is None)
-        self.injections.append(Injection(fault.level, str(fault.site), time_us / 1e6, fault.bit, before, after, hit))
+        self.injections.append(Injection(fault.level, str(site), time_us / 1e6, fault.bit, before, after, hit))
         return struck
 
     def finish(self) -> list[Injection]:

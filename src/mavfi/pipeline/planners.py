@@ -1,17 +1,15 @@
 """Path searches by name.  A user's own planner is a class with the interface of `PathSearch` behind an entry point."""
 
-from importlib import import_module
-from importlib.metadata import entry_points
-from typing import Any, Protocol
+from typing import Protocol, cast
 
 import numpy as np
 
 from mavfi.config import PlannerConfig
-from mavfi.errors import BadInputError
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import rrt_connect
 from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import Grid
+from mavfi.plugins import build, load_object
 
 GROUP = "mavfi.planners"
 _PURPOSE = 1
@@ -84,32 +82,14 @@ class RrtConnect:
         return best
 
 
-_SHIPPED = {"rrt_connect": RrtConnect}
+_SHIPPED = {"rrt_connect": "mavfi.pipeline.planners:RrtConnect"}
 
 
 def make_search(config: PlannerConfig, seed: int) -> PathSearch:
     """The planner that a configuration names: a shipped one, an entry point of `mavfi.planners`, or "package:Class".
 
     Raises:
-        BadInputError: There is no such planner.
+        BadInputError: There is no such planner, or it cannot be built.
     """
-    if config.name in _SHIPPED:
-        return _SHIPPED[config.name](config, seed)
-    found = {point.name: point for point in entry_points(group=GROUP)}
-    planner = found[config.name].load() if config.name in found else _class_at(config.name)
-    if planner is None:
-        allowed = ", ".join(sorted({*_SHIPPED, *found}))
-        raise BadInputError(f"planner {config.name!r}: not known; allowed: {allowed}, or package:Class")
-    search: PathSearch = planner(config, seed)
-    return search
-
-
-def _class_at(address: str) -> Any:
-    """What "package:Class" names; None if there is no such thing."""
-    module, _, attribute = address.partition(":")
-    if not (module and attribute) or module.startswith("."):
-        return None
-    try:
-        return getattr(import_module(module), attribute, None)
-    except ImportError:
-        return None
+    factory = load_object("planner", config.name, GROUP, _SHIPPED)
+    return cast(PathSearch, build("planner", config.name, factory, config, seed, needs=("search",)))

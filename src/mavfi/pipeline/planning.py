@@ -12,7 +12,7 @@ import numpy as np
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import trajectory as timing
 from mavfi.kernels.planning import waypoint as handover
-from mavfi.numerics.voxels import segment_free, voxel_of
+from mavfi.numerics.voxels import segment_free
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.planners import PathSearch, make_search
 from mavfi.pipeline.room import Room
@@ -286,11 +286,6 @@ class MotionPlanner:
             if length > _BACKTRACK_LENGTH:
                 return self._path(np.array(vertices), 0.0, tight=True)
         return None
-
-    def has_room(self, point: np.ndarray) -> bool:
-        """Whether a point is free for the planner (used by tests and pictures)."""
-        voxel = voxel_of(self.room.grid, point[0], point[1], point[2])
-        return bool(voxel >= 0 and self.room.wide[voxel] == 0)
 
     # ---- recomputation ----------------------------------------------------------------------------------------------
     def mark(self) -> None:

@@ -68,11 +68,11 @@ def test_a_detector_of_ones_own_is_found(monkeypatch):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("gausian", "not known; allowed: autoencoder, gaussian, none, or package:Class"),
-        ("no_such_package:Detector", "cannot be loaded"),
-        ("json:NoSuchClass", "cannot be loaded"),
+        ("gausian", "not known; allowed: autoencoder, gaussian, none, or package:object"),
+        ("no_such_package:Detector", "cannot be imported"),
+        ("json:NoSuchClass", "cannot be imported"),
         ("fractions:Fraction", "lacks start, check, accept"),
-        (":", "cannot be loaded"),
+        (":", "cannot be imported"),
     ],
 )
 def test_what_is_no_detector_is_refused_in_one_line(name, message):

@@ -1,17 +1,16 @@
 """From an environment's configuration to a world: finds generators, checks what users give."""
 
-import importlib
 import inspect
 from collections.abc import Callable
 from functools import cache
-from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from mavfi.config import EnvironmentConfig, Vector, VehicleConfig, shipped
 from mavfi.errors import BadInputError
+from mavfi.plugins import load_object
 from mavfi.sim.environments.world import World
 
 Generator = Callable[..., World]
@@ -73,25 +72,7 @@ def find_generator(name: str) -> Generator:
     Raises:
         BadInputError: There is none, or it cannot be imported.
     """
-    target = name if ":" in name else generators().get(name)
-    if target is None:
-        allowed = ", ".join(generators())
-        raise BadInputError(f"generator {name!r}: not known; allowed: {allowed}, or package:function")
-    module, _, function = target.partition(":")
-    try:
-        generator = getattr(importlib.import_module(module), function)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise BadInputError(f"generator {name!r}: cannot be imported ({error})") from None
-    if not callable(generator):
-        raise BadInputError(f"generator {name!r}: is not a function")
-    return generator  # type: ignore[no-any-return]
-
-
-@cache
-def generators() -> dict[str, str]:
-    """Names of the known generators and where they are: built in, and from installed packages."""
-    found = {point.name: point.value for point in entry_points(group=ENTRY_POINT_GROUP)}
-    return found | _BUILT_IN
+    return cast(Generator, load_object("generator", name, ENTRY_POINT_GROUP, _BUILT_IN))
 
 
 def environment_for_file(path: str | Path) -> EnvironmentConfig:
@@ -107,7 +88,7 @@ def environment_for_file(path: str | Path) -> EnvironmentConfig:
         BadInputError: It has another ending or is absent.
     """
     path = Path(path)
-    if path.suffix not in _SCAN_ENDINGS:
+    if path.suffix.lower() not in _SCAN_ENDINGS:
         raise BadInputError(f"{path}: not a scanned map; allowed: a file ending in {' or '.join(_SCAN_ENDINGS)}")
     if not path.is_file():
         raise BadInputError(f"{path}: there is no such file")

@@ -1,0 +1,83 @@
+"""Things by name: shipped ones, entry points of other packages, and `package:object` of a user's own."""
+
+import importlib
+import sys
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from mavfi.errors import BadInputError, MavfiError
+
+
+def known(group: str, shipped: Mapping[str, str]) -> dict[str, str]:
+    """Every name of a group and where it is, "module:object".
+
+    Args:
+        group: Group of entry points.
+        shipped: What mavfi itself has; it works without being installed, and its names cannot be taken.
+    """
+    return {point.name: point.value for point in entry_points(group=group)} | dict(shipped)
+
+
+def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) -> Any:  # noqa: ANN401 - a user's own
+    """What a name stands for.
+
+    Args:
+        what: Kind of thing, for messages: "detector", "planner", "generator".
+        name: A known name, or "package.module:object".
+        group: Group of entry points.
+        shipped: As of `known`.
+
+    Raises:
+        BadInputError: The name is not known, or what it names cannot be imported or called; the message says why.
+    """
+    names = known(group, shipped)
+    place = names.get(name, name if ":" in name else "")
+    if not place:
+        raise BadInputError(f"{what} {name!r}: not known; allowed: {', '.join(sorted(names))}, or package:object")
+    module, _, attribute = place.partition(":")
+    # A console script does not look into the working directory, where a user's own module usually is.
+    if str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))
+    try:
+        found = getattr(importlib.import_module(module), attribute)
+    except MavfiError:
+        raise
+    except Exception as error:  # noqa: BLE001 - whatever a user's module raises while it is imported
+        raise BadInputError(f"{what} {name!r}: cannot be imported ({_reason(error)})") from None
+    if not callable(found):
+        raise BadInputError(f"{what} {name!r}: cannot be called; allowed: a class or a function")
+    return found
+
+
+def build(
+    what: str, name: str, factory: Any, *arguments: object, needs: tuple[str, ...] = (), **options: object
+) -> Any:  # noqa: ANN401
+    """Make an object of a user's own class.
+
+    Args:
+        what: Kind of thing, for messages.
+        name: Its name, for messages.
+        factory: Class or function.
+        arguments: What it is called with.
+        needs: Methods that the object must have.
+        options: Likewise, by name.
+
+    Raises:
+        BadInputError: It raised, or lacks a method.
+    """
+    try:
+        made = factory(*arguments, **options)
+    except MavfiError:
+        raise
+    except Exception as error:  # noqa: BLE001 - whatever a user's constructor raises
+        raise BadInputError(f"{what} {name!r}: cannot be built ({_reason(error)})") from None
+    lacking = [method for method in needs if not callable(getattr(made, method, None))]
+    if lacking:
+        raise BadInputError(f"{what} {name!r}: lacks {', '.join(lacking)}")
+    return made
+
+
+def _reason(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"

@@ -1,0 +1,75 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.plugins import build, known, load_object
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = {"here": "mavfi.errors:MavfiError"}
+GROUP = "mavfi.no_such_group"
+
+
+def load(name):
+    return load_object("thing", name, GROUP, SHIPPED)
+
+
+def test_shipped_names_entry_points_and_addresses_are_found():
+    assert load("here").__name__ == "MavfiError"
+    assert load("mavfi.errors:BadInputError") is BadInputError
+    assert "cuboids" in known("mavfi.environments", {})
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("nowhere", "allowed: here, or package:object"),
+        ("no_such_package:X", "cannot be imported .ModuleNotFoundError"),
+        ("mavfi.errors:Missing", "cannot be imported .AttributeError"),
+        (".relative:X", "cannot be imported"),
+        (":X", "cannot be imported"),
+        ("mavfi.errors:__doc__", "cannot be called"),
+    ],
+)
+def test_what_cannot_be_loaded_is_one_line(name, message):
+    with pytest.raises(BadInputError, match=message) as caught:
+        load(name)
+    assert str(caught.value).startswith(f"thing {name!r}: ") and "\n" not in str(caught.value)
+
+
+def test_a_module_that_raises_is_the_users_mistake(tmp_path, monkeypatch):
+    (tmp_path / "broken_plugin.py").write_text("raise RuntimeError('two\\nlines')\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    with pytest.raises(BadInputError, match="RuntimeError: two lines"):
+        load("broken_plugin:X")
+
+
+def test_a_constructor_that_raises_and_a_missing_method_are_named():
+    with pytest.raises(BadInputError, match="cannot be built .TypeError"):
+        build("thing", "x", dict, 1, 2, 3)
+    with pytest.raises(BadInputError, match="lacks search"):
+        build("thing", "x", dict, needs=("keys", "search"))
+    assert build("thing", "x", dict, needs=("keys",), a=1) == {"a": 1}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--environment", "sparse", "--planner", "examples.planner_detour:Detour"],
+        ["--environment", "sparse", "--detector", "examples.detector_speed_limit:SpeedLimit"],
+        ["--environment", "gates.yaml"],
+    ],
+)
+def test_examples_fly_from_the_console_script(options, tmp_path):
+    gates = tmp_path / "gates.yaml"
+    gates.write_text("name: gates\ngenerator: examples.environment_gates:gates\n", encoding="utf-8")
+    options = [str(gates) if option == "gates.yaml" else option for option in options]
+    program = Path(sys.executable).with_name("mavfi")
+    done = subprocess.run(
+        [program, "fly", "--seed", "7", *options], cwd=ROOT, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
