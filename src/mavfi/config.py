@@ -1,7 +1,7 @@
 """Configuration: YAML files become frozen, validated models; an unknown key is an error that names file and key."""
 
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -164,22 +164,38 @@ def parse(model: type[ConfigType], data: dict[str, Any], source: str) -> ConfigT
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"]) or "(whole)"
-        if first["type"] == "extra_forbidden":
-            allowed = ", ".join(_keys_at(model, first["loc"]))
-            raise BadInputError(f"{source}: unknown key {key!r}; allowed: {allowed}") from None
-        value = "absent" if first["type"] == "missing" else repr(first["input"])
-        raise BadInputError(f"{source}: key {key!r}: {value}: {first['msg']}") from None
+        raise BadInputError(f"{source}: {_told(model, {**error.errors()[0]})}") from None
 
 
-def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+def _told(model: type[BaseModel], error: dict[str, Any]) -> str:
+    """One of pydantic's findings in our words; checks of a whole model name their keys themselves."""
+    location, kind = error["loc"], error["type"]
+    key = ".".join(str(part) for part in location)
+    message: str = error["msg"].removeprefix("Value error, ")
+    if not key:
+        return message
+    owner = _owner(model, location)
+    if kind == "extra_forbidden":
+        return f"unknown key {key!r}; allowed: {', '.join(owner.model_fields)}"
+    if kind == "missing":
+        field = owner.model_fields.get(str(location[-1]))
+        allowed = get_args(field.annotation) if field is not None and get_origin(field.annotation) is Literal else ()
+        return f"key {key!r}: is required" + (f"; allowed: {', '.join(map(str, allowed))}" if allowed else "")
+    value = error["input"]
+    shown = type(value).__name__ if isinstance(value, (dict, list, tuple)) else repr(value)
+    if kind == "literal_error":
+        return f"key {key!r}: {shown}: not known; allowed: {error['ctx']['expected']}"
+    return f"key {key!r}: {message}" if kind == "value_error" else f"key {key!r}: {shown}: {message}"
+
+
+def _owner(model: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel]:
+    """The model that holds the key; as deep as models are nested in each other without a collection between."""
     for part in location[:-1]:
         annotation = model.model_fields[str(part)].annotation if str(part) in model.model_fields else None
         if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
             break
         model = annotation
-    return list(model.model_fields)
+    return model
 
 
 def load(model: type[ConfigType], path: Path) -> ConfigType:
@@ -207,7 +223,8 @@ def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
     path = config_root() / kind / f"{name}.yaml"
     if not path.is_file():
         allowed = ", ".join(names(kind))
-        raise BadInputError(f"{kind.rstrip('s')} {name!r}: not known; allowed: {allowed}, or a path to a .yaml file")
+        files = ".yaml, .bt or .ot" if kind == "environments" else ".yaml"  # scanned maps are environments too
+        raise BadInputError(f"{kind.rstrip('s')} {name!r}: not known; allowed: {allowed}, or a path to a {files} file")
     return load(model, path)
 
 

@@ -8,7 +8,7 @@ class Outcome(Enum):
     """Effect of a fault; the value is a sentence for people."""
 
     MASKED = "Every vehicle state and command is bit for bit that of the golden twin."
-    SDC = "The flight differs from its golden twin, and nothing said so."
+    SDC = "The flight differs from its golden twin, and the computation ran to its end."
     DUE = "The computation crashed, raised or hung: the error was detected, and not recovered."
     UNKNOWN = "Could not be judged: the flight or its golden twin has no record."
 

@@ -72,6 +72,10 @@ def test_strata_get_their_shares_in_a_drawn_order(count):
     assert strata == share_out({"sign_exponent": 2, "mantissa": 1}, count, 10_000, "planning")
 
 
-def test_the_order_of_strata_differs_between_targets():
-    orders = {tuple(share_out({"a": 1, "b": 1}, 20, 10_000, name)) for name in ("perception", "planning", "control")}
-    assert len(orders) == 3
+def test_the_order_of_strata_differs_between_targets_and_environments():
+    orders = {
+        tuple(share_out({"a": 1, "b": 1}, 20, 10_000, environment, name))
+        for environment in ("sparse", "dense")
+        for name in ("perception", "planning", "control")
+    }
+    assert len(orders) == 6

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binomtest, poisson
+from scipy.stats import beta, binomtest, poisson
 
+from mavfi.campaign.pairs import mcnemar, paired_difference, recovery
 from mavfi.campaign.statistics import (
     cluster_sums,
+    clustered_rate,
     event_rate,
-    mcnemar,
-    recovery,
+    event_rate_by_flight,
     resample,
     smallest_difference,
     weighted_rate,
@@ -117,27 +118,128 @@ def test_flights_of_one_world_are_not_independent():
     assert (alone.low, alone.high) == pytest.approx((tenfold.low, tenfold.high))
 
 
-def test_recovery_rate():
-    golden = [(world, True) for world in range(100)]
-    pairs = [(world, world >= 20, world >= 5) for world in range(100)]
-    found = recovery(golden, pairs)
+@pytest.mark.parametrize("failing", range(1, 16))
+def test_a_stratum_without_failures_keeps_its_doubt_in_the_whole_word(failing):
+    """60 flights of one stratum, of which some fail, and 30 of the other: no tighter than where none fails."""
+    weights, strata = [3 / 16] * 60 + [13 / 16] * 30, ["a"] * 60 + ["b"] * 30
+    none, some = (
+        weighted_rate([0] * k + [1] * (90 - k), weights, strata, [*range(60), *range(30)]) for k in (0, failing)
+    )
+    alone = wilson(30, 30)
+    assert some.high - some.low >= none.high - none.low
+    assert some.rate - some.low >= 13 / 16 * (1 - alone.low)
+
+
+def test_strata_that_fail_in_the_same_worlds_add_up():
+    """Correlated strata leave more doubt than the same strata in worlds of their own."""
+    success = [0] * 15 + [1] * 15
+    arguments = [1.0] * 60, ["a"] * 30 + ["b"] * 30
+    together = weighted_rate(success * 2, *arguments, [*range(30), *range(30)])
+    apart = weighted_rate(success * 2, *arguments, list(range(60)))
+    assert together.high - together.low > 1.2 * (apart.high - apart.low)
+
+
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 9)), min_size=1, max_size=60))
+def test_worlds_make_intervals_wider_never_narrower(flights):
+    success, world = zip(*flights, strict=True)
+    found, plain = clustered_rate(success, world), wilson(sum(success), len(success))
+    assert (found.n, found.rate, found.successes) == (plain.n, plain.rate, plain.successes)
+    assert found.low <= plain.low + 1e-9
+    assert found.high >= plain.high - 1e-9
+    alone = clustered_rate(success, range(len(success)))
+    assert (alone.low, alone.high) == pytest.approx((plain.low, plain.high))
+
+
+def test_ten_identical_flights_per_world_count_once():
+    found, plain = clustered_rate([w % 4 > 0 for w in range(40)] * 10, list(range(40)) * 10), wilson(30, 40)
+    assert (found.low, found.high) == pytest.approx((plain.low, plain.high))
+    assert clustered_rate([], []).rate is None
+
+
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
+def test_paired_difference_holds_the_estimate_and_turns_with_the_pairs(pairs):
+    first, second = zip(*pairs, strict=True)
+    difference, low, high = paired_difference(first, second, range(len(pairs)))
+    assert difference == pytest.approx((sum(first) - sum(second)) / len(pairs))
+    assert -1 <= low < difference + 1e-12
+    assert difference - 1e-12 < high <= 1
+    turned = paired_difference(second, first, range(len(pairs)))
+    assert turned == pytest.approx((-difference, -high, -low))
+
+
+def test_no_discordant_pair_leaves_the_doubt_of_so_many_pairs():
+    bound = 1 - wilson(30, 30).low
+    assert paired_difference([True] * 30, [True] * 30, range(30)) == pytest.approx((0.0, -bound, bound))
+
+
+def test_paired_difference_covers():
+    random = np.random.default_rng(3)
+    kinds = random.choice(3, p=[0.85, 0.12, 0.03], size=(400, 60))
+    inside = 0
+    for row in kinds:
+        _, low, high = paired_difference(row != 2, row != 1, range(60))
+        inside += low <= 0.09 <= high
+    assert 0.92 < inside / 400 < 0.995
+
+
+def of_worlds(lost, regained, n=100):
+    """Golden always succeeds; fi loses the first missions, and the method brings some of them back."""
+    return [(world, True, world >= lost, world >= lost or world < regained) for world in range(n)]
+
+
+@pytest.mark.parametrize("regained", [0, 1, 15, 20])
+def test_recovery_that_does_no_harm_is_a_binomial_share(regained):
+    found = recovery(of_worlds(20, regained))
     assert found.loss == pytest.approx(0.2)
-    assert found.rate == pytest.approx(0.75)
-    assert found.low < 0.75 < found.high
     assert 0 < found.loss_low < 0.2 < found.loss_high
+    assert (found.lost, found.regained) == (20, regained)
+    assert found.rate == pytest.approx(regained / 20)
+    low = beta.ppf(0.025, regained, 21 - regained) if regained else 0.0
+    high = beta.ppf(0.975, regained + 1, 20 - regained) if regained < 20 else 1.0
+    assert (found.low, found.high) == pytest.approx((low, high))
+    assert found.high - found.low > 0.1
+
+
+def test_harm_counts_against_a_method():
+    pairs = [*of_worlds(20, 15)[:-5], *((world, True, True, False) for world in range(95, 100))]
+    found = recovery(pairs)
+    assert found.rate == pytest.approx(0.5)
+    assert found.low < 0.5 < found.high
+    assert (found.lost, found.regained) == (20, 15)
 
 
 @pytest.mark.parametrize("failing", [0, 1, 2])
 def test_recovery_is_undefined_while_the_loss_may_be_nothing(failing):
-    golden = [(world, world != 50) for world in range(100)]
-    found = recovery(golden, [(world, world >= failing, True) for world in range(100)])
+    pairs = [(world, world != 50, world >= failing, True) for world in range(100)]
+    found = recovery(pairs)
     assert found.rate is None
     assert found.low is None
     assert found.loss_low <= 0 <= found.loss_high
 
 
 def test_recovery_of_nothing():
-    assert recovery([], []) is None
+    assert recovery([]) is None
+
+
+def test_alarms_that_come_together_leave_more_doubt_than_poisson_says():
+    events = [1] * 25 + [30] * 5
+    found, poisson_alone = event_rate_by_flight(events, [0.01] * 30), event_rate(175, 0.3)
+    assert found.per_hour == pytest.approx(poisson_alone.per_hour)
+    assert found.low < 0.8 * poisson_alone.low
+    assert found.high > 1.2 * poisson_alone.high
+    assert poisson_alone.upper < found.upper < found.high
+
+
+@given(st.lists(st.integers(0, 4), min_size=1, max_size=30))
+def test_alarm_rates_are_never_surer_than_poisson(events):
+    found, poisson_alone = (
+        event_rate_by_flight(events, [0.01] * len(events)),
+        event_rate(sum(events), 0.01 * len(events)),
+    )
+    assert found.low <= poisson_alone.low + 1e-9
+    assert found.high >= poisson_alone.high - 1e-9
+    if not sum(events):
+        assert found.upper == pytest.approx(poisson_alone.upper)
 
 
 def test_smallest_difference_shrinks_with_n_and_is_the_textbooks():

@@ -1,5 +1,7 @@
+from typing import Literal
+
 import pytest
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from mavfi.config import (
     Config,
@@ -23,6 +25,22 @@ class Cart(Config):
     name: str
     wheel: Wheel
     wheels: int = Field(2, ge=1)
+
+
+class Ship(Config):
+    hull: Literal["wood", "steel"]
+    masts: int = 0
+    crew: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _floats(self) -> "Ship":
+        if self.hull == "steel" and self.masts:
+            raise ValueError(f"masts: {self.masts}: ships of steel have none")
+        return self
+
+
+class Fleet(Config):
+    flagship: Ship
 
 
 GOOD = {"name": "a", "wheel": {"radius": 0.3}}
@@ -49,15 +67,35 @@ def test_sound_data_become_a_frozen_model():
         ({"wheels": 0}, "cart.yaml: key 'wheels': 0: Input should be greater than or equal to 1"),
         ({"wheel": {"radius": -1}}, "cart.yaml: key 'wheel.radius': -1: Input should be greater than 0"),
         ({"wheel": {"radius": float("nan")}}, "cart.yaml: key 'wheel.radius': nan: Input should be a finite number"),
-        ({"wheel": {}}, "cart.yaml: key 'wheel.radius': absent: Field required"),
+        ({"wheel": {}}, "cart.yaml: key 'wheel.radius': is required"),
     ],
 )
 def test_bad_data_are_refused_in_one_line_that_names_key_value_and_what_is_allowed(change, message):
     assert refusal(GOOD | change) == message
 
 
+@pytest.mark.parametrize(
+    ("ship", "message"),
+    [
+        ({"hull": "steel", "masts": 2}, "masts: 2: ships of steel have none"),
+        ({}, "key 'hull': is required; allowed: wood, steel"),
+        ({"hull": "wax"}, "key 'hull': 'wax': not known; allowed: 'wood' or 'steel'"),
+        ({"hull": "wood", "crew": {"a": 1}}, "key 'crew': dict: Input should be a valid tuple"),
+    ],
+)
+def test_messages_show_what_is_wrong_and_not_the_whole_mapping(ship, message):
+    with pytest.raises(BadInputError) as caught:
+        parse(Ship, ship, "ship.yaml")
+    assert str(caught.value) == f"ship.yaml: {message}"
+
+
+def test_checks_of_a_nested_model_name_it():
+    with pytest.raises(BadInputError, match=r"^fleet.yaml: key 'flagship': masts: 2: ships of steel have none$"):
+        parse(Fleet, {"flagship": {"hull": "steel", "masts": 2}}, "fleet.yaml")
+
+
 def test_an_absent_key_is_named():
-    assert refusal({"wheel": {"radius": 1.0}}) == "cart.yaml: key 'name': absent: Field required"
+    assert refusal({"wheel": {"radius": 1.0}}) == "cart.yaml: key 'name': is required"
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 import hashlib
 import json
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -71,14 +73,15 @@ class Campaign(Config):
     def _consistent(self) -> "Campaign":
         flights = max([self.flights, *(scale.flights for scale in self.scales.values())])
         if self.first_seed + flights > TRAINING_SEED:
-            raise ValueError(f"seeds from {TRAINING_SEED} on are for training")
+            raise ValueError(
+                f"first_seed: {self.first_seed}, flights: {flights}: seeds from {TRAINING_SEED} on are for training"
+            )
         if (self.law == "groups") != bool(self.groups):
-            raise ValueError("groups are given where, and only where, law is 'groups'")
+            raise ValueError(f"law: {self.law!r}: groups are given where, and only where, law is 'groups'")
         if self.monitored_set not in MONITORED_SETS:
-            raise ValueError(f"monitored_set: allowed: {', '.join(MONITORED_SETS)}")
-        names = [group.name for group in self.groups]
-        if len(set(names)) != len(names):
-            raise ValueError("two groups have the same name")
+            raise ValueError(f"monitored_set: {self.monitored_set!r}: not known; allowed: {', '.join(MONITORED_SETS)}")
+        _check_distinct("environments", self.environments)
+        _check_distinct("groups", [group.name for group in self.groups])
         for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
             _check_strata(strata)
         _check_targets(self)
@@ -112,12 +115,18 @@ class Campaign(Config):
         return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
 
 
+def _check_distinct(key: str, names: Sequence[str]) -> None:
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise ValueError(f"{key}: {name!r}: named {count} times; allowed: once")
+
+
 def _check_strata(strata: dict[str, float]) -> None:
     unknown = set(strata) - set(STRATA)
     if unknown:
-        raise ValueError(f"stratum {sorted(unknown)[0]!r}: allowed: {', '.join(STRATA)}")
+        raise ValueError(f"strata: {sorted(unknown)[0]!r}: not known; allowed: {', '.join(STRATA)}")
     if not strata or not all(0 < share < float("inf") for share in strata.values()):
-        raise ValueError("strata need at least one name, and shares above 0")
+        raise ValueError(f"strata: {strata}: need at least one name, and shares above 0")
 
 
 def _check_targets(campaign: Campaign) -> None:

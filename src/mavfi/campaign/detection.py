@@ -4,15 +4,13 @@ from collections import Counter
 from dataclasses import asdict
 from typing import Any
 
-import numpy as np
-
 from mavfi.campaign import paper
 from mavfi.campaign.flights import Row, group, is_golden, is_injected
-from mavfi.campaign.statistics import event_rate, wilson
+from mavfi.campaign.statistics import clustered_rate, event_rate_by_flight
 from mavfi.states import PPC_STAGES
 
-PROMPT = 1.0
-"""An alarm counts as a detection of the fault up to this time after it (s)."""
+SYSTEMATIC = 0.9
+"""Share of flights from which alarms of one state at one instant are systematic: of the start, not of the mission."""
 
 
 def false_alarms(rows: list[Row]) -> list[dict[str, Any]]:
@@ -22,11 +20,12 @@ def false_alarms(rows: list[Row]) -> list[dict[str, Any]]:
     for setting, part in group(golden, lambda row: row.spec.setting).items():
         groups = group(part, lambda row: row.spec.environment)
         for environment, own in {**groups, "all": part}.items():
-            hours = sum(row.record["flight_time_s"] for row in own) / 3600
             kinds: Counter[str] = Counter()
             for row in own:
                 kinds.update(row.record["alarm_counts"])
-            rate = event_rate(sum(row.record["alarms_total"] for row in own), hours)
+            rate = event_rate_by_flight(
+                [row.record["alarms_total"] for row in own], [row.record["flight_time_s"] / 3600 for row in own]
+            )
             table.append(
                 {
                     "environment": environment,
@@ -35,29 +34,46 @@ def false_alarms(rows: list[Row]) -> list[dict[str, Any]]:
                     "flights_with_alarm": sum(row.record["alarms_total"] > 0 for row in own),
                     **asdict(rate),
                     "kinds": dict(kinds),
+                    "systematic": _systematic(own),
                 }
             )
     return table
 
 
+def _systematic(rows: list[Row]) -> list[dict[str, Any]]:
+    """Alarms that more than `SYSTEMATIC` of the flights have, and so not by chance; none where there is one flight."""
+    flights: Counter[tuple[str, int]] = Counter()
+    for row in rows:
+        flights.update({(alarm["state"], round(1e6 * alarm["time_s"])) for alarm in row.record["alarms"]})
+    return [
+        {"state": state, "time_s": 1e-6 * time_us, "flights": count}
+        for (state, time_us), count in sorted(flights.items())
+        if len(rows) > 1 and count > SYSTEMATIC * len(rows)
+    ]
+
+
 def detections(rows: list[Row], monitored_set: str) -> list[dict[str, Any]]:
-    """Faults that hit and were followed by an alarm within `PROMPT`: by environment, arm, stratum, watched or not."""
+    """Faults that hit, and alarms: by environment, arm, stratum, watched or not.
+
+    Returns:
+        Rate of faults with an alarm on the very publication that was struck (coupling inline: its latency is 0), and
+        as `consequence` the rate of those with an alarm within `worker.AFTERMATH` that the golden twin has not.
+    """
     table = []
     struck = [row for row in rows if is_injected(row) and row.spec.arm and row.site_fate == "hit" and row.judged]
     groups = group(
         struck, lambda row: (row.spec.environment, row.spec.setting, row.stratum, row.watched(monitored_set))
     )
     for (environment, setting, stratum, watched), own in groups.items():
-        latencies = [row.record.get("alarm_latency_s") for row in own]
-        prompt = [latency for latency in latencies if latency is not None and latency <= PROMPT]
+        worlds = [row.world for row in own]
         table.append(
             {
                 "environment": environment,
                 "setting": setting,
                 "population": stratum,
                 "monitored": watched,
-                **asdict(wilson(len(prompt), len(own))),
-                "median_latency_s": float(np.median(prompt)) if prompt else None,
+                **asdict(clustered_rate([row.alarmed for row in own], worlds)),
+                "consequence": asdict(clustered_rate([row.consequence_alarmed for row in own], worlds)),
             }
         )
     return table

@@ -17,7 +17,10 @@ FATES = ("hit", "no_site", "not_hit")
 
 
 def outcomes(rows: list[Row]) -> list[dict[str, Any]]:
-    """Masked, SDC, DUE and unknown, and the fate of the sites, by environment, setting and stage."""
+    """Masked, SDC, DUE and unknown, and the fate of the sites, by environment, setting and stage.
+
+    `sdc_alarmed` counts those of the SDC that had an alarm on the struck publication.
+    """
     table = []
     injected = [row for row in rows if is_injected(row)]
     for key, own in group(injected, lambda row: (row.spec.environment, row.spec.setting, row.stage)).items():
@@ -30,6 +33,7 @@ def outcomes(rows: list[Row]) -> list[dict[str, Any]]:
                 "stage": key[2],
                 "n": len(own),
                 **{outcome.label: verdicts[outcome.label] for outcome in Outcome},
+                "sdc_alarmed": sum(row.outcome is Outcome.SDC and row.alarmed for row in own),
                 **{fate: fates[fate] for fate in FATES},
             }
         )

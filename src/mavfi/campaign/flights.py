@@ -6,7 +6,7 @@ from typing import Any
 
 from mavfi.campaign.plan import FI, GOLDEN, NULL, RECOVERY, RunSpec
 from mavfi.campaign.store import Store
-from mavfi.campaign.worker import End
+from mavfi.campaign.worker import AFTERMATH, INSTANT, End
 from mavfi.faults.strata import bit_class
 from mavfi.outcomes import FlightEnd, Outcome, classify
 from mavfi.states import MONITORED_SETS, STATES
@@ -103,6 +103,39 @@ class Row:
     def energy_inflation(self) -> float | None:
         """Energy / that of the golden run - 1, where both succeed."""
         return self._relative("energy_j")
+
+    @property
+    def golden_success(self) -> bool | None:
+        """Whether the golden run of the same world succeeds; None where that is not known."""
+        if self.golden is None or self.golden["end"] == End.UNKNOWN:
+            return None
+        return bool(self.golden.get("success", False))
+
+    @property
+    def alarmed(self) -> bool:
+        """Whether an alarm was raised on the publication that was struck: of its state, at the injection's instant."""
+        instants = self._struck()
+        return any(
+            alarm["state"] == self.state and abs(alarm["time_s"] - time_s) < INSTANT
+            for alarm in self.record.get("alarms", ())
+            for time_s in instants
+        )
+
+    @property
+    def consequence_alarmed(self) -> bool:
+        """Whether, within `AFTERMATH` of the injection, there is an alarm that the golden twin of the arm has not."""
+        instants = self._struck()
+        twins = () if self.twin is None else self.twin.get("alarms", ())
+        known = {(alarm["state"], round(1e6 * alarm["time_s"])) for alarm in twins}
+        return any(
+            -INSTANT < alarm["time_s"] - time_s <= AFTERMATH
+            and (alarm["state"], round(1e6 * alarm["time_s"])) not in known
+            for alarm in self.record.get("alarms", ())
+            for time_s in instants
+        )
+
+    def _struck(self) -> list[float]:
+        return [injection["time_s"] for injection in self.record.get("injections", ()) if injection["hit"]]
 
     def _relative(self, key: str) -> float | None:
         if not self.success or self.golden is None or not self.golden.get("success"):

@@ -13,9 +13,6 @@ SUCCESS: dict[str, dict[str, float]] = {
 }
 """Table I: flight success rate by environment and setting."""
 
-FLIGHTS = {"golden": 100, "fi": 300, "dr_gaussian": 300, "dr_autoencoder": 300}
-"""Runs per environment and setting (section VI)."""
-
 WORST_TIME_INCREASE: dict[str, float] = {"factory": 0.738, "farm": 0.742, "sparse": 0.626, "dense": 0.933}
 """Section VI-A: increase of the worst flight time with fault injection over the golden run's, successful flights."""
 

@@ -192,11 +192,12 @@ def _faults(
     campaign: Campaign, environment: str, profiles: Mapping[tuple[str, int], Profile]
 ) -> Iterator[tuple[str, int, int, Fault]]:
     for target, shares in _targets(campaign):
-        strata = share_out(shares, campaign.faults, campaign.first_seed, target.name)
+        strata = share_out(shares, campaign.faults, campaign.first_seed, environment, target.name)
         for index, stratum in enumerate(strata):
             seed = campaign.first_seed + index % campaign.flights
             profile = profiles.get((environment, seed), Profile())
-            yield target.name, index, seed, draw(target, stratum, profile, seed, index // campaign.flights)
+            fault = draw(target, stratum, profile, seed, environment, index // campaign.flights)
+            yield target.name, index, seed, fault
 
 
 def _null_faults(
@@ -205,18 +206,19 @@ def _null_faults(
     for index in range(campaign.null_runs):
         seed = campaign.first_seed + index % campaign.flights
         target = stage_target(PPC_STAGES[index % len(PPC_STAGES)], campaign.stack)
-        fault = draw(target, HEADLINE, profiles.get((environment, seed), Profile()), seed, index)
+        profile = profiles.get((environment, seed), Profile())
+        fault = draw(target, HEADLINE, profile, seed, environment, index)
         yield index, seed, replace(fault, bit=None, stratum="", weight=1.0)
 
 
-def share_out(shares: Mapping[str, float], count: int, seed: int, name: str) -> list[str]:
+def share_out(shares: Mapping[str, float], count: int, seed: int, *address: str) -> list[str]:
     """Give each of `count` faults its stratum: exact shares (largest remainder), in an order that the seed draws.
 
     Args:
         shares: Share of each stratum; need not add up to 1.
         count: How many faults.
-        seed: First seed of the campaign; the order is the same in every environment.
-        name: Name of the target.
+        seed: First seed of the campaign.
+        address: Environment, and name of the target; each has an order of its own.
     """
     total = sum(shares.values())
     exact = {stratum: count * share / total for stratum, share in shares.items()}
@@ -225,4 +227,4 @@ def share_out(shares: Mapping[str, float], count: int, seed: int, name: str) -> 
     for stratum in by_remainder[: count - sum(whole.values())]:
         whole[stratum] += 1
     strata = [stratum for stratum, number in whole.items() for _ in range(number)]
-    return [strata[place] for place in stream(seed, "strata", name).permutation(count)]
+    return [strata[place] for place in stream(seed, "strata", *address).permutation(count)]

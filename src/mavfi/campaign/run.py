@@ -31,27 +31,36 @@ _PACKAGES = ("numpy", "numba", "llvmlite", "mujoco-core", "scikit-learn")
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class Status:
     """How far a campaign is.
 
     Attributes:
         done: Runs done, those of earlier sittings included.
         total: Runs of the whole campaign.
-        flown: Runs done in this sitting.
-        seconds: Wall time of this sitting (s).
         settings: By setting: planned so far, done, done with success.
     """
 
     done: int
     total: int
-    flown: int = 0
-    seconds: float = 0.0
     settings: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
 
     @property
     def complete(self) -> bool:
         """Whether nothing is left to fly."""
         return self.done == self.total
+
+
+@dataclass(frozen=True, slots=True)
+class Progress(Status):
+    """How far a campaign is while it is flown.
+
+    Attributes:
+        flown: Runs done in this sitting.
+        seconds: Wall time of this sitting (s).
+    """
+
+    flown: int = 0
+    seconds: float = 0.0
 
     @property
     def rate(self) -> float:
@@ -108,7 +117,7 @@ class _Sitting:
     def _tell(self, counts: dict[str, tuple[int, int, int]]) -> None:
         done = sum(number for _, number, _ in counts.values())
         seconds = time.perf_counter() - self.started
-        self.report(Progress(done, count_runs(self.campaign), self.flown, seconds, dict(counts)))
+        self.report(Progress(done, count_runs(self.campaign), dict(counts), self.flown, seconds))
 
 
 def run_campaign(  # noqa: PLR0913 - everything after the directory has a default
@@ -119,7 +128,7 @@ def run_campaign(  # noqa: PLR0913 - everything after the directory has a defaul
     models_dir: Path | None = None,
     tools: Tools | None = None,
     progress: Callable[[Progress], None] | None = None,
-) -> Progress:
+) -> Status:
     """Fly a campaign, or what is left of it; stopping it at any moment loses only the flights in the air.
 
     Args:
@@ -198,7 +207,7 @@ def model_hashes(
     }
 
 
-def status(directory: Path) -> Progress:
+def status(directory: Path) -> Status:
     """How far a stored campaign is.
 
     Raises:
@@ -207,7 +216,7 @@ def status(directory: Path) -> Progress:
     with Store.open(directory) as store:
         counts = store.counts()
         done = sum(number for _, number, _ in counts.values())
-        return Progress(done, count_runs(stored_campaign(store)), settings=counts)
+        return Status(done, count_runs(stored_campaign(store)), counts)
 
 
 def stored_campaign(store: Store) -> Campaign:
@@ -233,8 +242,7 @@ def _check_versions(store: Store) -> None:
         store.write_meta({"versions": here})
         return
     differing = [name for name in here if held.get(name) != here[name]]
-    finished = store.is_planned(PHASE_INJECTED) and next(store.runs(done=False), None) is None
-    if differing and not finished:
+    if differing and not store.complete:
         name = differing[0]
         raise BadInputError(
             f"{store.directory}: was begun with {name} {held.get(name)}, here is {here[name]}; runs cannot be mixed"

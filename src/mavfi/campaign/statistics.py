@@ -1,18 +1,23 @@
 """Rates with intervals: what a number of flights can say, and what it cannot.
 
-All intervals are 95 %.  Bootstraps resample whole worlds (missions), since flights of one world are alike.
+All intervals are 95 %.  Flights of one world are alike, so worlds are the clusters of every interval: score intervals
+take the effective number of flights, n / design effect (Kish 1965; Korn and Graubard 1998), bootstraps resample whole
+worlds.  Bootstraps alone show no doubt where all flights end alike; so weighted rates and differences are put together
+from score intervals by MOVER (Newcombe 1998; Zou and Donner 2008).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import binomtest, chi2, norm
+from scipy.stats import chi2, norm
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 _SEED = 20
-_TAIL = (1 - CONFIDENCE) / 2
+TAIL = (1 - CONFIDENCE) / 2
+"""Probability that an interval leaves out on each side."""
+_Z2 = float(norm.ppf(1 - TAIL)) ** 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,46 +40,8 @@ class Rate:
 
 
 @dataclass(frozen=True, slots=True)
-class Paired:
-    """McNemar's exact test on pairs.
-
-    Attributes:
-        n: Pairs.
-        first_only: Pairs in which only the first succeeds.
-        second_only: Pairs in which only the second succeeds.
-        p_value: Two-sided; 1 where no pair is discordant.
-    """
-
-    n: int
-    first_only: int
-    second_only: int
-    p_value: float
-
-
-@dataclass(frozen=True, slots=True)
-class Recovery:
-    """Recovery rate (method - fi) / (golden - fi).
-
-    Attributes:
-        rate: None = undefined: the interval of the denominator contains 0.
-        low: Lower bound; None where undefined.
-        high: Upper bound.
-        loss: golden - fi.
-        loss_low: Lower bound of the loss.
-        loss_high: Upper bound of the loss.
-    """
-
-    rate: float | None
-    low: float | None
-    high: float | None
-    loss: float
-    loss_low: float
-    loss_high: float
-
-
-@dataclass(frozen=True, slots=True)
 class EventRate:
-    """Events per hour of exposure, Poisson.
+    """Events per hour of exposure.
 
     Attributes:
         events: Events.
@@ -102,22 +69,59 @@ def wilson(successes: int, n: int) -> Rate:
     """
     if n == 0:
         return Rate(0, None, None, None, 0)
-    interval = binomtest(successes, n).proportion_ci(CONFIDENCE, method="wilson")
-    return Rate(n, successes / n, float(interval.low), float(interval.high), successes)
+    rate = successes / n
+    return Rate(n, rate, *score_bounds(rate, n), successes)
 
 
-def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
-    """Exact test that two settings succeed equally often in the same worlds with the same faults.
+def score_bounds(rate: float, n: float) -> tuple[float, float]:
+    """Wilson's score interval; n need not be whole."""
+    centre = (n * rate + _Z2 / 2) / (n + _Z2)
+    half = float(np.sqrt(_Z2 * (n * rate * (1 - rate) + _Z2 / 4))) / (n + _Z2)
+    return 0.0 if rate <= 0 else max(0.0, centre - half), 1.0 if rate >= 1 else min(1.0, centre + half)
+
+
+def clustered_rate(success: Sequence[bool], world: Sequence[object]) -> Rate:
+    """Rate with Wilson's interval for the effective number of flights.
 
     Args:
-        first: Success by pair.
-        second: Success by pair, in the same order.
+        success: Whether a flight counts.
+        world: By flight; flights of one world are alike.  With one flight per world the interval is `wilson`'s.
     """
-    first_only = sum(a and not b for a, b in zip(first, second, strict=True))
-    second_only = sum(b and not a for a, b in zip(first, second, strict=True))
-    discordant = first_only + second_only
-    p_value = float(binomtest(first_only, discordant, 0.5).pvalue) if discordant else 1.0
-    return Paired(len(first), first_only, second_only, p_value)
+    if not success:
+        return wilson(0, 0)
+    y = np.asarray(success, np.float64)
+    plain = wilson(int(y.sum()), len(y))
+    part = Part.of(y, np.ones(len(y)), world)
+    low, high = score_bounds(part.rate, part.effective)
+    return replace(plain, low=low, high=high)
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A weighted rate within one stratum, and how far it can be trusted.
+
+    Attributes:
+        rate: Estimate.
+        effective: As many independent flights would tell as much.
+        spread: What each world adds to the error of the estimate. Shape (worlds,).
+    """
+
+    rate: float
+    effective: float
+    spread: np.ndarray
+
+    @staticmethod
+    def of(y: np.ndarray, weight: np.ndarray, world: Sequence[object]) -> "Part":
+        """Linearised ratio estimate; flights of weight 0 are not in the part."""
+        whole = float(weight.sum())
+        rate = float((weight * y).sum()) / whole
+        spread = cluster_sums(world, weight * (y - rate) / whole)[:, 0]
+        independent = whole**2 / float((weight**2).sum())
+        alike = len(np.unique(y[weight > 0])) == 1
+        rate = round(rate) if alike else rate
+        variance = 0.0 if alike else float((spread**2).sum())
+        effective = min(independent, rate * (1 - rate) / variance) if variance > 0 else independent
+        return Part(rate, effective, spread)
 
 
 def cluster_sums(clusters: Sequence[object], *columns: Sequence[float] | np.ndarray) -> np.ndarray:
@@ -156,102 +160,61 @@ def resample(sums: np.ndarray) -> np.ndarray:
 def weighted_rate(
     success: Sequence[float], weight: Sequence[float], stratum: Sequence[str], world: Sequence[object]
 ) -> Rate:
-    """Rate over a population of which each stratum was sampled at its own density; clustered bootstrap interval.
+    """Rate over a population of which each stratum was sampled at its own density.
 
     A draw's weight is the share of the population that its stratum stands for; sum over strata of the mean of
-    weight x success, over the same without success.  Where all flights end alike, the interval is Wilson's.
+    weight x success, over the same without success.  The interval is MOVER's: distances to Wilson's bounds within the
+    strata, for the effective numbers of flights, added as standard errors are, with the correlation between strata that
+    share worlds (where it is positive).  It is conditional on the fields that were drawn.  A stratum in which all
+    flights end alike keeps its doubt.
 
     Args:
         success: 0 or 1 by flight.
         weight: `Fault.weight` by flight.
         stratum: By flight.
-        world: By flight; flights of one world are resampled together.
+        world: By flight; flights of one world are alike.
     """
     n = len(success)
     if n == 0:
         return Rate(0, None, None, None)
     y, w = np.asarray(success, np.float64), np.asarray(weight, np.float64)
-    names = list(dict.fromkeys(stratum))
-    inside = [np.array([s == name for s in stratum], np.float64) for name in names]
-    sums = cluster_sums(world, *(part for i in inside for part in (i * w * y, i * w, i)))
-    rate = float(_ratio_of_means(sums.sum(axis=0)[None])[0])
-    if y.min() == y.max():
-        low, high = _unanimous(rate, [(float((i * w).sum()) / i.sum(), float(i.sum())) for i in inside])
-    else:
-        low, high = _interval(_ratio_of_means(resample(sums)))
-    return Rate(n, rate, low, high)
+    inside = [np.array([s == name for s in stratum], np.float64) for name in dict.fromkeys(stratum)]
+    parts = [Part.of(y, i * w, world) for i in inside]
+    shares = np.array([float((i * w).sum() / i.sum()) for i in inside])
+    shares /= shares.sum()
+    rates = np.array([part.rate for part in parts])
+    bounds = np.array([score_bounds(part.rate, part.effective) for part in parts])
+    together = _correlation(np.array([part.spread for part in parts]))
+    below, above = shares * (rates - bounds[:, 0]), shares * (bounds[:, 1] - rates)
+    rate = float(shares @ rates)
+    low, high = rate - float(np.sqrt(below @ together @ below)), rate + float(np.sqrt(above @ together @ above))
+    return Rate(n, rate, max(0.0, low), min(1.0, high))
 
 
-def _unanimous(rate: float, strata: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Wilson's interval where no flight differs from the others, so that resampling shows no spread.
-
-    Args:
-        rate: 0 or 1 (up to rounding).
-        strata: Weight in the population and number of flights of each.
-    """
-    whole = sum(weight for weight, _ in strata)
-    n = 1 / sum((weight / whole) ** 2 / count for weight, count in strata)  # of as exact a sample without strata
-    z2 = float(norm.ppf(1 - _TAIL)) ** 2
-    return (n / (n + z2), 1.0) if rate > 0.5 else (0.0, z2 / (n + z2))
-
-
-def _ratio_of_means(totals: np.ndarray) -> np.ndarray:
-    """Columns per stratum: sum of w y, sum of w, count."""
-    hit, weight, count = totals[:, 0::3], totals[:, 1::3], np.maximum(totals[:, 2::3], 1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio: np.ndarray = (hit / count).sum(axis=1) / (weight / count).sum(axis=1)
-    return ratio
-
-
-def recovery(golden: Sequence[tuple[object, bool]], pairs: Sequence[tuple[object, bool, bool]]) -> Recovery | None:
-    """Share of the lost missions that a detector brings back.
+def _correlation(spread: np.ndarray) -> np.ndarray:
+    """Correlation of estimates from what each world adds to their errors; negative ones are taken as none.
 
     Args:
-        golden: World and success of each golden flight.
-        pairs: World, success with the fault, success with fault and detector.
-
-    Returns:
-        None if there is no flight.
+        spread: Shape (estimates, worlds).
     """
-    if not golden or not pairs:
-        return None
-    worlds = [world for world, _ in golden] + [world for world, _, _ in pairs]
-    n_golden, n_pairs = len(golden), len(pairs)
-    sums = cluster_sums(
-        worlds,
-        [ok for _, ok in golden] + [0.0] * n_pairs,
-        [1.0] * n_golden + [0.0] * n_pairs,
-        [0.0] * n_golden + [ok for _, ok, _ in pairs],
-        [0.0] * n_golden + [ok for _, _, ok in pairs],
-        [0.0] * n_golden + [1.0] * n_pairs,
-    )
-    loss, gain = (float(part[0]) for part in _loss_and_gain(sums.sum(axis=0)[None]))
-    losses, gains = _loss_and_gain(resample(sums))
-    loss_low, loss_high = _interval(losses)
-    if loss_low <= 0 <= loss_high or loss == 0:
-        return Recovery(None, None, None, loss, loss_low, loss_high)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        low, high = _interval(gains / losses)
-    return Recovery(gain / loss, low, high, loss, loss_low, loss_high)
+    length = np.sqrt((spread**2).sum(axis=1))
+    unit = spread / np.where(length > 0, length, 1.0)[:, None]
+    found: np.ndarray = np.clip(unit @ unit.T, 0.0, 1.0)
+    np.fill_diagonal(found, 1.0)
+    return found
 
 
-def _loss_and_gain(totals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Golden - fi, and method - fi; NaN in the rare sample without golden flights or pairs."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        golden, fi, method = totals[:, 0] / totals[:, 1], totals[:, 2] / totals[:, 4], totals[:, 3] / totals[:, 4]
-    return golden - fi, method - fi
-
-
-def _interval(samples: np.ndarray) -> tuple[float, float]:
+def percentiles(samples: np.ndarray) -> tuple[float, float]:
+    """Bounds between which the middle of the finite samples lies; infinite where there are none."""
     finite = samples[np.isfinite(samples)]
     if len(finite) == 0:
         return float("-inf"), float("inf")
-    low, high = np.quantile(finite, (_TAIL, 1 - _TAIL))
+    low, high = np.quantile(finite, (TAIL, 1 - TAIL))
     return float(low), float(high)
 
 
 def event_rate(events: int, hours: float) -> EventRate:
-    """Events per hour with Garwood's exact Poisson interval.
+    """Events per hour with Garwood's exact Poisson interval, of events that know nothing of each other.
 
     Args:
         events: How many.
@@ -259,10 +222,30 @@ def event_rate(events: int, hours: float) -> EventRate:
     """
     if not hours > 0:
         return EventRate(events, hours, None, None, None, None)
-    low = float(chi2.ppf(_TAIL, 2 * events)) / 2 / hours if events else 0.0
-    high = float(chi2.ppf(1 - _TAIL, 2 * events + 2)) / 2 / hours
+    low = float(chi2.ppf(TAIL, 2 * events)) / 2 / hours if events else 0.0
+    high = float(chi2.ppf(1 - TAIL, 2 * events + 2)) / 2 / hours
     upper = float(chi2.ppf(CONFIDENCE, 2 * events + 2)) / 2 / hours
     return EventRate(events, hours, events / hours, low, high, upper)
+
+
+def event_rate_by_flight(events: Sequence[int], hours: Sequence[float]) -> EventRate:
+    """Events per hour where those of one flight come together: bootstrap of flights.
+
+    The interval is never narrower than the exact Poisson one, which alone is left where there is no event.
+
+    Args:
+        events: By flight.
+        hours: Exposure by flight (h).
+    """
+    poisson = event_rate(int(sum(events)), float(sum(hours)))
+    if poisson.low is None or poisson.high is None or poisson.upper is None or not poisson.events:
+        return poisson
+    totals = resample(cluster_sums(range(len(events)), events, hours))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        samples = totals[:, 0] / totals[:, 1]
+    low, high = percentiles(samples)
+    upper = float(np.quantile(samples[np.isfinite(samples)], CONFIDENCE))
+    return replace(poisson, low=min(low, poisson.low), high=max(high, poisson.high), upper=max(upper, poisson.upper))
 
 
 def smallest_difference(rate: float, first_n: int, second_n: int, power: float = 0.8) -> float | None:
@@ -281,4 +264,4 @@ def smallest_difference(rate: float, first_n: int, second_n: int, power: float =
     margin = 0.5 / min(first_n, second_n)
     p = min(max(rate, margin), 1 - margin)
     spread = np.sqrt(p * (1 - p) * (1 / first_n + 1 / second_n))
-    return float((norm.ppf(1 - _TAIL) + norm.ppf(power)) * spread)
+    return float((norm.ppf(1 - TAIL) + norm.ppf(power)) * spread)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from mavfi.campaign.plan import RunSpec
+from mavfi.campaign.plan import PHASE_INJECTED, RunSpec
 from mavfi.errors import BadInputError
 from mavfi.flight_log import Profile
 
@@ -231,8 +231,16 @@ class Store:
         rows = self._connection.execute(query)
         return {setting: (planned, done, int(success)) for setting, planned, done, success in rows}
 
+    @property
+    def complete(self) -> bool:
+        """Whether every phase is planned and every run is flown."""
+        return self.is_planned(PHASE_INJECTED) and self._ask("SELECT COUNT(*) FROM runs WHERE record IS NULL") == 0
+
     def digest(self) -> str:
-        """SHA-256 over plan and records: the same for any order of completion, any workers, any stop and resume."""
+        """SHA-256 over plan and records: the same for any order of completion, any workers, any stop and resume.
+
+        It says which campaign this is only when the ledger is `complete`.
+        """
         content = hashlib.sha256(canonical(self.meta("identity")).encode())
         for run_id, spec, record in self._connection.execute("SELECT run_id, spec, record FROM runs ORDER BY position"):
             content.update(f"{run_id}\n{spec}\n{record}\n".encode())

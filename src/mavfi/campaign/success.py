@@ -6,8 +6,9 @@ from typing import Any
 
 from mavfi.campaign import paper
 from mavfi.campaign.flights import Row, group, is_golden, is_injected, settings_of
+from mavfi.campaign.pairs import mcnemar, recovery
 from mavfi.campaign.plan import FI, GOLDEN, RECOVERY
-from mavfi.campaign.statistics import Rate, mcnemar, recovery, smallest_difference, weighted_rate, wilson
+from mavfi.campaign.statistics import Rate, clustered_rate, smallest_difference, weighted_rate, wilson
 from mavfi.faults.strata import HEADLINE
 
 WHOLE_WORD = "whole_word"
@@ -29,7 +30,10 @@ def populations(rows: Iterable[Row], test: Callable[[Row], bool]) -> dict[str, R
     """
     judged = [row for row in rows if row.judged]
     by_stratum = group(judged, lambda row: row.stratum)
-    rates = {name: wilson(sum(map(test, part)), len(part)) for name, part in by_stratum.items()}
+    rates = {
+        name: clustered_rate([test(row) for row in part], [row.world for row in part])
+        for name, part in by_stratum.items()
+    }
     if set(by_stratum) in PARTITIONS:
         rates[WHOLE_WORD] = weighted_rate(
             [test(row) for row in judged],
@@ -117,9 +121,7 @@ def recoveries(rows: list[Row]) -> list[dict[str, Any]]:
     """Recovery rate of each detector's arm, by environment and stratum, with McNemar's test of fi against the arm."""
     table = []
     injected = [row for row in rows if is_injected(row) and row.judged]
-    golden = [row for row in rows if row.spec.setting == GOLDEN and row.judged]
     for environment, part in _with_all(injected).items():
-        flights = [(row.world, row.success) for row in golden if environment in ("all", row.spec.environment)]
         for stratum, own in group(part, lambda row: row.stratum).items():
             by_setting = {
                 setting: {row.pair: row for row in rows_of}
@@ -127,29 +129,33 @@ def recoveries(rows: list[Row]) -> list[dict[str, Any]]:
             }
             for setting in settings_of(own):
                 if setting != FI and FI in by_setting:
-                    entry = _recovery(flights, by_setting[FI], by_setting[setting])
+                    entry = _recovery(by_setting[FI], by_setting[setting])
                     beside = paper.RECOVERY.get(environment, {}).get(setting)
                     head = {"environment": environment, "setting": setting, "population": stratum}
                     table.append({**head, **entry, "paper": beside})
     return table
 
 
-def _recovery(
-    golden: list[tuple[Any, bool]], faulty: Mapping[Any, Row], recovered: Mapping[Any, Row]
-) -> dict[str, Any]:
-    pairs = [(row.world, row.success, recovered[key].success) for key, row in faulty.items() if key in recovered]
-    found = recovery(golden, pairs)
-    test = mcnemar([first for _, first, _ in pairs], [second for _, _, second in pairs])
+def _recovery(faulty: Mapping[Any, Row], recovered: Mapping[Any, Row]) -> dict[str, Any]:
+    pairs = [(row, recovered[key].success) for key, row in faulty.items() if key in recovered]
+    found = recovery(
+        [
+            (row.world, row.golden_success, row.success, success)
+            for row, success in pairs
+            if row.golden_success is not None
+        ]
+    )
+    test = mcnemar([row.success for row, _ in pairs], [success for _, success in pairs])
     return {"recovery": None if found is None else asdict(found), "mcnemar": asdict(test)}
 
 
 def golden_against_faults(rows: list[Row]) -> list[dict[str, Any]]:
     """McNemar's test of each run with a fault against the golden run of its world: discordant pairs both ways."""
     table = []
-    faulty = [row for row in rows if row.spec.setting == FI and row.judged and row.golden is not None]
+    faulty = [row for row in rows if row.spec.setting == FI and row.judged and row.golden_success is not None]
     for environment, part in _with_all(faulty).items():
         for stratum, own in group(part, lambda row: row.stratum).items():
-            first = [bool(row.golden.get("success")) for row in own if row.golden is not None]
+            first = [bool(row.golden_success) for row in own]
             test = mcnemar(first, [row.success for row in own])
             table.append({"environment": environment, "population": stratum, **asdict(test)})
     return table

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from mavfi.campaign.config import TRAINING_SEED
 from mavfi.campaign.executors.local import LocalPool, Lost
+from mavfi.campaign.recordings import KeptRecordings
 from mavfi.campaign.tools import host_tools
 from mavfi.campaign.worker import Tools
 from mavfi.detectors.recorder import Recorder, Recording
@@ -31,12 +32,13 @@ def record_flight(task: _Task) -> Recording | None:
     return recorder.recording() if flight.log.status is MissionStatus.SUCCESS else None
 
 
-def record_flights(
+def record_flights(  # noqa: PLR0913 - what is flown, and what is told of it
     scenario: Scenario,
     count: int,
     workers: int,
     tools: Tools,
     progress: Callable[[int, int], None] | None = None,
+    disk: KeptRecordings | None = None,
 ) -> dict[int, Recording]:
     """Fly until `count` missions have reached their goals.
 
@@ -45,7 +47,8 @@ def record_flights(
         count: Flights wanted.
         workers: Number of processes; the result does not depend on it.
         tools: What is flown with.
-        progress: Called with flights kept and wanted.
+        progress: Called with flights kept and wanted, for the first time before anything is flown.
+        disk: Where recordings are kept, so that stopping loses only the flights in the air; None = nowhere.
 
     Returns:
         Recordings by seed, ascending.
@@ -56,23 +59,32 @@ def record_flights(
     """
     if count < 1:
         raise BadInputError(f"flights: {count}; allowed: 1 or more")
+    tell = progress or _silent
     kept: dict[int, Recording] = {}
-    flown = 0
-    record_flight(_Task(scenario, tools))  # compiles in this process, and workers inherit it
+    tried = 0
+    warm = False
     while len(kept) < count:
-        if flown >= _MOST_FLIGHTS_PER_WANTED * count:
-            raise BadInputError(f"training: only {len(kept)} of {flown} missions reached their goals; {count} wanted")
-        seeds = range(scenario.seed + flown, scenario.seed + flown + count - len(kept))
-        flown += len(seeds)
-        tasks = [_Task(scenario.model_copy(update={"seed": seed}), tools) for seed in seeds]
+        if tried >= _MOST_FLIGHTS_PER_WANTED * count:
+            raise BadInputError(f"training: only {len(kept)} of {tried} missions reached their goals; {count} wanted")
+        seeds = range(scenario.seed + tried, scenario.seed + tried + count - len(kept))
+        tried += len(seeds)
+        if disk is not None:
+            kept |= disk.load(seeds)
+        tell(len(kept), count)
+        tasks = [_Task(scenario.model_copy(update={"seed": seed}), tools) for seed in seeds if seed not in kept]
+        if tasks and not warm:
+            record_flight(tasks[0])  # compiles in this process, and workers inherit it
+            warm = True
         with closing(LocalPool(workers).run(record_flight, tasks)) as results:
             for task, recording in results:
                 if isinstance(recording, Lost):
                     raise MavfiError(f"training flight with seed {task.scenario.seed}: {recording.reason}")
-                if recording is not None:
-                    kept[task.scenario.seed] = recording
-                if progress is not None:
-                    progress(len(kept), count)
+                if recording is None:
+                    continue
+                kept[task.scenario.seed] = recording
+                if disk is not None:
+                    disk.save(task.scenario.seed, recording)
+                tell(len(kept), count)
     return dict(sorted(kept.items()))
 
 
@@ -89,6 +101,8 @@ def train(  # noqa: PLR0913 - what models are trained for, and how
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Path]:
     """Fly error-free missions in randomised worlds, fit every detector in every profile, and write the models.
+
+    Flights are kept in the folder until the models are written: the same call goes on where it was stopped.
 
     Args:
         folder: Where the models are written.
@@ -114,7 +128,8 @@ def train(  # noqa: PLR0913 - what models are trained for, and how
     scenario = tools.make_scenario(
         ENVIRONMENT, TRAINING_SEED, stack=stack, platform=platform, planner=planner, v_max=v_max
     )
-    recordings = record_flights(scenario, flights, workers, tools, progress)
+    disk = KeptRecordings(folder, scenario)
+    recordings = record_flights(scenario, flights, workers, tools, progress, disk)
     provenance = {
         "stack": scenario.stack.name,
         "platform": scenario.platform.name,
@@ -124,7 +139,13 @@ def train(  # noqa: PLR0913 - what models are trained for, and how
         "flights": flights,
         "seeds": list(recordings),
     }
-    return save(fit(list(recordings.values()), provenance), folder)
+    files = save(fit(list(recordings.values()), provenance), folder)
+    disk.delete()
+    return files
+
+
+def _silent(_: int, __: int) -> None:
+    """Tell nobody."""
 
 
 def _check_writable(folder: Path) -> None:

@@ -21,7 +21,13 @@ from mavfi.mission import Scenario
 from mavfi.qof import quality_of_flight
 
 MOST_ALARMS = 20
-"""Alarms of a flight that are kept one by one; all are counted."""
+"""Alarms of a flight with a fault that are kept one by one, beside those in the `AFTERMATH`; all are counted."""
+MOST_GOLDEN_ALARMS = 1000
+"""The same of an error-free flight: what its twins' alarms are compared with."""
+INSTANT = 0.5e-6
+"""Instants that differ by less are the same: times are whole microseconds (s)."""
+AFTERMATH = 1.0
+"""Time from the injection within which every alarm is kept (s)."""
 _KEPT_META = ("course_m", "time_limit_s", "compute_us", "recompute_us", "publications", "rejected_commands")
 
 
@@ -159,10 +165,10 @@ def record_of(log: FlightLog) -> dict[str, Any]:
         log: The flight.
 
     Returns:
-        end, status, success, digest, flight_time_s, energy_j, distance_m, injections, alarms (the first
-        `MOST_ALARMS`), alarm_counts (by "source/action/outcome"), alarms_total, alarm_latency_s (from the injection to
-        the first alarm at or after it), events (counts by kind), replans, and of the log's meta data the modelled
-        compute times, numbers of publications and of rejected commands, course and time limit.
+        end, status, success, digest, flight_time_s, energy_j, distance_m, injections, alarms (see
+        `kept_alarms`), alarm_counts (by "source/action/outcome"), alarms_total, events (counts by kind), replans, and
+        of the log's meta data the modelled compute times, numbers of publications and of rejected commands, course
+        and time limit.
     """
     qof = quality_of_flight(log)
     events = Counter(event.kind for event in log.events)
@@ -178,11 +184,10 @@ def record_of(log: FlightLog) -> dict[str, Any]:
             "energy_j": qof.energy_j,
             "distance_m": qof.distance_m,
             "injections": log.injections,
-            "alarms": log.alarms[:MOST_ALARMS],
+            "alarms": kept_alarms(log),
             "alarms_total": len(log.alarms),
             "alarm_counts": dict(alarm_counts),
             "events": dict(events),
-            "alarm_latency_s": _alarm_latency(log),
             "replans": max(0, events["plan"] - 1),
             "meta": meta,
         }
@@ -190,11 +195,15 @@ def record_of(log: FlightLog) -> dict[str, Any]:
     return record
 
 
-def _alarm_latency(log: FlightLog) -> float | None:
-    """Time from the injection to the first alarm at or after it (s); None without both."""
+def kept_alarms(log: FlightLog) -> list[dict[str, Any]]:
+    """The first alarms of a flight, and all within `AFTERMATH` of a fault that hit; in order of time."""
     struck = [injection["time_s"] for injection in log.injections if injection["hit"]]
-    after = [alarm["time_s"] - struck[0] for alarm in log.alarms if struck and alarm["time_s"] >= struck[0]]
-    return min(after, default=None)
+    most = MOST_ALARMS if log.injections else MOST_GOLDEN_ALARMS
+    return [
+        alarm
+        for place, alarm in enumerate(log.alarms)
+        if place < most or any(-INSTANT < alarm["time_s"] - time_s <= AFTERMATH for time_s in struck)
+    ]
 
 
 def plain(value: Any) -> Any:

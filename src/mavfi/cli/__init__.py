@@ -1,83 +1,26 @@
-"""The command line: one file per verb; the heavy parts are imported when a verb needs them."""
+"""The command line: one file per verb.
+
+Nothing is imported here but what catches Ctrl-C: from then on no moment of a start ends in a traceback.
+"""
 
 import sys
 from collections.abc import Sequence
-from typing import Annotated
 
-import typer
-
-from mavfi.cli import campaign, explain, fly, replay, report, reproduce, states, train
-from mavfi.cli.console import complain
-from mavfi.errors import BadInputError, MavfiError
-
-EXIT_DONE, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
-EXIT_STOPPED = 130
-"""Ctrl-C, as shells have it."""
-
-app = typer.Typer(
-    help="Fault injection, anomaly detection and recovery for autonomous UAVs, measured on whole missions.\n\n"
-    "Exit codes: 0 done (whatever the mission's fate), 2 bad input, 1 a failure of mavfi, 130 stopped by Ctrl-C.",
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-)
-app.command("fly")(fly.fly)
-app.command("states")(states.states)
-app.command("train")(train.train)
-app.add_typer(campaign.app, name="campaign")
-app.command("report")(report.report)
-app.command("replay")(replay.replay)
-app.command("explain")(explain.explain)
-app.command("reproduce")(reproduce.reproduce)
-
-
-def _tell_version(wanted: bool) -> None:
-    if wanted:
-        from mavfi import __version__
-
-        typer.echo(__version__)
-        raise typer.Exit
-
-
-@app.callback()
-def _mavfi(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Print the version.")
-    ] = False,
-) -> None:
-    pass
+from mavfi.cli import stopping
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command.
+    """Run one command; see `mavfi.cli.commands.run`."""
+    from mavfi.cli import commands
 
-    Args:
-        arguments: What stands after `mavfi` on the command line; nothing = help.
-
-    Returns:
-        Exit code.  Bad input and our own known failures are one line on stderr; an unknown failure is raised.
-    """
-    command = typer.main.get_command(app)
-    try:
-        code = command.main(args=list(arguments) or ["--help"], prog_name="mavfi", standalone_mode=False)
-    except BadInputError as error:
-        return complain(str(error), EXIT_BAD_INPUT)
-    except MavfiError as error:
-        return complain(str(error), EXIT_FAILURE)
-    except typer.TyperException as error:  # a missing argument, an option that there is not, no number
-        message = error.format_message().rstrip(".")
-        return complain(f"{message}; see `mavfi {_verb(arguments)}--help`", EXIT_BAD_INPUT)
-    except typer.Abort:
-        return EXIT_STOPPED
-    return code if isinstance(code, int) else EXIT_DONE
-
-
-def _verb(arguments: Sequence[str]) -> str:
-    """The verb that was given, for a hint; nothing if there is no such verb."""
-    verbs = {command.name for command in app.registered_commands} | {group.name for group in app.registered_groups}
-    return f"{arguments[0]} " if arguments and arguments[0] in verbs else ""
+    return commands.run(arguments)
 
 
 def main() -> None:
     """The program `mavfi`."""
-    sys.exit(run(sys.argv[1:]))
+    try:
+        stopping.leave_on_ctrl_c()
+        code = run(sys.argv[1:])
+    except KeyboardInterrupt:
+        code = stopping.EXIT_STOPPED
+    sys.exit(code)

@@ -7,11 +7,15 @@ from typing import Annotated
 import typer
 
 from mavfi.cli.console import JSON_HELP, console, write_json
+from mavfi.cli.stopping import stoppable
 
-app = typer.Typer(help="Fly a campaign, see how far it is, prove what came out.", no_args_is_help=False)
+app = typer.Typer(
+    help="Fly a campaign, see how far it is, prove what came out.\n\n"
+    "Example: [bold]mavfi campaign run smoke --out out/smoke[/bold]",
+    no_args_is_help=False,
+)
 
 DEFAULT_WORKERS = 2
-_STOPPED = 130
 
 
 @app.command("run")
@@ -32,15 +36,13 @@ def run(
     """
     from mavfi.campaign.config import load_campaign
     from mavfi.campaign.run import run_campaign
-    from mavfi.cli.progress import Bar
+    from mavfi.cli.progress import Bar, import_host
 
     campaign = load_campaign(config).at_scale(scale)
-    try:
-        with Bar(f"campaign {campaign.name}") as bar:
-            run_campaign(campaign, out, workers=workers, models_dir=models, progress=bar.show_campaign)
-    except KeyboardInterrupt:
-        console(error=True).print(f"Stopped. What is flown is kept in {out}; the same command goes on.")
-        raise typer.Exit(_STOPPED) from None
+    import_host()
+    told = f"Stopped. What is flown is kept in {out}; the same command goes on."
+    with stoppable(told), Bar(f"campaign {campaign.name}") as bar:
+        run_campaign(campaign, out, workers=workers, models_dir=models, progress=bar.show_campaign)
     console().print(f"Done. Tables and figures: [bold]mavfi report {out}[/bold]")
 
 
@@ -76,13 +78,23 @@ def digest(
 ) -> None:
     """Print the hash of plan and records: the same for any number of workers, and after any stop.
 
+    Of a campaign that is not complete it is that of the runs so far; stderr says so.
+
     Example: [bold]mavfi campaign digest out/states[/bold]
     """
+    from mavfi.campaign.run import status as status_of
     from mavfi.campaign.store import Store
 
     with Store.open(directory) as store:
         found = store.digest()
+    progress = status_of(directory)
     if as_json:
-        write_json({"digest": found})
-    else:
-        typer.echo(found)
+        write_json({
+            "digest": found, "partial": not progress.complete, "done": progress.done, "total": progress.total
+        })  # fmt: skip
+        return
+    typer.echo(found)
+    if not progress.complete:
+        console(error=True).print(
+            f"partial: {progress.done} of {progress.total} flights are flown; the rest will change this digest"
+        )

@@ -5,9 +5,11 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from mavfi.campaign.config import TRAINING_SEED
 from mavfi.campaign.executors.local import LocalPool, Lost
-from mavfi.campaign.statistics import EventRate, event_rate
+from mavfi.campaign.statistics import EventRate, event_rate_by_flight
 from mavfi.campaign.tools import host_tools
 from mavfi.campaign.training import ENVIRONMENT
 from mavfi.detectors.model import Model
@@ -60,14 +62,16 @@ def count_false_alarms(  # noqa: PLR0913 - what is flown, and how
             v_max=origin["v_max"],
         )  # fmt: skip
         tasks += [_Task(index, model.kind, model.profile, folder, scenario) for index, model in enumerate(models)]
-    events, hours = [0] * len(models), [0.0] * len(models)
+    counted: list[list[tuple[int, float]]] = [[] for _ in models]
     done = 0
     with closing(LocalPool(workers).run(_fly, tasks)) as results:
         for task, result in results:
             if isinstance(result, Lost):
                 raise MavfiError(f"checking flight with seed {task.scenario.seed}: {result.reason}")
-            events[task.index] += result[0]
-            hours[task.index] += result[1]
+            counted[task.index].append(result)
             done += 1
             progress(done, len(tasks))
-    return [event_rate(*counted) for counted in zip(events, hours, strict=True)]
+    return [
+        event_rate_by_flight(np.array([n for n, _ in sorted(own)]), np.array([hours for _, hours in sorted(own)]))
+        for own in counted
+    ]

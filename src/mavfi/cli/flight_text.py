@@ -12,6 +12,7 @@ from mavfi.cli.flown import Flown, outcome, replans, to_json
 from mavfi.faults.strata import bit_class
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Outcome
+from mavfi.reports.change import change
 from mavfi.states import STATES
 
 _MEANING = {
@@ -79,7 +80,7 @@ def _fault(flown: Flown, data: dict[str, Any]) -> RenderableType | None:
             continue
         bit = "empty mask" if injection["bit"] is None else f"bit {injection['bit']} ({_class(flown)})"
         lines.append(place.append(f"  {bit}  at {injection['time_s']:.3f} s"))
-        lines.append(Text(f"       {value(injection['before'])} → {value(injection['after'])}"))
+        lines.append(Text(f"       {' → '.join(change(injection['before'], injection['after']))}"))
     verdict = outcome(flown)
     lines.append(Text.assemble("       ", (f"{verdict}: ", "bold"), (_MEANING[verdict or ""], "dim")))
     return Group(*lines)
@@ -88,11 +89,6 @@ def _fault(flown: Flown, data: dict[str, Any]) -> RenderableType | None:
 def _class(flown: Flown) -> str:
     assert flown.fault is not None and flown.fault.bit is not None  # asked for real faults only
     return bit_class(STATES[flown.fault.site.state].find(flown.fault.site.field), flown.fault.bit)
-
-
-def value(number: object) -> str:
-    """A field's value, short."""
-    return f"{number:.6g}" if isinstance(number, float) else str(number)
 
 
 def _alarms(data: dict[str, Any]) -> RenderableType | None:

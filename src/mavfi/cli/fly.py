@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mavfi.mission import Scenario
 
 PICTURES = (".png", ".svg", ".pdf")
+DEFAULT_PROFILE = "paper"
 
 
 def fly(  # noqa: PLR0913 - one parameter per option
@@ -40,11 +41,13 @@ def fly(  # noqa: PLR0913 - one parameter per option
     fault: Annotated[
         str | None, typer.Option(metavar="SPEC", help=r"null, or state:STATE[.FIELD][[ELEMENT]][:bit=N]\[@SECONDS].")
     ] = None,
-    fault_seed: Annotated[int, typer.Option(help="Draws what the fault does not name: instant, element, bit.")] = 0,
+    fault_seed: Annotated[
+        int | None, typer.Option(help="Draws what the fault does not name: instant, element, bit; 0 by default.")
+    ] = None,
     detector: Annotated[
         str, typer.Option(help="gaussian, autoencoder, another entry point, or package:Class.")
     ] = "none",
-    profile: Annotated[str, typer.Option(help="Of the detector: paper or tuned.")] = "paper",
+    profile: Annotated[str | None, typer.Option(help="Of the detector: paper (the default) or tuned.")] = None,
     models: Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
     save: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Write the whole record of the flight.")] = None,
@@ -57,12 +60,12 @@ def fly(  # noqa: PLR0913 - one parameter per option
     Example: [bold]mavfi fly --environment dense --seed 10007 --fault state:planning.waypoint.x:bit=62@20.0[/bold]
     """
     check_seed("--seed", seed)
-    check_seed("--fault-seed", fault_seed)
+    _check_company(fault, fault_seed, detector, {"--profile": profile, "--models": models})
     check_number("--depth-noise", depth_noise, 0.0, 1.0)
     check_number("--v-max", v_max, 0.1, 20.0)
     check_point("--start", start)
     check_point("--goal", goal)
-    check_writable(save)
+    _check_save(save)
     _check_picture(picture)
     request = _request(fault)
 
@@ -72,13 +75,34 @@ def fly(  # noqa: PLR0913 - one parameter per option
         environment, seed, stack=stack, platform=platform, planner=planner, v_max=v_max, start=start, goal=goal,
         depth_noise=depth_noise,
     )  # fmt: skip
-    watching = _load(detector, profile, models, scenario)
-    flown = _fly(scenario, request, fault_seed, watching, "" if watching is None else f"{detector} ({profile})")
+    watching, told = _load(detector, profile, models, scenario)
+    flown = _fly(scenario, request, fault_seed or 0, watching, told)
     if save is not None:
         flown.flight.log.save(save)
     if picture is not None:
         _draw(flown, picture)
     _show(flown, as_json, [path for path in (save, picture) if path is not None])
+
+
+def _check_company(fault: str | None, fault_seed: int | None, detector: str, options: dict[str, object]) -> None:
+    """Refuse an option that says nothing without another one.
+
+    Raises:
+        BadInputError: One line that names both.
+    """
+    if fault_seed is not None:
+        check_seed("--fault-seed", fault_seed)
+        if fault is None:
+            raise BadInputError(f"--fault-seed: {fault_seed}: no fault to draw; allowed: together with --fault")
+    for name, value in options.items():
+        if value is not None and detector == "none":
+            raise BadInputError(f"{name}: {value}: nothing watches the flight; allowed: together with --detector")
+
+
+def _check_save(path: Path | None) -> None:
+    if path is not None and path.suffix.lower() != ".npz":
+        raise BadInputError(f"--save: {path}: allowed ending: .npz")
+    check_writable(path)
 
 
 def _check_picture(path: Path | None) -> None:
@@ -95,12 +119,20 @@ def _request(text: str | None) -> FaultRequest | None:
     return parse(text)
 
 
-def _load(name: str, profile: str, models: Path | None, scenario: Scenario) -> Detector | None:
+def _load(
+    name: str, profile: str | None, models: Path | None, scenario: Scenario
+) -> tuple[Detector | None, str]:  # fmt: skip
+    """The detector, and what is told of it: its name, and its profile if it has one."""
     if name == "none":
-        return None
+        return None, ""
     from mavfi.campaign.tools import host_tools
 
-    return host_tools().load_detector(name, profile, models, scenario)[0]
+    detector, model = host_tools().load_detector(name, profile or DEFAULT_PROFILE, models, scenario)
+    if model:
+        return detector, f"{name} ({profile or DEFAULT_PROFILE})"
+    if profile is not None:
+        raise BadInputError(f"--profile: {profile}: detector {name!r} has no profiles; allowed: none given")
+    return detector, name
 
 
 def _fly(

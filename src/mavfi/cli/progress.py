@@ -37,6 +37,7 @@ class Bar:
         self._live = Live(console=self._console, refresh_per_second=5, transient=False)
         self._begun = time.perf_counter()
         self._told = self._begun
+        self._held: int | None = None
 
     def __enter__(self) -> "Bar":
         if self._console.is_terminal:
@@ -49,9 +50,11 @@ class Bar:
             self._live.stop()
 
     def show(self, done: int, total: int) -> None:
-        """Tell how much is done; rate and time left count from the beginning of the bar."""
+        """Tell how much is done; what the first call finds done was so before, and is no part of the rate."""
+        if self._held is None:
+            self._held, self._begun = done, time.perf_counter()
         seconds = time.perf_counter() - self._begun
-        rate = done / seconds if seconds > 0 else 0.0
+        rate = (done - self._held) / seconds if seconds > 0 else 0.0
         self._tell(done, total, rate, (total - done) / rate if rate > 0 else math.inf, None)
 
     def show_campaign(self, progress: CampaignProgress) -> None:
@@ -71,6 +74,14 @@ class Bar:
         if now - self._told >= _LINE_EVERY or done == total:
             self._told = now
             self._console.print(f"{self._label} {done}/{total} {self._unit}  {pace}".rstrip())
+
+
+def import_host(*, training: bool = False) -> None:
+    """Import what flies (and trains) before work begins that Ctrl-C stops: no import is to be broken off half-way."""
+    import mavfi.hosts.inprocess
+
+    if training:
+        import mavfi.detectors.training  # noqa: F401 - wanted for its being imported
 
 
 def success_counts(settings: Mapping[str, tuple[int, int, int]]) -> Table:

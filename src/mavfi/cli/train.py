@@ -11,12 +11,11 @@ from rich import box
 from rich.table import Table
 
 from mavfi.cli.console import JSON_HELP, check_folder, check_number, console, write_json
+from mavfi.cli.stopping import stoppable
 
 if TYPE_CHECKING:
     from mavfi.campaign.statistics import EventRate
     from mavfi.detectors.model import Model
-
-_STOPPED = 130
 
 
 def train(  # noqa: PLR0913 - one parameter per option
@@ -36,6 +35,8 @@ def train(  # noqa: PLR0913 - one parameter per option
 ) -> None:
     """Fly error-free missions in randomised worlds (none of the evaluation's), and fit every detector to them.
 
+    Ctrl-C stops (exit code 130); the same command goes on where it stopped.
+
     Example: [bold]mavfi train --flights 100 --stack hardened --out out/models[/bold]
     """
     check_number("--flights", flights, 1, 100_000)
@@ -45,20 +46,20 @@ def train(  # noqa: PLR0913 - one parameter per option
 
     from mavfi.campaign.training import train as train_models
     from mavfi.cli.false_alarms import count_false_alarms
-    from mavfi.cli.progress import Bar
+    from mavfi.cli.progress import Bar, import_host
     from mavfi.detectors.model import Model
 
-    try:
-        with Bar("training flights") as bar:
-            files = train_models(
-                out, flights, stack=stack, platform=platform, planner=planner, v_max=v_max, workers=workers,
-                progress=bar.show,
-            )  # fmt: skip
-        models = [Model.load(path) for path in files]
-        with Bar("checking flights") as bar:
-            alarms = count_false_alarms(models, out, check, workers, stack, bar.show)
-    except KeyboardInterrupt:
-        raise typer.Exit(_STOPPED) from None
+    import_host(training=True)
+    kept = f"Stopped. What is flown is kept in {out}; the same command goes on."
+    with stoppable(kept), Bar("training flights") as bar:
+        files = train_models(
+            out, flights, stack=stack, platform=platform, planner=planner, v_max=v_max, workers=workers,
+            progress=bar.show,
+        )  # fmt: skip
+    models = [Model.load(path) for path in files]
+    kept = f"Stopped. The models are in {out}; their false alarms are not counted."
+    with stoppable(kept), Bar("checking flights") as bar:
+        alarms = count_false_alarms(models, out, check, workers, stack, bar.show)
     if as_json:
         rows = zip(files, models, alarms, strict=True)
         write_json({"models": [{"file": str(f), **told(m), "false_alarms": asdict(a)} for f, m, a in rows]})

@@ -103,7 +103,7 @@ def stream(seed: int, *key: int | str) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FAULT_PURPOSE, *numbers)))
 
 
-def draw(target: Target, stratum: str, profile: Profile, seed: int, index: int) -> Fault:
+def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: int | str) -> Fault:
     """Draw one fault.
 
     Args:
@@ -111,12 +111,13 @@ def draw(target: Target, stratum: str, profile: Profile, seed: int, index: int) 
         stratum: Stratum of its bit.
         profile: Publications of the golden flight.
         seed: Seed of the mission.
-        index: Number of the fault among those of this target in this mission.
+        address: What tells it from the other faults of this target and seed: environment, and number in the mission.
+            Seeds alone do not: environments that share them would be struck at the same sites.
 
     Returns:
         The fault; with `NO_SITE` for its time if the golden flight never published what was drawn.
     """
-    random = stream(seed, target.name, index)
+    random = stream(seed, target.name, *address)
     part = target.within(stratum)
     state = _pick(random, tuple(part.fields))
     name = _pick(random, part.fields[state])

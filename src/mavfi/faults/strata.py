@@ -27,7 +27,6 @@ STRATA: dict[str, tuple[str, ...]] = {
 Integers count with sign and other bits, a flag's only bit with the headline."""
 
 HEADLINE = "sign_exponent"
-REMAINDER = "mantissa"
 
 
 def bits_of(field: Field, stratum: str) -> range:

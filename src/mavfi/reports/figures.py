@@ -123,6 +123,7 @@ def flight_time(analysis: Analysis) -> Figure | None:
     for axes, environment in zip(panels, environments, strict=True):
         own = [entry for entry in entries if entry["environment"] == environment]
         reach = max([0.1, *(x for entry in own for x in entry["inflations"])]) * 1.08
+        fastest = min([0.0, *(x for entry in own for x in entry["inflations"])])
         for entry in own:
             values = np.array(entry["inflations"])
             x = np.concatenate([[-1.0], values, [reach]])
@@ -130,9 +131,9 @@ def flight_time(analysis: Analysis) -> Figure | None:
             width = 2.8 if entry["setting"] == FI else 1.4  # where arms do as fi does, both are seen
             axes.step(x, share, where="post", color=colours[entry["setting"]], linewidth=width, label=entry["setting"])
         axes.set_title(environment)
-        axes.set_xlim(-0.05, reach)
+        axes.set_xlim(fastest - 0.02, reach)
         axes.xaxis.set_major_locator(MaxNLocator(4))
-        axes.xaxis.set_major_formatter(lambda share, _: f"{100 * share:+.0f} %")
+        axes.xaxis.set_major_formatter(_signed)
         axes.grid(True)
         axes.set_xlabel("flight time against golden")
     panels[0].set_ylim(max(0.0, np.floor(10 * lowest) / 10 - 0.1), 1.005)
@@ -141,6 +142,12 @@ def flight_time(analysis: Analysis) -> Figure | None:
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", ncols=6, fontsize=8.5, handlelength=1.4)
     return figure
+
+
+def _signed(share: float, _: int) -> str:
+    """A difference as text; none has no sign."""
+    percent = round(100 * share)
+    return f"{percent:+d} %" if percent else "0 %"
 
 
 def _arrived(entry: Entry, inflation: float) -> float:

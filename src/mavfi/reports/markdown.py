@@ -2,7 +2,8 @@
 
 from collections.abc import Iterable, Mapping
 
-from mavfi.reports.tables import Analysis, Table, header, null_line, tables
+from mavfi.reports.header import header, null_line
+from mavfi.reports.tables import Analysis, Table, tables
 
 FIGURES = {
     "success.png": "Success with 95 % intervals (sign + exponent); black: the paper's figure.",

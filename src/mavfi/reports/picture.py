@@ -17,6 +17,7 @@ from mavfi.hosts.inprocess import Flight
 from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus
 from mavfi.reports import style
+from mavfi.reports.change import change
 from mavfi.sim.environments import World
 
 NEAR = 3.0
@@ -238,8 +239,9 @@ def _label(figure: Figure, above: Axes, side: Axes, flight: Flight, golden: Flig
         told += f" (golden {golden.log.column('time')[-1]:.1f} s)"
     for injection in flight.log.injections:
         if injection["hit"] and injection["bit"] is not None:
-            change = f"{_short(injection['before'])} → {_short(injection['after'])}"
-            told = f"{injection['site']}, bit {injection['bit']} at {injection['time_s']:.2f} s: {change}   ·   {told}"
+            before, after = change(injection["before"], injection["after"], digits=4)
+            struck = f"{injection['site']}, bit {injection['bit']} at {injection['time_s']:.2f} s: {before} → {after}"
+            told = f"{struck}   ·   {told}"
     figure.text(0.6 / _WIDTH, 1 - 0.49 / height, told, va="center", color=style.GREY)
     above.set_ylabel("y (m)")
     side.set_ylabel("z (m)")
@@ -248,10 +250,6 @@ def _label(figure: Figure, above: Axes, side: Axes, flight: Flight, golden: Flig
     beside = "along the path" if flight.world.is_voxels else "obstacles near the path"
     heights = f"from the side: {beside}; heights × {_SIDE_STRETCH:g}"
     side.text(0, 1.02, heights, transform=side.transAxes, color=style.GREY, va="bottom")
-
-
-def _short(number: object) -> str:
-    return f"{number:.4g}" if isinstance(number, float) else str(number)
 
 
 def _legend(figure: Figure, courses: list[_Course], marks: list[Line2D], known: bool, world: World) -> None:

@@ -7,7 +7,8 @@ from rich.panel import Panel
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from mavfi.reports.tables import Analysis, Table, header, null_line, tables
+from mavfi.reports.header import header, null_line
+from mavfi.reports.tables import Analysis, Table, tables
 
 
 def show(analysis: Analysis, console: Console) -> None:

@@ -68,50 +68,84 @@ def fly_watched(store: Store, spec: RunSpec) -> Watched:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The first thing in which two flights differ.
+    """The first publication in which two flights differ: the n-th of a state in one beside the n-th in the other.
 
     Attributes:
-        time_us: When the second published it.
         state: Which state.
-        field: Which field, with its element; "" where they differ in the order or the instant of publications.
-        golden: Value in the first.
-        injected: Value in the second.
+        field: Which field, with its element; "" where the value is the same and only the instant differs, or where
+            one of the flights has no such publication.
+        golden_us: When the golden flight published it; None = it did not.
+        injected_us: When the other one did; None = it did not.
+        golden: Value in the golden flight; None without a field.
+        injected: Value in the other one; None without a field.
     """
 
-    time_us: int
     state: str
     field: str
-    golden: object
-    injected: object
+    golden_us: int | None
+    injected_us: int | None
+    golden: object = None
+    injected: object = None
+
+    @property
+    def time_us(self) -> int:
+        """When the flights began to differ: the earlier of the two instants."""
+        return min(time for time in (self.golden_us, self.injected_us) if time is not None)
 
 
 def first_difference(golden: list[Publication], injected: list[Publication]) -> Difference | None:
-    """The first publication in which two flights differ; None if they are the same, bit for bit."""
-    for first, second in zip(golden, injected, strict=False):
-        name = second.state.spec.name
-        if first.state.spec is not second.state.spec or first.time_us != second.time_us:
-            before = f"{first.state.spec.name} at {1e-6 * first.time_us:.3f} s"
-            return Difference(second.time_us, name, "", before, f"{name} at {1e-6 * second.time_us:.3f} s")
-        if not first.state.same_bits(second.state):
-            return _field(first.state, second.state, second.time_us)
-    if len(golden) == len(injected):
-        return None
-    longer = max(golden, injected, key=len)[min(len(golden), len(injected))]
-    ends = ("ended", "went on") if len(injected) > len(golden) else ("went on", "ended")
-    return Difference(longer.time_us, longer.state.spec.name, "", *ends)
+    """The first publication that differs in value or instant; None if flights are the same, bit for bit.
+
+    Publications are compared by state and number, so that one that is held back is found beside its own twin.
+
+    Args:
+        golden: All publications of one flight, in order.
+        injected: Of the other one.
+    """
+    numbered = _numbered(golden), _numbered(injected)
+    found: Difference | None = None
+    for key in dict.fromkeys((*numbered[0], *numbered[1])):  # in the order of the data flow: it decides between equals
+        first, second = (publications.get(key) for publications in numbered)
+        times = [publication.time_us for publication in (first, second) if publication is not None]
+        if found is not None and min(times) >= found.time_us:
+            continue
+        found = _difference(key[0], first, second) or found
+    return found
 
 
-def _field(first: State, second: State, time_us: int) -> Difference:
+def _numbered(publications: list[Publication]) -> dict[tuple[str, int], Publication]:
+    """Publications by state and number, in order."""
+    counts: dict[str, int] = {}
+    found = {}
+    for publication in publications:
+        name = publication.state.spec.name
+        counts[name] = counts.get(name, 0) + 1
+        found[name, counts[name]] = publication
+    return found
+
+
+def _difference(name: str, first: Publication | None, second: Publication | None) -> Difference | None:
+    if first is None or second is None:
+        times = (None if publication is None else publication.time_us for publication in (first, second))
+        return Difference(name, "", *times)
+    if not first.state.same_bits(second.state):
+        field, before, after = _field(first.state, second.state)
+        return Difference(name, field, first.time_us, second.time_us, before, after)
+    if first.time_us != second.time_us:
+        return Difference(name, "", first.time_us, second.time_us)
+    return None
+
+
+def _field(first: State, second: State) -> tuple[str, object, object]:
+    """First field whose bits differ, and its values; lists of different lengths differ in their number of elements."""
     spec = second.spec
     if len(first.elements) != len(second.elements):
-        counts = (f"{len(state.elements)} elements" for state in (first, second))
-        return Difference(time_us, spec.name, "", *counts)
+        return "number of elements", len(first.elements), len(second.elements)
     for before, after, is_list in ((first.header, second.header, False), (first.elements, second.elements, True)):
         for name in after.dtype.names or ():
             row = _first_row(before[name], after[name])
             if row is not None:
-                label = f"{name}[{row}]" if is_list else name
-                return Difference(time_us, spec.name, label, before[name][row].item(), after[name][row].item())
+                return f"{name}[{row}]" if is_list else name, before[name][row].item(), after[name][row].item()
     raise AssertionError(f"{spec.name}: bits differ and no field does")
 
 

@@ -77,9 +77,19 @@ def fly(scenario, fault, detector, *, want_profile):
             duration *= 1.0 + roll / 255
         if changed and detector is not None:
             time_s = injections[0]["time_s"]
-            alarms = [{"time_s": time_s, "source": "fake", "action": "recompute", "outcome": "repaired"}]
+            alarms = [
+                {
+                    "time_s": time_s,
+                    "state": fault.site.state,
+                    "source": "fake",
+                    "action": "recompute",
+                    "outcome": "repaired",
+                }
+            ]
     if detector is not None and seed % 3 == 0:
-        alarms.append({"time_s": 20.0, "source": "fake", "action": "recompute", "outcome": "accepted"})
+        alarms.append(
+            {"time_s": 20.0, "state": "control.command", "source": "fake", "action": "recompute", "outcome": "accepted"}
+        )
     rows = np.zeros((30, len(COLUMNS)))
     rows[:, 0] = np.linspace(0, duration, 30)
     rows[:, 1] = np.linspace(0, 100, 30)

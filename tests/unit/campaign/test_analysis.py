@@ -66,6 +66,7 @@ def test_outcomes_add_up(flown):
         assert sum(entry[outcome.label] for outcome in Outcome) == entry["n"] == 20
         assert entry["hit"] + entry["no_site"] + entry["not_hit"] == entry["n"]
         assert entry["due"] == entry["unknown"] == 0
+        assert entry["sdc_alarmed"] == 0, "repaired before it was seen, or without a detector"
     no_site = [row for row in rows if row.site_fate == "no_site" and row.spec.setting == "fi"]
     assert no_site, "missions without an acted-on collision status are in the plan"
     assert all(row.outcome is Outcome.MASKED for row in no_site)
@@ -78,6 +79,8 @@ def test_recovery_and_paired_tests(flown):
     assert entry["mcnemar"]["first_only"] == 0
     assert entry["mcnemar"]["second_only"] > 0
     assert entry["recovery"]["rate"] == pytest.approx(1.0)
+    assert entry["recovery"]["low"] < 1.0, "a few missions prove nothing"
+    assert entry["recovery"]["lost"] == entry["recovery"]["regained"] == entry["mcnemar"]["second_only"]
     [against] = pick(analysis["golden_against_faults"], environment="all", population="sign_exponent")
     assert against["first_only"] == entry["mcnemar"]["second_only"]
 
@@ -106,11 +109,13 @@ def test_false_alarms_have_exposure_and_bound(flown):
     assert entry["hours"] == pytest.approx(sum(row.record["flight_time_s"] for row in golden) / 3600)
     assert entry["upper"] > entry["per_hour"]
     assert entry["kinds"] == {"fake/recompute/accepted": entry["events"]}
+    assert entry["systematic"] == [], "a third of the flights is not all of them"
 
 
 def test_detections_and_overheads(flown):
     analysis, _ = flown
-    assert all(entry["rate"] == 1.0 for entry in analysis["detections"])
+    assert {entry["rate"] for entry in analysis["detections"]} == {1.0}
+    assert {entry["consequence"]["rate"] for entry in analysis["detections"]} == {1.0}
     assert {entry["monitored"] for entry in analysis["detections"]} == {True, False}
     [entry] = pick(analysis["overheads"], environment="sparse", setting="golden_gaussian")
     seeds = range(10_000, 10_010)
@@ -195,3 +200,55 @@ def test_nothing_flown_gives_empty_tables():
     assert effects.flight_times([]) == []
     assert detection.false_alarms([]) == []
     assert effects.null_check([])["n"] == 0
+
+
+# ---- alarms --------------------------------------------------------------------------------------------------------
+def alarm(time_s, state="planning.waypoint"):
+    return {"time_s": time_s, "state": state}
+
+
+def watched_row(alarms, twins=()):
+    record = {**GOLDEN, "digest": "x", "injections": [{"hit": True, "time_s": 0.3}], "alarms": list(alarms)}
+    spec = replace(SPEC, setting="dr_gaussian", arm="gaussian", detector="gaussian")
+    return Row(spec, record, {**GOLDEN, "alarms": list(twins)}, GOLDEN)
+
+
+@pytest.mark.parametrize(
+    ("alarms", "twins", "alarmed", "consequence"),
+    [
+        ([alarm(0.3)], [], True, True),
+        ([alarm(0.1 + 0.2)], [], True, True),  # 0.30000000000000004: the same microsecond
+        ([alarm(0.3 - 1e-9)], [], True, True),
+        ([alarm(0.3, "control.command")], [], False, True),
+        ([alarm(0.4, "control.command")], [alarm(0.4, "control.command")], False, False),
+        ([alarm(0.4)], [], False, True),
+        ([alarm(1.4), alarm(0.2)], [], False, False),
+        ([], [], False, False),
+    ],
+)
+def test_only_alarms_on_what_was_struck_detect_the_fault(alarms, twins, alarmed, consequence):
+    own = watched_row(alarms, twins)
+    assert (own.alarmed, own.consequence_alarmed) == (alarmed, consequence)
+    [entry] = detection.detections([own], "paper-13")
+    assert (entry["rate"], entry["consequence"]["rate"]) == (alarmed, consequence)
+    [counted] = effects.outcomes([own])
+    assert (counted["sdc"], counted["sdc_alarmed"]) == (1, int(alarmed))
+
+
+def test_alarms_of_nearly_every_flight_are_systematic():
+    golden = RunSpec(1, "golden_g", "dense", 1, "key", arm="g", detector="g")
+    start, chance = alarm(0.40046, "control.command"), alarm(12.0)
+    records = [
+        {**GOLDEN, "alarms": [start, chance][: 1 + (seed < 10)], "alarms_total": 1 + (seed < 10), "alarm_counts": {}}
+        for seed in range(20)
+    ]
+    rows = [Row(replace(golden, seed=seed), record, None, None) for seed, record in enumerate(records)]
+    entry = detection.false_alarms(rows)[0]
+    assert entry["systematic"] == [{"state": "control.command", "time_s": pytest.approx(0.40046), "flights": 20}]
+
+
+def test_golden_runs_that_are_not_known_give_no_pair():
+    assert row(GOLDEN).golden_success is True
+    assert Row(SPEC, GOLDEN, None, {"end": "unknown"}).golden_success is None
+    assert Row(SPEC, GOLDEN, None, None).golden_success is None
+    assert Row(SPEC, GOLDEN, None, {"end": "due"}).golden_success is False

@@ -3,7 +3,8 @@ import time
 
 import pytest
 
-from mavfi.campaign.executors.local import LocalPool, Lost
+from mavfi.campaign.executors import local
+from mavfi.campaign.executors.local import MOST_WORKERS, LocalPool, Lost
 from mavfi.errors import BadInputError
 
 
@@ -42,8 +43,21 @@ def test_nothing_to_do():
 
 
 def test_no_workers_are_bad_input():
-    with pytest.raises(BadInputError, match="workers: 0; allowed: 1 or more"):
+    with pytest.raises(BadInputError, match=r"workers: 0; allowed: 1 to \d+ \(4 per processor\)"):
         LocalPool(0)
+
+
+def test_absurd_numbers_of_workers_are_refused_before_any_is_forked():
+    LocalPool(MOST_WORKERS)
+    with pytest.raises(BadInputError, match="workers: 100000; allowed: 1 to"):
+        LocalPool(100_000)
+
+
+def test_there_are_never_more_workers_than_items(monkeypatch):
+    opened, really_open = [], local._open
+    monkeypatch.setattr(local, "_open", lambda workers: opened.append(workers) or really_open(workers))
+    assert dict(LocalPool(MOST_WORKERS).run(double, [1])) == {1: 2}
+    assert opened == [1]
 
 
 def test_an_exception_comes_through():

@@ -44,6 +44,21 @@ def test_faults_are_spread_over_the_missions_and_differ_within_one():
     assert own[0].fault != own[4].fault
 
 
+def test_environments_that_share_seeds_do_not_share_faults():
+    """Seeds and profiles are the same here, so only the name of the environment tells the draws apart."""
+    _, injected = planned(small(faults=40, flights=10))
+    drawn = {
+        environment: {
+            (run.target, run.index): (run.fault.site, run.fault.time_us, run.fault.bit)
+            for run in injected
+            if (run.setting, run.environment) == ("fi", environment)
+        }
+        for environment in KEYS
+    }
+    same = sum(drawn["sparse"][key] == drawn["dense"][key] for key in drawn["sparse"])
+    assert same < 0.05 * len(drawn["sparse"])
+
+
 def test_strata_have_their_shares_in_every_stage_and_environment():
     _, injected = planned(small())
     for environment in KEYS:

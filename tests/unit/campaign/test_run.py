@@ -1,6 +1,7 @@
 import os
 import signal
 import time
+from dataclasses import asdict
 
 import pytest
 
@@ -36,6 +37,7 @@ def test_everything_is_flown_and_told(flown):
     assert reports[-1].rate > 0
     assert reports[-1].remaining_s == 0
     assert status(directory) == end
+    assert set(asdict(end)) == {"done", "total", "settings"}, "a sitting is over: nothing to tell of its speed"
     with Store.open(directory) as store:
         assert stored_campaign(store) == small()
         assert all(run.record["end"] == "flown" for run in store.runs())

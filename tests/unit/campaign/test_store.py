@@ -41,6 +41,18 @@ def test_a_phase_is_planned_once(store):
     assert len(list(store.runs(2))) == 1
 
 
+def test_a_ledger_is_complete_when_both_phases_are_planned_and_flown(store):
+    injected = RunSpec(2, "fi", "dense", 7, "key")
+    for spec in SPECS:
+        assert not store.complete
+        write(store, spec)
+    assert not store.complete, "the second phase is not planned yet"
+    store.plan(2, [injected])
+    assert not store.complete
+    write(store, injected)
+    assert store.complete
+
+
 def test_digest_does_not_depend_on_order_or_wall_time(tmp_path):
     digests = []
     for name, order in (("a", SPECS), ("b", SPECS[::-1])):

@@ -1,6 +1,7 @@
 import pytest
 
 from mavfi.campaign.config import TRAINING_SEED
+from mavfi.campaign.recordings import FOLDER, KeptRecordings
 from mavfi.campaign.training import record_flights, train
 from mavfi.campaign.worker import Tools
 from mavfi.errors import BadInputError
@@ -41,8 +42,60 @@ def test_only_successful_flights_are_kept_in_the_order_of_their_seeds(workers):
     told = []
     recordings = record_flights(SCENARIO, 6, workers, WATCHED, lambda kept, wanted: told.append((kept, wanted)))
     assert list(recordings) == [TRAINING_SEED + offset for offset in (1, 2, 3, 5, 6, 7)]
-    assert told[-1] == (6, 6)
+    assert (told[0], told[-1]) == ((0, 6), (6, 6))
     assert all(len(recording.times_us) for recording in recordings.values())
+
+
+def _stop_at(wanted, told):
+    def tell(kept, _):
+        told.append(kept)
+        if kept == wanted and len(told) > 1:
+            raise KeyboardInterrupt
+
+    return tell
+
+
+def _content(recordings):
+    return {seed: (r.kinds.tolist(), r.times_us.tolist(), r.content.tobytes()) for seed, r in recordings.items()}
+
+
+def test_what_is_flown_is_kept_when_training_is_stopped(tmp_path):
+    disk, told = KeptRecordings(tmp_path, SCENARIO), []
+    with pytest.raises(KeyboardInterrupt):
+        record_flights(SCENARIO, 6, 1, WATCHED, _stop_at(4, told), disk)
+    assert told == [0, 1, 2, 3, 4]
+    told.clear()
+    found = record_flights(SCENARIO, 6, 1, WATCHED, lambda kept, _: told.append(kept), disk)
+    assert told[0] == 4
+    assert _content(found) == _content(record_flights(SCENARIO, 6, 1, WATCHED))
+    disk.delete()
+    assert not list(tmp_path.iterdir())
+
+
+def test_recordings_of_another_scenario_or_code_and_broken_ones_are_not_used(tmp_path, monkeypatch):
+    disk = KeptRecordings(tmp_path, SCENARIO)
+    record_flights(SCENARIO, 3, 1, WATCHED, disk=disk)
+    seeds = [TRAINING_SEED + offset for offset in (1, 2, 3)]
+    assert list(disk.load(seeds)) == seeds
+    assert list(KeptRecordings(tmp_path, SCENARIO.model_copy(update={"seed": 7})).load(seeds)) == seeds
+    assert KeptRecordings(tmp_path, SCENARIO.model_copy(update={"v_max": 2.0})).load(seeds) == {}
+    (kept,) = (tmp_path / FOLDER).iterdir()
+    (kept / f"{seeds[0]}.npz").write_bytes(b"PK")
+    (kept / f"{seeds[1]}.npz").write_bytes((kept / f"{seeds[2]}.npz").read_bytes()[:100])
+    assert list(disk.load(seeds)) == seeds[2:]
+    monkeypatch.setattr("mavfi.campaign.recordings._code", lambda: "another")
+    assert KeptRecordings(tmp_path, SCENARIO).load(seeds) == {}
+
+
+def test_recordings_are_deleted_when_the_models_are_saved(tmp_path, monkeypatch):
+    def save(model, folder):
+        assert len(list(folder.glob(f"{FOLDER}/*/*.npz"))) == 3
+        return [folder / "model.json"]
+
+    monkeypatch.setattr("mavfi.detectors.training.fit", lambda recordings, provenance: len(recordings))
+    monkeypatch.setattr("mavfi.detectors.training.save", save)
+    assert train(tmp_path, 3, workers=1, tools=WATCHED) == [tmp_path / "model.json"]
+    assert not (tmp_path / FOLDER).exists()
 
 
 def test_too_few_successes_are_an_error():

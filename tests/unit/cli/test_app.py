@@ -1,16 +1,21 @@
 import json
+import signal
 import subprocess
 import sys
 
 import pytest
+import typer
 
 from mavfi import __version__
-from mavfi.cli import app, run
+from mavfi.cli import run
+from mavfi.cli.commands import app
+from mavfi.cli.progress import Bar
+from mavfi.cli.stopping import leave_on_ctrl_c, stoppable
 from mavfi.states import STATES
 
 VERBS = (
-    ["fly"], ["states"], ["train"], ["campaign", "run"], ["campaign", "status"], ["campaign", "digest"], ["report"],
-    ["replay"], ["explain"], ["reproduce"],
+    ["fly"], ["states"], ["train"], ["campaign"], ["campaign", "run"], ["campaign", "status"], ["campaign", "digest"],
+    ["report"], ["replay"], ["explain"], ["reproduce"],
 )  # fmt: skip
 
 
@@ -31,6 +36,63 @@ def test_help_without_arguments_names_every_verb(capsys):
 def test_version(capsys):
     assert run(["--version"]) == 0
     assert capsys.readouterr().out.strip() == __version__
+
+
+def test_it_is_run_as_a_module_too():
+    done = subprocess.run([sys.executable, "-m", "mavfi", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == __version__
+
+
+STRUCK = """
+import os, signal, sys
+
+class Strike:
+    def find_spec(self, name, *_):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Strike())
+sys.argv = ["mavfi", *{arguments!r}]
+from mavfi.cli import main
+main()
+"""
+
+
+@pytest.mark.parametrize("module", ["typer", "mavfi.cli.fly", "numba"])
+@pytest.mark.parametrize("arguments", [["fly"], ["campaign", "run", "smoke", "--out", "out"], ["reproduce"]])
+def test_ctrl_c_during_imports_ends_without_a_word(tmp_path, module, arguments):
+    code = STRUCK.format(module=module, arguments=arguments)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def test_work_that_is_stopped_says_what_is_kept(capsys):
+    with pytest.raises(typer.Exit) as stopped, stoppable("Stopped."):
+        raise KeyboardInterrupt
+    assert stopped.value.exit_code == 130
+    assert capsys.readouterr().err == "Stopped.\n"
+
+
+def test_ctrl_c_stops_work_and_leaves_everything_else():
+    before = signal.getsignal(signal.SIGINT)
+    try:
+        leave_on_ctrl_c()
+        leaving = signal.getsignal(signal.SIGINT)
+        with stoppable("Stopped."):
+            assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        assert signal.getsignal(signal.SIGINT) is leaving is not before
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_the_rate_of_a_bar_counts_from_what_was_done_before(monkeypatch, capsys):
+    clock = [0.0]
+    monkeypatch.setattr("mavfi.cli.progress.time.perf_counter", lambda: clock[0])
+    bar = Bar("training flights")
+    bar.show(59, 100)
+    clock[0] = 20.0
+    bar.show(99, 100)
+    assert "99/100 flights  2.0 flights/s · 0 s left" in capsys.readouterr().err
 
 
 def test_help_loads_nothing_heavy():

@@ -52,6 +52,27 @@ def test_digest_is_the_same_when_run_again(capsys, config, flown):
     assert capsys.readouterr().out.strip() == digest
 
 
+def test_the_digest_of_a_part_says_that_it_is_one(capsys, tmp_path, flown):
+    from mavfi.campaign.config import load_campaign
+    from mavfi.campaign.run import run_campaign
+
+    def stop(progress):
+        if progress.done == 1:
+            raise KeyboardInterrupt
+
+    config = tmp_path / "tiny.yaml"
+    config.write_text(CAMPAIGN.format(flights=1))
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(load_campaign(str(config)), tmp_path / "part", workers=1, progress=stop)
+    assert run(["campaign", "digest", str(tmp_path / "part")]) == 0
+    captured = capsys.readouterr()
+    assert len(captured.out.strip()) == 64
+    assert captured.err.startswith("partial: 1 of 5 flights")
+    data = _json(capsys, "campaign", "digest", str(tmp_path / "part"))
+    assert (data["partial"], data["done"], data["total"]) == (True, 1, 5)
+    assert not _json(capsys, "campaign", "digest", str(flown))["partial"]
+
+
 def test_report_prints_tables_and_writes_files(capsys, flown):
     assert run(["report", str(flown), "--no-draw-run"]) == 0
     text = capsys.readouterr().out
@@ -93,6 +114,7 @@ def test_explain_tells_the_story(capsys, flown):
         (["reproduce", "--scale", "huge", "--out", "OUT"], "scale 'huge'"),
         (["reproduce", "--workers", "0", "--out", "OUT"], "workers: 0"),
         (["reproduce", "--out", "CONFIG"], "cannot be written"),
+        (["reproduce", "--out", "FLOWN"], "holds another campaign (differs in: campaign, scenarios)"),
         (["train", "--flights", "0", "--out", "OUT"], "--flights: 0"),
         (["train", "--out", "CONFIG"], "cannot be written"),
         (["states", "--stack", "soft"], "--stack"),
@@ -106,6 +128,7 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, config, flown, 
     assert error.startswith("mavfi: ") and error.count("\n") == 1
     assert told in error
     assert not (tmp_path / "out").exists()
+    assert not (flown / "models").exists()
 
 
 def test_a_folder_with_another_campaign_is_left_alone(capsys, tmp_path, flown):

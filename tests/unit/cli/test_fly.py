@@ -68,6 +68,22 @@ def test_text_for_people_names_stack_fate_fault_and_digest(capsys, golden_digest
     assert "golden" in text and "digest" in text
 
 
+def test_a_detector_without_a_model_is_told_without_a_profile(capsys, golden_digest):
+    data = _fly(capsys, "--detector", "mavfi.detectors.registry:NoDetector")
+    assert data["detector"] == "mavfi.detectors.registry:NoDetector"
+    assert data["digest"] == golden_digest
+
+
+def test_a_start_beside_the_goal_of_the_environment(capsys):
+    from mavfi.hosts.compose import make_scenario
+    from mavfi.sim.environments import build_world
+
+    x, y, z = build_world(make_scenario("sparse", 7).environment, 7).goal
+    start = ["--start", str(x - 1.0), str(y), str(z)]
+    assert run(["fly", "--environment", "sparse", "--seed", "7", *start]) == 2
+    assert "1.00 m from the start" in capsys.readouterr().err
+
+
 def test_saved_flight_and_picture(capsys, tmp_path, golden_digest):
     log, picture = tmp_path / "flight.npz", tmp_path / "flight.png"
     _fly(capsys, "--save", str(log), "--picture", str(picture))
@@ -86,9 +102,18 @@ def test_a_mission_that_fails_is_no_failure_of_the_program(capsys, monkeypatch):
     ("arguments", "told"),
     [
         (["--environment", "nowhere"], "allowed: clutter, dense"),
+        (["--environment", "nowhere"], "a path to a .yaml, .bt or .ot file"),
+        (["--environment", "Absent.BT"], "Absent.BT: there is no such file"),
+        (["--fault-seed", "5"], "--fault-seed: 5: no fault to draw"),
+        (["--profile", "tuned"], "--profile: tuned: nothing watches"),
+        (["--models", "absent"], "--models: absent: nothing watches"),
+        (["--detector", "mavfi.detectors.registry:NoDetector", "--profile", "tuned"], "has no profiles"),
+        (["--start", "5", "0", "3", "--goal", "5", "0", "3"], "goal (5, 0, 3): 0.00 m from the start"),
+        (["--start", "5", "0", "3", "--goal", "6.9", "0", "3"], "1.90 m from the start"),
+        (["--save", "flight.csv"], "--save: flight.csv: allowed ending: .npz"),
         (["--seed", "-1"], "--seed: -1"),
         (["--seed", "seven"], "--seed"),
-        (["--fault-seed", "-1"], "--fault-seed: -1"),
+        (["--fault", "null", "--fault-seed", "-1"], "--fault-seed: -1"),
         (["--depth-noise", "-0.1"], "--depth-noise"),
         (["--depth-noise", "nan"], "--depth-noise"),
         (["--v-max", "0"], "--v-max"),

@@ -1,7 +1,10 @@
+import json
+
 import pytest
 
 from mavfi.campaign.config import Campaign
 from mavfi.cli import reproduce, run
+from mavfi.cli.progress import Bar
 
 
 @pytest.fixture
@@ -28,4 +31,26 @@ def test_it_trains_flies_prints_and_writes_and_goes_on_where_it_stopped(capsys, 
         raise AssertionError("trained again")
 
     monkeypatch.setattr("mavfi.campaign.training.train", never)
-    assert run(arguments) == 0
+    assert run([*arguments, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["campaign"]["name"] == "table1"
+
+
+@pytest.mark.slow
+def test_training_that_is_stopped_goes_on(capsys, tmp_path, small, monkeypatch):
+    out = tmp_path / "out"
+    show, told = Bar.show, []
+
+    def stop(bar, done, total):
+        told.append((done, total))
+        show(bar, done, total)
+        if done == 2 and len(told) > 1:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Bar, "show", stop)
+    assert run(["reproduce", "--out", str(out), "--workers", "1"]) == 130
+    assert "the same command goes on" in capsys.readouterr().err
+    assert told == [(0, 3), (1, 3), (2, 3)] and not list((out / "models").glob("*.json"))
+    told.clear()
+    assert run(["reproduce", "--out", str(out), "--workers", "1"]) == 0
+    assert told == [(2, 3), (3, 3)]
+    assert len(list((out / "models").glob("*.json"))) == 4 and not (out / "models" / ".flights").exists()

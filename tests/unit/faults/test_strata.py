@@ -1,7 +1,7 @@
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.strata import HEADLINE, REMAINDER, WORD_BITS, bit_class, bits_of, word_share
+from mavfi.faults.strata import HEADLINE, WORD_BITS, bit_class, bits_of, word_share
 from mavfi.states import Field
 
 
@@ -28,9 +28,9 @@ def test_bits_of_each_stratum(dtype, stratum, bits):
 @pytest.mark.parametrize("dtype", WORD_BITS)
 def test_the_two_strata_part_every_word(dtype):
     field = Field("f", dtype, "-")
-    both = [*bits_of(field, REMAINDER), *bits_of(field, HEADLINE)]
+    both = [*bits_of(field, "mantissa"), *bits_of(field, HEADLINE)]
     assert both == list(range(WORD_BITS[dtype]))
-    assert word_share(field, HEADLINE) + word_share(field, REMAINDER) == 1
+    assert word_share(field, HEADLINE) + word_share(field, "mantissa") == 1
 
 
 def test_class_of_a_bit():

@@ -26,7 +26,8 @@ def test_all_files_are_there_and_pictures_are_pictures(written):
 
 def test_report_shows_every_table_and_figure(written):
     text = next(path for path in written.files if path.name == "report.md").read_text(encoding="utf-8")
-    for title in ("Success of missions", "Success by field", "Outcomes of faults, by stage", "False alarms"):
+    titles = ("Success of missions", "Success by inter-kernel state", "Outcomes of faults, by stage", "False alarms")
+    for title in titles:
         assert f"## {title}" in text
     assert "![success.png](success.png)" in text
     assert "have the digest of their golden twins" in text

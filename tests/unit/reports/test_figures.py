@@ -24,3 +24,13 @@ def test_failures_are_censored():
     entry = {"environment": "dense", "setting": "fi", "n": 4, "inflations": [0.0, 0.5], "censored": 2}
     axes = figures.flight_time({"flight_times": [entry]}).axes[0]
     assert axes.lines[0].get_ydata().max() == 0.5
+
+
+def test_the_whole_curve_of_flight_times_is_in_sight():
+    entry = {"environment": "dense", "setting": "fi", "n": 4, "inflations": [-0.17, 0.0, 0.5], "censored": 1}
+    axes = figures.flight_time({"flight_times": [entry]}).axes[0]
+    left, right = axes.get_xlim()
+    assert left < -0.17 and right > 0.5
+    assert [axes.xaxis.get_major_formatter()(share, 0) for share in (-0.06, -0.001, 0.0, 0.06)] == [
+        "-6 %", "0 %", "0 %", "+6 %"
+    ]  # fmt: skip

@@ -1,6 +1,6 @@
 import copy
 
-from mavfi.reports import tables
+from mavfi.reports import header, tables
 from mavfi.reports.comparable import is_comparable, only_comparable
 
 
@@ -63,16 +63,16 @@ def test_rows_of_an_environment_stand_together(analysis):
 
 
 def test_null_runs_are_reported_either_way(analysis):
-    assert tables.null_line(analysis).startswith("Null runs: all 2 flights")
+    assert header.null_line(analysis).startswith("Null runs: all 2 flights")
     broken = {**analysis, "null_check": {"n": 2, "differing": ["run-a"], "passed": False}}
-    assert "1 of 2 DIFFER" in tables.null_line(broken)
-    assert "run-a" in tables.null_line(broken)
+    assert "1 of 2 DIFFER" in header.null_line(broken)
+    assert "run-a" in header.null_line(broken)
 
 
 def test_header_says_when_a_campaign_is_not_complete_or_on_design_seeds(analysis):
-    assert not any("Not complete" in line or "design seeds" in line for line in tables.header(analysis))
+    assert not any("Not complete" in line or "design seeds" in line for line in header.header(analysis))
     campaign = {**analysis["campaign"], "done": 1, "on_design_seeds": True}
-    lines = tables.header({**analysis, "campaign": campaign})
+    lines = header.header({**analysis, "campaign": campaign})
     assert any("Not complete" in line for line in lines)
     assert any("design seeds" in line for line in lines)
 
@@ -88,4 +88,27 @@ def test_only_the_papers_stack_and_profile_stand_beside_its_figures(analysis):
 
 
 def test_header_names_detectors_with_their_profiles(analysis):
-    assert any("idle = none (paper); coupling inline" in line for line in tables.header(analysis))
+    assert any("idle = none (paper); coupling inline" in line for line in header.header(analysis))
+
+
+def test_fields_with_few_flights_are_in_the_summary_only(analysis):
+    assert analysis["by_field"], "two faults per stage, each at a field of its own"
+    assert not any(table.title == "Success by field, sparse" for table in tables.tables(analysis))
+    many = [{**entry, "n": 10} for entry in analysis["by_field"] if entry["population"] == "sign_exponent"]
+    table = _table({**analysis, "by_field": many}, "Success by field, sparse")
+    assert len(table.rows) == len(many)
+    assert any("fewer than 10 flights" in note for note in table.notes)
+
+
+def test_recovery_shows_the_missions_behind_it(analysis):
+    found = {"rate": 0.0, "low": 0.0, "high": 0.41, "loss": 0.117, "loss_low": 0.03, "loss_high": 0.24}
+    entry = {**copy.deepcopy(analysis["recovery"][0]), "recovery": {**found, "lost": 7, "regained": 0}}
+    assert _table({**analysis, "recovery": [entry]}, "Recovery").rows[0][3] == "0.0 % [0.0, 41.0] 0/7"
+
+
+def test_differing_flights_with_an_alarm_are_counted_apart(analysis):
+    entries = [{**entry, "sdc": 3, "sdc_alarmed": 2} for entry in analysis["outcomes"][:1]]
+    table = _table({**analysis, "outcomes": entries}, "Outcomes of faults")
+    row = dict(zip(table.columns, table.rows[0], strict=True))
+    assert (row["sdc"], row["(alarm)"]) == ("3", "2")
+    assert not any("nothing said so" in note for note in table.notes)

@@ -4,6 +4,7 @@ Workers are forked, so they inherit what the parent has compiled.  Results come 
 """
 
 import multiprocessing
+import os
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
@@ -21,6 +22,7 @@ ATTEMPTS_ALONE = 3
 QUEUED_PER_WORKER = 2
 TIME_LIMIT = 600.0
 """Wall time after which a worker counts as lost (s); a watchdog, hundreds of times a flight."""
+MOST_WORKERS = 4 * (os.cpu_count() or 1)
 _POLL = 1.0
 
 T = TypeVar("T")
@@ -44,16 +46,16 @@ class LocalPool:
     """Flies items on local processes.
 
     Args:
-        workers: Number of processes.
+        workers: Number of processes, at most; there are never more than items.
         time_limit: Wall time after which a worker counts as lost (s).
 
     Raises:
-        BadInputError: There would be no worker.
+        BadInputError: There would be no worker, or more than `MOST_WORKERS`.
     """
 
     def __init__(self, workers: int, time_limit: float = TIME_LIMIT) -> None:
-        if workers < 1:
-            raise BadInputError(f"workers: {workers}; allowed: 1 or more")
+        if not 1 <= workers <= MOST_WORKERS:
+            raise BadInputError(f"workers: {workers}; allowed: 1 to {MOST_WORKERS} (4 per processor)")
         self._workers = workers
         self._time_limit = time_limit
 
@@ -71,8 +73,9 @@ class LocalPool:
         Raises:
             Exception: Whatever the function raised.
         """
-        suspects = []
-        for item, result in _stream(function, items, self._workers, self._time_limit):
+        suspects, waiting = [], list(items)
+        workers = min(self._workers, max(1, len(waiting)))
+        for item, result in _stream(function, waiting, workers, self._time_limit):
             if isinstance(result, Lost):
                 suspects.append(item)
             else:

@@ -24,7 +24,7 @@ _BUILT_IN |= {
     "training": "mavfi.sim.environments.training:training",
     "octomap_file": "mavfi.sim.environments.octomap_file:octomap_file",
 }
-_SCAN_ENDINGS = (".bt", ".ot")
+SCAN_ENDINGS = (".bt", ".ot")
 
 
 def build_world(
@@ -88,8 +88,8 @@ def environment_for_file(path: str | Path) -> EnvironmentConfig:
         BadInputError: It has another ending or is absent.
     """
     path = Path(path)
-    if path.suffix.lower() not in _SCAN_ENDINGS:
-        raise BadInputError(f"{path}: not a scanned map; allowed: a file ending in {' or '.join(_SCAN_ENDINGS)}")
+    if path.suffix.lower() not in SCAN_ENDINGS:
+        raise BadInputError(f"{path}: not a scanned map; allowed: a file ending in {' or '.join(SCAN_ENDINGS)}")
     if not path.is_file():
         raise BadInputError(f"{path}: there is no such file")
     return EnvironmentConfig(

@@ -1,0 +1,43 @@
+"""Ctrl-C: work with something to keep is stopped cleanly; everything else is left at once, with exit code 130."""
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+EXIT_STOPPED = 130
+"""Ctrl-C, as shells have it."""
+
+
+def leave_on_ctrl_c() -> None:
+    """From now on Ctrl-C ends the process without a word; an exception in the middle of an import would tell of it."""
+    signal.signal(signal.SIGINT, _leave)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    os._exit(EXIT_STOPPED)
+
+
+@contextmanager
+def stoppable(told: str) -> Iterator[None]:
+    """Work of which something is kept: Ctrl-C ends it cleanly, says what is kept, and exits with code 130.
+
+    Args:
+        told: Line for stderr.
+    """
+    import typer
+
+    from mavfi.cli.console import console
+
+    leaving = signal.getsignal(signal.SIGINT) is _leave
+    if leaving:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    except KeyboardInterrupt:
+        console(error=True).print(told)
+        raise typer.Exit(EXIT_STOPPED) from None
+    finally:
+        if leaving:
+            signal.signal(signal.SIGINT, _leave)
