@@ -7,7 +7,7 @@ from mavfi.states import STACKS, STATES, Field, StateSpec
 
 DOCS = Path(__file__).parent
 PACKAGE = DOCS.parent / "src" / "mavfi"
-MODULES = ("errors", "config", "plugins", "states", "mission", "flight_log", "qof", "outcomes")
+MODULES = ("errors", "config", "plugins", "states", "mission", "flight_log", "qof", "outcomes", "__main__")
 PACKAGES = (
     "numerics", "kernels", "pipeline", "sim", "faults", "detectors", "platforms", "hosts", "campaign", "reports", "cli",
 )  # fmt: skip

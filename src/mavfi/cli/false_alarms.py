@@ -5,8 +5,6 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from mavfi.campaign.config import TRAINING_SEED
 from mavfi.campaign.executors.local import LocalPool, Lost
 from mavfi.campaign.statistics import EventRate, event_rate_by_flight
@@ -72,6 +70,6 @@ def count_false_alarms(  # noqa: PLR0913 - what is flown, and how
             done += 1
             progress(done, len(tasks))
     return [
-        event_rate_by_flight(np.array([n for n, _ in sorted(own)]), np.array([hours for _, hours in sorted(own)]))
+        event_rate_by_flight([events for events, _ in sorted(own)], [hours for _, hours in sorted(own)])
         for own in counted
     ]

@@ -16,10 +16,10 @@ from mavfi.config import (
     shipped,
 )
 from mavfi.errors import BadInputError
-from mavfi.mission import ARRIVAL_RADIUS, Scenario
+from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.platforms.compute import stage_latency
-from mavfi.sim.environments import SCAN_ENDINGS, World, build_world, environment_for_file
+from mavfi.sim.environments import SCAN_ENDINGS, World, environment_for_file
 from mavfi.states import Stage
 
 CONTROL_PERIOD_US = 20_000
@@ -73,7 +73,6 @@ def make_scenario(  # noqa: PLR0913 (one keyword for each option of the command 
     speed = v_max if v_max is not None else (world.v_max or DEFAULT_V_MAX)
     if not 0.1 <= speed <= 20.0:
         raise BadInputError(f"v_max: {speed}: must lie between 0.1 and 20 m/s")
-    _check_course(world, seed, start, goal)
     camera = CameraConfig(noise=depth_noise) if world.camera_range is None else CameraConfig(
         noise=depth_noise, range=world.camera_range
     )  # fmt: skip
@@ -84,28 +83,6 @@ def make_scenario(  # noqa: PLR0913 (one keyword for each option of the command 
         map=MapConfig() if world.map_resolution is None else MapConfig(resolution=world.map_resolution),
         v_max=speed, start=start, goal=goal,
     )  # fmt: skip
-
-
-def _check_course(environment: EnvironmentConfig, seed: int, start: Vector | None, goal: Vector | None) -> None:
-    """Refuse ends that leave nothing to fly; those that environments choose themselves are far apart.
-
-    Raises:
-        BadInputError: The goal counts as reached at the start.
-    """
-    if start is None and goal is None:
-        return
-    if start is None or goal is None:
-        world = build_world(environment, seed, start, goal)
-        ends = (world.start, world.goal)
-    else:
-        ends = (np.array(start), np.array(goal))
-    course = float(np.linalg.norm(ends[1] - ends[0]))
-    if course < ARRIVAL_RADIUS:
-        text = "(" + ", ".join(f"{value:g}" for value in ends[1]) + ")"
-        raise BadInputError(
-            f"goal {text}: {course:.2f} m from the start, where it counts as reached; allowed: {ARRIVAL_RADIUS:g} m "
-            "or more"
-        )
 
 
 def pipeline_config(scenario: Scenario, world: World, directions: np.ndarray) -> PipelineConfig:

@@ -10,6 +10,7 @@ import numpy as np
 
 from mavfi.config import EnvironmentConfig, Vector, VehicleConfig, shipped
 from mavfi.errors import BadInputError
+from mavfi.mission import ARRIVAL_RADIUS
 from mavfi.plugins import load_object
 from mavfi.sim.environments.world import World
 
@@ -60,6 +61,12 @@ def build_world(
     radius = _hull_radius(environment.vehicle)
     for key, point in (("start", world.start), ("goal", world.goal)):
         _check_end(source, key, point, world, radius)
+    course = float(np.linalg.norm(world.goal - world.start))
+    if course < ARRIVAL_RADIUS:
+        raise BadInputError(
+            f"{source}: goal {_text(world.goal)}: {course:.2f} m from the start, where it counts as reached; allowed: "
+            f"{ARRIVAL_RADIUS:g} m or more"
+        )
     return world
 
 
@@ -114,8 +121,12 @@ def _hull_radius(vehicle: str) -> float:
     return shipped("vehicles", VehicleConfig, vehicle).hull_radius
 
 
+def _text(point: np.ndarray) -> str:
+    return "(" + ", ".join(f"{value:g}" for value in point) + ")"
+
+
 def _check_end(source: str, key: str, point: np.ndarray, world: World, radius: float) -> None:
-    text = "(" + ", ".join(f"{value:g}" for value in point) + ")"
+    text = _text(point)
     low, high = world.flight_lower, world.flight_upper
     if not bool(np.all((point >= low) & (point <= high))):
         limits = ", ".join(f"{axis} {a:g} to {b:g}" for axis, a, b in zip("xyz", low, high, strict=True))
