@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from mavfi.config import MapConfig
+from mavfi.errors import BadInputError
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import fly
 from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
@@ -47,3 +48,14 @@ def test_whole_missions_have_the_same_digest_with_both_maps(environment, stack):
         scenario = make_scenario(environment, seed, stack=stack)
         logs = [fly(of_kind(scenario, kind, resolution)).log for kind in ("dense", "octree")]
         assert logs[0].digest() == logs[1].digest()
+
+
+def test_an_unknown_kind_of_map_is_refused_in_one_line():
+    with pytest.raises(BadInputError, match="map: key 'kind': 'hash': Input should be 'dense' or 'octree'"):
+        mission(map_kind="hash")
+
+
+def test_the_kind_of_map_is_part_of_the_scenario_and_leaves_the_rest():
+    dense, octree = mission(), mission(map_kind="octree")
+    assert dense.key() != octree.key()
+    assert octree == dense.model_copy(update={"map": MapConfig(kind="octree")})

@@ -46,7 +46,7 @@ class DenseMap:
         size = frame.nx * frame.ny * frame.nz
         self.log_odds = np.zeros(size, np.float32)
         self._stamp = np.zeros(size, np.int32)
-        self._touched = np.zeros(size, np.int32)
+        self._touched = np.zeros(size + 1, np.int32)
         self._before = np.zeros(size, np.float32)
         self._count = 0
         self._stamps = 0
@@ -76,16 +76,16 @@ class OctreeMap:
 
     Attributes:
         tree: Its nodes.
-        journal: What they held at the last mark.
     """
 
     def __init__(self, frame: KeyFrame, rule: UpdateRule, max_range: float) -> None:
         self._frame, self._rule, self._range = frame, rule, max_range
         self._size = frame.nx * frame.ny * frame.nz
         self._largest = octree.largest_tree(frame)
-        self.tree, self.journal = octree.new_octree(min(FIRST_CAPACITY, self._largest))
+        self.tree = octree.new_octree(min(FIRST_CAPACITY, self._largest))
+        self._marked = octree.compact_copy(self.tree)
         self._stamp = np.zeros(self._size, np.int32)
-        self._touched = np.zeros(self._size, np.int32)
+        self._touched = np.zeros(self._size + 1, np.int32)
         self._stamps = 0
 
     @property
@@ -104,19 +104,21 @@ class OctreeMap:
         voxels, after = self._touched[:count], np.empty(count, np.float32)
         done = 0
         while True:
-            done = octree.update_voxels(self.tree, self.journal, self._frame, self._rule, voxels, n_free, done, after)
+            done = octree.update_voxels(self.tree, self._frame, self._rule, voxels, n_free, done, after)
             capacity = len(self.tree.log_odds)
             if done == count or capacity >= self._largest:
                 return voxels[:done], after[:done]
-            self.tree, self.journal = octree.enlarged(self.tree, self.journal, min(2 * capacity, self._largest))
+            larger = octree.new_octree(min(2 * capacity, self._largest))
+            octree.copy_into(self.tree, larger)
+            self.tree = larger
 
     def mark(self) -> None:
-        """Begin a new journal."""
-        octree.mark(self.tree, self.journal)
+        """Keep a copy: nodes are so many and so small that a journal of changes costs more."""
+        self._marked = octree.compact_copy(self.tree)
 
     def rollback(self) -> None:
-        """Put every node back."""
-        octree.rollback(self.tree, self.journal)
+        """Put every node back, and the memory that was taken since is as new."""
+        octree.copy_into(self._marked, self.tree)
 
 
 MAPS: dict[str, Callable[[KeyFrame, UpdateRule, float], OccupancyMap]] = {"dense": DenseMap, "octree": OctreeMap}

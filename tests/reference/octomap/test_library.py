@@ -20,7 +20,10 @@ library = pytest.importorskip("octomap", reason="the oracle of the map is the pa
 
 RANGE = 20.0
 RESOLUTIONS = (0.5, 0.25)
-WHOLE = [("dense", "published", 0), ("sparse", "hardened", 0), ("factory", "published", 1), ("farm", "hardened", 1)]
+WHOLE = [
+    ("dense", "published", 0, 0.5), ("sparse", "hardened", 0, 0.5), ("factory", "published", 1, 0.5),
+    ("farm", "hardened", 1, 0.5), ("dense", "published", 0, 0.25), ("factory", "published", 1, 0.25),
+]  # fmt: skip
 
 
 def recorded(scenario):
@@ -130,8 +133,7 @@ def test_taking_scans_back_leaves_the_tree_that_the_library_has_without_them(res
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("resolution", RESOLUTIONS)
-@pytest.mark.parametrize(("environment", "stack", "seed"), WHOLE)
+@pytest.mark.parametrize(("environment", "stack", "seed", "resolution"), WHOLE)
 def test_both_maps_equal_the_library_over_whole_missions(environment, stack, seed, resolution):
     scenario = make_scenario(environment, seed, stack=stack)
     flight, scans = recorded(scenario.model_copy(update={"map": MapConfig(resolution=resolution)}))

@@ -91,10 +91,12 @@ def _walk_free(
     sz, tz, ez = _face(origin[2], _F32(dz / length), kz, frame.resolution)
     for _ in range(STEP_CAP):
         voxel = _index(frame, kx, ky, kz)
-        if voxel >= 0 and stamp[voxel] < scan_stamp:
-            stamp[voxel] = scan_stamp
+        if voxel >= 0:
+            # no branch here: whether a voxel is new cannot be predicted, and a wrong guess costs more than the stores
+            was = stamp[voxel]
+            stamp[voxel] = max(was, scan_stamp)
             touched[count] = voxel
-            count += 1
+            count += was < scan_stamp
         if tx < ty:
             if tx < tz:
                 kx += sx
@@ -156,11 +158,16 @@ def collect(
         frame: Grid.
         stamp: Last scan that touched a voxel; changed. Shape (nx * ny * nz,), int32.
         scan: Number of this scan, larger than any before.
-        touched: Result: voxels, free ones first, each once. At least as long as the map, int32.
+        touched: Result: voxels, free ones first, each once; what follows them is undefined. Longer than the map, int32.
 
     Returns:
         How many are free, and how many there are in all.
+
+    Raises:
+        ValueError: `touched` is too short.
     """
+    if touched.shape[0] <= stamp.shape[0]:
+        raise ValueError("touched must be longer than the map")
     if not usable(origin[0], origin[1], origin[2]):
         return 0, 0
     free_stamp = 2 * scan

@@ -45,8 +45,8 @@ def insert_scan(
         log_odds: The map; changed. Shape (nx * ny * nz,), float32.
         stamp: Last scan that touched a voxel; changed. Same shape, int32.
         scan: Number of this scan, larger than any before.
-        touched: Result: voxels that were updated, free ones first. At least as long as the map, int32.
-        before: Result: their log-odds before, for an undo. Same shape, float32.
+        touched: Result: voxels that were updated, free ones first. Longer than the map, int32.
+        before: Result: their log-odds before, for an undo. At least as long as the map, float32.
 
     Returns:
         How many voxels were updated.
