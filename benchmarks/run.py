@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from map_update import map_rows
 from mavfi.campaign.executors.local import LocalPool
 from mavfi.detectors import load_detector
 from mavfi.hosts.compose import make_scenario
@@ -166,7 +167,7 @@ def measure() -> list[Row]:
     )
     rows.append(("two workers / one", f"{two / one:.2f} (the machine's own ceiling: {ceiling():.2f})"))
     rows.append(("mavfi fly, prompt to prompt, warm cache", f"{prompt_to_prompt():.2f} s"))
-    return rows + detection_rows()
+    return rows + map_rows() + detection_rows()
 
 
 def processor() -> str:

@@ -59,6 +59,7 @@ class CameraConfig(Config):
 class MapConfig(Config):
     """OctoMap's update rule (Hornung et al. 2013) and its parameters."""
 
+    kind: Literal["dense", "octree"] = Field("dense", description="where log-odds are kept; the occupancy is the same")
     resolution: float = Field(0.5, gt=0, description="m")
     hit: float = Field(0.7, gt=0.5, lt=1)
     miss: float = Field(0.4, gt=0, lt=0.5)

@@ -19,7 +19,7 @@ anything = st.floats(allow_nan=True, allow_infinity=True)
 def test_undoing_a_scan_restores_the_map_exactly(scans):
     size = FRAME.nx * FRAME.ny * FRAME.nz
     log_odds, stamp = np.zeros(size, np.float32), np.zeros(size, np.int32)
-    touched, before = np.zeros(size, np.int32), np.zeros(size, np.float32)
+    touched, before = np.zeros(size + 1, np.int32), np.zeros(size, np.float32)
     for number, seed in enumerate(scans, start=1):
         random = np.random.default_rng(seed)
         cloud = random.uniform(-6.0, 6.0, (40, 3)).astype(np.float32)

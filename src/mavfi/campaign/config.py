@@ -66,6 +66,7 @@ class Campaign(Config):
     stack: str = "published"
     platform: str = "i9-9940x"
     planner: str = "rrt_connect"
+    map: Literal["dense", "octree"] = "dense"
     v_max: float | None = Field(None, gt=0, description="m/s; None = the environment's")
     detectors: dict[str, DetectorArm] = Field(default_factory=dict, description="by the name of the arm")
 

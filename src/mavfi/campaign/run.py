@@ -187,6 +187,7 @@ def campaign_scenarios(campaign: Campaign, tools: Tools) -> dict[str, Scenario]:
             platform=campaign.platform,
             planner=campaign.planner,
             v_max=campaign.v_max,
+            map_kind=campaign.map,
         )
         for name in campaign.environments
     }

@@ -38,8 +38,17 @@ def _load_detector(detector: str, profile: str, models_dir: Path | None, scenari
 
 
 def _make_scenario(
-    environment: str, seed: int, *, stack: str, platform: str, planner: str, v_max: float | None
+    environment: str,
+    seed: int,
+    *,
+    stack: str,
+    platform: str,
+    planner: str,
+    v_max: float | None,
+    map_kind: str = "dense",
 ) -> Scenario:
     from mavfi.hosts.compose import make_scenario
 
-    return make_scenario(environment, seed, stack=stack, platform=platform, planner=planner, v_max=v_max)
+    return make_scenario(
+        environment, seed, stack=stack, platform=platform, planner=planner, v_max=v_max, map_kind=map_kind
+    )

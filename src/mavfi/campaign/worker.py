@@ -68,7 +68,15 @@ class MakeScenario(Protocol):
     """Resolves names of configurations."""
 
     def __call__(
-        self, environment: str, seed: int, *, stack: str, platform: str, planner: str, v_max: float | None
+        self,
+        environment: str,
+        seed: int,
+        *,
+        stack: str,
+        platform: str,
+        planner: str,
+        v_max: float | None,
+        map_kind: str = "dense",
     ) -> Scenario:
         """Make the scenario; raises `BadInputError` for a name that is not known."""
 

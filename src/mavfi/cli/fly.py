@@ -36,6 +36,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     platform: Annotated[
         str, typer.Option(help="Computer whose latencies are charged: a name, or a YAML file.")
     ] = "i9-9940x",
+    map_kind: Annotated[
+        str, typer.Option("--map", help="Where the map keeps its log-odds: dense or octree.")
+    ] = "dense",
     v_max: Annotated[float | None, typer.Option(help="Speed limit, m/s; the environment's by default.")] = None,
     depth_noise: Annotated[float, typer.Option(help="Of the depth camera: standard deviation / range.")] = 0.0,
     fault: Annotated[
@@ -73,7 +76,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     scenario = make_scenario(
         environment, seed, stack=stack, platform=platform, planner=planner, v_max=v_max, start=start, goal=goal,
-        depth_noise=depth_noise,
+        depth_noise=depth_noise, map_kind=map_kind,
     )  # fmt: skip
     watching, told = _load(detector, profile, models, scenario)
     flown = _fly(scenario, request, fault_seed or 0, watching, told)

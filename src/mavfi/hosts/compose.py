@@ -13,6 +13,7 @@ from mavfi.config import (
     StackConfig,
     Vector,
     VehicleConfig,
+    parse,
     shipped,
 )
 from mavfi.errors import BadInputError
@@ -50,6 +51,7 @@ def make_scenario(  # noqa: PLR0913 (one keyword for each option of the command 
     start: Vector | None = None,
     goal: Vector | None = None,
     depth_noise: float = 0.0,
+    map_kind: str = "dense",
 ) -> Scenario:
     """A scenario from names; what is not given comes from the environment, then from the defaults.
 
@@ -63,6 +65,7 @@ def make_scenario(  # noqa: PLR0913 (one keyword for each option of the command 
         start: World frame (m); None = the environment's.
         goal: Same.
         depth_noise: Standard deviation / range.
+        map_kind: "dense" or "octree".
 
     Raises:
         BadInputError: Something is not known, or does not fit together.
@@ -80,9 +83,14 @@ def make_scenario(  # noqa: PLR0913 (one keyword for each option of the command 
         environment=world, seed=seed, stack=shipped("stacks", StackConfig, stack),
         vehicle=shipped("vehicles", VehicleConfig, world.vehicle),
         platform=shipped("platforms", PlatformConfig, platform), planner=PlannerConfig(name=planner), camera=camera,
-        map=MapConfig() if world.map_resolution is None else MapConfig(resolution=world.map_resolution),
+        map=_map_config(map_kind, world.map_resolution),
         v_max=speed, start=start, goal=goal,
     )  # fmt: skip
+
+
+def _map_config(kind: str, resolution: float | None) -> MapConfig:
+    chosen = {"kind": kind} if resolution is None else {"kind": kind, "resolution": resolution}
+    return parse(MapConfig, chosen, "map")
 
 
 def pipeline_config(scenario: Scenario, world: World, directions: np.ndarray) -> PipelineConfig:

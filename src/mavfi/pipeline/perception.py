@@ -5,9 +5,11 @@ import math
 import numpy as np
 
 from mavfi.kernels.perception import collision_check, octomap, point_cloud
+from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.numerics.voxels import voxel_of
 from mavfi.pipeline.kernel import PipelineConfig, map_grid
+from mavfi.pipeline.maps import MAPS
 from mavfi.pipeline.room import Room
 from mavfi.states import STATES, Stage, State, floats, new_state
 
@@ -56,7 +58,13 @@ class PointCloud:
 
 
 class OctoMap:
-    """Kernel `octomap`."""
+    """Kernel `octomap`, on a dense array or an octree as the configuration says.
+
+    Attributes:
+        grid: Geometry.
+        frame: The same among OctoMap's keys.
+        map: What is known.
+    """
 
     name = "octomap"
     stage = Stage.PERCEPTION
@@ -69,17 +77,11 @@ class OctoMap:
         # half a voxel: OctoMap's voxel borders are multiples of the resolution, ours lie between them
         half = 0.5 * rule.resolution
         kx, ky, kz = (round((corner + half) / rule.resolution) for corner in (grid.x0, grid.y0, grid.z0))
-        self._frame = octomap.KeyFrame(rule.resolution, half, half, half, kx, ky, kz, grid.nx, grid.ny, grid.nz)
-        self._rule = octomap.UpdateRule(
+        self.frame = KeyFrame(rule.resolution, half, half, half, kx, ky, kz, grid.nx, grid.ny, grid.nz)
+        update_rule = octomap.UpdateRule(
             *(octomap.log_odds(p) for p in (rule.hit, rule.miss, rule.clamp_min, rule.clamp_max))
         )
-        self._range = config.camera.range
-        self.log_odds = np.zeros(grid.size, np.float32)
-        self._stamp = np.zeros(grid.size, np.int32)
-        self._touched = np.zeros(grid.size, np.int32)
-        self._before = np.zeros(grid.size, np.float32)
-        self._count = 0
-        self._stamps = 0
+        self.map = MAPS[rule.kind](self.frame, update_rule, config.camera.range)
         self._scan = 0
         self._marked_scan = 0
         self._cloud = new_state("perception.point_cloud")
@@ -94,27 +96,22 @@ class OctoMap:
         """Integrate the cloud."""
         del time_us
         self._scan += 1
-        self._stamps += 1
         points = self._cloud.elements.view(np.float32).reshape(-1, 3)
-        self._count = octomap.insert_scan(
-            points, floats(self._cloud.header, 3), self._range, self._frame, self._rule, self.log_odds, self._stamp,
-            self._stamps, self._touched, self._before,
-        )  # fmt: skip
-        update = new_state("perception.map_update", self._count)
+        voxels, log_odds = self.map.insert(points, floats(self._cloud.header, 3))
+        update = new_state("perception.map_update", len(voxels))
         update.header["scan"] = self._scan
-        update.elements["voxel"] = self._touched[: self._count]
-        update.elements["log_odds"] = self.log_odds[self._touched[: self._count]]
+        update.elements["voxel"] = voxels
+        update.elements["log_odds"] = log_odds
         return [update]
 
     def mark(self) -> None:
-        """Remember the number of the scan; the journal of a scan is kept anyway."""
-        self._count = 0
+        """Remember the map as it is, and the number of the scan."""
+        self.map.mark()
         self._marked_scan = self._scan
 
     def rollback(self) -> None:
-        """Take the scan since the last mark back; its stamp is not used again, since stamps are not taken back."""
-        octomap.undo_scan(self.log_odds, self._touched, self._before, self._count)
-        self._count = 0
+        """Take the scan since the last mark back."""
+        self.map.rollback()
         self._scan = self._marked_scan
 
 

@@ -36,7 +36,7 @@ class Map:
     def __init__(self):
         self.log_odds = np.zeros(SIZE, np.float32)
         self.stamp = np.zeros(SIZE, np.int32)
-        self.touched = np.zeros(SIZE, np.int32)
+        self.touched = np.zeros(SIZE + 1, np.int32)
         self.before = np.zeros(SIZE, np.float32)
         self.scan = 0
 
@@ -171,3 +171,21 @@ def test_a_corrupted_point_is_blocked_where_the_last_usable_one_lies(value):
     blocked, unknown = collision_check.known_free_distance(free, known, grid, points, 0, 9.0, 1, False)
     assert blocked == pytest.approx(0.6 if not abs(value) < 1e100 else value)
     assert unknown == np.inf
+
+
+def test_a_work_array_that_could_run_over_is_refused():
+    kernel = Map()
+    kernel.touched = kernel.touched[:-1]
+    with pytest.raises(ValueError, match="longer than the map"):
+        kernel.insert(np.ones((1, 3), np.float32), np.zeros(3))
+
+
+def test_a_scan_that_touches_every_voxel_stays_within_its_work_array():
+    frame = octomap.KeyFrame(0.5, 0.25, 0.25, 0.25, 0, 0, 0, 4, 1, 1)
+    log_odds, stamp, touched = np.zeros(4, np.float32), np.zeros(4, np.int32), np.full(6, -7, np.int32)
+    points = np.array([[3.0, 0.0, 0.0]] * 3, np.float32)
+    count = octomap.insert_scan(
+        points, np.array([-1.0, 0.0, 0.0]), 9.0, frame, RULE, log_odds, stamp, 1, touched[:5], np.zeros(4, np.float32)
+    )  # fmt: skip
+    assert count == 4 and touched[:4].tolist() == [0, 1, 2, 3] and touched[5] == -7
+    assert (log_odds == RULE.miss).all()

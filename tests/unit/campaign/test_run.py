@@ -152,3 +152,9 @@ def test_versions_are_not_mixed_within_a_campaign(tmp_path, monkeypatch):
     monkeypatch.setattr(run_module, "__version__", "99.0")
     with pytest.raises(BadInputError, match="was begun with mavfi .*, here is 99.0"):
         run_campaign(small(), tmp_path, workers=1, tools=FAKE)
+
+
+def test_the_kind_of_map_reaches_every_scenario():
+    scenarios = run_module.campaign_scenarios(small(map="octree"), FAKE).values()
+    assert {scenario.map.kind for scenario in scenarios} == {"octree"}
+    assert {s.map.kind for s in run_module.campaign_scenarios(small(), FAKE).values()} == {"dense"}

@@ -37,6 +37,10 @@ def test_twice_the_same_seed_twice_the_same_digest(capsys, golden_digest):
     assert _fly(capsys)["digest"] == golden_digest
 
 
+def test_an_octree_gives_the_same_flight(capsys, golden_digest):
+    assert _fly(capsys, "--map", "octree")["digest"] == golden_digest
+
+
 def test_a_null_fault_prints_the_golden_digest(capsys, golden_digest):
     data = _fly(capsys, "--fault", "null")
     assert data["digest"] == data["golden"]["digest"] == golden_digest

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.kernels.control import pid
-from mavfi.kernels.perception import clearance, collision_check, octomap, point_cloud
+from mavfi.kernels.perception import clearance, collision_check, key_sets, octomap, octree, point_cloud
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import rrt_connect, trajectory, waypoint
 from mavfi.numerics.jit import kernel_jit
@@ -67,8 +67,21 @@ def path_of(count):
 def scan():
     cloud = np.random.default_rng(0).uniform(-4, 4, (20, 3)).astype(np.float32)
     state = np.zeros(720, np.float32), np.zeros(720, np.int32)
-    return [cloud, np.array([0.1, 0.2, 1.0]), 6.0, FRAME, RULE, *state, 1, np.zeros(720, np.int32),
+    return [cloud, np.array([0.1, 0.2, 1.0]), 6.0, FRAME, RULE, *state, 1, np.zeros(721, np.int32),
             np.zeros(720, np.float32)]  # fmt: skip
+
+
+def nodes():
+    """An octree in which a scan was stored."""
+    tree = octree.new_octree(octree.largest_tree(FRAME))
+    voxels = np.arange(0, 720, 7, dtype=np.int32)
+    octree.update_voxels(tree, FRAME, RULE, voxels, 60, 0, np.zeros(len(voxels), np.float32))
+    return tree
+
+
+def node_updates():
+    voxels = np.array([0, 1, 719, 300, 7, 14, 2**31 - 1, -(2**31)], np.int32)
+    return [nodes(), FRAME, RULE, voxels, 4, 0, np.zeros(8, np.float32)]
 
 
 def updates():
@@ -112,6 +125,18 @@ CASES = {
     "insert_scan": Case(
         octomap.insert_scan, scan,
         lambda result, a: 0 <= result <= 720 and len(set(a[8][:result].tolist())) == result,
+    ),
+    "collect": Case(
+        key_sets.collect, lambda: [*scan()[:4], np.zeros(720, np.int32), 1, np.zeros(721, np.int32)],
+        lambda result, a: 0 <= result[0] <= result[1] <= 720 and len(set(a[6][: result[1]].tolist())) == result[1],
+    ),
+    "update_voxels": Case(octree.update_voxels, node_updates, count_up_to(8)),
+    "search": Case(
+        octree.search, lambda: [nodes(), 0, 0, 2], lambda result, _: isinstance(result, float | np.floating)
+    ),
+    "to_dense": Case(
+        octree.to_dense, lambda: [nodes(), FRAME, np.zeros(720, np.float32)],
+        lambda _, a: not np.isnan(a[2]).any(),
     ),
     "apply_updates": Case(
         clearance.apply_updates, updates,
@@ -191,6 +216,9 @@ def corrupted(case):
             places = [0, middle, argument.size - 1, slice(None)]
         elif isinstance(argument, pid.Gains | trajectory.Limits):
             places = [name for name, value in argument._asdict().items() if isinstance(value, float)]
+        elif isinstance(argument, octree.Octree):
+            yield from struck_memory(case, position)
+            continue
         else:
             continue
         for place in places:
@@ -204,6 +232,18 @@ def corrupted(case):
                     with np.errstate(over="ignore"):
                         arguments[position].reshape(-1)[place] = value
                 yield f"argument {position}, place {place}, value {value}", arguments
+
+
+def struck_memory(case, position):
+    """Argument lists in which numbers of a kernel's memory, a tuple of arrays, are as a flipped bit may leave them."""
+    for name, array in case.arguments()[position]._asdict().items():
+        values = SPECIAL if array.dtype.kind == "f" else (-1, 0, 1, 7, len(array), 2**30, -(2**31), 2**31 - 1)
+        for place in (0, 1, min(9, array.size - 1), slice(None)):
+            for value in values:
+                arguments = case.arguments()
+                with np.errstate(over="ignore"):
+                    getattr(arguments[position], name).reshape(-1)[place] = value
+                yield f"argument {position}.{name}, place {place}, value {value}", arguments
 
 
 @kernel_jit

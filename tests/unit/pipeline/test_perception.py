@@ -1,8 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from mavfi.config import MapConfig
 from mavfi.numerics.voxels import voxel_of
 from mavfi.pipeline.kernel import map_grid
+from mavfi.pipeline.maps import MAPS
 from mavfi.pipeline.perception import CollisionCheck, OctoMap, PointCloud
 from mavfi.pipeline.room import Room
 from mavfi.states import floats, new_state
@@ -32,27 +36,42 @@ def clouds():
         yield kernel.step(0)[0]
 
 
-def test_a_scan_that_is_taken_back_and_repeated_gives_the_same_update_and_map():
-    kernel = OctoMap(config())
+def octomap_kernel(kind):
+    return OctoMap(replace(config(), map=MapConfig(kind=kind)))
+
+
+@pytest.mark.parametrize("kind", MAPS)
+def test_a_scan_that_is_taken_back_and_repeated_gives_the_same_update_and_map(kind):
+    kernel = octomap_kernel(kind)
     for cloud in clouds():
         kernel.receive(cloud, 0)
         kernel.mark()
-        before = kernel.log_odds.tobytes()
+        before = kernel.map.log_odds.tobytes()
         first = kernel.step(0)
-        after = kernel.log_odds.tobytes()
+        after = kernel.map.log_odds.tobytes()
         kernel.rollback()
-        assert kernel.log_odds.tobytes() == before != after
+        assert kernel.map.log_odds.tobytes() == before != after
         assert same(first, kernel.step(0))
-        assert kernel.log_odds.tobytes() == after
+        assert kernel.map.log_odds.tobytes() == after
 
 
-def test_the_update_carries_the_log_odds_of_the_map():
-    kernel = OctoMap(config())
+@pytest.mark.parametrize("kind", MAPS)
+def test_the_update_carries_the_log_odds_of_the_map(kind):
+    kernel = octomap_kernel(kind)
     for number, cloud in enumerate(clouds(), start=1):
         kernel.receive(cloud, 0)
         (update,) = kernel.step(0)
         assert int(update.header["scan"][0]) == number
-        np.testing.assert_array_equal(kernel.log_odds[update.elements["voxel"]], update.elements["log_odds"])
+        np.testing.assert_array_equal(kernel.map.log_odds[update.elements["voxel"]], update.elements["log_odds"])
+
+
+def test_every_kind_of_map_gives_the_same_updates():
+    kernels = [octomap_kernel(kind) for kind in MAPS]
+    for cloud in clouds():
+        for kernel in kernels:
+            kernel.receive(cloud, 0)
+        first, *others = [kernel.step(0) for kernel in kernels]
+        assert all(same(first, other) for other in others) and len(first[0].elements) > 10
 
 
 def at(grid, *point):

@@ -1,0 +1,97 @@
+"""Speed of a map update: both kinds of map against OctoMap's own library, on the point clouds of one golden flight."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mavfi.config import MapConfig
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.inprocess import fly
+from mavfi.kernels.perception import octomap
+from mavfi.pipeline.maps import MAPS
+from mavfi.states import State, floats
+
+Insert = Callable[[np.ndarray, np.ndarray], Any]
+RESOLUTIONS = (0.5, 0.25)
+REPEATS = 3
+LIBRARY = "octomap-python (one thread)"
+
+
+def recorded(resolution: float) -> tuple[Any, Any, list[tuple[np.ndarray, np.ndarray]]]:
+    """Scenario of a flight, the frame of its map, and its scans."""
+    scenario = make_scenario("dense", 1).model_copy(update={"map": MapConfig(resolution=resolution)})
+    scans: list[tuple[np.ndarray, np.ndarray]] = []
+
+    def watch(state: State, _time_us: int) -> None:
+        if state.spec.name == "perception.point_cloud":
+            points = state.elements.view(np.float32).reshape(-1, 3).copy()
+            scans.append((points, floats(state.header, 3).copy()))
+
+    flight: Any = fly(scenario, observer=watch)
+    return scenario, flight.pipeline["octomap"].frame, scans
+
+
+def library_insert(rule: MapConfig, max_range: float) -> Insert | None:
+    """How the library takes a scan, without the rounding of coordinates; None = it is not installed."""
+    try:
+        import octomap as library
+    except ImportError:
+        return None
+    tree = library.OcTree(rule.resolution)
+    tree.setProbHit(rule.hit)
+    tree.setProbMiss(rule.miss)
+    tree.setClampingThresMin(rule.clamp_min)
+    tree.setClampingThresMax(rule.clamp_max)
+    half = 0.5 * rule.resolution
+
+    def insert(points: np.ndarray, origin: np.ndarray) -> None:
+        tree.insertPointCloud(points.astype(float) + half, origin + half, max_range)
+
+    return insert
+
+
+def per_scan(insert: Insert, scans: list[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Wall time of one scan in a whole flight (s)."""
+    start = time.perf_counter()
+    for points, origin in scans:
+        insert(points, origin)
+    return (time.perf_counter() - start) / len(scans)
+
+
+def rule_of(config: MapConfig) -> octomap.UpdateRule:
+    """The update rule of a configuration."""
+    chances = config.hit, config.miss, config.clamp_min, config.clamp_max
+    return octomap.UpdateRule(*(octomap.log_odds(chance) for chance in chances))
+
+
+def measured(resolution: float) -> tuple[dict[str, float], int]:
+    """Wall time of a scan by kind of map (s), inf = not installed; and number of scans."""
+    scenario, frame, scans = recorded(resolution)
+    reach, rule = scenario.camera.range, rule_of(scenario.map)
+    makers: dict[str, Callable[[], Insert | None]] = {
+        kind: lambda make=make: make(frame, rule, reach).insert for kind, make in MAPS.items()
+    }
+    makers[LIBRARY] = lambda: library_insert(scenario.map, reach)
+    best = dict.fromkeys(makers, np.inf)
+    for repeat in range(1 + REPEATS):  # the first one compiles
+        for name, maker in makers.items():
+            insert = maker()
+            if insert is not None:
+                wall = per_scan(insert, scans if repeat else scans[:1])
+                best[name] = min(best[name], wall) if repeat else np.inf
+    return best, len(scans)
+
+
+def map_rows() -> list[tuple[str, str]]:
+    """Rows of the table of speeds."""
+    rows = []
+    for resolution in RESOLUTIONS:
+        best, scans = measured(resolution)
+        for name, seconds in best.items():
+            value = f"{1e3 * seconds:.2f} ms" if seconds < np.inf else "not installed"
+            if name != LIBRARY and best[LIBRARY] < np.inf:
+                value += f", {best[LIBRARY] / seconds:.1f} x as fast as {LIBRARY}"
+            rows.append((f"map update, {name}, {resolution} m, mean of {scans} scans", value))
+    return rows

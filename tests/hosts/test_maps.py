@@ -1,0 +1,61 @@
+import numpy as np
+import pytest
+
+from mavfi.config import MapConfig
+from mavfi.errors import BadInputError
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.inprocess import fly
+from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
+
+
+def of_kind(scenario, kind, resolution=0.5):
+    return scenario.model_copy(update={"map": MapConfig(kind=kind, resolution=resolution)})
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_a_flight_with_an_octree_has_the_digest_of_one_with_an_array(stack):
+    flight = fly(mission(stack, map_kind="octree"), want_profile=True)
+    assert flight.log.digest() == golden(stack).log.digest()
+    assert flight.log.events == golden(stack).log.events
+    dense, octree = golden(stack).pipeline["octomap"].map, flight.pipeline["octomap"].map
+    assert type(dense) is not type(octree)
+    assert dense.log_odds.tobytes() == octree.log_odds.tobytes()
+    for name, lengths in flight.profile.counts.items():
+        np.testing.assert_array_equal(lengths, golden(stack).profile.counts[name])
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_a_recomputed_perception_is_the_same_with_both_maps(stack):
+    logs = []
+    for kind in ("dense", "octree"):
+        detector = Scripted("perception.map_update", 5, "perception", times=3)
+        logs.append(fly(mission(stack, map_kind=kind), detector=detector).log)
+    assert logs[0].alarms == logs[1].alarms and logs[0].alarms[0]["outcome"] == "accepted"
+    assert logs[0].digest() == logs[1].digest()
+
+
+def test_a_struck_cloud_ends_the_same_with_both_maps():
+    struck = fault("perception.point_cloud", "x", 5.0, 30, element=7)
+    logs = [fly(mission(map_kind=kind), struck).log for kind in ("dense", "octree")]
+    assert logs[0].injections[0]["hit"] and logs[0].digest() == logs[1].digest()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("environment", ["sparse", "dense", "factory", "farm"])
+def test_whole_missions_have_the_same_digest_with_both_maps(environment, stack):
+    for seed, resolution in ((0, 0.5), (1, 0.5), (2, 0.4)):
+        scenario = make_scenario(environment, seed, stack=stack)
+        logs = [fly(of_kind(scenario, kind, resolution)).log for kind in ("dense", "octree")]
+        assert logs[0].digest() == logs[1].digest()
+
+
+def test_an_unknown_kind_of_map_is_refused_in_one_line():
+    with pytest.raises(BadInputError, match="map: key 'kind': 'hash': Input should be 'dense' or 'octree'"):
+        mission(map_kind="hash")
+
+
+def test_the_kind_of_map_is_part_of_the_scenario_and_leaves_the_rest():
+    dense, octree = mission(), mission(map_kind="octree")
+    assert dense.key() != octree.key()
+    assert octree == dense.model_copy(update={"map": MapConfig(kind="octree")})
