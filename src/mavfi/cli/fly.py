@@ -80,11 +80,16 @@ def fly(  # noqa: PLR0913 - one parameter per option
     )  # fmt: skip
     watching, told = _load(detector, profile, models, scenario)
     flown = _fly(scenario, request, fault_seed or 0, watching, told)
+    _show(flown, as_json, _write(flown, save, picture))
+
+
+def _write(flown: Flown, save: Path | None, picture: Path | None) -> list[Path]:
+    """Write what was asked for; gives the files."""
     if save is not None:
         flown.flight.log.save(save)
     if picture is not None:
         _draw(flown, picture)
-    _show(flown, as_json, [path for path in (save, picture) if path is not None])
+    return [path for path in (save, picture) if path is not None]
 
 
 def _check_company(fault: str | None, fault_seed: int | None, detector: str, options: dict[str, object]) -> None:
