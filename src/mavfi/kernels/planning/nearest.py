@@ -1,8 +1,9 @@
-"""Nearest node and nodes in a ball among the nodes of a search tree: linear scan, and a grid of buckets.
+"""Nearest node and nodes in a ball among the nodes of a search tree: linear scan, and an index that grows with the tree.
 
-The grid answers exactly as the scan does, ties included: of nodes at the same distance the one that was added first.
-Its cells are cubes over the sampled box; nodes and queries outside of it count as lying in the cells at its edge, which
-never makes anything farther away than it is, so the bounds hold for them, too.
+The index is a binary tree over the sampled box (a k-d tree that halves its cells, so that its depth does not depend on
+the order in which nodes come; Samet 2006, chapter 1.5): each cell holds one node, the next ones go to its halves.  It
+answers exactly as the scan does, ties included: of nodes at the same distance the one that was added first.  The bounds
+by which cells are left out are sums of the same form as the distances, so rounding cannot make them too large.
 """
 
 import math
@@ -10,96 +11,92 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavfi.kernels.planning.path import distance
 from mavfi.numerics.jit import kernel_jit
-from mavfi.numerics.voxels import COORDINATE_LIMIT, usable
 
-CELL_LIMIT = 8192
 PAYS_FROM = 256
-"""Number of nodes from which on the grid is faster than the scan (`make bench`)."""
-BALL_PAYS_FROM = 128
-"""Same for the nodes in a ball."""
-_GROWTH = 1.25
-_GROWTHS = 64
-_ROUNDING = 1.0 - 1e-9
+"""Number of nodes from which on the index is faster than the scan."""
 
 
-class Buckets(NamedTuple):
-    """Memory of the grid.
+class Index(NamedTuple):
+    """Memory of the index; its cells have the numbers of their nodes.
 
     Attributes:
-        frame: Lower corner (m), cells per metre. Shape (4,).
-        cells: Number of cells along x, y, z; number of nodes in the grid. Shape (4,), int64.
-        first: First node of each cell; -1 = none. Shape (CELL_LIMIT,), int32.
-        following: Next node of the same cell; -1 = none. Shape (number of nodes,), int32.
+        box: Corners of the sampled box (m). Shape (2, 3).
+        cell: The cell in which a node comes to lie (m). Shape (2, 3).
+        axis: Along which each cell is halved. Shape (n,), int8.
+        split: Where (m). Shape (n,).
+        halves: Cell below and cell above; -1 = none. Shape (n, 2), int32.
+        size: Number of nodes in the index. Shape (1,), int64.
+        stack: Cells still to be looked at. Shape (n,), int32.
+        offsets: How far the target is from each of them along each axis (m). Shape (n, 3).
     """
 
-    frame: np.ndarray
-    cells: np.ndarray
-    first: np.ndarray
-    following: np.ndarray
+    box: np.ndarray
+    cell: np.ndarray
+    axis: np.ndarray
+    split: np.ndarray
+    halves: np.ndarray
+    size: np.ndarray
+    stack: np.ndarray
+    offsets: np.ndarray
 
 
-def new_buckets(nodes: int) -> Buckets:
+def new_index(nodes: int) -> Index:
     """Memory for a number of nodes."""
-    return Buckets(np.zeros(4), np.zeros(4, np.int64), np.zeros(CELL_LIMIT, np.int32), np.zeros(nodes, np.int32))
+    return Index(
+        np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(nodes, np.int8), np.zeros(nodes), np.zeros((nodes, 2), np.int32),
+        np.zeros(1, np.int64), np.zeros(nodes, np.int32), np.zeros((nodes, 3)),
+    )  # fmt: skip
 
 
 @kernel_jit
-def clear(buckets: Buckets, lower: np.ndarray, upper: np.ndarray) -> None:
-    """Forget all nodes, and lay the grid over a box; a box that is not sound becomes one cell.
+def clear(index: Index, lower: np.ndarray, upper: np.ndarray) -> None:
+    """Forget all nodes.
 
     Args:
-        buckets: Changed.
-        lower: Corner of the sampled box (m). Shape (3,).
+        index: Changed.
+        lower: Corner of the sampled box (m). Nodes may lie outside of it. Shape (3,).
         upper: Same.
     """
-    frame, cells = buckets.frame, buckets.cells
-    volume = 1.0
-    sound = usable(lower[0], lower[1], lower[2]) and usable(upper[0], upper[1], upper[2])
     for axis in range(3):
-        frame[axis] = lower[axis] if sound else 0.0
-        cells[axis] = 1
-        volume *= max(upper[axis] - lower[axis], 1e-3)
-    frame[3] = 1.0 / (2.0 * COORDINATE_LIMIT)
-    cells[3] = 0
-    edge = (volume / CELL_LIMIT) ** (1.0 / 3.0)
-    for _ in range(_GROWTHS if sound else 0):
-        total = 1.0
+        index.box[0, axis] = lower[axis]
+        index.box[1, axis] = upper[axis]
+    index.size[0] = 0
+
+
+@kernel_jit
+def _halve(index: Index, node: int) -> None:
+    """Make `cell` the cell of a node, halved along its longest edge."""
+    cell = index.cell
+    longest = 0
+    for axis in range(1, 3):
+        if cell[1, axis] - cell[0, axis] > cell[1, longest] - cell[0, longest]:
+            longest = axis
+    index.axis[node] = longest
+    index.split[node] = 0.5 * (cell[0, longest] + cell[1, longest])
+    index.halves[node, 0] = -1
+    index.halves[node, 1] = -1
+
+
+@kernel_jit
+def _take_in(index: Index, nodes: np.ndarray, count: int) -> None:
+    """Put the nodes into the index that are not yet there."""
+    cell = index.cell
+    for new in range(index.size[0], count):
         for axis in range(3):
-            total *= math.floor(max(upper[axis] - lower[axis], 0.0) / edge) + 1.0
-        if total <= CELL_LIMIT:
-            frame[3] = 1.0 / edge
-            for axis in range(3):
-                cells[axis] = int(math.floor(max(upper[axis] - lower[axis], 0.0) / edge)) + 1
-            return
-        edge *= _GROWTH
-
-
-@kernel_jit
-def _cell(buckets: Buckets, axis: int, value: float) -> int:
-    """Index of the cell along an axis; of that at the edge for a value outside or one that is not a number."""
-    share = (value - buckets.frame[axis]) * buckets.frame[3]
-    last = buckets.cells[axis] - 1
-    if not share > 0.0:
-        return 0
-    return last if share >= last else int(share)
-
-
-@kernel_jit
-def _take_in(buckets: Buckets, nodes: np.ndarray, count: int) -> None:
-    """Put the nodes that are not yet in the grid into it."""
-    done = buckets.cells[3]
-    if done == 0:
-        buckets.first[:] = -1
-    for i in range(done, count):
-        x = _cell(buckets, 0, nodes[i, 0])
-        y = _cell(buckets, 1, nodes[i, 1])
-        z = _cell(buckets, 2, nodes[i, 2])
-        cell = (x * buckets.cells[1] + y) * buckets.cells[2] + z
-        buckets.following[i] = buckets.first[cell]
-        buckets.first[cell] = i
-    buckets.cells[3] = count
+            cell[0, axis] = index.box[0, axis]
+            cell[1, axis] = index.box[1, axis]
+        node = 0 if new > 0 else -1
+        while node >= 0:
+            axis = index.axis[node]
+            half = 0 if nodes[new, axis] < index.split[node] else 1
+            cell[1 - half, axis] = index.split[node]
+            below = index.halves[node, half]
+            if below < 0:
+                index.halves[node, half] = new
+            node = below
+        _halve(index, new)
+    index.size[0] = count
 
 
 @kernel_jit
@@ -108,6 +105,35 @@ def _square(nodes: np.ndarray, i: int, target: np.ndarray) -> float:
     dy = nodes[i, 1] - target[1]
     dz = nodes[i, 2] - target[2]
     return dx * dx + dy * dy + dz * dz
+
+
+@kernel_jit
+def _step_down(
+    index: Index, node: int, target: np.ndarray, ox: float, oy: float, oz: float, size: int
+) -> tuple[int, int]:
+    """The half of a cell in which the target lies, and the size of the stack, on which the other half is put.
+
+    Args:
+        index: Memory.
+        node: Cell.
+        target: World frame (m). Shape (3,).
+        ox: How far the target is from the cell along x (m).
+        oy: Same along y.
+        oz: Same along z.
+        size: Of the stack.
+    """
+    axis = index.axis[node]
+    away = target[axis] - index.split[node]
+    half = 0 if away < 0.0 else 1
+    other = index.halves[node, 1 - half]
+    if other >= 0:
+        index.stack[size] = other
+        index.offsets[size, 0] = ox
+        index.offsets[size, 1] = oy
+        index.offsets[size, 2] = oz
+        index.offsets[size, axis] = away
+        size += 1
+    return index.halves[node, half], size
 
 
 @kernel_jit
@@ -130,61 +156,42 @@ def scan(nodes: np.ndarray, count: int, target: np.ndarray) -> int:
 
 
 @kernel_jit
-def _nearer_in(
-    buckets: Buckets, nodes: np.ndarray, cell: int, target: np.ndarray, best: int, best_square: float
-) -> tuple[int, float]:
-    """The better one of the best node so far and those of a cell."""
-    i = buckets.first[cell]
-    while i >= 0:
-        square = _square(nodes, i, target)
-        if square < best_square or (square == best_square and i < best):
-            best_square = square
-            best = i
-        i = buckets.following[i]
-    return best, best_square
-
-
-@kernel_jit
-def search(buckets: Buckets, nodes: np.ndarray, count: int, target: np.ndarray) -> int:
-    """Same answer as `scan`, from the cells around the target, in rings of growing distance.
+def search(index: Index, nodes: np.ndarray, count: int, target: np.ndarray) -> int:
+    """Same answer as `scan`, from the index.
 
     Args:
-        buckets: Memory; takes the nodes in that are new.
+        index: Memory; takes the nodes in that are new.
         nodes: World frame (m). Shape (>= count, 3).
-        count: Number of nodes.
+        count: Number of nodes, at least 1.
         target: World frame (m). Shape (3,).
     """
-    if not usable(target[0], target[1], target[2]):
-        return scan(nodes, count, target)
-    _take_in(buckets, nodes, count)
-    nx, ny, nz = buckets.cells[0], buckets.cells[1], buckets.cells[2]
-    cx, cy, cz = _cell(buckets, 0, target[0]), _cell(buckets, 1, target[1]), _cell(buckets, 2, target[2])
+    _take_in(index, nodes, count)
     best = 0
     best_square = np.inf
-    for ring in range(max(nx, ny, nz)):
-        gap = (ring - 1) / buckets.frame[3]  # a node of this ring is at least so far away
-        if ring > 0 and best_square < gap * gap * _ROUNDING:
-            break
-        for ix in range(max(cx - ring, 0), min(cx + ring, nx - 1) + 1):
-            for iy in range(max(cy - ring, 0), min(cy + ring, ny - 1) + 1):
-                column = (ix * ny + iy) * nz
-                if abs(ix - cx) == ring or abs(iy - cy) == ring:
-                    for iz in range(max(cz - ring, 0), min(cz + ring, nz - 1) + 1):
-                        best, best_square = _nearer_in(buckets, nodes, column + iz, target, best, best_square)
-                    continue
-                if cz - ring >= 0:
-                    best, best_square = _nearer_in(buckets, nodes, column + cz - ring, target, best, best_square)
-                if cz + ring < nz:
-                    best, best_square = _nearer_in(buckets, nodes, column + cz + ring, target, best, best_square)
+    index.stack[0] = 0
+    index.offsets[0] = 0.0
+    size = 1
+    while size > 0:
+        size -= 1
+        node = index.stack[size]
+        ox, oy, oz = index.offsets[size, 0], index.offsets[size, 1], index.offsets[size, 2]
+        if ox * ox + oy * oy + oz * oz > best_square:
+            continue
+        while node >= 0:
+            square = _square(nodes, node, target)
+            if square < best_square or (square == best_square and node < best):
+                best_square = square
+                best = node
+            node, size = _step_down(index, node, target, ox, oy, oz, size)
     return best
 
 
 @kernel_jit
-def nearest(buckets: Buckets, nodes: np.ndarray, count: int, target: np.ndarray) -> int:
+def nearest(index: Index, nodes: np.ndarray, count: int, target: np.ndarray) -> int:
     """Index of the node nearest to a point, by whichever way is faster. Arguments as in `search`."""
     if count < PAYS_FROM:
         return scan(nodes, count, target)
-    return search(buckets, nodes, count, target)
+    return search(index, nodes, count, target)
 
 
 @kernel_jit
@@ -203,7 +210,7 @@ def scan_ball(nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, 
     """
     size = 0
     for i in range(count):
-        if distance(nodes[i], centre) <= radius:
+        if math.sqrt(_square(nodes, i, centre)) <= radius:
             found[size] = i
             size += 1
     return size
@@ -211,30 +218,31 @@ def scan_ball(nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, 
 
 @kernel_jit
 def search_ball(
-    buckets: Buckets, nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, found: np.ndarray
+    index: Index, nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, found: np.ndarray
 ) -> int:
-    """Same nodes as `scan_ball`, in another order; `buckets` takes the nodes in that are new."""
-    if not (usable(centre[0], centre[1], centre[2]) and abs(radius) < COORDINATE_LIMIT):
-        return scan_ball(nodes, count, centre, radius, found)
-    _take_in(buckets, nodes, count)
-    reach = radius + 1e-6
-    ny, nz = buckets.cells[1], buckets.cells[2]
-    size = 0
-    for ix in range(_cell(buckets, 0, centre[0] - reach), _cell(buckets, 0, centre[0] + reach) + 1):
-        for iy in range(_cell(buckets, 1, centre[1] - reach), _cell(buckets, 1, centre[1] + reach) + 1):
-            for iz in range(_cell(buckets, 2, centre[2] - reach), _cell(buckets, 2, centre[2] + reach) + 1):
-                i = buckets.first[(ix * ny + iy) * nz + iz]
-                while i >= 0:
-                    if distance(nodes[i], centre) <= radius:
-                        found[size] = i
-                        size += 1
-                    i = buckets.following[i]
-    return size
+    """Same nodes as `scan_ball`, in another order; `index` takes the nodes in that are new."""
+    _take_in(index, nodes, count)
+    within = 0
+    index.stack[0] = 0
+    index.offsets[0] = 0.0
+    size = 1
+    while size > 0:
+        size -= 1
+        node = index.stack[size]
+        ox, oy, oz = index.offsets[size, 0], index.offsets[size, 1], index.offsets[size, 2]
+        if math.sqrt(ox * ox + oy * oy + oz * oz) > radius:
+            continue
+        while node >= 0:
+            if math.sqrt(_square(nodes, node, centre)) <= radius:
+                found[within] = node
+                within += 1
+            node, size = _step_down(index, node, centre, ox, oy, oz, size)
+    return within
 
 
 @kernel_jit
-def ball(buckets: Buckets, nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, found: np.ndarray) -> int:
+def ball(index: Index, nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, found: np.ndarray) -> int:
     """Nodes within a radius, in no particular order, by whichever way is faster. Arguments as in `search_ball`."""
-    if count < BALL_PAYS_FROM:
+    if count < PAYS_FROM:
         return scan_ball(nodes, count, centre, radius, found)
-    return search_ball(buckets, nodes, count, centre, radius, found)
+    return search_ball(index, nodes, count, centre, radius, found)

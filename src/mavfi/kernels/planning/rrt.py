@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavfi.kernels.planning.nearest import Buckets, clear, nearest, new_buckets
+from mavfi.kernels.planning.nearest import Index, clear, nearest, new_index
 from mavfi.kernels.planning.tree import draw_towards, steer, trace
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.voxels import Grid, segment_free
@@ -21,12 +21,12 @@ class Tree(NamedTuple):
 
     nodes: np.ndarray
     parents: np.ndarray
-    near: Buckets
+    near: Index
 
 
 def new_tree(nodes: int) -> Tree:
     """Memory for a number of nodes; iterations + 1 are enough."""
-    return Tree(np.zeros((nodes, 3)), np.zeros(nodes, np.int32), new_buckets(nodes))
+    return Tree(np.zeros((nodes, 3)), np.zeros(nodes, np.int32), new_index(nodes))
 
 
 @kernel_jit

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavfi.kernels.planning.nearest import Buckets, clear, nearest, new_buckets
+from mavfi.kernels.planning.nearest import Index, clear, nearest, new_index
 from mavfi.kernels.planning.tree import draw, steer, trace
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.voxels import Grid, segment_free
@@ -26,23 +26,23 @@ class Trees(NamedTuple):
     nodes: np.ndarray
     parents: np.ndarray
     counts: np.ndarray
-    near_start: Buckets
-    near_goal: Buckets
+    near_start: Index
+    near_goal: Index
 
 
 def new_trees() -> Trees:
     """Empty search memory."""
     return Trees(
         np.zeros((2, NODE_LIMIT, 3)), np.zeros((2, NODE_LIMIT), np.int32), np.zeros(2, np.int64),
-        new_buckets(NODE_LIMIT), new_buckets(NODE_LIMIT),
+        new_index(NODE_LIMIT), new_index(NODE_LIMIT),
     )  # fmt: skip
 
 
 @kernel_jit
 def _nearest(trees: Trees, which: int, target: np.ndarray) -> int:
     """Index of the node of a tree that is nearest to a point."""
-    buckets = trees.near_start if which == 0 else trees.near_goal
-    return nearest(buckets, trees.nodes[which], trees.counts[which], target)
+    index = trees.near_start if which == 0 else trees.near_goal
+    return nearest(index, trees.nodes[which], trees.counts[which], target)
 
 
 @kernel_jit

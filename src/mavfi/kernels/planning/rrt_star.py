@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavfi.kernels.planning.nearest import Buckets, ball, clear, nearest, new_buckets
+from mavfi.kernels.planning.nearest import Index, ball, clear, nearest, new_index
 from mavfi.kernels.planning.path import distance
 from mavfi.kernels.planning.tree import draw, draw_towards, steer, trace
 from mavfi.numerics.jit import kernel_jit
@@ -43,7 +43,7 @@ class CostTree(NamedTuple):
     costs: np.ndarray
     child: np.ndarray
     sibling: np.ndarray
-    near: Buckets
+    near: Index
     ball: np.ndarray
     through: np.ndarray
     edges: np.ndarray
@@ -55,7 +55,7 @@ def new_tree(nodes: int) -> CostTree:
     """Memory for a number of nodes; iterations + 1 are enough."""
     whole = [np.zeros(nodes, np.int32) for _ in range(5)]
     return CostTree(
-        np.zeros((nodes, 3)), whole[0], np.zeros(nodes), whole[1], whole[2], new_buckets(nodes), whole[3],
+        np.zeros((nodes, 3)), whole[0], np.zeros(nodes), whole[1], whole[2], new_index(nodes), whole[3],
         np.zeros(nodes), np.zeros(nodes, np.int8), whole[4], np.zeros(3, np.int64),
     )  # fmt: skip
 
