@@ -5,8 +5,8 @@ RRT*, and no simplification of paths.  It checks segments through a Python funct
 """
 
 import time
-from collections.abc import Callable
 from functools import cache
+from importlib.util import find_spec
 from statistics import median
 from typing import Any, NamedTuple
 
@@ -15,6 +15,7 @@ import numpy as np
 from mavfi.config import EnvironmentConfig, shipped
 from mavfi.kernels.planning import nearest, rrt, rrt_connect, rrt_star
 from mavfi.kernels.planning import path as paths
+from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import Grid, segment_free
 from mavfi.sim.environments import build_world
@@ -24,6 +25,8 @@ ROOM = 0.8
 """Distance of the planner from obstacles (m)."""
 GOAL_BIAS = 0.05
 MOST_NODES = 20_000
+RUNS = 60
+NODES = (1000, 5000, 10_000, 20_000)
 
 
 class Problem(NamedTuple):
@@ -159,3 +162,55 @@ def theirs(name: str, environment: str, world: int, search: Search, seed: int) -
     seconds = time.perf_counter() - start
     exact = definition.hasExactSolution()
     return Found(definition.getSolutionPath().length() if exact else np.inf, seconds, asked[0] - 1)
+
+
+def search_rows() -> list[tuple[str, str]]:
+    """Wall time of one search without shortcuts; OMPL's, if it is installed, with a Python segment check."""
+    budgets = {"rrt": Search(4.0, 10_000), "rrt_connect": Search(4.0, 4000), "rrt_star": Search(8.0, 1500)}
+    rows = []
+    for environment in ("dense", "factory"):
+        given = problem(environment, 0)
+        for name, search in budgets.items():
+            ours(name, given, search, 0)
+            own = 1e3 * median(ours(name, given, search, seed).seconds for seed in range(RUNS))
+            text = f"{own:.3f} ms"
+            if find_spec("ompl"):
+                other = 1e3 * median(theirs(name, environment, 0, search, seed).seconds for seed in range(RUNS))
+                text += f"; OMPL {other:.3f} ms, {other / own:.1f} x"
+            rows.append((f"{name}, {environment}, median of {RUNS}", text))
+    return rows
+
+
+@kernel_jit
+def _find_all(index: nearest.Index, nodes: np.ndarray, targets: np.ndarray, scan: bool) -> int:
+    total = 0
+    for i in range(targets.shape[0]):
+        if scan:
+            total += nearest.scan(nodes, nodes.shape[0], targets[i])
+        else:
+            total += nearest.search(index, nodes, nodes.shape[0], targets[i])
+    return total
+
+
+def nearest_rows() -> list[tuple[str, str]]:
+    """Time of one nearest-node query, by scan and by index, among nodes spread over a flight volume."""
+    random = np.random.default_rng(0)
+    _, _, _, _, lower, upper = problem("dense", 0)
+    targets = random.uniform(lower, upper, (1000, 3))
+    rows = []
+    for count in NODES:
+        nodes = random.uniform(lower, upper, (count, 3))
+        index = nearest.new_index(count)
+        nearest.clear(index, lower, upper)
+        times = []
+        for scan in (True, False):
+            _find_all(index, nodes, targets, scan)  # compiles, and takes the nodes in
+            spent = []
+            for _ in range(5):
+                start = time.perf_counter()
+                _find_all(index, nodes, targets, scan)
+                spent.append(time.perf_counter() - start)
+            times.append(1e6 * min(spent) / len(targets))
+        text = f"scan {times[0]:.2f} us, index {times[1]:.2f} us, {times[0] / times[1]:.1f} x"
+        rows.append((f"nearest of {count} nodes", text))
+    return rows

@@ -74,7 +74,7 @@ class PlannerConfig(Config):
     goal_bias: float = Field(0.05, ge=0, le=1, description="probability of drawing the goal; not used by RRT-Connect")
     iterations: int = Field(4000, gt=0, le=100_000, description="per run")
     restarts: int = Field(
-        6, gt=0, le=100, description="runs of which the shortest path is kept; RRT*: budgets of its one run, see RrtStar"
+        6, gt=0, le=100, description="runs, of which the shortest path is kept; RRT*: most budgets of its one run"
     )
     shortcuts: int = Field(80, ge=0, description="random shortcuts after the greedy ones")
 

@@ -1,9 +1,9 @@
-"""Nearest node and nodes in a ball among the nodes of a search tree: linear scan, and an index that grows with the tree.
+"""Nearest node, and nodes in a ball, among those of a search tree: linear scan, and an index that grows with the tree.
 
-The index is a binary tree over the sampled box (a k-d tree that halves its cells, so that its depth does not depend on
-the order in which nodes come; Samet 2006, chapter 1.5): each cell holds one node, the next ones go to its halves.  It
-answers exactly as the scan does, ties included: of nodes at the same distance the one that was added first.  The bounds
-by which cells are left out are sums of the same form as the distances, so rounding cannot make them too large.
+The index is a k-d tree that halves its cells (Samet 2006, section 1.5), so that its depth does not depend on the order
+in which nodes come: each cell holds one node, the next ones go to its halves.  It answers exactly as the scan does,
+ties included: of nodes at the same distance the one that was added first.  The distances by which cells are left out
+(Arya & Mount 1993) are sums of the same form as those of nodes, so rounding cannot make them too large.
 """
 
 import math
@@ -104,7 +104,7 @@ def _square(nodes: np.ndarray, i: int, target: np.ndarray) -> float:
     dx = nodes[i, 0] - target[0]
     dy = nodes[i, 1] - target[1]
     dz = nodes[i, 2] - target[2]
-    return dx * dx + dy * dy + dz * dz
+    return float(dx * dx + dy * dy + dz * dz)
 
 
 @kernel_jit

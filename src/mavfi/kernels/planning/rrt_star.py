@@ -63,8 +63,8 @@ def new_tree(nodes: int) -> CostTree:
 @kernel_jit
 def ball_factor(lower: np.ndarray, upper: np.ndarray) -> float:
     """Gamma for a sampled box: 1.1 (2 (1 + 1/d) volume / volume of the unit ball)^(1/d) with d = 3 (m)."""
-    volume = (upper[0] - lower[0]) * (upper[1] - lower[1]) * (upper[2] - lower[2])
-    return _MARGIN * (2.0 * (1.0 + 1.0 / 3.0) * abs(volume) / (4.0 / 3.0 * math.pi)) ** (1.0 / 3.0)
+    volume = abs((upper[0] - lower[0]) * (upper[1] - lower[1]) * (upper[2] - lower[2]))
+    return float(_MARGIN * (2.0 * (1.0 + 1.0 / 3.0) * volume / (4.0 / 3.0 * math.pi)) ** (1.0 / 3.0))
 
 
 @kernel_jit
@@ -194,9 +194,7 @@ def _rewire(counter: np.ndarray, grid: Grid, tree: CostTree, new: int, size: int
 
 
 @kernel_jit
-def _insert(
-    counter: np.ndarray, grid: Grid, tree: CostTree, new: np.ndarray, nearest_node: int, radius: float
-) -> None:
+def _insert(counter: np.ndarray, grid: Grid, tree: CostTree, new: np.ndarray, nearest_node: int, radius: float) -> None:
     """Add a node to which the edge from its nearest node is free."""
     index = tree.state[0]
     size = ball(tree.near, tree.nodes, index, new, radius, tree.ball)
