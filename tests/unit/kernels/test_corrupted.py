@@ -43,7 +43,8 @@ def test_corrupted_numbers_give_the_same_result_twice(name):
 @pytest.mark.slow
 def test_corrupted_numbers_never_lead_out_of_bounds(request):
     cache = request.config.cache.mkdir("numba_boundscheck")
-    environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(ROOT)}
+    sources = os.pathsep.join([str(ROOT / "src"), str(ROOT)])
+    environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": sources}
     done = subprocess.run(
         [sys.executable, "-m", "tests.unit.kernels.cases"], env=environment, cwd=ROOT, capture_output=True, text=True,
         timeout=300, check=False,
