@@ -32,6 +32,7 @@ def index_of(nodes, lower=LOWER, upper=UPPER):
 NAMES = ("whole", "corner", "lattice", "sorted", "outside", "corrupted")
 
 
+@np.errstate(all="ignore")
 @pytest.mark.parametrize("name", NAMES)
 def test_the_index_finds_the_node_of_a_full_scan_ties_included(name):
     random = np.random.default_rng(3)
@@ -40,8 +41,7 @@ def test_the_index_finds_the_node_of_a_full_scan_ties_included(name):
     targets = [*clouds("whole", random, 200), *clouds(name, random, 300)]
     for turn, target in enumerate(targets):
         count = min(1 + 7 * turn, len(nodes))  # it grows between the searches
-        with np.errstate(all="ignore"):
-            squares = ((nodes[:count] - target) ** 2).sum(1)
+        squares = ((nodes[:count] - target) ** 2).sum(1)
         sound = np.isfinite(squares)
         expected = int(np.argmin(np.where(sound, squares, np.inf))) if sound.any() else 0
         assert nearest.scan(nodes, count, target) == expected
@@ -49,6 +49,7 @@ def test_the_index_finds_the_node_of_a_full_scan_ties_included(name):
         assert nearest.nearest(index, nodes, count, target) == expected
 
 
+@np.errstate(all="ignore")
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("radius", [0.0, 3.0, 8.0, 1e4, np.inf, np.nan, -1.0])
 def test_the_index_finds_the_nodes_in_a_ball(name, radius):
@@ -61,11 +62,11 @@ def test_the_index_finds_the_nodes_in_a_ball(name, radius):
         n = nearest.scan_ball(nodes, count, target, radius, found)
         m = nearest.search_ball(index, nodes, count, target, radius, other)
         assert sorted(found[:n]) == sorted(other[:m])
-        with np.errstate(all="ignore"):
-            away = np.sqrt(((nodes[:count] - target) ** 2).sum(1))
+        away = np.sqrt(((nodes[:count] - target) ** 2).sum(1))
         assert n == (away <= radius).sum()
 
 
+@np.errstate(all="ignore")
 @pytest.mark.parametrize("box", [(np.nan, 1.0), (np.inf, -np.inf), (-1e300, 1e300), (3.0, 3.0), (5.0, -5.0)])
 def test_a_box_that_is_not_sound_changes_no_answer(box):
     random = np.random.default_rng(5)
