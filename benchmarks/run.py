@@ -21,6 +21,7 @@ from mavfi.detectors import load_detector
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import Flight, fly
 from mavfi.states import State
+from planners import nearest_rows, search_rows
 
 SEEDS = range(20)
 POOL_FLIGHTS = 60
@@ -167,7 +168,7 @@ def measure() -> list[Row]:
     )
     rows.append(("two workers / one", f"{two / one:.2f} (the machine's own ceiling: {ceiling():.2f})"))
     rows.append(("mavfi fly, prompt to prompt, warm cache", f"{prompt_to_prompt():.2f} s"))
-    return rows + map_rows() + detection_rows()
+    return rows + map_rows() + search_rows() + nearest_rows() + detection_rows()
 
 
 def processor() -> str:

@@ -68,12 +68,15 @@ class MapConfig(Config):
 
 
 class PlannerConfig(Config):
-    """Sampling planner and path improvement."""
+    """Sampling planner and path improvement.  What suits each shipped planner is in configs/planners."""
 
     name: str = "rrt_connect"
-    range: float = Field(4.0, gt=0, description="m, longest extension")
-    iterations: int = Field(4000, gt=0, description="per run")
-    restarts: int = Field(6, gt=0, description="runs of which the shortest path is kept")
+    range: float = Field(4.0, gt=0, description="m, longest extension; of RRT* the largest near set, too")
+    goal_bias: float = Field(0.05, ge=0, le=1, description="probability of drawing the goal; not used by RRT-Connect")
+    iterations: int = Field(4000, gt=0, le=100_000, description="per run")
+    restarts: int = Field(
+        6, gt=0, le=100, description="runs, of which the shortest path is kept; RRT*: most budgets of its one run"
+    )
     shortcuts: int = Field(80, ge=0, description="random shortcuts after the greedy ones")
 
 

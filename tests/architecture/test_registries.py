@@ -15,6 +15,7 @@ MODELS = {
     "stacks": config.StackConfig,
     "platforms": config.PlatformConfig,
     "vehicles": config.VehicleConfig,
+    "planners": config.PlannerConfig,
 }
 
 
@@ -82,6 +83,7 @@ def test_what_the_paper_flew_is_shipped():
     assert {"factory", "farm", "sparse", "dense", "clutter"} <= set(config.names("environments"))
     assert {"i9-9940x", "cortex-a57"} <= set(config.names("platforms"))
     assert set(STACKS) == set(config.names("stacks"))
+    assert {"rrt", "rrt_connect", "rrt_star"} == set(config.names("planners"))
 
 
 @pytest.mark.parametrize("name", config.names("environments"))

@@ -146,7 +146,7 @@ def test_bad_names_are_told_with_what_is_allowed(arguments, options, message):
 
 
 def test_an_unknown_planner_is_told_when_the_flight_begins():
-    with pytest.raises(BadInputError, match="planner 'dowsing': not known; allowed: rrt_connect"):
+    with pytest.raises(BadInputError, match="planner 'dowsing': not known; allowed: rrt, rrt_connect, rrt_star"):
         fly(mission(planner="dowsing"))
 
 

@@ -32,7 +32,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
         tuple[float, float, float] | None, typer.Option(metavar="X Y Z", help="m, instead of the environment's.")
     ] = None,
     stack: Annotated[str, typer.Option(help="published, hardened, or a YAML file.")] = "published",
-    planner: Annotated[str, typer.Option(help="Name, or package:Class.")] = "rrt_connect",
+    planner: Annotated[
+        str, typer.Option(help="rrt, rrt_connect, rrt_star, a YAML file, or package:Class.")
+    ] = "rrt_connect",
     platform: Annotated[
         str, typer.Option(help="Computer whose latencies are charged: a name, or a YAML file.")
     ] = "i9-9940x",

@@ -27,7 +27,9 @@ def train(  # noqa: PLR0913 - one parameter per option
     platform: Annotated[
         str, typer.Option(help="Computer whose latencies are charged: a name, or a YAML file.")
     ] = "i9-9940x",
-    planner: Annotated[str, typer.Option(help="Name, or package:Class.")] = "rrt_connect",
+    planner: Annotated[
+        str, typer.Option(help="rrt, rrt_connect, rrt_star, a YAML file, or package:Class.")
+    ] = "rrt_connect",
     v_max: Annotated[float | None, typer.Option(help="Speed limit, m/s; the environment's by default.")] = None,
     workers: Annotated[int, typer.Option(help="Processes; the models do not depend on them.")] = 2,
     check: Annotated[int, typer.Option(help="Flights of other seeds on which false alarms are counted.")] = 10,

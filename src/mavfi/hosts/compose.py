@@ -13,6 +13,7 @@ from mavfi.config import (
     StackConfig,
     Vector,
     VehicleConfig,
+    names,
     parse,
     shipped,
 )
@@ -40,6 +41,17 @@ def find_environment(name: str) -> EnvironmentConfig:
     return shipped("environments", EnvironmentConfig, name)
 
 
+def find_planner(name: str) -> PlannerConfig:
+    """A shipped planner by name, a user's YAML file, or an entry point or "package:Class" with the default figures.
+
+    Raises:
+        BadInputError: The file cannot be read. A planner that does not exist is found out when it is to be made.
+    """
+    if name.endswith((".yaml", ".yml")) or name in names("planners"):
+        return shipped("planners", PlannerConfig, name)
+    return PlannerConfig(name=name)
+
+
 def make_scenario(  # noqa: PLR0913 (one keyword for each option of the command line)
     environment: str,
     seed: int,
@@ -60,7 +72,7 @@ def make_scenario(  # noqa: PLR0913 (one keyword for each option of the command 
         seed: Mission seed.
         stack: "published", "hardened", or a path to a YAML file.
         platform: Name or path.
-        planner: Name, entry point or "package:Class".
+        planner: Name, path to a YAML file, entry point or "package:Class".
         v_max: m/s.
         start: World frame (m); None = the environment's.
         goal: Same.
@@ -82,7 +94,7 @@ def make_scenario(  # noqa: PLR0913 (one keyword for each option of the command 
     return Scenario(
         environment=world, seed=seed, stack=shipped("stacks", StackConfig, stack),
         vehicle=shipped("vehicles", VehicleConfig, world.vehicle),
-        platform=shipped("platforms", PlatformConfig, platform), planner=PlannerConfig(name=planner), camera=camera,
+        platform=shipped("platforms", PlatformConfig, platform), planner=find_planner(planner), camera=camera,
         map=_map_config(map_kind, world.map_resolution),
         v_max=speed, start=start, goal=goal,
     )  # fmt: skip

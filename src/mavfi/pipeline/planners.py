@@ -1,18 +1,22 @@
 """Path searches by name.  A user's own planner is a class with the interface of `PathSearch` behind an entry point."""
 
+from abc import ABC, abstractmethod
 from typing import Protocol, cast
 
 import numpy as np
 
 from mavfi.config import PlannerConfig
 from mavfi.kernels.planning import path as paths
-from mavfi.kernels.planning import rrt_connect
+from mavfi.kernels.planning import rrt, rrt_connect, rrt_star
 from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import Grid
 from mavfi.plugins import build, load_object
 
 GROUP = "mavfi.planners"
 _PURPOSE = 1
+_SHORTCUT_ROOM = 2
+"""Vertices that a random shortcut may add to a path."""
+_STAR_NODE_LIMIT = 200_001
 
 
 class PathSearch(Protocol):
@@ -41,28 +45,30 @@ class PathSearch(Protocol):
         """
 
 
-class RrtConnect:
-    """Best of several RRT-Connect runs, shortened."""
+class _SamplingSearch(ABC):
+    """Runs of a sampling planner, and what is done to their paths: the best one, shortened."""
 
-    def __init__(self, config: PlannerConfig, seed: int) -> None:
+    def __init__(self, config: PlannerConfig, seed: int, runs: int, vertices: int) -> None:
         self._config = config
+        self._runs = runs
         self.random = seed_generator(seed, _PURPOSE)
-        self._trees = rrt_connect.new_trees()
-        self._path = np.zeros((2 * rrt_connect.NODE_LIMIT, 3))
+        self._path = np.zeros((vertices + _SHORTCUT_ROOM, 3))
         self._buffer = np.zeros_like(self._path)
+
+    @abstractmethod
+    def _run(
+        self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> int:
+        """Put a path into `_path`; returns its number of vertices, 0 = none found."""
 
     def search(
         self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
     ) -> np.ndarray:
         """See `PathSearch.search`."""
-        config = self._config
         best = np.zeros((0, 3))
         shortest = np.inf
-        for attempt in range(config.restarts):
-            count = rrt_connect.plan(
-                counter, grid, start, goal, lower, upper, config.range, config.iterations, self.random, self._trees,
-                self._path,
-            )  # fmt: skip
+        for attempt in range(self._runs):
+            count = self._run(counter, grid, start, goal, lower, upper)
             if count == 0:
                 if attempt > 0 and len(best) == 0:
                     break  # two failures in a row: there is hardly a way
@@ -76,13 +82,73 @@ class RrtConnect:
         if len(best) > 2:
             self._path[: len(best)] = best
             count = paths.shortcut_random(
-                counter, grid, self._path, len(best), config.shortcuts, self.random, self._buffer
+                counter, grid, self._path, len(best), self._config.shortcuts, self.random, self._buffer
             )
             best = self._path[:count].copy()
         return best
 
 
-_SHIPPED = {"rrt_connect": "mavfi.pipeline.planners:RrtConnect"}
+class Rrt(_SamplingSearch):
+    """Best of several RRT runs, shortened."""
+
+    def __init__(self, config: PlannerConfig, seed: int) -> None:
+        super().__init__(config, seed, config.restarts, config.iterations + 1)
+        self._tree = rrt.new_tree(config.iterations + 1)
+
+    def _run(
+        self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> int:
+        config = self._config
+        return rrt.plan(
+            counter, grid, start, goal, lower, upper, config.range, config.goal_bias, config.iterations, self.random,
+            self._tree, self._path,
+        )  # fmt: skip
+
+
+class RrtConnect(_SamplingSearch):
+    """Best of several RRT-Connect runs, shortened."""
+
+    def __init__(self, config: PlannerConfig, seed: int) -> None:
+        super().__init__(config, seed, config.restarts, 2 * rrt_connect.NODE_LIMIT)
+        self._trees = rrt_connect.new_trees()
+
+    def _run(
+        self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> int:
+        return rrt_connect.plan(
+            counter, grid, start, goal, lower, upper, self._config.range, self._config.iterations, self.random,
+            self._trees, self._path,
+        )  # fmt: skip
+
+
+class RrtStar(_SamplingSearch):
+    """One RRT* run, shortened.
+
+    Its budget is `iterations`.  Where that finds no path the same tree goes on growing to the first one, for at most
+    `restarts` budgets: as many samples as the other planners may draw, and no other planner takes its place.
+    """
+
+    def __init__(self, config: PlannerConfig, seed: int) -> None:
+        self._longest = config.iterations * config.restarts
+        nodes = min(self._longest + 1, _STAR_NODE_LIMIT)
+        super().__init__(config, seed, 1, nodes)
+        self._tree = rrt_star.new_tree(nodes)
+
+    def _run(
+        self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> int:
+        config = self._config
+        return rrt_star.plan(
+            counter, grid, start, goal, lower, upper, config.range, config.goal_bias, config.iterations, self._longest,
+            self.random, self._tree, self._path,
+        )  # fmt: skip
+
+
+_SHIPPED = {
+    "rrt": "mavfi.pipeline.planners:Rrt",
+    "rrt_connect": "mavfi.pipeline.planners:RrtConnect",
+    "rrt_star": "mavfi.pipeline.planners:RrtStar",
+}
 
 
 def make_search(config: PlannerConfig, seed: int) -> PathSearch:

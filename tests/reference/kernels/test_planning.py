@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from mavfi.kernels.planning import nearest, trajectory, tree, waypoint
 from mavfi.kernels.planning import path as paths
-from mavfi.kernels.planning import rrt_connect, trajectory, waypoint
 from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import segment_free
 from tests.reference.kernels import naive, scenes
@@ -16,9 +16,9 @@ def test_nearest_node_and_steering():
     nodes = random.normal(size=(50, 3))
     for _ in range(50):
         target, step, result = random.normal(size=3), random.uniform(0.1, 2.0), np.empty(3)
-        best = rrt_connect.nearest(nodes, 40, target)
+        best = nearest.scan(nodes, 40, target)
         assert best == np.argmin(np.linalg.norm(nodes[:40] - target, axis=1))
-        reached = rrt_connect.steer(nodes[0], target, step, result)
+        reached = tree.steer(nodes[0], target, step, result)
         gap = target - nodes[0]
         away = np.linalg.norm(gap)
         assert reached == (away <= step)

@@ -13,8 +13,8 @@ import numpy as np
 
 from mavfi.kernels.control import pid
 from mavfi.kernels.perception import clearance, collision_check, key_sets, octomap, octree, point_cloud
+from mavfi.kernels.planning import nearest, rrt, rrt_connect, rrt_star, trajectory, tree, waypoint
 from mavfi.kernels.planning import path as paths
-from mavfi.kernels.planning import rrt_connect, trajectory, waypoint
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import Grid, first_blocked, offsets_within, segment_free, voxel_of
@@ -95,6 +95,18 @@ def curve(count=30):
     return np.linspace([-1.9, -1.9, 0.1], [3.9, 2.9, 2.9], count)
 
 
+def planning_problem():
+    ends = np.array([-1.9, -1.9, 0.7]), np.array([3.9, 2.9, 2.9])
+    return [blocked(), GRID, *ends, LOWER.copy(), UPPER.copy()]
+
+
+def nearest_in(nodes, target, lower, upper, search, *ball):
+    """What a search in an index of all nodes finds."""
+    index = nearest.new_index(len(nodes))
+    nearest.clear(index, lower, upper)
+    return search(index, nodes, len(nodes), target, *ball)
+
+
 def never(_result, _arguments):
     return True
 
@@ -151,14 +163,40 @@ CASES = {
         lambda: [np.zeros(GRID.size, np.int16), np.ones(GRID.size, np.uint8), GRID, points(), 1, 5.0, 1, True],
         lambda result, _: all(value >= 0.0 for value in result),
     ),
-    "nearest": Case(
-        rrt_connect.nearest, lambda: [np.ones((5, 3)), 5, np.zeros(3)], lambda result, _: 0 <= result < 5
+    "nearest_scan": Case(
+        nearest.scan, lambda: [np.ones((5, 3)), 5, np.zeros(3)], lambda result, _: 0 <= result < 5
     ),
-    "steer": Case(rrt_connect.steer, lambda: [np.zeros(3), np.ones(3), 0.5, np.zeros(3)], never),
+    "nearest_search": Case(
+        lambda nodes, target, lower, upper: nearest_in(nodes, target, lower, upper, nearest.search),
+        lambda: [curve(), np.zeros(3), LOWER.copy(), UPPER.copy()],
+        lambda result, a: result == nearest.scan(a[0], len(a[0]), a[1]),
+    ),
+    "ball_scan": Case(
+        nearest.scan_ball, lambda: [curve(), 30, np.zeros(3), 2.0, np.zeros(30, np.int32)], count_up_to(30)
+    ),
+    "ball_search": Case(
+        lambda nodes, target, lower, upper, radius, found: nearest_in(
+            nodes, target, lower, upper, nearest.search_ball, radius, found
+        ),
+        lambda: [curve(), np.zeros(3), LOWER.copy(), UPPER.copy(), 2.0, np.zeros(30, np.int32)],
+        lambda result, a: result == nearest.scan_ball(a[0], 30, a[1], a[4], np.zeros(30, np.int32)),
+    ),
+    "steer": Case(tree.steer, lambda: [np.zeros(3), np.ones(3), 0.5, np.zeros(3)], never),
+    "rrt": Case(
+        rrt.plan,
+        lambda: [*planning_problem(), 1.0, 0.05, 50, seed_generator(1), rrt.new_tree(51), np.zeros((51, 3))],
+        count_up_to(51),
+    ),
+    "rrt_star": Case(
+        rrt_star.plan,
+        lambda: [*planning_problem(), 1.0, 0.05, 400, 800, seed_generator(1), rrt_star.new_tree(801),
+                 np.zeros((801, 3))],
+        count_up_to(801),
+    ),
     "rrt_connect": Case(
         rrt_connect.plan,
-        lambda: [blocked(), GRID, np.array([-1.9, -1.9, 0.7]), np.array([3.9, 2.9, 2.9]), LOWER.copy(), UPPER.copy(),
-                 1.0, 50, seed_generator(1), rrt_connect.new_trees(), np.zeros((2 * rrt_connect.NODE_LIMIT, 3))],
+        lambda: [*planning_problem(), 1.0, 50, seed_generator(1), rrt_connect.new_trees(),
+                 np.zeros((2 * rrt_connect.NODE_LIMIT, 3))],
         count_up_to(2 * rrt_connect.NODE_LIMIT),
     ),
     "nearest_with_room": Case(

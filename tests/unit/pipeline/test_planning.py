@@ -3,7 +3,7 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.numerics.voxels import segment_free
-from mavfi.pipeline.planners import RrtConnect, make_search
+from mavfi.pipeline.planners import Rrt, RrtConnect, RrtStar, make_search
 from mavfi.pipeline.planning import MotionPlanner
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.pipeline.trajectories import TrajectoryGenerator
@@ -161,5 +161,7 @@ def test_an_unknown_planner_is_told_with_what_is_allowed(name):
 
 def test_a_planner_is_found_by_name_and_by_address():
     assert isinstance(make_search(config().planner, 1), RrtConnect)
+    assert isinstance(make_search(config(planner="rrt").planner, 1), Rrt)
+    assert isinstance(make_search(config(planner="rrt_star").planner, 1), RrtStar)
     address = config(planner="mavfi.pipeline.planners:RrtConnect").planner
     assert isinstance(make_search(address, 1), RrtConnect)

@@ -1,64 +1,48 @@
 """RRT-Connect (Kuffner & LaValle 2000): two trees that grow towards each other. Stops on an iteration count."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
+from mavfi.kernels.planning.nearest import Index, clear, nearest, new_index
+from mavfi.kernels.planning.tree import draw, steer, trace
 from mavfi.numerics.jit import kernel_jit
-from mavfi.numerics.random import uniform
 from mavfi.numerics.voxels import Grid, segment_free
 
 NODE_LIMIT = 8000
 
 
 class Trees(NamedTuple):
-    """Memory of the search: nodes (NODE_LIMIT, 3) and parents (NODE_LIMIT,) of both trees.
+    """Memory of the search: the tree from the start, and that from the goal.
 
     Attributes:
         nodes: Shape (2, NODE_LIMIT, 3), m.
         parents: Shape (2, NODE_LIMIT), int32; -1 = root.
         counts: Nodes in use. Shape (2,), int64.
+        near_start: Finds nearest nodes of the first tree.
+        near_goal: Same for the second.
     """
 
     nodes: np.ndarray
     parents: np.ndarray
     counts: np.ndarray
+    near_start: Index
+    near_goal: Index
 
 
 def new_trees() -> Trees:
     """Empty search memory."""
-    return Trees(np.zeros((2, NODE_LIMIT, 3)), np.zeros((2, NODE_LIMIT), np.int32), np.zeros(2, np.int64))
+    return Trees(
+        np.zeros((2, NODE_LIMIT, 3)), np.zeros((2, NODE_LIMIT), np.int32), np.zeros(2, np.int64),
+        new_index(NODE_LIMIT), new_index(NODE_LIMIT),
+    )  # fmt: skip
 
 
 @kernel_jit
-def nearest(nodes: np.ndarray, count: int, target: np.ndarray) -> int:
-    """Index of the node nearest to a point (linear scan)."""
-    best = 0
-    best_square = np.inf
-    for i in range(count):
-        dx = nodes[i, 0] - target[0]
-        dy = nodes[i, 1] - target[1]
-        dz = nodes[i, 2] - target[2]
-        square = dx * dx + dy * dy + dz * dz
-        if square < best_square:
-            best_square = square
-            best = i
-    return best
-
-
-@kernel_jit
-def steer(source: np.ndarray, target: np.ndarray, max_step: float, result: np.ndarray) -> bool:
-    """Point at most `max_step` from `source` towards `target`; returns whether it is the target itself."""
-    distance = math.sqrt((target[0] - source[0]) ** 2 + (target[1] - source[1]) ** 2 + (target[2] - source[2]) ** 2)
-    share = 1.0 if distance <= max_step else max_step / distance
-    for axis in range(3):
-        result[axis] = source[axis] + (target[axis] - source[axis]) * share
-    if share == 1.0:
-        for axis in range(3):
-            result[axis] = target[axis]
-        return True
-    return False
+def _nearest(trees: Trees, which: int, target: np.ndarray) -> int:
+    """Index of the node of a tree that is nearest to a point."""
+    index = trees.near_start if which == 0 else trees.near_goal
+    return nearest(index, trees.nodes[which], trees.counts[which], target)
 
 
 @kernel_jit
@@ -81,17 +65,7 @@ def _extend(
 @kernel_jit
 def _collect(trees: Trees, from_start: int, from_goal: int, path: np.ndarray) -> int:
     """Path through both trees; the joint is in both and kept once."""
-    count = 0
-    node = from_start
-    while node >= 0:
-        path[count] = trees.nodes[0, node]
-        count += 1
-        node = trees.parents[0, node]
-    for i in range(count // 2):
-        for axis in range(3):
-            swap = path[i, axis]
-            path[i, axis] = path[count - 1 - i, axis]
-            path[count - 1 - i, axis] = swap
+    count = trace(trees.nodes[0], trees.parents[0], from_start, path)
     node = trees.parents[1, from_goal]
     while node >= 0:
         path[count] = trees.nodes[1, node]
@@ -101,8 +75,10 @@ def _collect(trees: Trees, from_start: int, from_goal: int, path: np.ndarray) ->
 
 
 @kernel_jit
-def _plant(trees: Trees, start: np.ndarray, goal: np.ndarray) -> None:
+def _plant(trees: Trees, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
     """Make both trees consist of their root."""
+    clear(trees.near_start, lower, upper)
+    clear(trees.near_goal, lower, upper)
     for axis in range(3):
         trees.nodes[0, 0, axis] = start[axis]
         trees.nodes[1, 0, axis] = goal[axis]
@@ -138,18 +114,17 @@ def plan(
         path[0] = start
         path[1] = goal
         return 2
-    _plant(trees, start, goal)
+    _plant(trees, start, goal, lower, upper)
     sample = np.empty(3)
     new = np.empty(3)
     joint = np.empty(3)
     which = 0
     for _ in range(iterations):
-        for axis in range(3):
-            sample[axis] = lower[axis] + (upper[axis] - lower[axis]) * uniform(random)
-        source = nearest(trees.nodes[which], trees.counts[which], sample)
+        draw(lower, upper, random, sample)
+        source = _nearest(trees, which, sample)
         if _extend(counter, grid, trees, which, source, sample, max_step, new) > 0:
             other = 1 - which
-            source = nearest(trees.nodes[other], trees.counts[other], new)
+            source = _nearest(trees, other, new)
             result = 1
             while result == 1 and trees.counts[other] < NODE_LIMIT:
                 result = _extend(counter, grid, trees, other, source, new, max_step, joint)

@@ -1,0 +1,216 @@
+"""Our planners and OMPL's on the same problems: maps, validity of a segment, range, goal bias, number of samples.
+
+OMPL (Sucan, Moll & Kavraki 2012) is asked for what ours do: the shrinking ball instead of its k nearest neighbours in
+RRT*, and no simplification of paths.  It checks segments through a Python function, which it pays for in time.
+"""
+
+import time
+from functools import cache
+from importlib.util import find_spec
+from statistics import median
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mavfi.config import EnvironmentConfig, shipped
+from mavfi.kernels.planning import nearest, rrt, rrt_connect, rrt_star
+from mavfi.kernels.planning import path as paths
+from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.random import seed_generator
+from mavfi.numerics.voxels import Grid, segment_free
+from mavfi.sim.environments import build_world
+
+NAMES = ("rrt", "rrt_connect", "rrt_star")
+ROOM = 0.8
+"""Distance of the planner from obstacles (m)."""
+GOAL_BIAS = 0.05
+MOST_NODES = 20_000
+RUNS = 60
+NODES = (1000, 5000, 10_000, 20_000)
+
+
+class Problem(NamedTuple):
+    """A map of room, two places that do not see each other, and the box that is sampled."""
+
+    counter: np.ndarray
+    grid: Grid
+    start: np.ndarray
+    goal: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+class Search(NamedTuple):
+    """Range (m) and number of samples of a search."""
+
+    max_step: float
+    iterations: int
+
+
+class Found(NamedTuple):
+    """Length of the path (m), infinite if there is none; wall time (s); samples that the planner says it took."""
+
+    length: float
+    seconds: float
+    samples: int
+
+
+@cache
+def problem(environment: str, seed: int, resolution: float = 0.5) -> Problem:
+    """The whole of a generated world as a map.
+
+    Raises:
+        ValueError: There is nothing to plan in it: the goal can be seen from the start.
+    """
+    world = build_world(shipped("environments", EnvironmentConfig, environment), seed)
+    shape = np.ceil((world.arena_upper - world.arena_lower) / resolution).astype(int)
+    grid = Grid(*world.arena_lower, 1.0 / resolution, *shape.tolist())
+    axes = [low + resolution * (np.arange(n) + 0.5) for low, n in zip(world.arena_lower, shape, strict=True)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    counter = (world.clearance(centres) < ROOM).astype(np.int16)
+    made = Problem(counter, grid, world.start, world.goal, world.flight_lower, world.flight_upper)
+    if segment_free(counter, grid, made.start, made.goal):
+        raise ValueError(f"{environment} {seed}: the goal can be seen from the start")
+    return made
+
+
+@cache
+def _memory(name: str) -> tuple[Any, np.ndarray]:
+    """Search memory and room for a path."""
+    if name == "rrt_connect":
+        return rrt_connect.new_trees(), np.zeros((2 * rrt_connect.NODE_LIMIT, 3))
+    kernel = rrt if name == "rrt" else rrt_star
+    return kernel.new_tree(MOST_NODES + 1), np.zeros((MOST_NODES + 1, 3))
+
+
+def ours(name: str, given: Problem, search: Search, seed: int) -> Found:
+    """One run of a planner of this project, without shortcuts."""
+    memory, path = _memory(name)
+    random = seed_generator(seed)
+    start = time.perf_counter()
+    if name == "rrt":
+        count = rrt.plan(*given, search.max_step, GOAL_BIAS, search.iterations, random, memory, path)
+    elif name == "rrt_connect":
+        count = rrt_connect.plan(*given, search.max_step, search.iterations, random, memory, path)
+    else:
+        budget = search.iterations, search.iterations
+        count = rrt_star.plan(*given, search.max_step, GOAL_BIAS, *budget, random, memory, path)
+    seconds = time.perf_counter() - start
+    return Found(paths.path_length(path, count) if count else np.inf, seconds, search.iterations)
+
+
+@cache
+def _space(given: str, seed: int) -> Any:
+    """OMPL's space with our segment check; one for each problem, since its validator and it hold each other."""
+    from ompl import base
+
+    counter, grid, _, _, lower, upper = problem(given, seed)
+    space = base.RealVectorStateSpace(3)
+    bounds = base.RealVectorBounds(3)
+    for axis in range(3):
+        bounds.setLow(axis, float(lower[axis]))
+        bounds.setHigh(axis, float(upper[axis]))
+    space.setBounds(bounds)
+    information = base.SpaceInformation(space)
+    ends = np.empty((2, 3))
+
+    class Segments(base.MotionValidator):
+        def checkMotion(self, first: Any, second: Any) -> bool:  # noqa: N802
+            ends[0] = first[0], first[1], first[2]
+            ends[1] = second[0], second[1], second[2]
+            return segment_free(counter, grid, ends[0], ends[1])
+
+    validator = Segments(information)
+    information.setMotionValidator(validator)
+    information.setStateValidityChecker(lambda state: True)
+    information.setup()
+    return space, information, validator
+
+
+def theirs(name: str, environment: str, world: int, search: Search, seed: int) -> Found:
+    """One run of OMPL's planner on the same problem."""
+    from ompl import base, geometric, util
+
+    util.setLogLevel(util.LOG_NONE)
+    util.RNG.setSeed(seed + 1)
+    given = problem(environment, world)
+    space, information, _ = _space(environment, world)
+    definition = base.ProblemDefinition(information)
+    ends = [space.allocState(), space.allocState()]
+    for axis in range(3):
+        ends[0][axis], ends[1][axis] = float(given.start[axis]), float(given.goal[axis])
+    definition.setStartAndGoalStates(ends[0], ends[1])
+    planner = {"rrt": geometric.RRT, "rrt_connect": geometric.RRTConnect, "rrt_star": geometric.RRTstar}[name](
+        information
+    )
+    planner.setRange(search.max_step)
+    if name != "rrt_connect":
+        planner.setGoalBias(GOAL_BIAS)
+    if name == "rrt_star":
+        planner.setKNearest(False)
+        planner.setRewireFactor(1.1)
+    planner.setProblemDefinition(definition)
+    planner.setup()
+    asked = [0]
+
+    def enough() -> bool:
+        asked[0] += 1
+        return asked[0] > search.iterations
+
+    start = time.perf_counter()
+    planner.solve(base.PlannerTerminationCondition(enough))
+    seconds = time.perf_counter() - start
+    exact = definition.hasExactSolution()
+    return Found(definition.getSolutionPath().length() if exact else np.inf, seconds, asked[0] - 1)
+
+
+def search_rows() -> list[tuple[str, str]]:
+    """Wall time of one search without shortcuts; OMPL's, if it is installed, with a Python segment check."""
+    budgets = {"rrt": Search(4.0, 10_000), "rrt_connect": Search(4.0, 4000), "rrt_star": Search(8.0, 1500)}
+    rows = []
+    for environment in ("dense", "factory"):
+        given = problem(environment, 0)
+        for name, search in budgets.items():
+            ours(name, given, search, 0)
+            own = 1e3 * median(ours(name, given, search, seed).seconds for seed in range(RUNS))
+            text = f"{own:.3f} ms"
+            if find_spec("ompl"):
+                other = 1e3 * median(theirs(name, environment, 0, search, seed).seconds for seed in range(RUNS))
+                text += f"; OMPL {other:.3f} ms, {other / own:.1f} x"
+            rows.append((f"{name}, {environment}, median of {RUNS}", text))
+    return rows
+
+
+@kernel_jit
+def _find_all(index: nearest.Index, nodes: np.ndarray, targets: np.ndarray, scan: bool) -> int:
+    total = 0
+    for i in range(targets.shape[0]):
+        if scan:
+            total += nearest.scan(nodes, nodes.shape[0], targets[i])
+        else:
+            total += nearest.search(index, nodes, nodes.shape[0], targets[i])
+    return total
+
+
+def nearest_rows() -> list[tuple[str, str]]:
+    """Time of one nearest-node query, by scan and by index, among nodes spread over a flight volume."""
+    random = np.random.default_rng(0)
+    _, _, _, _, lower, upper = problem("dense", 0)
+    targets = random.uniform(lower, upper, (1000, 3))
+    rows = []
+    for count in NODES:
+        nodes = random.uniform(lower, upper, (count, 3))
+        index = nearest.new_index(count)
+        nearest.clear(index, lower, upper)
+        times = []
+        for scan in (True, False):
+            _find_all(index, nodes, targets, scan)  # compiles, and takes the nodes in
+            spent = []
+            for _ in range(5):
+                start = time.perf_counter()
+                _find_all(index, nodes, targets, scan)
+                spent.append(time.perf_counter() - start)
+            times.append(1e6 * min(spent) / len(targets))
+        text = f"scan {times[0]:.2f} us, index {times[1]:.2f} us, {times[0] / times[1]:.1f} x"
+        rows.append((f"nearest of {count} nodes", text))
+    return rows

@@ -1,0 +1,80 @@
+"""RRT (LaValle 1998): one tree that grows from the start towards random samples. Stops on an iteration count."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mavfi.kernels.planning.nearest import Index, clear, nearest, new_index
+from mavfi.kernels.planning.tree import draw_towards, steer, trace
+from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.voxels import Grid, segment_free
+
+
+class Tree(NamedTuple):
+    """Memory of the search.
+
+    Attributes:
+        nodes: Root first (m). Shape (n, 3).
+        parents: Index of each node's parent; -1 = root. Shape (n,), int32.
+        near: Finds nearest nodes.
+    """
+
+    nodes: np.ndarray
+    parents: np.ndarray
+    near: Index
+
+
+def new_tree(nodes: int) -> Tree:
+    """Memory for a number of nodes; iterations + 1 are enough."""
+    return Tree(np.zeros((nodes, 3)), np.zeros(nodes, np.int32), new_index(nodes))
+
+
+@kernel_jit
+def plan(
+    counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray,
+    max_step: float, goal_bias: float, iterations: int, random: np.ndarray, tree: Tree, path: np.ndarray,
+) -> int:  # fmt: skip
+    """Find a path.
+
+    Args:
+        counter: > 0 = blocked. Shape (grid.size,).
+        grid: Geometry.
+        start: World frame (m). Shape (3,).
+        goal: Same.
+        lower: Corner of the sampled box (m). Shape (3,).
+        upper: Same.
+        max_step: Longest extension (m).
+        goal_bias: Probability that the sample is the goal.
+        iterations: Budget.
+        random: Generator state. Shape (4,), uint64.
+        tree: Search memory; overwritten. It ends the search when it is full.
+        path: Result. Shape (>= nodes of the tree, 3).
+
+    Returns:
+        Number of vertices in `path`; 0 = none found.
+    """
+    if segment_free(counter, grid, start, goal):
+        path[0] = start
+        path[1] = goal
+        return 2
+    clear(tree.near, lower, upper)
+    tree.nodes[0] = start
+    tree.parents[0] = -1
+    count = 1
+    sample = np.empty(3)
+    new = np.empty(3)
+    for _ in range(iterations):
+        if count >= tree.nodes.shape[0]:
+            return 0
+        is_goal = draw_towards(goal, goal_bias, lower, upper, random, sample)
+        source = nearest(tree.near, tree.nodes, count, sample)
+        reached = steer(tree.nodes[source], sample, max_step, new)
+        if not segment_free(counter, grid, tree.nodes[source], new):
+            continue
+        for axis in range(3):
+            tree.nodes[count, axis] = new[axis]
+        tree.parents[count] = source
+        count += 1
+        if is_goal and reached:
+            return trace(tree.nodes, tree.parents, count - 1, path)
+    return 0
