@@ -6,6 +6,7 @@ passage is looked for; what is flown is what takes the least time.
 
 import numpy as np
 
+from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import travel
 from mavfi.numerics.voxels import voxel_of
@@ -13,11 +14,17 @@ from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.planners import PathSearch, make_search
 from mavfi.pipeline.room import Room
 
-TIGHT_SPEED = 1.0
+TIGHT_SPEED = 2.0
 """Where there is room for the checker's radius only (m/s)."""
 PLANNING_ACCELERATION = 2.5
 """Along the path (m/s^2); half of a_max, the rest is for corners and tracking."""
+LATERAL_SHARE = 0.7
+"""Acceleration across the path / a_max."""
+NOMINAL_SPEED = 3.0
+BLEND = 3.5
+"""Longest distance of a corner blend from its corner at the nominal speed (m)."""
 _REACH = 3.0
+_TRIES = 200
 _GOOD_ENOUGH = 1.15
 """Time of a path / time of the straight line: what is not longer is not searched any further."""
 _STRETCH_STEP = 0.25
@@ -41,6 +48,12 @@ class Routes:
         small = config.planner.model_copy(update={"iterations": _LOCAL_ITERATIONS, "restarts": 1})
         self._local: PathSearch = make_search(small, config.seed)
         self._local.random = self.search.random  # one stream, one thing to roll back
+        v_max = config.v_max
+        self._pace = travel.Pace(
+            v_max, min(TIGHT_SPEED, v_max), PLANNING_ACCELERATION, LATERAL_SHARE * config.a_max,
+            BLEND * min(1.0, v_max / NOMINAL_SPEED),
+        )  # fmt: skip
+        self._occupied = np.zeros(self.room.grid.size, np.int16)
         self._buffer = np.zeros((2, 20_000, 3))
 
     def between(self, start: np.ndarray, counter: np.ndarray) -> np.ndarray | None:
@@ -48,12 +61,19 @@ class Routes:
         config, room = self._config, self.room
         first, last = np.empty(3), np.empty(3)
         box = config.flight_lower, config.flight_upper
-        if not paths.nearest_with_room(counter, room.narrow, room.grid, start, *box, _REACH, first):
+        core = self._core()
+        if not paths.nearest_with_room(counter, room.narrow, core, room.grid, start, *box, _REACH, first):
             return None
-        if not paths.nearest_with_room(room.wide, room.narrow, room.grid, config.goal, *box, _REACH, last):
+        if not paths.nearest_with_room(room.wide, room.narrow, core, room.grid, config.goal, *box, _REACH, last):
             last[:] = config.goal
         found = self.search.search(counter, room.grid, first, last, *box)
         return found if len(found) else None
+
+    def _core(self) -> np.ndarray:
+        """> 0 = what no way out of a blocked place may cross; the published code does not look. Shape (size,)."""
+        if self._config.stack.replanning == "every_map":
+            np.equal(self.room.cells, OCCUPIED, out=self._occupied, casting="unsafe")
+        return self._occupied
 
     def first_found(self, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
         """A path with the planner's radius or, if there is none, with the checker's; and whether it is a tight one."""
@@ -73,28 +93,34 @@ class Routes:
         straight = np.array([start, self._config.goal])
         enough = _GOOD_ENOUGH * paths.path_length(straight, 2) / self._config.v_max
         best, least = None, np.inf
-        for _ in range(self._config.stack.searches):
-            found = self.between(start, self.room.wide)
-            if found is None:
-                break
-            found = _from(start, found)
-            time = self._time(found, velocity)
-            if time < least:
-                best, least = (found, False), time
-            if least <= enough:
-                return best
-        found = self.between(start, self.room.narrow)
-        if found is None:
-            return best
-        found = self._widened(_from(start, found))
-        return (found, True) if self._time(found, velocity) < least else best
+        for counter, tight in ((self.room.wide, False), (self.room.narrow, True)):
+            for _ in range(self._config.stack.searches):
+                found = self.between(start, counter)
+                if found is None:
+                    break
+                found = _from(start, found)
+                found = self._quickened(self._widened(found) if tight else found, velocity, counter)
+                time = self._time(found, velocity)
+                if time < least:
+                    best, least = (found, tight), time
+                if least <= enough:
+                    return best
+        return best
 
     def _time(self, path: np.ndarray, velocity: np.ndarray) -> float:
-        v_max = self._config.v_max
-        return travel.travel_time(
-            self.room.wide, self.room.grid, path, len(path), velocity, v_max, min(TIGHT_SPEED, v_max),
-            PLANNING_ACCELERATION,
+        return travel.travel_time(self.room.wide, self.room.grid, path, len(path), velocity, self._pace)
+
+    def _quickened(self, path: np.ndarray, velocity: np.ndarray, counter: np.ndarray) -> np.ndarray:
+        """The path after many small improvements that stay out of `counter`."""
+        work, buffer = self._buffer
+        if len(path) > len(work) - 2:
+            return path
+        work[: len(path)] = path
+        count = travel.quicken(
+            counter, self.room.wide, self.room.grid, self._config.flight_lower, self._config.flight_upper, work,
+            len(path), velocity, self._pace, _TRIES, self.search.random, buffer,
         )  # fmt: skip
+        return work[:count].copy()
 
     # ---- narrow passages --------------------------------------------------------------------------------------------
     def _widened(self, path: np.ndarray) -> np.ndarray:

@@ -7,15 +7,14 @@ from mavfi.kernels.planning import trajectory as timing
 from mavfi.kernels.planning import waypoint as handover
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.room import Room
-from mavfi.pipeline.routes import PLANNING_ACCELERATION, TIGHT_SPEED
+from mavfi.pipeline.routes import BLEND, LATERAL_SHARE, NOMINAL_SPEED, PLANNING_ACCELERATION, TIGHT_SPEED
 from mavfi.states import Stage, State, floats, new_state
 
 BRAKING = 4.0
 """Hardest deceleration that a plan may ask for (m/s^2)."""
 _STANDING = 0.3
-_NOMINAL_SPEED = 3.0
-_BLEND = 2.0
-"""Longest distance of a corner blend from its corner at the nominal speed (m)."""
+_CLOSE_BLEND = 2.0
+"""Longest distance of a corner blend from its corner at the nominal speed, where the course is kept close (m)."""
 _CLOSE, _ROUND = 0.2, 1.0 / 3.0
 """Innermost control point of a blend: close to the corner, or of least curvature and so of most speed."""
 _LOOK = 3.0
@@ -33,7 +32,7 @@ class TrajectoryGenerator:
     def __init__(self, config: PipelineConfig, room: Room) -> None:
         self._config = config
         self._splices = config.stack.replanning == "every_map"
-        self._inner = _ROUND if self._splices else _CLOSE
+        self._blend, self._inner = (BLEND, _ROUND) if self._splices else (_CLOSE_BLEND, _CLOSE)
         self._room = room
         self._path = new_state("planning.path")
         self._waypoint: State | None = None
@@ -83,9 +82,9 @@ class TrajectoryGenerator:
         tight = self._splices and bool(self._path.header["tight"][0])
         # held points are tracked a little late: a reserve of speed keeps the vehicle from falling behind
         top = config.v_max if self._splices else 0.97 * config.v_max
-        slow = min(1.0, config.v_max / _NOMINAL_SPEED)  # lengths go with speed
+        slow = min(1.0, config.v_max / NOMINAL_SPEED)  # lengths go with speed
         limits = timing.Limits(
-            top, min(TIGHT_SPEED, top) if tight else top, 0.7 * config.a_max, PLANNING_ACCELERATION, BRAKING, _BLEND * slow,
+            top, min(TIGHT_SPEED, top) if tight else top, LATERAL_SHARE * config.a_max, PLANNING_ACCELERATION, BRAKING, self._blend * slow,
             _LOOK * slow,
         )  # fmt: skip
         count = timing.smooth(room.narrow, room.grid, vertices, len(vertices), limits.blend, self._inner, self._corners, self._curve)
