@@ -35,9 +35,9 @@ def test_links_lead_somewhere(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_make_targets_that_are_named_exist(page):
-    targets = set(re.findall(r"^([a-z]+):", text(ROOT / "Makefile"), flags=re.MULTILINE))
-    named = set(re.findall(r"`make ([a-z]+)", text(page))) | set(
-        re.findall(r"^ *make ([a-z]+)", text(page), re.MULTILINE)
+    targets = set(re.findall(r"^([a-z-]+):", text(ROOT / "Makefile"), flags=re.MULTILINE))
+    named = set(re.findall(r"`make ([a-z-]+)", text(page))) | set(
+        re.findall(r"^ *make ([a-z-]+)", text(page), re.MULTILINE)
     )
     assert named - targets == set()
 

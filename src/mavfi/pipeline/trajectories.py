@@ -87,7 +87,9 @@ class TrajectoryGenerator:
             top, min(TIGHT_SPEED, top) if tight else top, LATERAL_SHARE * config.a_max, PLANNING_ACCELERATION, BRAKING, self._blend * slow,
             _LOOK * slow,
         )  # fmt: skip
-        count = timing.smooth(room.narrow, room.grid, vertices, len(vertices), limits.blend, self._inner, self._corners, self._curve)
+        count = timing.smooth(
+            room.narrow, room.grid, vertices, len(vertices), limits.blend, self._inner, self._corners, self._curve
+        )
         if count < 2:
             return np.zeros((0, timing.POINT_WIDTH))
         timing.speed_profile(room.wide, room.grid, self._curve, count, entry, limits, self._arc, self._speed)

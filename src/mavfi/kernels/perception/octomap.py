@@ -106,7 +106,8 @@ def _walk_free(
     sz, tz, ez = _face(origin[2], _F32(dz / length), kz, frame.resolution)
     for _ in range(STEP_CAP):
         voxel = _index(frame, kx, ky, kz)
-        if voxel >= 0 and stamp[voxel] < scan_stamp:
+        # a corrupted number of the scan makes stamps wrap round: the list must not run over then
+        if voxel >= 0 and stamp[voxel] < scan_stamp and count < touched.shape[0]:
             stamp[voxel] = scan_stamp
             touched[count] = voxel
             count += 1
@@ -206,7 +207,7 @@ def insert_scan(
         voxel = touched[i]
         before[i] = log_odds[voxel]
         log_odds[voxel] = max(_F32(log_odds[voxel] + rule.miss), rule.clamp_min)
-    for i in range(n_occupied):
+    for i in range(min(n_occupied, touched.shape[0] - count)):
         voxel = occupied[i]
         touched[count] = voxel
         before[count] = log_odds[voxel]

@@ -52,9 +52,7 @@ def tight_share(wide: np.ndarray, grid: Grid, a: np.ndarray, b: np.ndarray) -> f
     blocked = 0
     for k in range(steps):
         share = (k + 0.5) / steps
-        voxel = voxel_of(
-            grid, a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share, a[2] + (b[2] - a[2]) * share
-        )
+        voxel = voxel_of(grid, a[0] + (b[0] - a[0]) * share, a[1] + (b[1] - a[1]) * share, a[2] + (b[2] - a[2]) * share)
         if voxel >= 0 and wide[voxel] > 0:
             blocked += 1
     return blocked / steps
@@ -88,7 +86,8 @@ def corner_loss(a: np.ndarray, b: np.ndarray, c: np.ndarray, reach: float, pace:
 def _unseen_climb(a: np.ndarray, b: np.ndarray) -> float:
     """How far a -> b climbs or sinks beyond what a camera that looks forward sees (m)."""
     level = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2)
-    return max(0.0, abs(b[2] - a[2]) - _VISIBLE_SLOPE * level)
+    beyond: float = abs(b[2] - a[2]) - _VISIBLE_SLOPE * level
+    return max(0.0, beyond)
 
 
 @kernel_jit
