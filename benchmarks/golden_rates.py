@@ -66,7 +66,8 @@ def cells(row: Row) -> list[str]:
     return [
         name, s.stack, s.planner, s.platform, f"{s.v_max:g}", f"{rate.successes}/{rate.n}",
         f"{100 * (rate.low or 0.0):.1f}–{100 * (rate.high or 0.0):.1f}",
-        "—" if s.least is None else f"≥ {s.least:g} %", *(f"{t:.1f}" for t in times or ()), *(["—"] * (0 if times else 3)),
+        "—" if s.least is None else f"≥ {s.least:g} %",
+        *(["—"] * 3 if times is None else (f"{t:.1f}" for t in times)),
         f"{max(f.limit_s for f in flights):.0f}", f"{min(f.clearance_m for f in flights):.2f}",
         f"{median([max(f.plans - 1, 0) for f in flights])} / {max(f.plans for f in flights) - 1}",
         str(sum(f.failed_plans for f in flights)), median([f.alarms for f in flights]),
@@ -85,8 +86,8 @@ def failure(row: Row, flight: GoldenFlight) -> str:
     x, y, z = flight.position
     return (
         f"- {row.setting.environment}, {row.setting.stack}, seed {flight.seed}: **{flight.status}** after "
-        f"{flight.time_s:.1f} s at ({x:g}, {y:g}, {z:g}) m; {flight.plans} plans, {flight.failed_plans} failed, closest "
-        f"{flight.clearance_m:.2f} m; last: {flight.events}. `{row.setting.command(flight.seed)}`"
+        f"{flight.time_s:.1f} s at ({x:g}, {y:g}, {z:g}) m; {flight.plans} plans, {flight.failed_plans} failed, "
+        f"closest {flight.clearance_m:.2f} m; last: {flight.events}. `{row.setting.command(flight.seed)}`"
     )
 
 

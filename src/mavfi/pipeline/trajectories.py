@@ -84,8 +84,8 @@ class TrajectoryGenerator:
         top = config.v_max if self._splices else 0.97 * config.v_max
         slow = min(1.0, config.v_max / NOMINAL_SPEED)  # lengths go with speed
         limits = timing.Limits(
-            top, min(TIGHT_SPEED, top) if tight else top, LATERAL_SHARE * config.a_max, PLANNING_ACCELERATION, BRAKING, self._blend * slow,
-            _LOOK * slow,
+            top, min(TIGHT_SPEED, top) if tight else top, LATERAL_SHARE * config.a_max, PLANNING_ACCELERATION,
+            BRAKING, self._blend * slow, _LOOK * slow,
         )  # fmt: skip
         count = timing.smooth(
             room.narrow, room.grid, vertices, len(vertices), limits.blend, self._inner, self._corners, self._curve
