@@ -16,10 +16,10 @@ export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test check format bench smoke fault-map train readme docs wheel lock clean
+.PHONY: help setup reproduce test check robust format bench golden-rates smoke fault-map train readme docs wheel lock clean
 
 help:  ## list the targets
-	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-10s %s\n", $$1, $$2}'
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
 
 setup: $(STAMP)  ## create .venv with the locked packages and this project
 
@@ -44,12 +44,18 @@ check: setup  ## formatting, lint, types, import contracts, fast tests
 	@$(BIN)/lint-imports
 	@$(BIN)/python -m pytest -m "not slow"
 
+robust: setup  ## 100,000 random corruptions of recorded kernel inputs, with bounds checked (N=...)
+	@$(BIN)/python -m tests.robustness.storm
+
 format: setup  ## format the code, sort imports
 	@$(BIN)/ruff check --fix --select I $(CODE)
 	@$(BIN)/ruff format $(CODE)
 
 bench: setup  ## measure speed
 	@$(BIN)/python benchmarks/run.py
+
+golden-rates: setup  ## fly golden missions in every setting, write docs/golden-rates.md (N=300 HARD_N=100 ONLY=word)
+	@$(BIN)/python benchmarks/golden_rates.py
 
 smoke: setup  ## a campaign of a few flights, and its report
 	@$(BIN)/mavfi campaign run configs/campaigns/smoke.yaml --out out/smoke

@@ -108,6 +108,7 @@ class StackConfig(Config):
     check_radius: float = Field(gt=0, description="m, likewise")
     distance: Literal["centres", "boxes"] = Field(description="between which points of voxels a radius is measured")
     replanning: Literal["event", "every_map"]
+    searches: int = Field(1, gt=0, description="searches per plan, of which the quickest path is flown; every_map only")
     grace: float = Field(ge=0, description="s")
     known_space_limit: bool = Field(description="clock governed by known free space")
     geofence: bool = Field(description="outside of the mapped volume counts as blocked in the check")

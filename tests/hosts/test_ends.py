@@ -94,6 +94,20 @@ def test_every_warning_of_the_simulator_is_an_event(monkeypatch):
     assert golden().log.count("warning") == 0
 
 
+def test_a_real_warning_of_mujoco_is_an_event_and_ends_the_flight():
+    host = inprocess._Host(mission(), None, None, False, None)
+
+    def break_physics(now):
+        del now
+        host.sim._data.qvel[0] = 1e12
+
+    host.at(2_000_000, break_physics)
+    log = host.fly().log
+    assert log.status in (MissionStatus.INVALID_STATE, MissionStatus.FLY_AWAY)
+    assert any("BADQVEL" in event.data["text"] for event in log.events if event.kind == "warning")
+    assert log.column("time")[-1] <= 2.04
+
+
 @pytest.mark.parametrize("stack", STACKS)
 @pytest.mark.parametrize("axis", ["x", "y", "z"])
 def test_a_reference_that_is_not_a_number_never_reaches_the_vehicle_and_heals(axis, stack):

@@ -70,14 +70,14 @@ def test_held_points_are_reached_at_the_speed_limit_at_most(vertices):
 
 
 @settings(max_examples=40)
-@given(paths, st.integers(0, 1000))
-def test_blends_stay_out_of_what_is_blocked(vertices, seed):
+@given(paths, st.integers(0, 1000), st.sampled_from([0.2, 1.0 / 3.0]))
+def test_blends_stay_out_of_what_is_blocked(vertices, seed, inner):
     assume((np.linalg.norm(np.diff(vertices, axis=0), axis=1) > 0.5).all())
     room = Room(config("hardened"))
     blocked = (np.random.default_rng(seed).random(room.grid.size) < 0.03).astype(np.int16)
     assume(all(segment_free(blocked, room.grid, a, b) for a, b in zip(vertices[:-1], vertices[1:], strict=True)))
     corners, curve = np.zeros((trajectory.CURVE_LIMIT, 3)), np.zeros((trajectory.CURVE_LIMIT, 3))
-    count = trajectory.smooth(blocked, room.grid, vertices, len(vertices), 2.0, corners, curve)
+    count = trajectory.smooth(blocked, room.grid, vertices, len(vertices), 2.0, inner, corners, curve)
     length = np.linalg.norm(np.diff(vertices, axis=0), axis=1).sum()
     assert np.linalg.norm(np.diff(curve[:count], axis=0), axis=1).sum() <= length + 1e-6
     free = [segment_free(blocked, room.grid, sample, sample) for sample in curve[:count]]

@@ -168,6 +168,8 @@ class CollisionCheck:
         return False
 
     def _take_trajectory(self, state: State) -> bool:
+        if self._every_map and len(state.elements) == 0:
+            return False  # no plan was found: what is flown stays in force
         # a new trajectory is in force some ticks after it was sent: the one before is still wanted
         self._trajectories[int(state.header["trajectory_seq"][0])] = state
         while len(self._trajectories) > 2:

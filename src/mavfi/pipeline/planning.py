@@ -14,14 +14,12 @@ from mavfi.kernels.planning import trajectory as timing
 from mavfi.kernels.planning import waypoint as handover
 from mavfi.numerics.voxels import segment_free
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.pipeline.planners import PathSearch, make_search
-from mavfi.pipeline.room import Room
-from mavfi.pipeline.trajectories import BRAKING, PLANNING_ACCELERATION
+from mavfi.pipeline.routes import PLANNING_ACCELERATION, Routes
+from mavfi.pipeline.trajectories import BRAKING
 from mavfi.states import Stage, State, floats, new_state
 
 _RETRY_US = 500_000
 _ADOPTION_US = 3_000_000
-_REACH = 3.0
 _MARGIN = 0.3
 _STUCK_US = 4_000_000
 _BACKTRACK_AFTER = 3
@@ -62,8 +60,9 @@ class MotionPlanner:
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
         self._every_map = config.stack.replanning == "every_map"
-        self.room = Room(config)
-        self._search: PathSearch = make_search(config.planner, config.seed)
+        self.routes = Routes(config)
+        self.room = self.routes.room
+        self._random = self.routes.search.random
         self._status: State | None = None
         self._odometry = np.zeros(13)
         self._waypoint: State | None = None
@@ -71,7 +70,7 @@ class MotionPlanner:
         self._arc = np.zeros(0)
         self._crumbs: list[np.ndarray] = []
         self._memory = _Decisions()
-        self._marked = (_Decisions(), self._search.random.copy())
+        self._marked = (_Decisions(), self._random.copy())
 
     # ---- inputs -----------------------------------------------------------------------------------------------------
     def receive(self, state: State, time_us: int) -> bool:
@@ -99,6 +98,8 @@ class MotionPlanner:
             self._memory.alarm = float(state.header["time_to_collision"][0])
 
     def _take_trajectory(self, state: State, time_us: int) -> None:
+        if self._every_map and len(state.elements) == 0:
+            return  # no plan was found: what is flown stays in force
         self._trajectory = state
         if len(state.elements):
             self._arc = np.empty(len(state.elements))
@@ -198,24 +199,13 @@ class MotionPlanner:
         path.header["tight"] = tight
         return path
 
-    def _search_between(self, start: np.ndarray, counter: np.ndarray) -> np.ndarray | None:
-        """Vertices from (next to) `start` to (next to) the goal in `counter`, or None."""
-        config, room = self._config, self.room
-        first, last = np.empty(3), np.empty(3)
-        box = config.flight_lower, config.flight_upper
-        if not paths.nearest_with_room(counter, room.narrow, room.grid, start, *box, _REACH, first):
-            return None
-        if not paths.nearest_with_room(room.wide, room.narrow, room.grid, config.goal, *box, _REACH, last):
-            last[:] = config.goal
-        found = self._search.search(counter, room.grid, first, last, *box)
-        return found if len(found) else None
-
     def _plan_from_rest(self) -> State | None:
         """From where the vehicle will stand; where there is no room for the planner's radius, with the checker's."""
         position, velocity = self._odometry[:3], self._odometry[3:6]
         speed = float(np.linalg.norm(velocity))
         stop = position + velocity * self._config.velocity_lag if speed < 2.0 * self._config.v_max else position.copy()
-        return self._path_from(stop, 0.0, -1)
+        found = self.routes.first_found(stop)
+        return None if found is None else self._path(found[0], 0.0, tight=found[1])
 
     def _plan_in_flight(self, alarm: float) -> State | None:
         """Replace the trajectory without a stop, if the collision is far enough away."""
@@ -228,7 +218,7 @@ class MotionPlanner:
         lead = start + velocity * (speed / (2.0 * PLANNING_ACCELERATION))
         if not segment_free(self.room.narrow, self.room.grid, start, lead):
             return None
-        found = self._search_between(lead, self.room.wide)
+        found = self.routes.between(lead, self.room.wide)
         if found is None:
             return None
         leading = [start] if speed < 0.2 else [start, lead]
@@ -242,6 +232,7 @@ class MotionPlanner:
         index, along = self._on_trajectory()
         if index < 0:
             junction, start, speed = -1, self._standing_point(), 0.0
+            velocity = np.zeros(3)
         else:
             waypoint = floats(self._waypoint.header, timing.POINT_WIDTH)  # type: ignore[union-attr]
             speed = float(np.linalg.norm(waypoint[4:7]))
@@ -253,17 +244,10 @@ class MotionPlanner:
             distance = max(min(distance, blocked - _MARGIN), soonest)
             junction = min(int(np.searchsorted(self._arc, distance)), len(self._arc) - 1)
             points = floats(self._trajectory.elements, timing.POINT_WIDTH)  # type: ignore[union-attr]
-            start = points.reshape(-1, timing.POINT_WIDTH)[junction, :3].copy()
-        return self._path_from(start, speed, junction)
-
-    def _path_from(self, start: np.ndarray, entry_speed: float, junction: int) -> State | None:
-        for counter, tight in ((self.room.wide, False), (self.room.narrow, True)):
-            found = self._search_between(start, counter)
-            if found is not None:
-                if paths.distance(found[0], start) > 1e-6:
-                    found = np.vstack([start, found])
-                return self._path(found, entry_speed, junction, tight)
-        return None
+            point = points.reshape(-1, timing.POINT_WIDTH)[junction]
+            start, velocity = point[:3].copy(), point[4:7].copy()
+        found = self.routes.fastest(start, velocity)
+        return None if found is None else self._path(found[0], speed, junction, found[1])
 
     def _standing_point(self) -> np.ndarray:
         """Reference position while nothing is flown."""
@@ -292,10 +276,10 @@ class MotionPlanner:
         """Remember decisions and randomness; the map is not rolled back, updates carry absolute values."""
         memory = self._memory
         copy = _Decisions(*(getattr(memory, name) for name in memory.__slots__))
-        self._marked = (copy, self._search.random.copy())
+        self._marked = (copy, self._random.copy())
 
     def rollback(self) -> None:
         """Put decisions and randomness back."""
         self._memory = self._marked[0]
-        self._search.random[:] = self._marked[1]
+        self._random[:] = self._marked[1]
         self.mark()

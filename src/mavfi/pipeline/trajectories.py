@@ -7,16 +7,16 @@ from mavfi.kernels.planning import trajectory as timing
 from mavfi.kernels.planning import waypoint as handover
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.room import Room
+from mavfi.pipeline.routes import BLEND, LATERAL_SHARE, NOMINAL_SPEED, PLANNING_ACCELERATION, TIGHT_SPEED
 from mavfi.states import Stage, State, floats, new_state
 
-PLANNING_ACCELERATION = 2.5
-"""Along the path (m/s^2); half of a_max, the rest is for corners and tracking."""
 BRAKING = 4.0
 """Hardest deceleration that a plan may ask for (m/s^2)."""
 _STANDING = 0.3
-_NOMINAL_SPEED = 3.0
-_BLEND = 2.0
-"""Longest distance of a corner blend from its corner at the nominal speed (m)."""
+_CLOSE_BLEND = 2.0
+"""Longest distance of a corner blend from its corner at the nominal speed, where the course is kept close (m)."""
+_CLOSE, _ROUND = 0.2, 1.0 / 3.0
+"""Innermost control point of a blend: close to the corner, or of least curvature and so of most speed."""
 _LOOK = 3.0
 """How far ahead of the vehicle its yaw looks at the nominal speed (m)."""
 
@@ -32,6 +32,7 @@ class TrajectoryGenerator:
     def __init__(self, config: PipelineConfig, room: Room) -> None:
         self._config = config
         self._splices = config.stack.replanning == "every_map"
+        self._blend, self._inner = (BLEND, _ROUND) if self._splices else (_CLOSE_BLEND, _CLOSE)
         self._room = room
         self._path = new_state("planning.path")
         self._waypoint: State | None = None
@@ -54,7 +55,7 @@ class TrajectoryGenerator:
             return True
         if name == "planning.waypoint":
             self._waypoint = state
-        else:
+        elif len(state.elements) or not self._splices:
             self._flown = state
         return False
 
@@ -81,12 +82,14 @@ class TrajectoryGenerator:
         tight = self._splices and bool(self._path.header["tight"][0])
         # held points are tracked a little late: a reserve of speed keeps the vehicle from falling behind
         top = config.v_max if self._splices else 0.97 * config.v_max
-        slow = min(1.0, config.v_max / _NOMINAL_SPEED)  # lengths go with speed
+        slow = min(1.0, config.v_max / NOMINAL_SPEED)  # lengths go with speed
         limits = timing.Limits(
-            top, min(1.0, top) if tight else top, 0.7 * config.a_max, PLANNING_ACCELERATION, BRAKING, _BLEND * slow,
-            _LOOK * slow,
+            top, min(TIGHT_SPEED, top) if tight else top, LATERAL_SHARE * config.a_max, PLANNING_ACCELERATION,
+            BRAKING, self._blend * slow, _LOOK * slow,
         )  # fmt: skip
-        count = timing.smooth(room.narrow, room.grid, vertices, len(vertices), limits.blend, self._corners, self._curve)
+        count = timing.smooth(
+            room.narrow, room.grid, vertices, len(vertices), limits.blend, self._inner, self._corners, self._curve
+        )
         if count < 2:
             return np.zeros((0, timing.POINT_WIDTH))
         timing.speed_profile(room.wide, room.grid, self._curve, count, entry, limits, self._arc, self._speed)

@@ -12,7 +12,7 @@ from mavfi.kernels.planning import waypoint as handover
 from mavfi.kernels.planning.trajectory import POINT_WIDTH
 from mavfi.numerics.rotations import yaw_of
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.pipeline.trajectories import PLANNING_ACCELERATION
+from mavfi.pipeline.routes import PLANNING_ACCELERATION
 from mavfi.states import Stage, State, floats, new_state
 
 _EMERGENCY_STOP_TIME = 0.6
@@ -217,6 +217,9 @@ class WaypointHandOver:
 
     def _adopt(self, trajectory: State) -> State:
         if len(trajectory.elements) == 0:
+            if self._governed and self._memory.trajectory is not None and self._memory.clock[1] > 0.0:
+                self._set(waiting=None)  # what is flown still leads to where the vehicle can stop
+                return self._governed_point()[0]
             self._set(trajectory=None, index=-1, waiting=None)
             return self._hold(turn=_HOLD_TURN)
         self._load(trajectory)
@@ -225,7 +228,6 @@ class WaypointHandOver:
             return self._publish(0, self._points[0])
         start = self._nearest_start()
         self._set(clock=(float(start), 1.0, 0.0), index=start)
-        self._limits = (np.inf, np.inf, -1)
         waypoint = np.zeros(POINT_WIDTH)
         handover.reference(np.array(self._memory.clock), self._points, waypoint)
         return self._publish(start, waypoint)

@@ -192,7 +192,7 @@ def length(path):
     return sum(math.dist(a, b) for a, b in zip(path[:-1], path[1:], strict=True))
 
 
-def nearest_with_room(room, check, grid, point, lower, upper, radius):
+def nearest_with_room(room, check, core, grid, point, lower, upper, radius):
     """Distance to the nearest place with room, or None."""
     here = cell_of(grid, point)
     if here is None:
@@ -205,9 +205,37 @@ def nearest_with_room(room, check, grid, point, lower, upper, radius):
         away = math.dist(point, centre)
         if room[flat(grid, cell)] > 0 or away > radius or np.any(centre < lower) or np.any(centre > upper):
             continue
-        if check[flat(grid, here)] > 0 or first_blocked(check, grid, point, centre, True) > 1.0:
+        in_the_way = core if check[flat(grid, here)] > 0 else check
+        if first_blocked(in_the_way, grid, point, centre, True) > 1.0:
             found.append(away)
     return min(found, default=None)
+
+
+def tight_share(wide, grid, a, b):
+    steps = int(math.dist(a, b) / 0.25) + 1
+    cells = [cell_of(grid, a + (b - a) * (k + 0.5) / steps) for k in range(steps)]
+    return sum(cell is not None and wide[flat(grid, cell)] > 0 for cell in cells) / steps
+
+
+def angle(a, b, c):
+    cosine = np.dot(b - a, c - b) / (np.linalg.norm(b - a) * np.linalg.norm(c - b))
+    return math.acos(min(1.0, max(-1.0, cosine)))
+
+
+def travel_time(wide, grid, path, velocity, pace):
+    time = min(np.linalg.norm(velocity), pace.speed) / pace.tangential
+    time *= math.sin(0.5 * angle(path[0] - velocity, path[0], path[1])) ** 2
+    for a, b in zip(path[:-1], path[1:], strict=True):
+        share = tight_share(wide, grid, a, b)
+        time += math.dist(a, b) * ((1.0 - share) / pace.speed + share / pace.tight_speed)
+        time += max(0.0, abs(b[2] - a[2]) - 0.6 * math.dist(a[:2], b[:2])) / 0.5
+    for a, b, c in zip(path[:-2], path[1:-1], path[2:], strict=True):
+        turn = min(angle(a, b, c), 3.0)
+        if turn >= 1e-3:
+            reach = min(pace.blend, 0.5 * math.dist(a, b), 0.5 * math.dist(b, c))
+            slow = min(pace.speed, math.sqrt(pace.lateral * reach / (1.2 * math.tan(0.5 * turn))))
+            time += (pace.speed - slow) ** 2 / (pace.speed * pace.tangential)
+    return time
 
 
 def hold_points(dense, per_point, step, look):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mavfi.kernels.planning import nearest, trajectory, tree, waypoint
+from mavfi.kernels.planning import nearest, trajectory, travel, tree, waypoint
 from mavfi.kernels.planning import path as paths
 from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import segment_free
@@ -33,9 +33,10 @@ def test_the_nearest_place_with_room_is_that_of_a_full_search(share):
     for _ in range(40):
         room = scenes.counter(random, share)
         check = room * scenes.counter(random, 0.3)
+        core = check * scenes.counter(random, 0.5)
         point, result = scenes.point(random, 0.3), np.empty(3)
-        found = paths.nearest_with_room(room, check, GRID, point, lower, upper, 1.6, result)
-        expected = naive.nearest_with_room(room, check, GRID, point, lower, upper, 1.6)
+        found = paths.nearest_with_room(room, check, core, GRID, point, lower, upper, 1.6, result)
+        expected = naive.nearest_with_room(room, check, core, GRID, point, lower, upper, 1.6)
         assert found == (expected is not None)
         if found:
             assert paths.distance(point, result) == pytest.approx(expected, abs=1e-9)
@@ -91,14 +92,14 @@ def zigzag():
     return np.array([[-2.0, -1.5, 1.0], [2.0, 3.5, 1.5], [5.0, -1.0, 3.0], [6.0, 4.5, 1.0]])
 
 
-def timed(path, blocked=None, wide=None, entry=0.0, limits=LIMITS):
+def timed(path, blocked=None, wide=None, entry=0.0, limits=LIMITS, inner=0.2):
     """Curve, arc, speed and points of a path."""
     blocked = np.zeros(GRID.size, np.int16) if blocked is None else blocked
     wide = np.zeros(GRID.size, np.int16) if wide is None else wide
     corners, curve = np.zeros((trajectory.CURVE_LIMIT, 3)), np.zeros((trajectory.CURVE_LIMIT, 3))
     arc, speed = np.zeros(trajectory.CURVE_LIMIT), np.zeros(trajectory.CURVE_LIMIT)
     points = np.zeros((trajectory.POINT_LIMIT, 11))
-    count = trajectory.smooth(blocked, GRID, path, len(path), limits.blend, corners, curve)
+    count = trajectory.smooth(blocked, GRID, path, len(path), limits.blend, inner, corners, curve)
     trajectory.speed_profile(wide, GRID, curve, count, entry, limits, arc, speed)
     n = trajectory.sample(curve, count, arc, speed, 0.02, limits.look, 0.0, points)
     return curve[:count], arc[:count], speed[:count], points[:n]
@@ -113,6 +114,77 @@ def test_the_curve_is_evenly_sampled_without_corners_and_keeps_its_ends():
     np.testing.assert_array_equal(curve[[0, -1]], path[[0, -1]])
     directions = np.diff(curve, axis=0)[:-1] / gaps[:-1, None]
     assert (directions[:-1] * directions[1:]).sum(1).min() > np.cos(0.6)  # the corners of the path: less than 0
+
+
+@pytest.mark.parametrize("turn", [0.5, 0.8, 1.1, 1.57])
+def test_a_rounder_blend_bends_less_and_as_the_estimate_of_travel_says(turn):
+    corner, before, after = np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([np.cos(turn), np.sin(turn), 0.0])
+    sharpest = {}
+    for inner in (0.2, 1.0 / 3.0):
+        curve = np.empty((401, 3))
+        for k, sample in enumerate(curve):
+            trajectory._blend_point(corner, before, after, 2.0, inner, k / 400, sample)
+        steps = np.diff(curve, axis=0)
+        angles = np.arctan2(steps[:, 1], steps[:, 0])
+        lengths = np.linalg.norm(steps, axis=1)
+        sharpest[inner] = (np.diff(angles) / (0.5 * (lengths[1:] + lengths[:-1]))).max()
+    assert sharpest[1.0 / 3.0] < 0.8 * sharpest[0.2]
+    assert 2.0 * sharpest[1.0 / 3.0] == pytest.approx(1.2 * np.tan(0.5 * turn), rel=0.15)
+
+
+PACE = travel.Pace(5.0, 1.5, 2.5, 3.5, 3.0)
+
+
+def test_travel_time_is_that_of_the_naive_estimate():
+    random = np.random.default_rng(4)
+    for count in (2, 3, 6):
+        for _ in range(20):
+            wide = scenes.counter(random, 0.2)
+            path = np.array([scenes.point(random, 0.5) for _ in range(count)])
+            velocity = random.uniform(-5.0, 5.0, 3)
+            time = travel.travel_time(wide, GRID, path, count, velocity, PACE)
+            assert time == pytest.approx(naive.travel_time(wide, GRID, path, velocity, PACE), rel=1e-9)
+            share = travel.tight_share(wide, GRID, path[0], path[1])
+            assert share == pytest.approx(naive.tight_share(wide, GRID, path[0], path[1]))
+
+
+def test_travel_time_knows_what_is_quick():
+    free, still = np.zeros(GRID.size, np.int16), np.zeros(3)
+    straight = np.array([[-2.0, 0.0, 1.0], [3.0, 0.0, 1.0]])
+    bent = np.array([[-2.0, 0.0, 1.0], [0.5, 1.0, 1.0], [3.0, 0.0, 1.0]])
+    shaft = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 3.5]])
+    time = {name: travel.travel_time(free, GRID, path, len(path), still, PACE)
+            for name, path in (("straight", straight), ("bent", bent), ("shaft", shaft))}  # fmt: skip
+    assert time["straight"] == pytest.approx(1.0)
+    assert time["bent"] > 1.2 and time["shaft"] > 5.0
+    back = travel.travel_time(free, GRID, straight, 2, np.array([-5.0, 0.0, 0.0]), PACE)
+    assert back == pytest.approx(1.0 + 5.0 / 2.5)
+    blocked = np.ones(GRID.size, np.int16)
+    assert travel.travel_time(blocked, GRID, straight, 2, still, PACE) == pytest.approx(5.0 / 1.5)
+
+
+def test_a_path_gets_quicker_and_stays_free_inside_of_its_box():
+    random = np.random.default_rng(6)
+    gained = 0
+    for _ in range(20):
+        blocked = scenes.counter(random, 0.05)
+        path = staircase(random, blocked)
+        if len(path) < 3:
+            continue
+        lower, upper = path.min(0), path.max(0)
+        work, buffer, still = np.zeros((300, 3)), np.zeros((300, 3)), np.zeros(3)
+        work[: len(path)] = path
+        before = travel.travel_time(blocked, GRID, work, len(path), still, PACE)
+        count = travel.quicken(
+            blocked, blocked, GRID, lower, upper, work, len(path), still, PACE, 100, seed_generator(3), buffer
+        )
+        after = travel.travel_time(blocked, GRID, work, count, still, PACE)
+        gained += after < before
+        assert after <= before and 2 <= count <= len(path)
+        np.testing.assert_array_equal(work[[0, count - 1]], path[[0, -1]])
+        assert ((work[:count] >= lower) & (work[:count] <= upper)).all()
+        assert all(segment_free(blocked, GRID, a, b) for a, b in zip(work[: count - 1], work[1:count], strict=True))
+    assert gained > 10
 
 
 def test_the_speed_profile_holds_every_limit_and_is_as_fast_as_one_of_them_allows():

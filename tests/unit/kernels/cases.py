@@ -13,7 +13,7 @@ import numpy as np
 
 from mavfi.kernels.control import pid
 from mavfi.kernels.perception import clearance, collision_check, key_sets, octomap, octree, point_cloud
-from mavfi.kernels.planning import nearest, rrt, rrt_connect, rrt_star, trajectory, tree, waypoint
+from mavfi.kernels.planning import nearest, rrt, rrt_connect, rrt_star, trajectory, travel, tree, waypoint
 from mavfi.kernels.planning import path as paths
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.random import seed_generator
@@ -25,6 +25,7 @@ LOWER, UPPER = np.array([-2.0, -2.0, 0.0]), np.array([4.0, 3.0, 3.0])
 FRAME = octomap.KeyFrame(0.5, 0.25, 0.25, 0.25, -4, -4, 0, 12, 10, 6)
 RULE = octomap.UpdateRule(*(octomap.log_odds(p) for p in (0.7, 0.4, 0.12, 0.97)))
 GAINS = pid.Gains(np.full(3, 0.2), np.full(3, 0.1), np.full(3, 0.1), 1.0, 1.0, 0.4, 3.0, 10.0, 1.5)
+PACE = travel.Pace(5.0, 1.0, 2.5, 3.5, 2.0)
 LIMITS = trajectory.Limits(3.0, 1.0, 3.5, 2.5, 4.0, 2.0, 3.0)
 OFFSETS = offsets_within(0.8, 0.5, False)
 
@@ -201,7 +202,8 @@ CASES = {
     ),
     "nearest_with_room": Case(
         paths.nearest_with_room,
-        lambda: [blocked(), blocked(), GRID, np.array([-1.9, -1.9, 0.1]), LOWER.copy(), UPPER.copy(), 1.5, np.zeros(3)],
+        lambda: [blocked(), blocked(), blocked(), GRID, np.array([-1.9, -1.9, 0.1]), LOWER.copy(), UPPER.copy(), 1.5,
+                 np.zeros(3)],
         never,
     ),
     "shortcut_greedy": Case(
@@ -212,9 +214,18 @@ CASES = {
         lambda: [blocked(), GRID, vertices(6, 12), 6, 20, seed_generator(2), np.zeros((12, 3))],
         lambda result, _: 0 <= result <= 10,
     ),
+    "travel_time": Case(
+        travel.travel_time, lambda: [blocked(), GRID, path_of(6), 6, np.ones(3), PACE], never,
+    ),
+    "quicken": Case(
+        travel.quicken,
+        lambda: [np.zeros(GRID.size, np.int16), blocked(), GRID, LOWER.copy(), UPPER.copy(), path_of(6), 6, np.ones(3),
+                 PACE, 20, seed_generator(2), np.zeros((6, 3))],
+        count_up_to(6),
+    ),
     "smooth": Case(
         trajectory.smooth,
-        lambda: [np.zeros(GRID.size, np.int16), GRID, path_of(5), 5, 1.0, np.zeros((trajectory.CURVE_LIMIT, 3)),
+        lambda: [np.zeros(GRID.size, np.int16), GRID, path_of(5), 5, 1.0, 0.3, np.zeros((trajectory.CURVE_LIMIT, 3)),
                  np.zeros((trajectory.CURVE_LIMIT, 3))],
         lambda result, _: 1 <= result <= trajectory.CURVE_LIMIT,
     ),
@@ -252,7 +263,7 @@ def corrupted(case):
         elif isinstance(argument, np.ndarray) and argument.dtype.kind == "f":
             middle = argument.size // 2
             places = [0, middle, argument.size - 1, slice(None)]
-        elif isinstance(argument, pid.Gains | trajectory.Limits):
+        elif isinstance(argument, pid.Gains | trajectory.Limits | travel.Pace):
             places = [name for name, value in argument._asdict().items() if isinstance(value, float)]
         elif isinstance(argument, octree.Octree):
             yield from struck_memory(case, position)

@@ -143,3 +143,30 @@ def test_a_step_from_the_same_memory_gives_the_same_bits(stack):
         kernel.rollback()
         second = kernel.step(k * TICK)
         assert [s.header.tobytes() for s in first] == [s.header.tobytes() for s in second]
+
+
+def speed(states):
+    return float(np.linalg.norm(floats(states[-1].header, 11)[4:7]))
+
+
+@pytest.mark.parametrize(("blocked", "slower"), [(np.inf, False), (0.5, True)])
+def test_what_is_said_of_a_trajectory_before_it_is_in_force_holds_from_its_first_point_on(blocked, slower):
+    kernel = hand_over("hardened")
+    flown = trajectory(seq=1, period=0.02, count=100)
+    give(kernel, flown, status(blocked=blocked, trajectory_seq=1))
+    assert (speed([give(kernel, at=k * TICK)[-1] for k in range(2, 12)]) < 1.5) == slower
+
+
+@pytest.mark.parametrize("stack", ["published", "hardened"])
+def test_only_hardened_flies_on_when_a_plan_has_failed_and_stops_where_the_way_is_blocked(stack):
+    kernel = hand_over(stack)
+    flown = trajectory(seq=1, period=0.5 if stack == "published" else 0.02, count=100)
+    give(kernel, flown)
+    after = give(kernel, trajectory(seq=2, count=0), tracking(0.3), at=2 * TICK)
+    assert int(after[-1].header["index"][0]) == (-1 if stack == "published" else 1)
+    if stack == "hardened":
+        give(kernel, status(blocked=0.0, trajectory_seq=1), at=3 * TICK)
+        for k in range(4, 60):
+            give(kernel, at=k * TICK)
+        held = give(kernel, trajectory(seq=3, count=0), at=60 * TICK)
+        assert int(held[-1].header["index"][0]) == -1

@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from mavfi.errors import BadInputError
 from mavfi.sim.environments.cuboids import cuboids
@@ -165,6 +167,21 @@ def test_a_snapshot_is_not_changed_by_flying_on():
     before = saved.physics.tobytes() + saved.odometry.tobytes() + saved.imu.bias.tobytes()
     trace(flight)
     assert saved.physics.tobytes() + saved.odometry.tobytes() + saved.imu.bias.tobytes() == before
+
+
+@given(st.lists(st.tuples(*[st.floats(width=64)] * 5), min_size=1, max_size=4))
+@settings(max_examples=60)
+def test_no_command_reaches_mujoco_unsaturated(commands):
+    flight = simulator()
+    largest = flight._airframe.max_thrust
+    for vx, vy, vz, yaw_rate, duration in commands:
+        flight.command(np.array([vx, vy, vz, yaw_rate]), duration)
+        assert np.linalg.norm(flight._setpoint[:3]) <= 1.33 * 3.0 + 1e-9
+        flight.advance(flight.time_us + 40_000)
+        thrusts = flight._controller[:4]
+        assert ((thrusts >= 0.0) & (thrusts <= largest)).all()
+        assert np.isfinite(flight._data.qfrc_applied).all() and np.abs(flight._data.qfrc_applied).max() < 6 * largest
+    assert flight.warnings() == [] and np.isfinite(flight.odometry).all()
 
 
 def test_warnings_of_mujoco_are_reported_and_time_is_not_reset(tmp_path, monkeypatch):

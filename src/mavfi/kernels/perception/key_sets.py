@@ -15,6 +15,8 @@ from mavfi.numerics.voxels import STEP_CAP, usable
 
 _F32 = np.float32
 _BIG = 1.7976931348623157e308
+LAST_SCAN = 2**30 - 1
+"""Largest number of a scan: stamps are twice as large, and int32."""
 
 
 class KeyFrame(NamedTuple):
@@ -157,7 +159,7 @@ def collect(
         max_range: m.
         frame: Grid.
         stamp: Last scan that touched a voxel; changed. Shape (nx * ny * nz,), int32.
-        scan: Number of this scan, larger than any before.
+        scan: Number of this scan, larger than any before; one beyond `LAST_SCAN` skips it.
         touched: Result: voxels, free ones first, each once; what follows them is undefined. Longer than the map, int32.
 
     Returns:
@@ -168,7 +170,8 @@ def collect(
     """
     if touched.shape[0] <= stamp.shape[0]:
         raise ValueError("touched must be longer than the map")
-    if not usable(origin[0], origin[1], origin[2]):
+    # a corrupted number would make stamps wrap round and the list run over
+    if not (usable(origin[0], origin[1], origin[2]) and 0 < scan <= LAST_SCAN):
         return 0, 0
     free_stamp = 2 * scan
     start = np.empty(3, np.float32)

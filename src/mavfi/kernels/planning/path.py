@@ -124,7 +124,7 @@ def shortcut_random(
 
 
 @kernel_jit
-def _inside(point: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
+def inside(point: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
     """Whether a point lies in a box."""
     for axis in range(3):
         if not lower[axis] <= point[axis] <= upper[axis]:
@@ -134,14 +134,15 @@ def _inside(point: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
 
 @kernel_jit
 def nearest_with_room(
-    room: np.ndarray, check: np.ndarray, grid: Grid, point: np.ndarray, lower: np.ndarray, upper: np.ndarray,
-    radius: float, result: np.ndarray,
+    room: np.ndarray, check: np.ndarray, core: np.ndarray, grid: Grid, point: np.ndarray, lower: np.ndarray,
+    upper: np.ndarray, radius: float, result: np.ndarray,
 ) -> bool:  # fmt: skip
     """Centre of the nearest voxel that is free in `room` and that a straight line from `point` reaches.
 
     Args:
         room: > 0 = blocked, wide. Shape (grid.size,).
         check: > 0 = blocked, narrow: the line must be free in it, unless the point itself is blocked there.
+        core: > 0 = occupied: what the line must not cross then. Shape (grid.size,).
         grid: Geometry.
         point: World frame (m). Shape (3,).
         lower: Corner of the allowed box (m). Shape (3,).
@@ -157,7 +158,7 @@ def nearest_with_room(
         return False
     for axis in range(3):
         result[axis] = point[axis]
-    if _inside(point, lower, upper) and room[voxel] == 0:
+    if inside(point, lower, upper) and room[voxel] == 0:
         return True
     blocked_here = check[voxel] > 0
     ix = voxel // (grid.ny * grid.nz)
@@ -174,9 +175,9 @@ def nearest_with_room(
                 centre[2] = grid.z0 + (z + 0.5) / grid.inverse
                 away = distance(point, centre)
                 blocked = room[(x * grid.ny + y) * grid.nz + z] > 0
-                if blocked or not _inside(centre, lower, upper) or away >= best or away > radius:
+                if blocked or not inside(centre, lower, upper) or away >= best or away > radius:
                     continue
-                if not (blocked_here or segment_free(check, grid, point, centre)):
+                if not segment_free(core if blocked_here else check, grid, point, centre):
                     continue
                 best = away
                 for axis in range(3):

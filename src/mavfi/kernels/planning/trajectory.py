@@ -50,27 +50,29 @@ class Limits(NamedTuple):
 
 @kernel_jit
 def _blend_point(
-    corner: np.ndarray, before: np.ndarray, after: np.ndarray, reach: float, t: float, out: np.ndarray
+    corner: np.ndarray, before: np.ndarray, after: np.ndarray, reach: float, inner: float, t: float, out: np.ndarray
 ) -> None:
-    """Point of the quintic blend around a corner; control points at 1, 0.6 and 0.2 of `reach` on both sides."""
+    """Point of the quintic blend around a corner; control points at 1, (1 + inner)/2 and inner of `reach`."""
     u = 1.0 - t
-    first = u**5 + 0.6 * 5.0 * u**4 * t + 0.2 * 10.0 * u**3 * t * t
-    second = 0.2 * 10.0 * u * u * t**3 + 0.6 * 5.0 * u * t**4 + t**5
+    middle = 0.5 * (1.0 + inner)
+    first = u**5 + middle * 5.0 * u**4 * t + inner * 10.0 * u**3 * t * t
+    second = inner * 10.0 * u * u * t**3 + middle * 5.0 * u * t**4 + t**5
     for axis in range(3):
         out[axis] = corner[axis] - before[axis] * reach * first + after[axis] * reach * second
 
 
 @kernel_jit
 def _add_blend(
-    counter: np.ndarray, grid: Grid, path: np.ndarray, i: int, reach: float, curve: np.ndarray, count: int
-) -> int:
+    counter: np.ndarray, grid: Grid, path: np.ndarray, i: int, reach: float, inner: float, curve: np.ndarray,
+    count: int,
+) -> int:  # fmt: skip
     """Append the blend at vertex i; shrinks it until it is free. Returns the new count."""
     before = (path[i] - path[i - 1]) / distance(path[i], path[i - 1])
     after = (path[i + 1] - path[i]) / distance(path[i + 1], path[i])
     while reach >= _SHORTEST_BLEND:
         free = True
         for step in range(_BLEND_STEPS):
-            _blend_point(path[i], before, after, reach, step / (_BLEND_STEPS - 1), curve[count + step])
+            _blend_point(path[i], before, after, reach, inner, step / (_BLEND_STEPS - 1), curve[count + step])
             if step > 0 and not segment_free(counter, grid, curve[count + step - 1], curve[count + step]):
                 free = False
                 break
@@ -84,8 +86,9 @@ def _add_blend(
 
 @kernel_jit
 def smooth(
-    counter: np.ndarray, grid: Grid, path: np.ndarray, count: int, blend: float, corners: np.ndarray, curve: np.ndarray
-) -> int:
+    counter: np.ndarray, grid: Grid, path: np.ndarray, count: int, blend: float, inner: float, corners: np.ndarray,
+    curve: np.ndarray,
+) -> int:  # fmt: skip
     """Polyline -> evenly spaced samples of a curve without corners.
 
     Args:
@@ -94,6 +97,7 @@ def smooth(
         path: Vertices, no two the same in a row (m). Shape (>= count, 3).
         count: Number of vertices, at least 2.
         blend: Longest distance of a blend from its corner (m).
+        inner: Innermost control point of a blend / its distance; 0 follows the corner closely, 1/3 is roundest.
         corners: Work space. Shape (CURVE_LIMIT, 3).
         curve: Result, every `SPACING`. Shape (CURVE_LIMIT, 3).
 
@@ -109,7 +113,7 @@ def smooth(
             continue
         # the first leg is nobody else's: its blend may take most of it
         reach = min(blend, min((0.9 if i == 1 else 0.499) * before, 0.499 * after))
-        n = _add_blend(counter, grid, path, i, reach, corners, n)
+        n = _add_blend(counter, grid, path, i, reach, inner, corners, n)
     corners[n] = path[count - 1]
     n += 1
     curve[0] = corners[0]

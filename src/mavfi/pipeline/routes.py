@@ -1,0 +1,180 @@
+"""Which way to go: searches on the map of room, and the choice among what they find.
+
+A path keeps the planner's radius where it can.  Where that leads far around, or nowhere, a way through a narrow
+passage is looked for; what is flown is what takes the least time.
+"""
+
+import numpy as np
+
+from mavfi.kernels.perception.clearance import OCCUPIED
+from mavfi.kernels.planning import path as paths
+from mavfi.kernels.planning import travel
+from mavfi.numerics.voxels import voxel_of
+from mavfi.pipeline.kernel import PipelineConfig
+from mavfi.pipeline.planners import PathSearch, make_search
+from mavfi.pipeline.room import Room
+
+TIGHT_SPEED = 2.0
+"""Where there is room for the checker's radius only (m/s)."""
+PLANNING_ACCELERATION = 2.5
+"""Along the path (m/s^2); half of a_max, the rest is for corners and tracking."""
+LATERAL_SHARE = 0.7
+"""Acceleration across the path / a_max."""
+NOMINAL_SPEED = 3.0
+BLEND = 3.5
+"""Longest distance of a corner blend from its corner at the nominal speed (m)."""
+_REACH = 3.0
+_TRIES = 200
+_GOOD_ENOUGH = 1.15
+"""Time of a path / time of the straight line: what is not longer is not searched any further."""
+_STRETCH_STEP = 0.25
+_LOCAL_ITERATIONS = 300
+_LOCAL_MARGIN = 6.0
+_SHORTCUTS = 80
+
+
+class Routes:
+    """Finds ways to the goal.
+
+    Attributes:
+        room: The map of room that is searched.
+        search: The planner that the configuration names; its generator is the only memory.
+    """
+
+    def __init__(self, config: PipelineConfig) -> None:
+        self._config = config
+        self.room = Room(config)
+        self.search: PathSearch = make_search(config.planner, config.seed)
+        small = config.planner.model_copy(update={"iterations": _LOCAL_ITERATIONS, "restarts": 1})
+        self._local: PathSearch = make_search(small, config.seed)
+        self._local.random = self.search.random  # one stream, one thing to roll back
+        v_max = config.v_max
+        self._pace = travel.Pace(
+            v_max, min(TIGHT_SPEED, v_max), PLANNING_ACCELERATION, LATERAL_SHARE * config.a_max,
+            BLEND * min(1.0, v_max / NOMINAL_SPEED),
+        )  # fmt: skip
+        self._occupied = np.zeros(self.room.grid.size, np.int16)
+        self._buffer = np.zeros((2, 20_000, 3))
+
+    def between(self, start: np.ndarray, counter: np.ndarray) -> np.ndarray | None:
+        """Vertices from (next to) `start` to (next to) the goal in `counter`, or None."""
+        config, room = self._config, self.room
+        first, last = np.empty(3), np.empty(3)
+        box = config.flight_lower, config.flight_upper
+        core = self._core()
+        if not paths.nearest_with_room(counter, room.narrow, core, room.grid, start, *box, _REACH, first):
+            return None
+        if not paths.nearest_with_room(room.wide, room.narrow, core, room.grid, config.goal, *box, _REACH, last):
+            last[:] = config.goal
+        found = self.search.search(counter, room.grid, first, last, *box)
+        return found if len(found) else None
+
+    def _core(self) -> np.ndarray:
+        """> 0 = what no way out of a blocked place may cross; the published code does not look. Shape (size,)."""
+        if self._config.stack.replanning == "every_map":
+            np.equal(self.room.cells, OCCUPIED, out=self._occupied, casting="unsafe")
+        return self._occupied
+
+    def first_found(self, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
+        """A path with the planner's radius or, if there is none, with the checker's; and whether it is a tight one."""
+        for counter, tight in ((self.room.wide, False), (self.room.narrow, True)):
+            found = self.between(start, counter)
+            if found is not None:
+                return _from(start, found), tight
+        return None
+
+    def fastest(self, start: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, bool] | None:
+        """The quickest path that a number of searches find, and whether parts of it are tight.
+
+        Args:
+            start: World frame (m). Shape (3,).
+            velocity: There (m/s). Shape (3,).
+        """
+        straight = np.array([start, self._config.goal])
+        enough = _GOOD_ENOUGH * paths.path_length(straight, 2) / self._config.v_max
+        best, least = None, np.inf
+        for counter, tight in ((self.room.wide, False), (self.room.narrow, True)):
+            for _ in range(self._config.stack.searches):
+                found = self.between(start, counter)
+                if found is None:
+                    break
+                found = _from(start, found)
+                found = self._quickened(self._widened(found) if tight else found, velocity, counter)
+                time = self._time(found, velocity)
+                if time < least:
+                    best, least = (found, tight), time
+                if least <= enough:
+                    return best
+        return best
+
+    def _time(self, path: np.ndarray, velocity: np.ndarray) -> float:
+        return travel.travel_time(self.room.wide, self.room.grid, path, len(path), velocity, self._pace)
+
+    def _quickened(self, path: np.ndarray, velocity: np.ndarray, counter: np.ndarray) -> np.ndarray:
+        """The path after many small improvements that stay out of `counter`."""
+        work, buffer = self._buffer
+        if len(path) > len(work) - 2:
+            return path
+        work[: len(path)] = path
+        count = travel.quicken(
+            counter, self.room.wide, self.room.grid, self._config.flight_lower, self._config.flight_upper, work,
+            len(path), velocity, self._pace, _TRIES, self.search.random, buffer,
+        )  # fmt: skip
+        return work[:count].copy()
+
+    # ---- narrow passages --------------------------------------------------------------------------------------------
+    def _widened(self, path: np.ndarray) -> np.ndarray:
+        """The same way with the planner's radius wherever there is room for it beside the path."""
+        points = _samples(path)
+        tight = [self._is_tight(point) for point in points]
+        kept: list[np.ndarray] = [points[:1]]
+        last = 0
+        for i in range(1, len(points)):
+            if tight[i] and i < len(points) - 1:
+                continue
+            if i > last + 1 and not tight[last]:
+                kept.append(self._around(points[last : i + 1]))
+            else:
+                kept.append(points[last + 1 : i + 1])
+            last = i
+        return self._shortened(np.vstack(kept))
+
+    def _is_tight(self, point: np.ndarray) -> bool:
+        voxel = voxel_of(self.room.grid, point[0], point[1], point[2])
+        return voxel >= 0 and bool(self.room.wide[voxel] > 0)
+
+    def _around(self, stretch: np.ndarray) -> np.ndarray:
+        """What replaces a tight stretch, without its first point: a quicker way around, or itself."""
+        config, room = self._config, self.room
+        lower = np.maximum(config.flight_lower, stretch.min(0) - _LOCAL_MARGIN)
+        upper = np.minimum(config.flight_upper, stretch.max(0) + _LOCAL_MARGIN)
+        if not self._is_tight(stretch[-1]):
+            found = self._local.search(room.wide, room.grid, stretch[0], stretch[-1], lower, upper)
+            still = np.zeros(3)
+            if len(found) and self._time(found, still) < self._time(stretch, still):
+                return found[1:]
+        return stretch[1:]
+
+    def _shortened(self, path: np.ndarray) -> np.ndarray:
+        """Straight lines instead of stretches between which there is room."""
+        room, (work, buffer) = self.room, self._buffer
+        if len(path) > len(work) - 2:
+            return path
+        work[: len(path)] = path
+        count = paths.shortcut_greedy(room.wide, room.grid, work, len(path))
+        count = paths.shortcut_random(room.wide, room.grid, work, count, _SHORTCUTS, self.search.random, buffer)
+        return work[:count].copy()
+
+
+def _from(start: np.ndarray, path: np.ndarray) -> np.ndarray:
+    """A path that begins at `start` itself."""
+    return path if paths.distance(path[0], start) <= 1e-6 else np.vstack([start, path])
+
+
+def _samples(path: np.ndarray) -> np.ndarray:
+    """Vertices of a path and points between them."""
+    pieces = [path[:1]]
+    for a, b in zip(path[:-1], path[1:], strict=True):
+        steps = max(1, int(np.ceil(paths.distance(a, b) / _STRETCH_STEP)))
+        pieces.append(a + (b - a) * (np.arange(1, steps + 1) / steps)[:, None])
+    return np.vstack(pieces)

@@ -1,0 +1,95 @@
+"""Random one-bit corruptions of every kernel's recorded inputs and memory, with bounds checked and passes counted.
+
+    python -m tests.robustness.storm        (N=100000)
+
+No step may raise, access out of bounds, or need more loop passes than its kernel's budget.  That an access out of
+bounds is found, and that an endless loop is stopped, is proved first.
+"""
+
+import os
+import sys
+import tempfile
+import time
+from collections import Counter
+
+BUDGETS = {
+    "point_cloud": 50_000, "octomap": 20_000_000, "collision_check": 1_000_000, "planner": 100_000_000,
+    "trajectory": 10_000_000, "waypoint": 100_000, "pid": 100,
+}  # fmt: skip
+"""Loop passes of one step, with the inputs that it received before it."""
+
+
+def canaries():
+    """Prove that what is looked for would be found."""
+    import numpy as np
+
+    from tests.robustness import endless
+
+    for function, arguments, expected in (
+        (endless.read_at, (np.zeros(3), 5), IndexError),
+        (endless.turn_for_ever, (1.0,), OverflowError),
+    ):
+        try:
+            function(*arguments)
+        except expected:
+            continue
+        raise SystemExit(f"{function.__name__}: was not noticed")
+
+
+def storm(trials):
+    """Play tapes; returns what went wrong, and the largest number of passes by kernel."""
+    import numpy as np
+
+    from tests.robustness.counting import passes
+    from tests.robustness.tapes import play, record
+
+    passes()
+    tapes = record(observer=lambda state, time_us: passes())
+    names = sorted({tape.name for tape in tapes})
+    by_name = {name: [tape for tape in tapes if tape.name == name] for name in names}
+    random = np.random.default_rng(1)
+    wrong, most, count = [], Counter(), Counter()
+    start = time.perf_counter()
+    for trial in range(trials):
+        name = names[trial % len(names)]
+        tape = by_name[name][int(random.integers(len(by_name[name])))]
+        label = ""
+        passes()
+        try:
+            with np.errstate(all="ignore"):
+                for item in play(tape, random):
+                    if isinstance(item, str):
+                        label = item
+                        continue
+                    used = passes()
+                    most[name] = max(most[name], used)
+                    if used > BUDGETS[name]:
+                        wrong.append(f"{name} ({tape.stack}), {label}: {used} passes")
+        except Exception as error:  # noqa: BLE001 - whatever a kernel raises is a finding
+            wrong.append(f"{name} ({tape.stack}), {label}: {type(error).__name__}: {error}")
+        count[name] += 1
+        if (trial + 1) % 5000 == 0:
+            sys.stdout.write(f"{trial + 1} in {time.perf_counter() - start:.0f} s, {len(wrong)} findings\n")
+            sys.stdout.flush()
+    return wrong, most, count
+
+
+def main():
+    """Storm, tell, fail if something was found."""
+    os.environ["NUMBA_BOUNDSCHECK"] = "1"
+    with tempfile.TemporaryDirectory() as cache:  # compiled without bounds checks elsewhere
+        os.environ["NUMBA_CACHE_DIR"] = cache
+        from tests.robustness import counting
+
+        counting.install()
+        canaries()
+        wrong, most, count = storm(int(os.environ.get("N", "100000")))
+    for name, trials in count.items():
+        sys.stdout.write(f"{name:16s} {trials:6d} corruptions, at most {most[name]} of {BUDGETS[name]} passes\n")
+    sys.stdout.write("\n".join(wrong[:50]) + ("\n" if wrong else ""))
+    sys.stdout.write(f"{sum(count.values())} corruptions, {len(wrong)} findings\n")
+    raise SystemExit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,50 @@
+"""A sample of `make robust`: one flipped bit in a kernel's input or memory never stops or derails a kernel."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mavfi.kernels.planning.trajectory import POINT_LIMIT
+from mavfi.states import STATES
+from tests.robustness.tapes import STACKS, flip_array, play, record
+
+KERNELS = ("point_cloud", "octomap", "collision_check", "planner", "trajectory", "waypoint", "pid")
+TRIALS = 25
+
+
+@cache
+def tapes():
+    return record()
+
+
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("name", KERNELS)
+def test_a_flipped_bit_never_stops_a_kernel(name, stack):
+    chosen = [tape for tape in tapes() if tape.name == name and tape.stack == stack]
+    assert chosen
+    random = np.random.default_rng(KERNELS.index(name))
+    labels = set()
+    with np.errstate(all="ignore"):
+        for trial in range(TRIALS):
+            label, outputs = "", []
+            for item in play(chosen[trial % len(chosen)], random):
+                if isinstance(item, str):
+                    label = item
+                    labels.add(label)
+                else:
+                    outputs += item
+            assert all(state.spec is STATES[state.spec.name] for state in outputs), label
+            assert all(len(state.elements) <= 2_000_000 for state in outputs), label
+            assert all(len(s.elements) <= POINT_LIMIT for s in outputs if s.spec.name == "planning.trajectory"), label
+    assert len(labels) > TRIALS // 2
+
+
+def test_a_strike_flips_exactly_one_bit():
+    random = np.random.default_rng(0)
+    for dtype in (np.float64, np.float32, np.int32, np.uint8, np.int16):
+        array = np.ones(7, dtype)
+        before = np.frombuffer(array.tobytes(), np.uint8)
+        flip_array(array, random)
+        after = np.frombuffer(array.tobytes(), np.uint8)
+        assert int(np.unpackbits(before ^ after).sum()) == 1
