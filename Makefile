@@ -16,7 +16,7 @@ export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test check robust format bench golden-rates smoke fault-map train readme docs wheel lock clean
+.PHONY: help setup reproduce test lint check check-nojit robust tune format bench coupling forking golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -37,12 +37,17 @@ reproduce: setup  ## train, fly, print the success table, write $(OUT) (SCALE=qu
 test: setup  ## run all tests
 	@$(BIN)/python -m pytest
 
-check: setup  ## formatting, lint, types, import contracts, fast tests
+lint: setup  ## formatting, lint, types, import contracts
 	@$(BIN)/ruff format --check $(CODE)
 	@$(BIN)/ruff check $(CODE)
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+
+check: lint  ## the same, and fast tests
 	@$(BIN)/python -m pytest -m "not slow"
+
+check-nojit: setup  ## tests of kernels and numerics as plain Python, without the compiler
+	@$(BIN)/python -m tests.robustness.nojit
 
 robust: setup  ## 100,000 random corruptions of recorded kernel inputs, with bounds checked (N=...)
 	@$(BIN)/python -m tests.robustness.storm
@@ -52,10 +57,22 @@ format: setup  ## format the code, sort imports
 	@$(BIN)/ruff format $(CODE)
 
 bench: setup  ## measure speed
-	@$(BIN)/python benchmarks/run.py
+	@$(BIN)/python -m benchmarks.run
 
-golden-rates: setup  ## fly golden missions in every setting, write docs/golden-rates.md (N=300 HARD_N=100 ONLY=word)
-	@$(BIN)/python benchmarks/golden_rates.py
+forking: setup  ## fly runs of table1 the long way and forked, compare every byte, print the gain (N=... missions)
+	@$(BIN)/python benchmarks/forking.py --missions $(or $(N),3)
+
+coupling: setup  ## what the delay of an observer costs, against a gate; writes the table in docs/ros.md (N=...)
+	@$(BIN)/python -m benchmarks.coupling
+
+golden-rates: setup  ## fly golden missions in every setting, write docs/golden-rates.md (N=300 HARD_N=100 ONLY=word RESUME=1)
+	@$(BIN)/python -m benchmarks.golden_rates
+
+difficulty: setup  ## golden success and fault effect against density and v_max, write docs/difficulty.md (N=40)
+	@$(BIN)/python -m benchmarks.difficulty
+
+tune: setup  ## try the gains of the tracker of `hardened` on design seeds (N=... SEED=... ONLY=gain_p)
+	@$(BIN)/python benchmarks/tune_pid.py
 
 smoke: setup  ## a campaign of a few flights, and its report
 	@$(BIN)/mavfi campaign run configs/campaigns/smoke.yaml --out out/smoke
@@ -64,13 +81,19 @@ smoke: setup  ## a campaign of a few flights, and its report
 fault-map: setup  ## what one fault does, by site, on design seeds; writes docs/fault-map.md
 	@$(BIN)/mavfi campaign run configs/campaigns/fault_map.yaml --out out/fault_map
 	@$(BIN)/mavfi report out/fault_map > /dev/null
-	@$(BIN)/python docs/build_fault_map.py out/fault_map
+	@$(BIN)/python -m docs.build_fault_map out/fault_map
+
+ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a folder), check them
+	@$(BIN)/python -m mavfi.hosts.ros.install
 
 train: setup  ## train the detectors that are shipped
 	@$(BIN)/mavfi train --flights 100 --out src/mavfi/data/models
 
 readme: setup  ## put the table that `make reproduce` printed into README.md
 	@$(BIN)/python docs/build_readme.py $(OUT)
+
+pictures: setup  ## draw the pictures of docs/kernels anew from flights and kernel runs
+	@for script in docs/draw_*.py; do echo "$$script"; $(BIN)/python -m docs.$$(basename $$script .py) || exit 1; done
 
 docs: setup  ## write the pages that repeat the code
 	@$(BIN)/python docs/build_pages.py

@@ -1,7 +1,8 @@
 """Our planners and OMPL's on the same problems: maps, validity of a segment, range, goal bias, number of samples.
 
 OMPL (Sucan, Moll & Kavraki 2012) is asked for what ours do: the shrinking ball instead of its k nearest neighbours in
-RRT*, and no simplification of paths.  It checks segments through a Python function, which it pays for in time.
+RRT*, and no simplification of paths.  It checks segments through a Python function, which it pays for in time; a
+second way to ask it, which is how it is mostly used from Python, lets it check states along a segment instead.
 """
 
 import time
@@ -12,12 +13,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks.rows import Row
 from mavfi.config import EnvironmentConfig, shipped
 from mavfi.kernels.planning import nearest, rrt, rrt_connect, rrt_star
 from mavfi.kernels.planning import path as paths
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.random import seed_generator
-from mavfi.numerics.voxels import Grid, segment_free
+from mavfi.numerics.voxels import Grid, segment_free, voxel_of
 from mavfi.sim.environments import build_world
 
 NAMES = ("rrt", "rrt_connect", "rrt_star")
@@ -27,6 +29,10 @@ GOAL_BIAS = 0.05
 MOST_NODES = 20_000
 RUNS = 60
 NODES = (1000, 5000, 10_000, 20_000)
+TARGETS = {"rrt_connect": 14.0}
+"""How many times faster than OMPL a search should be."""
+_STATE_SPACING = 0.25
+"""Between the states that are checked along a segment where OMPL does that (m): half a voxel."""
 
 
 class Problem(NamedTuple):
@@ -48,11 +54,12 @@ class Search(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Length of the path (m), infinite if there is none; wall time (s); samples that the planner says it took."""
+    """Length of the path (m), infinite if there is none; wall time (s); samples, and checks made through Python."""
 
     length: float
     seconds: float
     samples: int
+    checks: int = 0
 
 
 @cache
@@ -100,8 +107,11 @@ def ours(name: str, given: Problem, search: Search, seed: int) -> Found:
 
 
 @cache
-def _space(given: str, seed: int) -> Any:
-    """OMPL's space with our segment check; one for each problem, since its validator and it hold each other."""
+def _space(given: str, seed: int, by_states: bool) -> Any:
+    """OMPL's space with our check; one for each problem, since its validator and it hold each other.
+
+    Last comes the list whose first entry counts the checks.
+    """
     from ompl import base
 
     counter, grid, _, _, lower, upper = problem(given, seed)
@@ -113,9 +123,22 @@ def _space(given: str, seed: int) -> Any:
     space.setBounds(bounds)
     information = base.SpaceInformation(space)
     ends = np.empty((2, 3))
+    checks = [0]
+
+    def state_free(state: Any) -> bool:
+        checks[0] += 1
+        voxel = voxel_of(grid, state[0], state[1], state[2])
+        return voxel >= 0 and bool(counter[voxel] <= 0)
+
+    if by_states:
+        information.setStateValidityChecker(state_free)
+        information.setStateValidityCheckingResolution(_STATE_SPACING / space.getMaximumExtent())
+        information.setup()
+        return space, information, None, checks
 
     class Segments(base.MotionValidator):
         def checkMotion(self, first: Any, second: Any) -> bool:  # noqa: N802
+            checks[0] += 1
             ends[0] = first[0], first[1], first[2]
             ends[1] = second[0], second[1], second[2]
             return segment_free(counter, grid, ends[0], ends[1])
@@ -124,17 +147,17 @@ def _space(given: str, seed: int) -> Any:
     information.setMotionValidator(validator)
     information.setStateValidityChecker(lambda state: True)
     information.setup()
-    return space, information, validator
+    return space, information, validator, checks
 
 
-def theirs(name: str, environment: str, world: int, search: Search, seed: int) -> Found:
-    """One run of OMPL's planner on the same problem."""
+def theirs(name: str, environment: str, world: int, search: Search, seed: int, by_states: bool = False) -> Found:
+    """One run of OMPL's planner on the same problem; `by_states` = it checks states along a segment."""
     from ompl import base, geometric, util
 
     util.setLogLevel(util.LOG_NONE)
     util.RNG.setSeed(seed + 1)
     given = problem(environment, world)
-    space, information, _ = _space(environment, world)
+    space, information, _, checks = _space(environment, world, by_states)
     definition = base.ProblemDefinition(information)
     ends = [space.allocState(), space.allocState()]
     for axis in range(3):
@@ -157,28 +180,59 @@ def theirs(name: str, environment: str, world: int, search: Search, seed: int) -
         asked[0] += 1
         return asked[0] > search.iterations
 
+    checks[0] = 0
     start = time.perf_counter()
     planner.solve(base.PlannerTerminationCondition(enough))
     seconds = time.perf_counter() - start
     exact = definition.hasExactSolution()
-    return Found(definition.getSolutionPath().length() if exact else np.inf, seconds, asked[0] - 1)
+    return Found(definition.getSolutionPath().length() if exact else np.inf, seconds, asked[0] - 1, checks[0])
 
 
-def search_rows() -> list[tuple[str, str]]:
-    """Wall time of one search without shortcuts; OMPL's, if it is installed, with a Python segment check."""
+def check_cost(environment: str, by_states: bool) -> float:
+    """What one check costs OMPL, called from Python, at the least: on a short segment, or a state (s)."""
+    given = problem(environment, 0)
+    space, information, validator, _ = _space(environment, 0, by_states)
+    state = space.allocState()
+    for axis in range(3):
+        state[axis] = float(given.start[axis])
+    best = np.inf
+    for _ in range(5):
+        start = time.perf_counter()
+        for _ in range(1000):
+            information.isValid(state) if by_states else validator.checkMotion(state, state)
+        best = min(best, time.perf_counter() - start)
+    return best / 1000
+
+
+def search_rows() -> list[Row]:
+    """Wall time of one search without shortcuts, and OMPL's, if it is installed, asked in two ways."""
     budgets = {"rrt": Search(4.0, 10_000), "rrt_connect": Search(4.0, 4000), "rrt_star": Search(8.0, 1500)}
     rows = []
     for environment in ("dense", "factory"):
         given = problem(environment, 0)
         for name, search in budgets.items():
             ours(name, given, search, 0)
-            own = 1e3 * median(ours(name, given, search, seed).seconds for seed in range(RUNS))
-            text = f"{own:.3f} ms"
-            if find_spec("ompl"):
-                other = 1e3 * median(theirs(name, environment, 0, search, seed).seconds for seed in range(RUNS))
-                text += f"; OMPL {other:.3f} ms, {other / own:.1f} x"
-            rows.append((f"{name}, {environment}, median of {RUNS}", text))
+            own = median(ours(name, given, search, seed).seconds for seed in range(RUNS))
+            what = f"{name}, {environment}, median of {RUNS}"
+            if not find_spec("ompl"):
+                rows.append(Row(what, f"{1e3 * own:.3f} ms; OMPL is not installed"))
+                continue
+            ways = (False,) if name == "rrt_star" else (False, True)
+            rows += [_beside_ompl(what, name, environment, search, own, by_states) for by_states in ways]
     return rows
+
+
+def _beside_ompl(what: str, name: str, environment: str, search: Search, own: float, by_states: bool) -> Row:
+    """Our time (s) beside OMPL's; how much of the latter the checks took, which are called through Python."""
+    runs = [theirs(name, environment, 0, search, seed, by_states) for seed in range(RUNS)]
+    other, checks = median(run.seconds for run in runs), median(run.checks for run in runs)
+    spent = checks * check_cost(environment, by_states)
+    kind = "states" if by_states else "segments"
+    value = (
+        f"{1e3 * own:.3f} ms; OMPL {1e3 * other:.3f} ms, {other / own:.1f} x; {checks:.0f} checks of {kind} by a "
+        f"Python function took at least {1e3 * spent:.3f} ms of that"
+    )
+    return Row(f"{what}, OMPL checks {kind}", value, other / own, TARGETS.get(name))
 
 
 @kernel_jit
@@ -192,7 +246,7 @@ def _find_all(index: nearest.Index, nodes: np.ndarray, targets: np.ndarray, scan
     return total
 
 
-def nearest_rows() -> list[tuple[str, str]]:
+def nearest_rows() -> list[Row]:
     """Time of one nearest-node query, by scan and by index, among nodes spread over a flight volume."""
     random = np.random.default_rng(0)
     _, _, _, _, lower, upper = problem("dense", 0)
@@ -212,5 +266,5 @@ def nearest_rows() -> list[tuple[str, str]]:
                 spent.append(time.perf_counter() - start)
             times.append(1e6 * min(spent) / len(targets))
         text = f"scan {times[0]:.2f} us, index {times[1]:.2f} us, {times[0] / times[1]:.1f} x"
-        rows.append((f"nearest of {count} nodes", text))
+        rows.append(Row(f"nearest of {count} nodes", text))
     return rows

@@ -1,6 +1,6 @@
-"""Put the fault map that a campaign measured between the markers of fault-map.md.
+"""Put the fault map that a campaign measured between the markers of fault-map.md, its key lines into golden-rates.md.
 
-    python docs/build_fault_map.py out/fault_map
+    python -m docs.build_fault_map out/fault_map
 
 The figures are those of the report's summary.json; none is ever typed.
 """
@@ -10,9 +10,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from build_pages import between
+from docs.build_pages import between
 
-PAGE = Path(__file__).with_name("fault-map.md")
+FAULT_MAP = Path(__file__).with_name("fault-map.md")
+GOLDEN_RATES = Path(__file__).with_name("golden-rates.md")
+KEYS = ("way-point", "time_to_collision", "trajectory epochs", "command")
+"""What a row begins with that stands beside the golden table."""
 
 
 def row(entry: dict[str, Any]) -> str:
@@ -28,8 +31,21 @@ def row(entry: dict[str, Any]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
+def key_lines(page: str) -> str:
+    """What stands beside the golden table: provenance, head of the table, and the key rows.
+
+    Args:
+        page: fault-map.md.
+    """
+    _, _, after = page.partition("<!-- map:begin -->\n")
+    block = after.partition("<!-- map:end -->")[0].splitlines()
+    heads = ("Stack", "| struck", "| ---", *(f"| {key}" for key in KEYS))
+    kept = [line for line in block if line.startswith(heads) or not line]
+    return "\n".join(kept).strip()
+
+
 def main(out: Path) -> int:
-    """Update the page from a folder that a report was written to; returns the exit code."""
+    """Update the pages from a folder that a report was written to; returns the exit code."""
     summary = out / "summary.json"
     if not summary.is_file():
         print(f"{summary}: not there; run `make fault-map`", file=sys.stderr)
@@ -44,8 +60,10 @@ def main(out: Path) -> int:
         "| --- | ---: | ---: | ---: | ---: |",
         *(row(entry) for entry in data["by_target"] if entry["setting"] == "fi" and entry["n"]),
     ]
-    page = between(PAGE.read_text(encoding="utf-8"), "map", "\n".join(lines) + "\n")
-    PAGE.write_text(page, encoding="utf-8")
+    page = between(FAULT_MAP.read_text(encoding="utf-8"), "map", "\n".join(lines) + "\n")
+    FAULT_MAP.write_text(page, encoding="utf-8")
+    beside = GOLDEN_RATES.read_text(encoding="utf-8")
+    GOLDEN_RATES.write_text(between(beside, "faults", key_lines(page)), encoding="utf-8")
     return 0
 
 

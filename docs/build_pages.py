@@ -1,8 +1,15 @@
-"""Write the parts of the documentation that repeat the code: whats-here.md, and the states in fault-model.md."""
+"""Write the parts of the documentation that repeat the code: whats-here.md, the states, the topics of ROS."""
 
 import ast
 from pathlib import Path
 
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.ros.definitions import PACKAGE as PACKAGE_OF_MESSAGES
+from mavfi.hosts.ros.definitions import type_name
+from mavfi.hosts.ros.graph import JUDGED_BY_WORLD, WORLD, Graph
+from mavfi.hosts.ros.mirrors import STANDARDS
+from mavfi.hosts.ros.session import configure
+from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import STACKS, STATES, Field, StateSpec
 
 DOCS = Path(__file__).parent
@@ -57,7 +64,8 @@ def state_row(state: StateSpec) -> str:
     header = ", ".join(map(field_text, state.header))
     elements = ", ".join(map(field_text, state.elements))
     fields = f"per {state.element}: {elements}; once: {header}" if state.elements else header
-    return f"| `{state.name}` | {state.writer} | {state.rate} | {fields} |"
+    when = f"{state.rate}; only with localization `{state.only_with}`" if state.only_with else state.rate
+    return f"| `{state.name}` | {state.writer} | {when} | {fields} |"
 
 
 def state_table() -> str:
@@ -78,11 +86,59 @@ def between(page: str, name: str, block: str) -> str:
     return f"{page.split(begin)[0]}{begin}\n{block.strip()}\n{end}{page.split(end)[1]}"
 
 
+def _graph() -> Graph:
+    config = configure(make_scenario("sparse", 0))
+    return Graph(build_pipeline(config))
+
+
+def ros_topics() -> str:
+    """The table of the loop's own topics on ROS."""
+    lines = ["| topic | type | published by | read by |", "|---|---|---|---|"]
+    for state, way in _graph().ways.items():
+        kind = f"{PACKAGE_OF_MESSAGES}/{type_name(STATES[state])}"
+        lines.append(f"| `{way.final}` | `{kind}` | {way.writer} | {', '.join(way.readers)} |")
+    return "\n".join(lines)
+
+
+def ros_mirrors() -> str:
+    """The table of topics in standard types."""
+    lines = ["| topic | type | frame | what |", "|---|---|---|---|"]
+    for standard in STANDARDS:
+        lines.append(f"| `{standard.topic}` | `{standard.kind}` | `{standard.frame}` | `{standard.state}` |")
+    lines += [
+        "| `/imu/data` | `sensor_msgs/Imu` | `base_link` | specific force and rates |",
+        "| `/clock` | `rosgraph_msgs/Clock` | | simulated time; always published |",
+        "| `/tf_static` | `tf2_msgs/TFMessage` | `base_link` | where the camera is |",
+    ]
+    return "\n".join(lines)
+
+
+def ros_graph() -> str:
+    """Nodes and topics of a flight as a diagram."""
+    arrows: dict[tuple[str, str], list[str]] = {}
+    for state, way in _graph().ways.items():
+        readers = [*way.readers, *([WORLD] if state in JUDGED_BY_WORLD else [])]
+        for reader in readers:
+            if reader != way.writer:
+                arrows.setdefault((way.writer, reader), []).append(state.split(".")[1])
+    lines = [f"    {writer} -- {', '.join(names)} --> {reader}" for (writer, reader), names in arrows.items()]
+    return "\n".join(["```mermaid", "flowchart LR", *lines, "```"])
+
+
+def ros_page() -> str:
+    """The page on ROS with its written parts."""
+    page = (DOCS / "ros.md").read_text(encoding="utf-8")
+    for name, block in (("graph", ros_graph()), ("topics", ros_topics()), ("mirrors", ros_mirrors())):
+        page = between(page, name, block)
+    return page
+
+
 def pages() -> dict[Path, str]:
     """Every written page, as it should be."""
     fault_model = DOCS / "fault-model.md"
     return {
         DOCS / "whats-here.md": whats_here(),
+        DOCS / "ros.md": ros_page(),
         fault_model: between(fault_model.read_text(encoding="utf-8"), "states", state_table()),
     }
 

@@ -1,6 +1,6 @@
 """Draw docs/images/octomap.png: the map of a golden flight as voxels, and the leaves of the octree that holds the same.
 
-Run as `python docs/draw_octomap.py`.
+Run as `make pictures`.
 """
 
 from pathlib import Path
@@ -11,9 +11,11 @@ import numpy as np
 from matplotlib.collections import PatchCollection
 from matplotlib.patches import Rectangle
 
+from docs import drawing
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import fly
 from mavfi.kernels.perception.octree import DEPTH
+from mavfi.reports import style
 
 HEIGHT = 3.0
 WINDOW = ((7.0, 52.0), (-28.0, 17.0))
@@ -36,7 +38,7 @@ def leaves_at(tree: Any, height_key: int) -> list[tuple[int, int, int, float]]:
     return found
 
 
-def draw(path: Path) -> None:
+def draw() -> None:
     """Fly, and draw both maps side by side."""
     flight: Any = fly(make_scenario("dense", 7, stack="hardened", map_kind="octree"))
     kernel = flight.pipeline["octomap"]
@@ -67,8 +69,9 @@ def draw(path: Path) -> None:
     track = flight.log.columns("x", "y")
     left.plot(track[:, 0], track[:, 1], color="black", linewidth=1.2)
     figure.colorbar(picture, ax=(left, right), label="log-odds", shrink=0.85)
-    figure.savefig(path, dpi=110)
+    drawing.save(figure, "octomap.png", Path(__file__).parent / "images")
 
 
 if __name__ == "__main__":
-    draw(Path(__file__).parent / "images" / "octomap.png")
+    with style.house_style():
+        draw()

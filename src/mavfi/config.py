@@ -1,14 +1,17 @@
 """Configuration: YAML files become frozen, validated models; an unknown key is an error that names file and key."""
 
+import math
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from mavfi.errors import BadInputError
 
 Vector = tuple[float, float, float]
+STRONGEST_WIND = 30.0
+"""Largest gust and mean wind (m/s)."""
 
 
 class Config(BaseModel):
@@ -43,6 +46,7 @@ class VehicleConfig(Config):
     max_acceleration: float = Field(6.0, gt=0, description="m/s^2, horizontal")
     max_yaw_rate: float = Field(2.0, gt=0, description="rad/s")
     setpoint_limit: float = Field(1.33, gt=1, description="largest accepted velocity set-point / v_max")
+    mjcf: str | None = Field(None, description="MJCF file of the body; its mass and inertia are flown")
 
 
 class CameraConfig(Config):
@@ -56,10 +60,39 @@ class CameraConfig(Config):
     noise: float = Field(0.0, ge=0, description="standard deviation / range")
 
 
+class WindConfig(Config):
+    """Wind: a constant mean, and gusts with calm between them; calm throughout by default."""
+
+    gust: float = Field(0.0, ge=0, le=STRONGEST_WIND, description="m/s, amplitude of every gust; 0 = none")
+    mean: Vector = Field((0.0, 0.0, 0.0), description="m/s, world frame")
+    interval: float = Field(5.0, gt=0, description="s, mean calm between two gusts")
+    length: float = Field(4.0, gt=0, description="s, mean duration of a gust; each lasts 0.5 to 1.5 of it")
+
+    @field_validator("mean")
+    @classmethod
+    def _not_too_strong(cls, mean: Vector) -> Vector:
+        if not math.hypot(*mean) <= STRONGEST_WIND:
+            raise ValueError(f"{mean}: must not be stronger than {STRONGEST_WIND:g} m/s")
+        return mean
+
+
+class LocalizationConfig(Config):
+    """How the pipeline learns where the vehicle is: told the truth, or by an estimator from noisy sensors.
+
+    The IMU is sampled at every step of physics (250 Hz).
+    """
+
+    kind: Literal["truth", "estimator"] = "truth"
+    imu_noise: float = Field(1.0, ge=0, description="noise of the IMU / AirSim's figures")
+    position_period_us: int = Field(100_000, gt=0, description="between two fixes of position and heading")
+    position_noise: float = Field(0.05, ge=0, description="m, standard deviation per axis")
+    heading_noise: float = Field(0.025, ge=0, description="rad, standard deviation")
+
+
 class MapConfig(Config):
     """OctoMap's update rule (Hornung et al. 2013) and its parameters."""
 
-    kind: Literal["dense", "octree"] = Field("dense", description="where log-odds are kept; the occupancy is the same")
+    kind: str = Field("dense", description="dense, octree, entry point of the group mavfi.maps, or package:Class")
     resolution: float = Field(0.5, gt=0, description="m")
     hit: float = Field(0.7, gt=0.5, lt=1)
     miss: float = Field(0.4, gt=0, lt=0.5)
@@ -108,6 +141,9 @@ class StackConfig(Config):
     check_radius: float = Field(gt=0, description="m, likewise")
     distance: Literal["centres", "boxes"] = Field(description="between which points of voxels a radius is measured")
     replanning: Literal["event", "every_map"]
+    smoothing: Literal["blends", "minimum_snap"] = Field(
+        "blends", description="rounded corners with a speed profile, or polynomials of degree 7"
+    )
     searches: int = Field(1, gt=0, description="searches per plan, of which the quickest path is flown; every_map only")
     grace: float = Field(ge=0, description="s")
     known_space_limit: bool = Field(description="clock governed by known free space")

@@ -9,12 +9,14 @@ from mavfi.config import (
     CameraConfig,
     Config,
     EnvironmentConfig,
+    LocalizationConfig,
     MapConfig,
     PlannerConfig,
     PlatformConfig,
     StackConfig,
     Vector,
     VehicleConfig,
+    WindConfig,
 )
 
 ARRIVAL_RADIUS = 2.0
@@ -41,6 +43,9 @@ class MissionStatus(Enum):
         return self.name.lower()
 
 
+_OPTIONS = ("wind", "localization")
+
+
 class Scenario(Config):
     """Everything that decides a golden flight; a flight is a pure function of it (and of a fault and a detector)."""
 
@@ -56,10 +61,16 @@ class Scenario(Config):
     a_max: float = 5.0
     start: Vector | None = None
     goal: Vector | None = None
+    wind: WindConfig = WindConfig()
+    localization: LocalizationConfig = LocalizationConfig()
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return self.model_dump(mode="json")
+        """Plain data; options that are off are left out, so that a mission without them keeps its key."""
+        data = self.model_dump(mode="json")
+        for name in _OPTIONS:
+            if getattr(self, name) == Scenario.model_fields[name].default:
+                del data[name]
+        return data
 
     def key(self) -> str:
         """Hash that identifies the scenario."""

@@ -32,8 +32,10 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
     Raises:
         BadInputError: The name is not known, or what it names cannot be imported or called; the message says why.
     """
-    names = known(group, shipped)
-    place = names.get(name, name if ":" in name else "")
+    place = shipped.get(name)  # entry points cannot take these names, and to look for them takes milliseconds
+    if place is None:
+        names = known(group, shipped)
+        place = names.get(name, name if ":" in name else "")
     if not place:
         raise BadInputError(f"{what} {name!r}: not known; allowed: {', '.join(sorted(names))}, or package:object")
     module, _, attribute = place.partition(":")
@@ -45,7 +47,7 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
     except MavfiError:
         raise
     except Exception as error:  # noqa: BLE001 - whatever a user's module raises while it is imported
-        raise BadInputError(f"{what} {name!r}: cannot be imported ({_reason(error)})") from None
+        raise BadInputError(f"{what} {name!r}: cannot be imported ({reason(error)})") from None
     if not callable(found):
         raise BadInputError(f"{what} {name!r}: cannot be called; allowed: a class or a function")
     return found
@@ -72,12 +74,13 @@ def build(
     except MavfiError:
         raise
     except Exception as error:  # noqa: BLE001 - whatever a user's constructor raises
-        raise BadInputError(f"{what} {name!r}: cannot be built ({_reason(error)})") from None
+        raise BadInputError(f"{what} {name!r}: cannot be built ({reason(error)})") from None
     lacking = [method for method in needs if not callable(getattr(made, method, None))]
     if lacking:
         raise BadInputError(f"{what} {name!r}: lacks {', '.join(lacking)}")
     return made
 
 
-def _reason(error: Exception) -> str:
+def reason(error: Exception) -> str:
+    """What a user's code raised, on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"

@@ -5,6 +5,7 @@ import ast
 from tests.architecture.source import PACKAGE, body_lines, dotted, functions, imports, modules
 
 COMPILERS = {"njit", "jit", "vectorize", "guvectorize", "jitclass", "cfunc", "stencil", "prange", "generated_jit"}
+ROS = ("rospy", "genpy", "rosgraph", "std_srvs", "mavfi_msgs", "nav_msgs")
 LONGEST_FILE = 400
 LONGEST_FUNCTION = 60
 
@@ -76,7 +77,7 @@ def test_the_library_does_not_print():
 
 
 def test_only_sim_imports_mujoco_and_only_the_ros_host_imports_ros():
-    homes = {"mujoco": "sim/", "rospy": "hosts/ros/"}
+    homes = {"mujoco": "sim/", **dict.fromkeys(ROS, "hosts/ros/")}
     found = [
         f"{name}: {imported}"
         for name, tree in modules().items()

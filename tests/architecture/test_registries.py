@@ -66,7 +66,7 @@ def test_mission_statuses_are_sentences():
         assert status.value[0].isupper() and status.value.endswith(".")
 
 
-@pytest.mark.parametrize("group", ["mavfi.environments", "mavfi.planners", "mavfi.detectors"])
+@pytest.mark.parametrize("group", ["mavfi.environments", "mavfi.planners", "mavfi.maps", "mavfi.detectors"])
 def test_entry_points_resolve(group):
     found = list(entry_points(group=group))
     assert found

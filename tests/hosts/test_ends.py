@@ -43,14 +43,14 @@ def test_a_blind_vehicle_collides():
             ranges, pose = self.depth()
             return np.full_like(ranges, np.inf), pose
 
-    host = inprocess._Host(mission(), None, None, False, None)
+    host = inprocess.Host(mission())
     host.sim.depth = Blind(host)
     flight = host.fly()
     assert flight.log.status is MissionStatus.COLLISION
 
 
 def judge(odometry, now=1_000_000, **changes):
-    host = inprocess._Host(mission(), None, None, False, None)
+    host = inprocess.Host(mission())
     state = host.sim.odometry.copy()
     for index, value in odometry.items():
         state[index] = value
@@ -95,13 +95,14 @@ def test_every_warning_of_the_simulator_is_an_event(monkeypatch):
 
 
 def test_a_real_warning_of_mujoco_is_an_event_and_ends_the_flight():
-    host = inprocess._Host(mission(), None, None, False, None)
+    host = inprocess.Host(mission())
 
     def break_physics(now):
         del now
         host.sim._data.qvel[0] = 1e12
 
-    host.at(2_000_000, break_physics)
+    host.break_physics = break_physics
+    host.at(2_000_000, "break_physics")
     log = host.fly().log
     assert log.status in (MissionStatus.INVALID_STATE, MissionStatus.FLY_AWAY)
     assert any("BADQVEL" in event.data["text"] for event in log.events if event.kind == "warning")
@@ -126,7 +127,7 @@ def test_a_reference_that_is_not_a_number_never_reaches_the_vehicle_and_heals(ax
         def finish(self):
             return []
 
-    host = inprocess._Host(mission(stack), None, None, False, None)
+    host = inprocess.Host(mission(stack))
     host.injector = Corrupt()
     flight = host.fly()
     assert flight.log.meta["rejected_commands"] > 0

@@ -51,7 +51,7 @@ def test_whole_missions_have_the_same_digest_with_both_maps(environment, stack):
 
 
 def test_an_unknown_kind_of_map_is_refused_in_one_line():
-    with pytest.raises(BadInputError, match="map: key 'kind': 'hash': not known; allowed: 'dense' or 'octree'"):
+    with pytest.raises(BadInputError, match="map 'hash': not known; allowed: dense, octree, or package:object"):
         mission(map_kind="hash")
 
 

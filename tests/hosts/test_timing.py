@@ -3,7 +3,7 @@ import pytest
 
 from mavfi.config import PlatformConfig, shipped
 from mavfi.hosts.inprocess import fly
-from mavfi.states import STATES
+from mavfi.states import STATES, states_with
 from tests.hosts.missions import STACKS, golden, mission
 
 CAUSES = {
@@ -14,7 +14,7 @@ CAUSES = {
 
 
 def publications(scenario):
-    seen = {name: [] for name in STATES}
+    seen = {name: [] for name in states_with(scenario.localization.kind)}
     flight = fly(scenario, observer=lambda state, time_us: seen[state.spec.name].append(time_us))
     return seen, flight
 

@@ -1,6 +1,6 @@
 """Random one-bit corruptions of every kernel's recorded inputs and memory, with bounds checked and passes counted.
 
-    python -m tests.robustness.storm        (N=100000)
+    python -m tests.robustness.storm        (N=100000 ONLY=planner)
 
 No step may raise, access out of bounds, or need more loop passes than its kernel's budget.  That an access out of
 bounds is found, and that an endless loop is stopped, is proved first.
@@ -14,7 +14,7 @@ from collections import Counter
 
 BUDGETS = {
     "point_cloud": 50_000, "octomap": 20_000_000, "collision_check": 1_000_000, "planner": 100_000_000,
-    "trajectory": 10_000_000, "waypoint": 100_000, "pid": 100,
+    "trajectory": 10_000_000, "waypoint": 100_000, "pid": 100, "state_estimation": 20_000,
 }  # fmt: skip
 """Loop passes of one step, with the inputs that it received before it."""
 
@@ -36,8 +36,8 @@ def canaries():
         raise SystemExit(f"{function.__name__}: was not noticed")
 
 
-def storm(trials):
-    """Play tapes; returns what went wrong, and the largest number of passes by kernel."""
+def storm(trials, only=""):
+    """Play tapes; returns what went wrong, and by kernel the most passes, the longest time, the number of trials."""
     import numpy as np
 
     from tests.robustness.counting import passes
@@ -45,15 +45,15 @@ def storm(trials):
 
     passes()
     tapes = record(observer=lambda state, time_us: passes())
-    names = sorted({tape.name for tape in tapes})
+    names = sorted({tape.name for tape in tapes if only in ("", tape.name)})
     by_name = {name: [tape for tape in tapes if tape.name == name] for name in names}
     random = np.random.default_rng(1)
-    wrong, most, count = [], Counter(), Counter()
+    wrong, most, slowest, count = [], dict.fromkeys(names, (0, "")), dict.fromkeys(names, (0.0, "")), Counter()
     start = time.perf_counter()
     for trial in range(trials):
         name = names[trial % len(names)]
         tape = by_name[name][int(random.integers(len(by_name[name])))]
-        label = ""
+        label, began = "", time.process_time()
         passes()
         try:
             with np.errstate(all="ignore"):
@@ -62,16 +62,17 @@ def storm(trials):
                         label = item
                         continue
                     used = passes()
-                    most[name] = max(most[name], used)
+                    most[name] = max(most[name], (used, f"{tape.stack}, {label}"))
                     if used > BUDGETS[name]:
                         wrong.append(f"{name} ({tape.stack}), {label}: {used} passes")
         except Exception as error:  # noqa: BLE001 - whatever a kernel raises is a finding
             wrong.append(f"{name} ({tape.stack}), {label}: {type(error).__name__}: {error}")
         count[name] += 1
+        slowest[name] = max(slowest[name], (time.process_time() - began, f"{tape.stack}, {label}"))
         if (trial + 1) % 5000 == 0:
             sys.stdout.write(f"{trial + 1} in {time.perf_counter() - start:.0f} s, {len(wrong)} findings\n")
             sys.stdout.flush()
-    return wrong, most, count
+    return wrong, most, slowest, count
 
 
 def main():
@@ -83,9 +84,12 @@ def main():
 
         counting.install()
         canaries()
-        wrong, most, count = storm(int(os.environ.get("N", "100000")))
+        wrong, most, slowest, count = storm(int(os.environ.get("N", "100000")), os.environ.get("ONLY", ""))
     for name, trials in count.items():
-        sys.stdout.write(f"{name:16s} {trials:6d} corruptions, at most {most[name]} of {BUDGETS[name]} passes\n")
+        passes, label = most[name]
+        sys.stdout.write(f"{name:16s} {trials:6d} corruptions, at most {passes} of {BUDGETS[name]} passes ({label})\n")
+        seconds, label = slowest[name]
+        sys.stdout.write(f"{'':16s} longest {seconds:.2f} s ({label})\n")
     sys.stdout.write("\n".join(wrong[:50]) + ("\n" if wrong else ""))
     sys.stdout.write(f"{sum(count.values())} corruptions, {len(wrong)} findings\n")
     raise SystemExit(1 if wrong else 0)

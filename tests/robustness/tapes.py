@@ -20,6 +20,9 @@ LENGTH = 3
 PER_KERNEL = 6
 """Tapes of each kernel and stack."""
 STACKS = ("published", "hardened")
+ESTIMATOR = "state_estimation"
+FLIGHTS = (*((stack, "truth") for stack in STACKS), ("hardened", "estimator"))
+"""Of the last one, only the kernel that the others do not have is taped."""
 _WORD = {float: 64, int: 32, bool: 1}
 
 
@@ -83,17 +86,18 @@ def constants(thing):
 
 
 def record(seed=3, observer=None):
-    """Tapes of every kernel of both stacks, from take-off on."""
+    """Tapes of every kernel of both stacks, and of the state estimator, from take-off on."""
     tapes = []
-    for stack in STACKS:
+    for stack, localization in FLIGHTS:
         world = EnvironmentConfig(name="yard", generator="tests.robustness.tapes:yard")
-        scenario = make_scenario("sparse", seed, stack=stack).model_copy(update={"environment": world})
+        scenario = make_scenario("sparse", seed, stack=stack, localization=localization)
+        scenario = scenario.model_copy(update={"environment": world})
         build, takers = inprocess.build_pipeline, []
 
         def build_taping(config, build=build, takers=takers, stack=stack):
             kernels = build(config)
-            often = {"waypoint": 60, "pid": 60, "planner": 1, "trajectory": 1}
-            for name, kernel in kernels.items():
+            often = {"waypoint": 60, "pid": 60, "planner": 1, "trajectory": 1, ESTIMATOR: 149}
+            for name, kernel in kernels.items() if ESTIMATOR not in kernels else [(ESTIMATOR, kernels[ESTIMATOR])]:
                 kernels[name] = Taping(kernel, stack, range(0, 1000, often.get(name, 4)))
                 takers.append(kernels[name])
             return kernels

@@ -7,7 +7,7 @@ import pytest
 
 from mavfi.kernels.planning.trajectory import POINT_LIMIT
 from mavfi.states import STATES
-from tests.robustness.tapes import STACKS, flip_array, play, record
+from tests.robustness.tapes import ESTIMATOR, STACKS, flip_array, play, record
 
 KERNELS = ("point_cloud", "octomap", "collision_check", "planner", "trajectory", "waypoint", "pid")
 TRIALS = 25
@@ -18,12 +18,13 @@ def tapes():
     return record()
 
 
-@pytest.mark.parametrize("stack", STACKS)
-@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize(
+    ("name", "stack"), [*((name, stack) for name in KERNELS for stack in STACKS), (ESTIMATOR, "hardened")]
+)
 def test_a_flipped_bit_never_stops_a_kernel(name, stack):
     chosen = [tape for tape in tapes() if tape.name == name and tape.stack == stack]
     assert chosen
-    random = np.random.default_rng(KERNELS.index(name))
+    random = np.random.default_rng([*KERNELS, ESTIMATOR].index(name))
     labels = set()
     with np.errstate(all="ignore"):
         for trial in range(TRIALS):

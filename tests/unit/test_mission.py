@@ -27,8 +27,18 @@ def test_a_scenario_survives_json_with_the_same_key():
     assert again == scenario and again.key() == scenario.key()
 
 
+def test_options_that_are_off_are_not_in_the_key():
+    plain = make_scenario("dense", 7).to_json()
+    assert "wind" not in plain and "localization" not in plain
+    full = make_scenario("dense", 7, wind=2.0, localization="estimator")
+    data = json.loads(json.dumps(full.to_json()))
+    assert data["wind"]["gust"] == 2.0 and data["localization"]["kind"] == "estimator"
+    assert Scenario.model_validate(data) == full
+
+
 def test_whatever_decides_the_flight_changes_the_key():
     base = {"environment": "dense", "seed": 7}
     changes = [{}, {"seed": 8}, {"environment": "sparse"}, {"stack": "hardened"}, {"platform": "cortex-a57"},
-               {"v_max": 2.0}, {"goal": (50.0, 0.0, 3.0)}, {"depth_noise": 0.1}]  # fmt: skip
+               {"v_max": 2.0}, {"goal": (50.0, 0.0, 3.0)}, {"depth_noise": 0.1}, {"wind": 3.0},
+               {"localization": "estimator"}]  # fmt: skip
     assert len({make_scenario(**base | change).key() for change in changes}) == len(changes)

@@ -2,7 +2,18 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.states import MONITORED_SETS, PPC_STAGES, STACKS, STATES, Stage, find_state, floats, new_state
+from mavfi.states import (
+    MONITORED_SETS,
+    ODOMETRY,
+    PPC_STAGES,
+    STACKS,
+    STATES,
+    Stage,
+    find_state,
+    floats,
+    new_state,
+    states_with,
+)
 
 WIDTH = {"f8": 8, "f4": 4, "i4": 4, "?": 1}
 
@@ -81,6 +92,16 @@ def test_a_name_in_both_parts_means_the_element():
 def test_dead_fields_are_told_by_stack():
     field = STATES["planning.waypoint"].find("ax")
     assert field.dead_in("published") and not field.dead_in("hardened")
+
+
+def test_each_localization_says_where_the_vehicle_is_in_its_own_state():
+    assert set(STATES) == set(states_with("truth")) | set(states_with("estimator"))
+    first, second = (STATES[name] for name in ODOMETRY.values())
+    assert first.header == second.header[: len(first.header)] and len(first.header) == 13
+    for localization, name in ODOMETRY.items():
+        assert [other for other in ODOMETRY.values() if other in states_with(localization)] == [name]
+    for fields in MONITORED_SETS.values():
+        assert all(STATES[state].only_with == "" for state, _ in fields)
 
 
 def test_what_does_not_exist_is_told_with_what_does():

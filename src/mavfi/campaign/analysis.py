@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from mavfi.campaign import detection, effects, paper, success
+from mavfi.campaign import detection, effects, kernel_analysis, paper, success
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.flights import read_rows
 from mavfi.campaign.plan import count_runs
@@ -30,7 +30,7 @@ def analyse(directory: Path) -> dict[str, Any]:
         Plain data: `campaign` (what was flown), `remarks`, and lists of entries: `success`, `by_stage`, `by_target`,
         `by_state`, `by_field`, `by_bits`, `recovery`, `golden_against_faults`, `separable`, `outcomes`, `endings`,
         `golden`, `flight_times`, `unmonitored_failures`, `acted_on`, `false_alarms`, `detections`, `overheads`; and
-        `null_check`.
+        `null_check`, and `kernels` (see `kernel_analysis`; None where no instructions were struck).
 
     Raises:
         BadInputError: There is no ledger.
@@ -41,7 +41,7 @@ def analyse(directory: Path) -> dict[str, Any]:
         watched = campaign.monitored_set
         return {
             "campaign": describe(campaign, store, len(rows)),
-            "remarks": list(REMARKS),
+            "remarks": list(REMARKS if campaign.kernels is None else kernel_analysis.REMARKS),
             "success": success.success_by_environment(rows),
             "by_stage": success.success_by(rows, "stage", lambda row: row.stage),
             "by_target": success.success_by(rows, "target", lambda row: row.spec.target),
@@ -61,11 +61,13 @@ def analyse(directory: Path) -> dict[str, Any]:
             "false_alarms": detection.false_alarms(rows),
             "detections": detection.detections(rows, watched),
             "overheads": detection.overheads(rows),
+            "kernels": kernel_analysis.analyse_kernels(store) if campaign.kernels is not None else None,
         }
 
 
 def describe(campaign: Campaign, store: Store, done: int) -> dict[str, Any]:
     """What was flown, for the header of every table."""
+    kernels = campaign.kernels
     return {
         "name": campaign.name,
         "stack": campaign.stack,
@@ -79,7 +81,8 @@ def describe(campaign: Campaign, store: Store, done: int) -> dict[str, Any]:
         "faults": campaign.faults,
         "law": campaign.law,
         "sites": campaign.sites,
-        "strata": dict(campaign.strata),
+        "strata": dict(campaign.strata) if kernels is None else {},
+        **({} if kernels is None else {"kernels": kernels.model_dump(mode="json")}),
         "monitored_set": campaign.monitored_set,
         "detectors": {name: arm.model_dump() for name, arm in campaign.detectors.items()},
         "models": store.meta("identity")["models"],

@@ -5,11 +5,12 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from mavfi.config import Config, config_root, load
+from mavfi.campaign.nodes.config import KIND, NodeCampaign
+from mavfi.config import Config, config_root, load, read_yaml
 from mavfi.errors import BadInputError
 from mavfi.faults.sampling import group_target, stage_target
 from mavfi.faults.strata import STRATA
@@ -17,6 +18,10 @@ from mavfi.states import MONITORED_SETS, PPC_STAGES
 
 DESIGN_SEEDS = range(10_000)
 """Seeds that the stacks were tuned on."""
+KERNELS = ("point_cloud", "octomap", "collision_check", "rrt", "rrt_connect", "rrt_star", "pid")
+"""Kernels that can be struck at instruction level."""
+PLANNER_KERNELS = ("rrt", "rrt_connect", "rrt_star")
+"""Those of which a mission flies one."""
 TRAINING_SEED = 1_000_000
 """First seed of the flights that detectors are trained on; no campaign flies these."""
 
@@ -36,6 +41,15 @@ class SiteGroup(Config):
     strata: dict[str, float] | None = Field(None, description="instead of the campaign's")
 
 
+class KernelFaults(Config):
+    """Faults in the instructions of kernels (law `kernels`)."""
+
+    names: tuple[str, ...] = Field(min_length=1, description="as in mavfi.pipeline.functions.STRUCK")
+    which: str = Field("all", description="class of instructions, e.g. floating_point")
+    model: Literal["one_bit", "bits", "random", "zero"] = "one_bit"
+    restart_s: float = Field(0.57, ge=0, le=60, description="until a node that died answers again (s)")
+
+
 class Scale(Config):
     """How many flights."""
 
@@ -47,8 +61,8 @@ class Campaign(Config):
     """A campaign as a user writes it.
 
     `flights` missions per environment, from `first_seed` on.  `faults` faults per environment for each stage (law
-    `stage_balanced`) or each group (law `groups`); fault i strikes in mission i modulo `flights`.  `strata` are the
-    shares of these faults by bit stratum.
+    `stage_balanced`), each group (law `groups`) or each kernel (law `kernels`); fault i strikes in mission i modulo
+    `flights`.  `strata` are the shares of these faults by bit stratum; in kernels bits are drawn uniformly.
     """
 
     name: str
@@ -57,16 +71,18 @@ class Campaign(Config):
     flights: int = Field(30, ge=1)
     faults: int = Field(30, ge=1)
     scales: dict[str, Scale] = Field(default_factory=dict, description="other sizes, by name")
-    law: Literal["stage_balanced", "groups"] = "stage_balanced"
+    law: Literal["stage_balanced", "groups", "kernels"] = "stage_balanced"
     sites: Literal["all", "monitored"] = Field("all", description="fields that stage_balanced draws from")
     monitored_set: str = "paper-13"
     groups: tuple[SiteGroup, ...] = ()
+    kernels: KernelFaults | None = None
     strata: dict[str, float] = Field(default_factory=lambda: {"sign_exponent": 2.0, "mantissa": 1.0})
     null_runs: int = Field(3, ge=0, description="per environment; with each detector in turn")
     stack: str = "published"
     platform: str = "i9-9940x"
     planner: str = "rrt_connect"
-    map: Literal["dense", "octree"] = "dense"
+    map: str = "dense"
+    vehicle: str | None = Field(None, description="name or path; None = the environment's")
     v_max: float | None = Field(None, gt=0, description="m/s; None = the environment's")
     detectors: dict[str, DetectorArm] = Field(default_factory=dict, description="by the name of the arm")
 
@@ -79,6 +95,7 @@ class Campaign(Config):
             )
         if (self.law == "groups") != bool(self.groups):
             raise ValueError(f"law: {self.law!r}: groups are given where, and only where, law is 'groups'")
+        _check_kernels(self)
         if self.monitored_set not in MONITORED_SETS:
             raise ValueError(f"monitored_set: {self.monitored_set!r}: not known; allowed: {', '.join(MONITORED_SETS)}")
         _check_distinct("environments", self.environments)
@@ -113,7 +130,30 @@ class Campaign(Config):
 
     def key(self) -> str:
         """Hash that identifies the campaign."""
-        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+        return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; `kernels` is in it only where they are struck."""
+        data = self.model_dump(mode="json")
+        if self.kernels is None:
+            del data["kernels"]
+        return data
+
+
+def _check_kernels(campaign: Campaign) -> None:
+    """What the law `kernels` needs, and what it excludes."""
+    if (campaign.law == "kernels") != (campaign.kernels is not None):
+        raise ValueError(f"law: {campaign.law!r}: kernels are given where, and only where, law is 'kernels'")
+    if campaign.kernels is None:
+        return
+    unknown = sorted(set(campaign.kernels.names) - set(KERNELS))
+    if unknown:
+        raise ValueError(f"kernels: {unknown[0]!r}: not known; allowed: {', '.join(KERNELS)}")
+    _check_distinct("kernels", campaign.kernels.names)
+    if campaign.detectors:
+        raise ValueError("detectors: given; allowed: none where law is 'kernels'")
+    if campaign.null_runs:
+        raise ValueError(f"null_runs: {campaign.null_runs}; allowed: 0 where law is 'kernels' (nothing is drawn there)")
 
 
 def _check_distinct(key: str, names: Sequence[str]) -> None:
@@ -145,16 +185,44 @@ def _check_targets(campaign: Campaign) -> None:
 
 
 def load_campaign(name: str | Path) -> Campaign:
-    """Read a campaign: a path, or the name of a shipped one, e.g. "table1".
+    """Read a campaign of flights: a path, or the name of a shipped one, e.g. "table1".
 
     Raises:
         BadInputError: There is no such file, or something in it is wrong.
     """
+    return load(Campaign, campaign_path(name))
+
+
+def load_any(name: str | Path) -> Campaign | NodeCampaign:
+    """The same, or a campaign on a ROS node: which one it is says the key `kind`.
+
+    Raises:
+        BadInputError: There is no such file, or something in it is wrong.
+    """
+    path = campaign_path(name)
+    kind = read_yaml(path).get("kind")
+    if kind is None:
+        return load(Campaign, path)
+    if kind != KIND:
+        raise BadInputError(f"{path}: key 'kind': {kind!r}: not known; allowed: {KIND}, or no such key: flights")
+    return load(NodeCampaign, path)
+
+
+def campaign_path(name: str | Path) -> Path:
+    """File of a campaign.
+
+    Args:
+        name: A path, or the name of a shipped campaign.
+
+    Raises:
+        BadInputError: There is none of that name.
+    """
     path = Path(name)
-    if path.suffix not in (".yaml", ".yml"):
-        shipped = config_root() / "campaigns"
-        path = shipped / f"{name}.yaml"
-        if not path.is_file():
-            allowed = ", ".join(sorted(file.stem for file in shipped.glob("*.yaml")))
-            raise BadInputError(f"campaign {str(name)!r}: not known; allowed: {allowed}, or a path to a .yaml file")
-    return load(Campaign, path)
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    shipped = config_root() / "campaigns"
+    path = shipped / f"{name}.yaml"
+    if not path.is_file():
+        allowed = ", ".join(sorted(file.stem for file in shipped.glob("*.yaml")))
+        raise BadInputError(f"campaign {str(name)!r}: not known; allowed: {allowed}, or a path to a .yaml file")
+    return path

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 from mavfi.campaign.plan import FI, GOLDEN, NULL, RECOVERY, RunSpec
 from mavfi.campaign.store import Store
@@ -10,6 +10,8 @@ from mavfi.campaign.worker import AFTERMATH, INSTANT, End
 from mavfi.faults.strata import bit_class
 from mavfi.outcomes import FlightEnd, Outcome, classify
 from mavfi.states import MONITORED_SETS, STATES
+
+_Row = TypeVar("_Row")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,14 @@ class Row:
         fault = self.spec.fault
         if fault is None or fault.bit is None:
             return ""
+        if fault.instruction is not None:
+            return fault.stratum
         return bit_class(STATES[fault.site.state].find(fault.site.field), fault.bit)
+
+    @property
+    def instruction(self) -> dict[str, Any] | None:
+        """The planned `InstructionFault` as plain data; None for other faults."""
+        return None if self.spec.fault is None else self.spec.fault.instruction
 
     @property
     def site_fate(self) -> str:
@@ -169,10 +178,15 @@ def read_rows(store: Store) -> list[Row]:
             spec,
             record,
             None if spec.fault is None else golden.get((spec.golden_setting, spec.environment, spec.seed)),
-            golden.get((GOLDEN, spec.environment, spec.seed)),
+            golden.get((_times_setting(spec), spec.environment, spec.seed)),
         )
         for spec, record in runs
     ]
+
+
+def _times_setting(spec: RunSpec) -> str:
+    """Setting of the golden run whose flight time counts: without a detector, with the same planner."""
+    return GOLDEN if spec.detector else spec.golden_setting
 
 
 def settings_of(rows: Iterable[Row]) -> list[str]:
@@ -196,9 +210,9 @@ def is_golden(row: Row) -> bool:
     return row.spec.fault is None
 
 
-def group(rows: Iterable[Row], key: Callable[[Row], Any]) -> dict[Any, list[Row]]:
-    """Rows by the value of a key, in the order in which the values first appear."""
-    groups: dict[Any, list[Row]] = {}
+def group(rows: Iterable[_Row], key: Callable[[_Row], Any]) -> dict[Any, list[_Row]]:
+    """Rows of any kind by the value of a key, in the order in which the values first appear."""
+    groups: dict[Any, list[_Row]] = {}
     for row in rows:
         groups.setdefault(key(row), []).append(row)
     return groups

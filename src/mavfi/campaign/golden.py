@@ -3,19 +3,30 @@
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mavfi.campaign.executors.local import LocalPool, Lost
 from mavfi.campaign.statistics import Rate, wilson
+from mavfi.config import Vector
 from mavfi.errors import MavfiError
 from mavfi.flight_log import FlightLog
+from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import MissionStatus, Scenario
+
+if TYPE_CHECKING:
+    from mavfi.hosts.inprocess import Flight
 
 EVALUATION_SEED = 10_000
 """First seed of published figures; stacks are tuned on lower ones."""
+LEAST_CLEARANCE, MOST_TRACKING, MOST_SPEED = 0.15, 1.0, 1.1
+"""Bars of quality: distance of the hull from obstacles (m), of the vehicle from its reference (m), speed / v_max."""
 _LAST_EVENTS = 3
+_TURN_BACK = 5.0
+"""Going away from the goal by so much counts as turning back (m)."""
+_OPTIONS = {"depth_noise": "--depth-noise", "map_resolution": "--map-resolution", "wind": "--wind"}
+"""Settings that a command names where they are not the default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +40,13 @@ class Setting:
         platform: Name or path.
         v_max: m/s.
         depth_noise: Standard deviation / range.
+        map_resolution: m; None = the environment's.
+        start: Instead of the environment's (m).
+        goal: Same.
+        wind: Amplitude of gusts (m/s).
+        localization: "truth" or "estimator".
         least: Smallest success that is wanted of 100 flights; None = no demand.
+        quality: Whether the bars of quality hold too.
     """
 
     environment: str
@@ -38,14 +55,20 @@ class Setting:
     platform: str = "i9-9940x"
     v_max: float = 3.0
     depth_noise: float = 0.0
+    map_resolution: float | None = None
+    start: Vector | None = None
+    goal: Vector | None = None
+    wind: float = 0.0
+    localization: str = "truth"
     least: float | None = None
+    quality: bool = False
 
     def scenario(self, seed: int) -> Scenario:
         """The mission of a seed."""
         from mavfi.hosts.compose import make_scenario
 
         options = asdict(self)
-        del options["least"]
+        del options["least"], options["quality"]
         return make_scenario(options.pop("environment"), seed, **options)
 
     def command(self, seed: int) -> str:
@@ -54,8 +77,12 @@ class Setting:
             "mavfi fly", f"--environment {self.environment}", f"--seed {seed}", f"--stack {self.stack}",
             f"--planner {self.planner}", f"--platform {self.platform}", f"--v-max {self.v_max:g}",
         ]  # fmt: skip
-        if self.depth_noise > 0.0:
-            words.append(f"--depth-noise {self.depth_noise:g}")
+        words += [f"{word} {value:g}" for name, word in _OPTIONS.items() if (value := getattr(self, name))]
+        if self.localization != "truth":
+            words.append(f"--localization {self.localization}")
+        for word, point in (("--start", self.start), ("--goal", self.goal)):
+            if point is not None:
+                words.append(f"{word} {' '.join(f'{value:g}' for value in point)}")
         return " ".join([*words, "--picture flight.png"])
 
 
@@ -76,6 +103,7 @@ class GoldenFlight:
         alarms: Collisions that the check predicted.
         warnings: Warnings of the simulator.
         position: Last position (m).
+        cause: Why it did not arrive, as far as the record tells; "" where it did.
         events: The last events of a flight that did not arrive, as text.
     """
 
@@ -91,12 +119,30 @@ class GoldenFlight:
     alarms: int
     warnings: int
     position: tuple[float, float, float]
+    cause: str
     events: str
 
     @property
     def success(self) -> bool:
         """Whether it reached its goal."""
         return self.status == MissionStatus.SUCCESS.label
+
+
+@dataclass(frozen=True, slots=True)
+class Bar:
+    """A demand on a row, and whether it is met.
+
+    Attributes:
+        name: What is demanded.
+        wanted: The demand, as text.
+        measured: The figure, as text.
+        met: Whether the figure meets it.
+    """
+
+    name: str
+    wanted: str
+    measured: str
+    met: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +166,25 @@ class Row:
         """Flights that did not reach their goals."""
         return [flight for flight in self.flights if not flight.success]
 
+    def bars(self) -> list[Bar]:
+        """Every demand on this row."""
+        rate, least = self.success, self.setting.least
+        successes = rate.successes or 0
+        found = []
+        if least is not None:
+            met = 100 * successes >= least * rate.n
+            found.append(Bar("arrived", f"≥ {least:g} %", f"{successes}/{rate.n}", met))
+        if self.setting.quality:
+            closest = min(flight.clearance_m for flight in self.flights)
+            off = max(flight.tracking_m for flight in self.flights)
+            fastest = max(flight.speed_share for flight in self.flights)
+            found += [
+                Bar("closest", f"≥ {LEAST_CLEARANCE:g} m", f"{closest:.2f} m", closest >= LEAST_CLEARANCE),
+                Bar("off reference", f"< {MOST_TRACKING:g} m", f"{off:.2f} m", off < MOST_TRACKING),
+                Bar("speed", f"≤ {MOST_SPEED:g} v_max", f"{fastest:.3f} v_max", fastest <= MOST_SPEED),
+            ]
+        return found
+
 
 def measure(task: tuple[Setting, int]) -> GoldenFlight:
     """Fly one error-free mission and judge its quality by the true world."""
@@ -138,6 +203,7 @@ def measure(task: tuple[Setting, int]) -> GoldenFlight:
         float(np.linalg.norm(position - reference, axis=1).max()), float(speed.max()) / scenario.v_max,
         log.count("plan"), log.count("plan_failed"), log.count("collision_predicted"), log.count("warning"),
         _point(position[-1]),
+        "" if log.status is MissionStatus.SUCCESS else _cause(flight, scenario),
         "" if log.status is MissionStatus.SUCCESS else _last_events(log),
     )  # fmt: skip
 
@@ -145,6 +211,54 @@ def measure(task: tuple[Setting, int]) -> GoldenFlight:
 def _point(position: np.ndarray) -> tuple[float, float, float]:
     x, y, z = (round(float(value), 2) for value in position)
     return x, y, z
+
+
+def _cause(flight: "Flight", scenario: Scenario) -> str:
+    """What the record tells of the reason, in one line."""
+    log = flight.log
+    position = log.columns("x", "y", "z")
+    if log.status is MissionStatus.COLLISION:
+        room: Any = getattr(flight.pipeline["planner"], "room", None)
+        seen = room is not None and _is_mapped(room, position[-1], scenario.vehicle.hull_radius)
+        off = float(np.linalg.norm(position[-1] - log.columns("reference_x", "reference_y", "reference_z")[-1]))
+        what = "touched what its map held for occupied" if seen else "touched what its map had not seen"
+        return f"{what}, {off:.2f} m off its reference"
+    flown = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
+    way = f"flew {flown:.0f} m on a course of {log.meta['course_m']:.0f} m"
+    if log.status is MissionStatus.NO_PATH:
+        return f"{scenario.stack.max_failed_plans + 1} plans in a row found no path; {way}"
+    turns = turns_back(np.linalg.norm(position - flight.world.goal, axis=1))
+    return f"{way}, turned back {turns} time{'' if turns == 1 else 's'}"
+
+
+def _is_mapped(room: Any, point: np.ndarray, radius: float) -> bool:
+    """Whether a voxel of the map that the hull reaches is occupied."""
+    grid, reach = room.grid, radius + 0.5 * room.grid.resolution
+    centre = (point - (grid.x0, grid.y0, grid.z0)) * grid.inverse
+    low = np.maximum(np.floor(centre - reach * grid.inverse), 0).astype(int)
+    high = np.minimum(np.floor(centre + reach * grid.inverse) + 1, (grid.nx, grid.ny, grid.nz)).astype(int)
+    around = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
+    return bool((room.cells.reshape(grid.nx, grid.ny, grid.nz)[around] == OCCUPIED).any())
+
+
+def turns_back(distance: np.ndarray) -> int:
+    """How often a flight went away from its goal again by `_TURN_BACK` or more.
+
+    Args:
+        distance: To the goal, in the order of time (m). Shape (n,).
+    """
+    turns, least, most = 0, np.inf, -np.inf
+    away = False
+    for value in distance:
+        if away:
+            most = max(most, value)
+            if value < most - _TURN_BACK:
+                away, least = False, value
+        else:
+            least = min(least, value)
+            if value > least + _TURN_BACK:
+                away, most, turns = True, value, turns + 1
+    return turns
 
 
 def _last_events(log: FlightLog) -> str:

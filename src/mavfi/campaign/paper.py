@@ -46,4 +46,18 @@ DETECTION_OVERHEAD: dict[str, dict[str, float]] = {
 }
 """Table II, row PPC, columns DET: detection / compute time."""
 
+KERNELS: dict[str, str] = {
+    "point_cloud": "little to negligible impact",
+    "octomap": "little to negligible impact",
+    "collision_check": "critical within perception",
+    "rrt": "flight time widely spread",
+    "rrt_connect": "flight time widely spread",
+    "rrt_star": "flight time widely spread",
+    "pid": "flight time widely spread",
+}
+"""Section III-B, what the text says of Fig. 3 (Sparse, 100 runs per kernel, instruction level); it gives no rates."""
+
+KERNELS_WORST_TIME, KERNELS_SUCCESS_LOSS = 0.573, 0.08
+"""Section III-B: flight time of planning and control kernels "by up to", and loss of success rate "by up to"."""
+
 NOTE = "state-level variant of the paper's Table I (instruction level follows)"

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from mavfi.campaign.config import Campaign, DetectorArm
+from mavfi.campaign.config import PLANNER_KERNELS, Campaign, DetectorArm
 from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import Target, draw, group_target, stage_target, stream
 from mavfi.faults.strata import HEADLINE
@@ -66,13 +66,18 @@ class RunSpec:
         object.__setattr__(self, "run_id", f"{readable}-{hashlib.sha256(content.encode()).hexdigest()[:8]}")
 
     @property
+    def scenario_name(self) -> str:
+        """Under which name the ledger has the scenario."""
+        return scenario_name(self.environment, self.arm, self.detector)
+
+    @property
     def golden_setting(self) -> str:
         """Setting of the golden twin: the same detector watches, and nothing strikes."""
         return golden_setting(self.arm)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
-        return asdict(self)
+        return asdict(self) | {"fault": None if self.fault is None else self.fault.to_json()}
 
     @staticmethod
     def from_json(data: dict[str, Any]) -> "RunSpec":
@@ -83,7 +88,10 @@ class RunSpec:
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """A detector's arm, with the hash of the model that it flies with; the arm without a detector has no name."""
+    """A detector's arm, with the hash of the model that it flies with; the arm without a detector has no name.
+
+    Where kernels are struck, an arm is a planner other than the campaign's, and carries its name.
+    """
 
     name: str = ""
     config: DetectorArm | None = None
@@ -92,7 +100,7 @@ class Arm:
     def fields(self) -> dict[str, Any]:
         """Its part of a `RunSpec`."""
         if self.config is None:
-            return {}
+            return {"arm": self.name} if self.name else {}
         return {
             "arm": self.name,
             "detector": self.config.detector,
@@ -123,7 +131,19 @@ def arms_of(campaign: Campaign, models: Mapping[str, str]) -> list[Arm]:
         campaign: The campaign.
         models: sha256 of the model by the name of the arm; detectors without a model are not in it.
     """
-    return [Arm(), *(Arm(name, arm, models.get(name, "")) for name, arm in campaign.detectors.items())]
+    detectors = [Arm(name, arm, models.get(name, "")) for name, arm in campaign.detectors.items()]
+    return [Arm(), *(Arm(planner) for planner in other_planners(campaign)), *detectors]
+
+
+def other_planners(campaign: Campaign) -> list[str]:
+    """Planners whose kernels are struck, beside the one that the campaign flies with."""
+    names = () if campaign.kernels is None else campaign.kernels.names
+    return [name for name in names if name in PLANNER_KERNELS and name != campaign.planner]
+
+
+def scenario_name(environment: str, arm: str, detector: str) -> str:
+    """Under which name the ledger has the scenario of a run: the environment's, with a planner not the campaign's."""
+    return f"{environment}/{arm}" if arm and not detector else environment
 
 
 def plan_golden(campaign: Campaign, scenarios: Mapping[str, str], arms: list[Arm]) -> list[RunSpec]:
@@ -135,11 +155,15 @@ def plan_golden(campaign: Campaign, scenarios: Mapping[str, str], arms: list[Arm
         arms: See `arms_of`.
     """
     return [
-        RunSpec(PHASE_GOLDEN, golden_setting(arm.name), environment, seed, scenarios[environment], **arm.fields())
+        RunSpec(
+            PHASE_GOLDEN, golden_setting(arm.name), environment, seed,
+            scenarios[scenario_name(environment, arm.name, "" if arm.config is None else arm.config.detector)],
+            **arm.fields(),
+        )
         for environment in campaign.environments
         for seed in campaign.seeds
         for arm in arms
-    ]
+    ]  # fmt: skip
 
 
 def plan_injected(
@@ -156,29 +180,77 @@ def plan_injected(
         arms: See `arms_of`.
         profiles: By environment and seed; a mission that left none has no site.
     """
-    runs = []
-    for environment in campaign.environments:
-        key = scenarios[environment]
-        for target, index, seed, fault in _faults(campaign, environment, profiles):
-            runs += [
-                RunSpec(
-                    PHASE_INJECTED, injected_setting(arm.name), environment, seed, key, target, index, fault,
-                    **arm.fields(),
+    return [
+        spec
+        for environment in campaign.environments
+        for _, spec in _injected(campaign, environment, scenarios[environment], arms, profiles, campaign.seeds)
+    ]
+
+
+def plan_world(
+    campaign: Campaign, scenarios: Mapping[str, str], arms: list[Arm], world: tuple[str, int], profile: Profile | None
+) -> dict[int, RunSpec]:
+    """Phase 2 of one mission, by place in `plan_injected`: its faults depend on no other mission.
+
+    Args:
+        campaign: The campaign.
+        scenarios: As in `plan_golden`.
+        arms: See `arms_of`.
+        world: Environment and seed.
+        profile: Of its golden flight, if that left one.
+    """
+    environment, seed = world
+    before = campaign.environments.index(environment) * _injected_runs(campaign)
+    profiles = {} if profile is None else {world: profile}
+    runs = _injected(campaign, environment, scenarios[environment], arms, profiles, range(seed, seed + 1))
+    return {before + place: spec for place, spec in runs}
+
+
+def _injected(
+    campaign: Campaign, environment: str, key: str, arms: list[Arm], profiles: Mapping[tuple[str, int], Profile],
+    seeds: range,
+) -> Iterator[tuple[int, RunSpec]]:  # fmt: skip
+    """Place among the environment's runs, and run, of the missions with these seeds."""
+    place = 0
+    for target, index, seed, stratum in _draws(campaign, environment):
+        if seed in seeds:
+            profile = profiles.get((environment, seed), Profile())
+            fault = draw(target, stratum, profile, seed, environment, index // campaign.flights)
+            for number, arm in enumerate(arms):
+                setting = injected_setting(arm.name)
+                yield (
+                    place + number,
+                    RunSpec(PHASE_INJECTED, setting, environment, seed, key, target.name, index, fault, **arm.fields()),
                 )
-                for arm in arms
-            ]  # fmt: skip
-        for index, seed, fault in _null_faults(campaign, environment, profiles):
+        place += len(arms)
+    for index in range(campaign.null_runs):
+        seed = campaign.first_seed + index % campaign.flights
+        if seed in seeds:
             arm = arms[index % len(arms)]
+            fault = _null_fault(campaign, environment, index, seed, profiles.get((environment, seed), Profile()))
             setting = null_setting(arm.name)
-            runs.append(RunSpec(PHASE_INJECTED, setting, environment, seed, key, NULL, index, fault, **arm.fields()))
-    return runs
+            yield (
+                place + index,
+                RunSpec(PHASE_INJECTED, setting, environment, seed, key, NULL, index, fault, **arm.fields()),
+            )
+
+
+def is_null(spec: RunSpec) -> bool:
+    """Whether a run flies through the injector with an empty mask."""
+    return spec.target == NULL
+
+
+def _injected_runs(campaign: Campaign) -> int:
+    """Runs of phase 2 in each environment."""
+    if campaign.kernels is not None:
+        return campaign.faults * len(campaign.kernels.names)
+    return (1 + len(campaign.detectors)) * campaign.faults * len(_targets(campaign)) + campaign.null_runs
 
 
 def count_runs(campaign: Campaign) -> int:
     """How many runs the campaign has, known before any of them."""
-    arms = 1 + len(campaign.detectors)
-    faults = campaign.faults * len(_targets(campaign))
-    return len(campaign.environments) * (arms * (campaign.flights + faults) + campaign.null_runs)
+    golden = (1 + len(campaign.detectors) + len(other_planners(campaign))) * campaign.flights
+    return len(campaign.environments) * (golden + _injected_runs(campaign))
 
 
 def _targets(campaign: Campaign) -> list[tuple[Target, dict[str, float]]]:
@@ -188,27 +260,18 @@ def _targets(campaign: Campaign) -> list[tuple[Target, dict[str, float]]]:
     return [(stage_target(stage, campaign.stack, monitored), campaign.strata) for stage in PPC_STAGES]
 
 
-def _faults(
-    campaign: Campaign, environment: str, profiles: Mapping[tuple[str, int], Profile]
-) -> Iterator[tuple[str, int, int, Fault]]:
+def _draws(campaign: Campaign, environment: str) -> Iterator[tuple[Target, int, int, str]]:
+    """What is drawn in an environment: target, number of the fault, seed of the mission, stratum."""
     for target, shares in _targets(campaign):
         strata = share_out(shares, campaign.faults, campaign.first_seed, environment, target.name)
         for index, stratum in enumerate(strata):
-            seed = campaign.first_seed + index % campaign.flights
-            profile = profiles.get((environment, seed), Profile())
-            fault = draw(target, stratum, profile, seed, environment, index // campaign.flights)
-            yield target.name, index, seed, fault
+            yield target, index, campaign.first_seed + index % campaign.flights, stratum
 
 
-def _null_faults(
-    campaign: Campaign, environment: str, profiles: Mapping[tuple[str, int], Profile]
-) -> Iterator[tuple[int, int, Fault]]:
-    for index in range(campaign.null_runs):
-        seed = campaign.first_seed + index % campaign.flights
-        target = stage_target(PPC_STAGES[index % len(PPC_STAGES)], campaign.stack)
-        profile = profiles.get((environment, seed), Profile())
-        fault = draw(target, HEADLINE, profile, seed, environment, index)
-        yield index, seed, replace(fault, bit=None, stratum="", weight=1.0)
+def _null_fault(campaign: Campaign, environment: str, index: int, seed: int, profile: Profile) -> Fault:
+    target = stage_target(PPC_STAGES[index % len(PPC_STAGES)], campaign.stack)
+    fault = draw(target, HEADLINE, profile, seed, environment, index)
+    return replace(fault, bit=None, stratum="", weight=1.0)
 
 
 def share_out(shares: Mapping[str, float], count: int, seed: int, *address: str) -> list[str]:

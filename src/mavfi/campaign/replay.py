@@ -55,9 +55,14 @@ def replay(directory: Path, run_id: str, tools: Tools | None = None) -> Replay:
 
 
 def fly_again(store: Store, spec: RunSpec, tools: Tools | None = None) -> Flight:
-    """Fly any run of a ledger, for its whole log."""
-    stored = store.meta("identity")["scenarios"][spec.environment]
-    template = parse(Scenario, stored, f"ledger, scenario {spec.environment}")
+    """Fly any run of a ledger, for its whole log.
+
+    Raises:
+        BadInputError: It holds no flights.
+    """
+    store.require_flights()
+    stored = store.meta("identity")["scenarios"][spec.scenario_name]
+    template = parse(Scenario, stored, f"ledger, scenario {spec.scenario_name}")
     scenario = template.model_copy(update={"seed": spec.seed})
     models_dir = store.meta("models_dir")
     return fly_task(Task(spec, scenario, tools or host_tools(), None if models_dir is None else Path(models_dir)))

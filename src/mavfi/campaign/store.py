@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from mavfi.campaign.nodes.config import KIND
 from mavfi.campaign.plan import PHASE_INJECTED, RunSpec
 from mavfi.errors import BadInputError
 from mavfi.flight_log import Profile
@@ -157,37 +158,57 @@ class Store:
             self._connection.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", rows)
 
     def plan(self, phase: int, specs: Iterable[RunSpec]) -> None:
-        """Store all runs of a phase at once; a phase that is there already is left as it is."""
+        """Store all runs of a phase at once; those that are there already are left as they are."""
         if self.is_planned(phase):
             return
-        (first,) = self._connection.execute("SELECT COUNT(*) FROM runs").fetchone()
+        self.plan_part(phase, dict(enumerate(specs)))
+        self.end_plan(phase)
+
+    def plan_part(self, phase: int, specs: Mapping[int, RunSpec]) -> None:
+        """Store some runs of a phase at once.
+
+        Args:
+            phase: The phase; those before it are planned as a whole.
+            specs: By place in the phase; those that are there already are left as they are.
+        """
+        (first,) = self._connection.execute("SELECT COUNT(*) FROM runs WHERE phase < ?", (phase,)).fetchone()
         rows = [
             (s.run_id, first + place, s.phase, s.setting, s.environment, s.seed, canonical(s.to_json()))
-            for place, s in enumerate(specs)
+            for place, s in specs.items()
         ]
         columns = "run_id, position, phase, setting, environment, seed, spec"
         with self._connection:
-            self._connection.executemany(f"INSERT INTO runs ({columns}) VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
-            self._connection.execute("INSERT INTO meta VALUES (?, ?)", (f"planned_{phase}", str(len(rows))))
+            self._connection.executemany(f"INSERT OR IGNORE INTO runs ({columns}) VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
+
+    def end_plan(self, phase: int) -> None:
+        """Note that all runs of a phase are stored."""
+        (count,) = self._connection.execute("SELECT COUNT(*) FROM runs WHERE phase = ?", (phase,)).fetchone()
+        with self._connection:
+            self._connection.execute("INSERT OR IGNORE INTO meta VALUES (?, ?)", (f"planned_{phase}", str(count)))
 
     def is_planned(self, phase: int) -> bool:
         """Whether the runs of a phase are stored."""
         return self.meta(f"planned_{phase}") is not None
 
-    def runs(self, phase: int | None = None, *, done: bool | None = None) -> Iterator[Run]:
+    def runs(
+        self, phase: int | None = None, *, done: bool | None = None, world: tuple[str, int] | None = None
+    ) -> Iterator[Run]:
         """Rows in the order of the plan.
 
         Args:
             phase: Only of this phase.
             done: Only those that are flown, or only those that are not.
+            world: Only of this environment and seed.
         """
         clauses = ["1"]
         if phase is not None:
             clauses.append(f"phase = {int(phase)}")
         if done is not None:
             clauses.append(f"record IS {'NOT ' if done else ''}NULL")
+        if world is not None:
+            clauses += ["environment = ?", "seed = ?"]
         query = f"SELECT spec, record, note, wall_s FROM runs WHERE {' AND '.join(clauses)} ORDER BY position"
-        for spec, record, note, wall_s in self._connection.execute(query):
+        for spec, record, note, wall_s in self._connection.execute(query, world or ()):
             parsed = None if record is None else json.loads(record)
             yield Run(RunSpec.from_json(json.loads(spec)), parsed, note, wall_s)
 
@@ -222,6 +243,12 @@ class Store:
         rows = self._connection.execute("SELECT environment, seed, content FROM profiles")
         return {(environment, seed): Profile.from_bytes(content) for environment, seed, content in rows}
 
+    def profile(self, environment: str, seed: int) -> Profile | None:
+        """Profile of one golden flight; None if it left none."""
+        query = "SELECT content FROM profiles WHERE environment = ? AND seed = ?"
+        row = self._connection.execute(query, (environment, seed)).fetchone()
+        return None if row is None else Profile.from_bytes(row[0])
+
     def counts(self) -> dict[str, tuple[int, int, int]]:
         """Runs by setting: planned, done, done with success."""
         query = (
@@ -230,6 +257,20 @@ class Store:
         )
         rows = self._connection.execute(query)
         return {setting: (planned, done, int(success)) for setting, planned, done, success in rows}
+
+    @property
+    def is_of_nodes(self) -> bool:
+        """Whether it holds trials on a ROS node instead of flights."""
+        return bool(self.meta("identity").get("campaign", {}).get("kind") == KIND)
+
+    def require_flights(self) -> None:
+        """Refuse a ledger of trials.
+
+        Raises:
+            BadInputError: It holds trials on a ROS node.
+        """
+        if self.is_of_nodes:
+            raise BadInputError(f"{self.directory}: holds trials on a ROS node, which cannot be flown again")
 
     @property
     def complete(self) -> bool:

@@ -3,9 +3,11 @@
 They are imported when they are first wanted: reading a ledger needs no simulator.
 """
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from mavfi.campaign.worker import Flight, Tools
+from mavfi.campaign.config import KernelFaults
+from mavfi.campaign.worker import DrawnFaults, Family, Flight, Tools
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import Fault
 from mavfi.mission import Scenario
@@ -13,13 +15,38 @@ from mavfi.mission import Scenario
 
 def host_tools() -> Tools:
     """The tools that campaigns fly with."""
-    return Tools(_fly, _load_detector, _make_scenario)
+    return Tools(_fly, _load_detector, _make_scenario, _make_family, _draw, _strike)
 
 
 def _fly(scenario: Scenario, fault: Fault | None, detector: Detector | None, *, want_profile: bool) -> Flight:
+    if fault is not None and fault.level == "instruction":
+        from mavfi.hosts.instruction import fly_struck
+
+        return fly_struck(scenario, [fault], detector).flights[0]
     from mavfi.hosts.inprocess import fly
 
     return fly(scenario, fault, detector, want_profile=want_profile)
+
+
+def _draw(
+    scenario: Scenario, draws: Mapping[str, int], kernels: KernelFaults, environment: str, seed: int
+) -> DrawnFaults:
+    from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults
+
+    wish = Wish(draws, kernels.which, kernels.model, kernels.restart_s)
+    return draw_kernel_faults(scenario, wish, environment, seed=seed)
+
+
+def _strike(scenario: Scenario, faults: Sequence[Fault]) -> Sequence[Flight]:
+    from mavfi.hosts.instruction import fly_struck
+
+    return fly_struck(scenario, faults).flights
+
+
+def _make_family(scenario: Scenario) -> Family:
+    from mavfi.hosts.forking import Family
+
+    return Family(scenario)
 
 
 def _load_detector(detector: str, profile: str, models_dir: Path | None, scenario: Scenario) -> tuple[Detector, str]:
@@ -46,9 +73,11 @@ def _make_scenario(
     planner: str,
     v_max: float | None,
     map_kind: str = "dense",
+    vehicle: str | None = None,
 ) -> Scenario:
     from mavfi.hosts.compose import make_scenario
 
     return make_scenario(
-        environment, seed, stack=stack, platform=platform, planner=planner, v_max=v_max, map_kind=map_kind
-    )
+        environment, seed, stack=stack, platform=platform, planner=planner, v_max=v_max, map_kind=map_kind,
+        vehicle=vehicle,
+    )  # fmt: skip

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from mavfi.cli import launching
 from mavfi.cli.console import JSON_HELP, console, write_json
 from mavfi.cli.stopping import stoppable
 
@@ -24,26 +25,43 @@ def run(
         str, typer.Argument(metavar="CONFIG.yaml", help="A YAML file, or the name of a shipped campaign.")
     ],
     out: Annotated[
-        Path, typer.Option(help="Folder of the ledger; made if absent, gone on with if it holds this campaign.")
-    ],
+        Path | None,
+        typer.Option(
+            help="Folder of the ledger; made if absent, gone on with if it holds this campaign.  out/<name> by default."
+        ),
+    ] = None,
     workers: Annotated[int, typer.Option(help="Processes; the result does not depend on them.")] = DEFAULT_WORKERS,
     scale: Annotated[str, typer.Option(help="quick, or another size that the campaign names, e.g. paper.")] = "quick",
     models: Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")] = None,
+    forking: Annotated[
+        bool, typer.Option(help="Begin faulty flights where their golden twins were; the result does not depend on it.")
+    ] = True,
 ) -> None:
     """Fly a campaign, or what is left of it.  Ctrl-C stops it (exit code 130); the same command goes on.
 
     Example: [bold]mavfi campaign run configs/campaigns/states.yaml --out out/states[/bold]
     """
-    from mavfi.campaign.config import load_campaign
+    from mavfi.campaign.config import load_any
+    from mavfi.campaign.nodes.config import NodeCampaign
+    from mavfi.campaign.nodes.run import run_node_campaign
     from mavfi.campaign.run import run_campaign
     from mavfi.cli.progress import Bar, import_host
 
-    campaign = load_campaign(config).at_scale(scale)
-    import_host()
-    told = f"Stopped. What is flown is kept in {out}; the same command goes on."
-    with stoppable(told), Bar(f"campaign {campaign.name}") as bar:
-        run_campaign(campaign, out, workers=workers, models_dir=models, progress=bar.show_campaign)
-    console().print(f"Done. Tables and figures: [bold]mavfi report {out}[/bold]")
+    campaign = load_any(config).at_scale(scale)
+    ledger = out or Path("out") / campaign.name
+    told = f"Stopped. What is done is kept in {ledger}; the same command goes on."
+    if isinstance(campaign, NodeCampaign):
+        with stoppable(told), Bar(f"campaign {campaign.name}", "trials") as bar:
+            run_node_campaign(campaign, ledger, workers=workers, progress=bar.show_campaign)
+    else:
+        if campaign.kernels is not None:
+            launching.fix_addresses()
+        import_host()
+        with stoppable(told), Bar(f"campaign {campaign.name}") as bar:
+            run_campaign(
+                campaign, ledger, workers=workers, models_dir=models, forking=forking, progress=bar.show_campaign
+            )
+    console().print(f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]")
 
 
 @app.command("status")

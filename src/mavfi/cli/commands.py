@@ -5,7 +5,20 @@ from typing import Annotated
 
 import typer
 
-from mavfi.cli import campaign, explain, fly, replay, report, reproduce, states, train
+from mavfi.cli import (
+    campaign,
+    explain,
+    export,
+    fly,
+    inject,
+    replay,
+    report,
+    reproduce,
+    ros,
+    states,
+    train,
+    vulnerability,
+)
 from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
 from mavfi.errors import BadInputError, MavfiError
@@ -20,12 +33,16 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 app.command("fly")(fly.fly)
+app.command("export")(export.export)
+app.command("inject")(inject.inject)
 app.command("states")(states.states)
 app.command("train")(train.train)
 app.add_typer(campaign.app, name="campaign")
+app.add_typer(ros.app, name="ros")
 app.command("report")(report.report)
 app.command("replay")(replay.replay)
 app.command("explain")(explain.explain)
+app.command("vulnerability")(vulnerability.vulnerability)
 app.command("reproduce")(reproduce.reproduce)
 
 

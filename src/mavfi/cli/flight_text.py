@@ -13,6 +13,7 @@ from mavfi.faults.strata import bit_class
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Outcome
 from mavfi.reports.change import change
+from mavfi.reports.kernel_story import kernel_story
 from mavfi.states import STATES
 
 _MEANING = {
@@ -55,6 +56,10 @@ def _figures(flown: Flown, data: dict[str, Any]) -> Table:
     for label, key, scale, unit in rows:
         beside = () if golden is None else (f"{golden[key] * scale:.1f}{unit}", _relative(data[key], golden[key]))
         table.add_row(label, f"{data[key] * scale:.1f}{unit}", *beside)
+    if data["wind"] > 0.0:
+        table.add_row("wind gusts", f"{data['wind']:g} m/s")
+    if data["localization"] != "truth":
+        table.add_row("localization", data["localization"])
     ours = replans(flown.flight)
     if flown.golden is None:
         table.add_row("replans", str(ours))
@@ -78,8 +83,11 @@ def _fault(flown: Flown, data: dict[str, Any]) -> RenderableType | None:
         if not injection["hit"]:
             lines.append(place.append("  not hit: no such publication came", style="yellow"))
             continue
-        bit = "empty mask" if injection["bit"] is None else f"bit {injection['bit']} ({_class(flown)})"
+        bit = f"bit {injection['bit']} ({_class(flown)})"
+        if injection["bit"] is None:
+            bit = injection.get("model", "empty mask")
         lines.append(place.append(f"  {bit}  at {injection['time_s']:.3f} s"))
+        lines += [Text(f"       {sentence}") for _, sentence in kernel_story(injection, data.get("kernel_outcome"))]
         lines.append(Text(f"       {' → '.join(change(injection['before'], injection['after']))}"))
     verdict = outcome(flown)
     lines.append(Text.assemble("       ", (f"{verdict}: ", "bold"), (_MEANING[verdict or ""], "dim")))
@@ -87,7 +95,10 @@ def _fault(flown: Flown, data: dict[str, Any]) -> RenderableType | None:
 
 
 def _class(flown: Flown) -> str:
-    assert flown.fault is not None and flown.fault.bit is not None  # asked for real faults only
+    if flown.fault is None or flown.fault.bit is None:
+        return ""
+    if flown.fault.instruction is not None:
+        return flown.fault.stratum
     return bit_class(STATES[flown.fault.site.state].find(flown.fault.site.field), flown.fault.bit)
 
 

@@ -3,6 +3,7 @@
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from mavfi.campaign.worker import KERNEL_KEYS
 from mavfi.faults.fault import Fault
 from mavfi.hosts.inprocess import Flight
 from mavfi.mission import Scenario
@@ -34,9 +35,10 @@ def to_json(flown: Flown) -> dict[str, Any]:
 
     Returns:
         status, status_text, flight_time_s, energy_j, distance_m, battery_used, digest, injections, alarms, replans,
-        events (counts by kind), what flew (environment, seed, stack, platform, planner, v_max, detector, start, goal,
-        course_m, time_limit_s), fault, outcome, and golden (of the error-free twin: the figures), the last three null
-        for a golden flight.
+        events (counts by kind), what flew (environment, seed, stack, platform, planner, map, vehicle, v_max, wind,
+        localization, detector, start, goal, course_m, time_limit_s), fault, outcome, and golden (of the error-free
+        twin: the figures), the last three null for a golden flight; with a fault in an instruction also
+        kernel_outcome, and where the kernel died due_end: the flight itself is then the one with a restart.
     """
     log = flown.flight.log
     scenario = flown.scenario
@@ -52,11 +54,16 @@ def to_json(flown: Flown) -> dict[str, Any]:
         "stack": scenario.stack.name,
         "platform": scenario.platform.name,
         "planner": scenario.planner.name,
+        "map": scenario.map.kind,
+        "vehicle": scenario.vehicle.name,
         "v_max": scenario.v_max,
+        "wind": scenario.wind.gust,
+        "localization": scenario.localization.kind,
         "detector": flown.detector,
         **{key: log.meta[key] for key in ("start", "goal", "course_m", "time_limit_s")},
         "fault": None if flown.fault is None else flown.fault.to_json(),
         "outcome": outcome(flown),
+        **{key: log.meta[key] for key in KERNEL_KEYS if key in log.meta},
         "golden": None if flown.golden is None else _figures(flown.golden),
     }
 

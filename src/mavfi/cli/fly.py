@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from mavfi.cli.console import JSON_HELP, check_number, check_point, check_seed, check_writable, console, write_json
+from mavfi.cli import launching, options
+from mavfi.cli.console import check_number, check_point, check_seed, check_writable, console, write_json
+from mavfi.config import STRONGEST_WIND
 from mavfi.errors import BadInputError
+from mavfi.states import ODOMETRY
 
 if TYPE_CHECKING:
     from mavfi.cli.flown import Flown
     from mavfi.detectors.detector import Detector
-    from mavfi.faults.spec import FaultRequest
+    from mavfi.faults.spec import FaultRequest, KernelRequest
     from mavfi.mission import Scenario
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -21,66 +22,52 @@ DEFAULT_PROFILE = "paper"
 
 
 def fly(  # noqa: PLR0913 - one parameter per option
-    environment: Annotated[
-        str, typer.Option(help="Name, a YAML file, or a scanned map (.bt, .ot of OctoMap).")
-    ] = "sparse",
-    seed: Annotated[int, typer.Option(help="All randomness of the mission comes from it.")] = 0,
-    start: Annotated[
-        tuple[float, float, float] | None, typer.Option(metavar="X Y Z", help="m, instead of the environment's.")
-    ] = None,
-    goal: Annotated[
-        tuple[float, float, float] | None, typer.Option(metavar="X Y Z", help="m, instead of the environment's.")
-    ] = None,
-    stack: Annotated[str, typer.Option(help="published, hardened, or a YAML file.")] = "published",
-    planner: Annotated[
-        str, typer.Option(help="rrt, rrt_connect, rrt_star, a YAML file, or package:Class.")
-    ] = "rrt_connect",
-    platform: Annotated[
-        str, typer.Option(help="Computer whose latencies are charged: a name, or a YAML file.")
-    ] = "i9-9940x",
-    map_kind: Annotated[
-        str, typer.Option("--map", help="Where the map keeps its log-odds: dense or octree.")
-    ] = "dense",
-    v_max: Annotated[float | None, typer.Option(help="Speed limit, m/s; the environment's by default.")] = None,
-    depth_noise: Annotated[float, typer.Option(help="Of the depth camera: standard deviation / range.")] = 0.0,
-    fault: Annotated[
-        str | None, typer.Option(metavar="SPEC", help=r"null, or state:STATE[.FIELD][[ELEMENT]][:bit=N]\[@SECONDS].")
-    ] = None,
-    fault_seed: Annotated[
-        int | None, typer.Option(help="Draws what the fault does not name: instant, element, bit; 0 by default.")
-    ] = None,
-    detector: Annotated[
-        str, typer.Option(help="gaussian, autoencoder, another entry point, or package:Class.")
-    ] = "none",
-    profile: Annotated[str | None, typer.Option(help="Of the detector: paper (the default) or tuned.")] = None,
-    models: Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
-    save: Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Write the whole record of the flight.")] = None,
-    picture: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Draw the flight from above and from the side.")
-    ] = None,
+    environment: options.Environment = "sparse",
+    seed: options.Seed = 0,
+    start: options.Start = None,
+    goal: options.Goal = None,
+    stack: options.Stack = "published",
+    planner: options.Planner = "rrt_connect",
+    platform: options.Platform = "i9-9940x",
+    map_kind: options.MapKind = "dense",
+    map_resolution: options.MapResolution = None,
+    vehicle: options.Vehicle = None,
+    v_max: options.VMax = None,
+    depth_noise: options.DepthNoise = 0.0,
+    wind: options.Wind = 0.0,
+    localization: options.Localization = "truth",
+    fault: options.Fault = None,
+    fault_seed: options.FaultSeed = None,
+    detector: options.Detector = "none",
+    profile: options.Profile = None,
+    models: options.Models = None,
+    as_json: options.AsJson = False,
+    save: options.Save = None,
+    picture: options.Picture = None,
 ) -> None:
     """Fly one mission, and tell how it went; with a fault, beside its error-free twin.
 
     Example: [bold]mavfi fly --environment dense --seed 10007 --fault state:planning.waypoint.x:bit=62@20.0[/bold]
     """
     check_seed("--seed", seed)
-    _check_company(fault, fault_seed, detector, {"--profile": profile, "--models": models})
+    check_company(fault, fault_seed, detector, {"--profile": profile, "--models": models})
     check_number("--depth-noise", depth_noise, 0.0, 1.0)
+    check_number("--map-resolution", map_resolution, 0.02, 5.0)
+    check_number("--wind", wind, 0.0, STRONGEST_WIND)
     check_number("--v-max", v_max, 0.1, 20.0)
     check_point("--start", start)
     check_point("--goal", goal)
-    _check_save(save)
-    _check_picture(picture)
-    request = _request(fault)
+    _check_files(save, picture)
+    request = _request(fault, _known_localization(localization))
 
     from mavfi.hosts.compose import make_scenario
 
     scenario = make_scenario(
-        environment, seed, stack=stack, platform=platform, planner=planner, v_max=v_max, start=start, goal=goal,
-        depth_noise=depth_noise, map_kind=map_kind,
+        environment, seed, stack=stack, platform=platform, planner=planner, vehicle=vehicle, v_max=v_max,
+        start=start, goal=goal, depth_noise=depth_noise, map_kind=map_kind, map_resolution=map_resolution, wind=wind,
+        localization=localization,
     )  # fmt: skip
-    watching, told = _load(detector, profile, models, scenario)
+    watching, told = load_watcher(detector, profile, models, scenario)
     flown = _fly(scenario, request, fault_seed or 0, watching, told)
     _show(flown, as_json, _write(flown, save, picture))
 
@@ -94,7 +81,7 @@ def _write(flown: Flown, save: Path | None, picture: Path | None) -> list[Path]:
     return [path for path in (save, picture) if path is not None]
 
 
-def _check_company(fault: str | None, fault_seed: int | None, detector: str, options: dict[str, object]) -> None:
+def check_company(fault: str | None, fault_seed: int | None, detector: str, options: dict[str, object]) -> None:
     """Refuse an option that says nothing without another one.
 
     Raises:
@@ -109,27 +96,33 @@ def _check_company(fault: str | None, fault_seed: int | None, detector: str, opt
             raise BadInputError(f"{name}: {value}: nothing watches the flight; allowed: together with --detector")
 
 
-def _check_save(path: Path | None) -> None:
-    if path is not None and path.suffix.lower() != ".npz":
-        raise BadInputError(f"--save: {path}: allowed ending: .npz")
-    check_writable(path)
+def _check_files(save: Path | None, picture: Path | None) -> None:
+    if save is not None and save.suffix.lower() != ".npz":
+        raise BadInputError(f"--save: {save}: allowed ending: .npz")
+    check_writable(save)
+    if picture is not None and picture.suffix.lower() not in PICTURES:
+        raise BadInputError(f"--picture: {picture}: allowed endings: {', '.join(PICTURES)}")
+    check_writable(picture)
 
 
-def _check_picture(path: Path | None) -> None:
-    if path is not None and path.suffix.lower() not in PICTURES:
-        raise BadInputError(f"--picture: {path}: allowed endings: {', '.join(PICTURES)}")
-    check_writable(path)
+def _known_localization(name: str) -> str:
+    if name not in ODOMETRY:
+        raise BadInputError(f"--localization: {name!r}: allowed: {', '.join(ODOMETRY)}")
+    return name
 
 
-def _request(text: str | None) -> FaultRequest | None:
+def _request(text: str | None, localization: str) -> FaultRequest | KernelRequest | None:
     if text is None:
         return None
-    from mavfi.faults.spec import parse
+    from mavfi.faults.spec import KernelRequest, parse
 
-    return parse(text)
+    request = parse(text, localization)
+    if isinstance(request, KernelRequest):
+        launching.fix_addresses()
+    return request
 
 
-def _load(
+def load_watcher(
     name: str, profile: str | None, models: Path | None, scenario: Scenario
 ) -> tuple[Detector | None, str]:  # fmt: skip
     """The detector, and what is told of it: its name, and its profile if it has one."""
@@ -146,20 +139,46 @@ def _load(
 
 
 def _fly(
-    scenario: Scenario, request: FaultRequest | None, fault_seed: int, detector: Detector | None, watching: str
+    scenario: Scenario,
+    request: FaultRequest | KernelRequest | None,
+    fault_seed: int,
+    detector: Detector | None,
+    watching: str,
 ) -> Flown:
-    """The golden twin first, then the draw of the fault from its publications, then the flight."""
+    """The golden twin first, then the draw of the fault from what happens in it, then the flight."""
     from mavfi.cli.flown import Flown
+    from mavfi.faults.spec import KernelRequest
     from mavfi.hosts.inprocess import fly as fly_mission
 
     if request is None:
         return Flown(scenario, fly_mission(scenario, None, detector), None, None, watching)
+    if isinstance(request, KernelRequest):
+        return _strike(scenario, request, fault_seed, detector, watching)
     golden = fly_mission(scenario, None, detector, want_profile=detector is None)
     profile = golden.profile
     if request.needs_profile and detector is not None:
         profile = fly_mission(scenario, want_profile=True).profile  # as campaigns draw: nothing watches
     fault = request.resolve(fault_seed, scenario.stack.name, profile)
     return Flown(scenario, fly_mission(scenario, fault, detector), golden, fault, watching)
+
+
+def _strike(
+    scenario: Scenario, request: KernelRequest, fault_seed: int, detector: Detector | None, watching: str
+) -> Flown:  # fmt: skip
+    """The same for a fault in an instruction."""
+    from mavfi.cli.flown import Flown
+    from mavfi.hosts.instruction import fly_struck
+    from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults
+
+    wish = Wish({request.kernel: 1}, request.which, request.model)
+    fault = draw_kernel_faults(scenario, wish, seed=fault_seed).faults[request.kernel][0]
+    if not fault.has_site:
+        raise BadInputError(
+            f"--fault: instruction:{request.kernel}: this mission executes no instruction {request.which!r} there; "
+            "allowed: a class that it executes"
+        )
+    struck = fly_struck(scenario, [fault], detector)
+    return Flown(scenario, struck.flights[0], struck.golden, fault, watching)
 
 
 def _draw(flown: Flown, path: Path) -> None:

@@ -21,8 +21,12 @@ def report(
     from mavfi.reports.campaign_report import write_report
     from mavfi.reports.terminal import show
 
-    Store.open(directory).close()  # what is no campaign is left as it is
+    with Store.open(directory) as store:  # what is no campaign is left as it is
+        of_nodes = store.is_of_nodes
     check_folder(directory)
+    if of_nodes:
+        _report_nodes(directory, as_json)
+        return
     out = console()
 
     def tell(analysis: dict[str, Any]) -> None:
@@ -34,3 +38,16 @@ def report(
     written = write_report(directory, draw_run=draw_run, shown=tell)
     if not as_json:
         out.print(f"[dim]wrote[/dim] {', '.join(path.name for path in written.files)} [dim]in[/dim] {directory}")
+
+
+def _report_nodes(directory: Path, as_json: bool) -> None:
+    """The same of a campaign on a ROS node."""
+    from mavfi.reports.node_report import show_nodes, write_node_report
+
+    analysis, files = write_node_report(directory)
+    if as_json:
+        write_json(analysis)
+        return
+    out = console()
+    show_nodes(analysis, out)
+    out.print(f"[dim]wrote[/dim] {', '.join(path.name for path in files)} [dim]in[/dim] {directory}")

@@ -63,7 +63,7 @@ def _check_ledger(campaign: "Campaign", out: Path) -> None:
         held = store.meta("identity")
     scenarios = campaign_scenarios(campaign, host_tools())
     wanted = {
-        "campaign": campaign.model_dump(mode="json"),
+        "campaign": campaign.to_json(),
         "scenarios": {name: scenario.to_json() for name, scenario in scenarios.items()},
     }
     differing = [key for key, value in wanted.items() if held.get(key) != value]

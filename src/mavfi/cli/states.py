@@ -8,7 +8,7 @@ from rich.table import Table
 
 from mavfi.cli.console import JSON_HELP, console, write_json
 from mavfi.errors import BadInputError
-from mavfi.states import MONITORED_SETS, STACKS, STATES, Field, StateSpec
+from mavfi.states import MONITORED_SETS, ODOMETRY, STACKS, Field, StateSpec, states_with
 
 _DEFAULT_SET = "paper-13"
 
@@ -20,6 +20,7 @@ def states(
     monitored: Annotated[
         str, typer.Option(help="Set of fields that detectors watch: paper-13 or published-19.")
     ] = _DEFAULT_SET,
+    localization: Annotated[str, typer.Option(help="Whose states are shown: truth or estimator.")] = "truth",
     as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
 ) -> None:
     """Print every value that one kernel hands to another: what can be struck, and what is watched.
@@ -30,9 +31,11 @@ def states(
         raise BadInputError(f"--stack: {stack!r}: allowed: {', '.join(STACKS)}")
     if monitored not in MONITORED_SETS:
         raise BadInputError(f"--monitored: {monitored!r}: allowed: {', '.join(MONITORED_SETS)}")
-    rows = [_state(spec, stack, monitored) for spec in STATES.values()]
+    if localization not in ODOMETRY:
+        raise BadInputError(f"--localization: {localization!r}: allowed: {', '.join(ODOMETRY)}")
+    rows = [_state(spec, stack, monitored) for spec in states_with(localization).values()]
     if as_json:
-        write_json({"stack": stack, "monitored_set": monitored, "states": rows})
+        write_json({"stack": stack, "localization": localization, "monitored_set": monitored, "states": rows})
         return
     console().print(_table(rows, stack, monitored))
 
@@ -43,7 +46,7 @@ def _state(spec: StateSpec, stack: str, monitored: str) -> dict[str, Any]:
     header = [_field(field, "", stack, watched) for field in spec.header]
     return {
         "state": spec.name, "writer": spec.writer, "stage": spec.stage.value, "rate": spec.rate,
-        "acted_on_when_grows": spec.acted_on, "fields": elements + header,
+        "acted_on_when_grows": spec.acted_on, "only_with_localization": spec.only_with, "fields": elements + header,
     }  # fmt: skip
 
 
@@ -68,6 +71,8 @@ def _table(rows: list[dict[str, Any]], stack: str, monitored: str) -> Table:
         about = [f"{row['writer']} · {row['stage']}", row["rate"]]
         if row["acted_on_when_grows"]:
             about.append(f"acted on when {row['acted_on_when_grows']} grows")
+        if row["only_with_localization"]:
+            about.append(f"only with localization {row['only_with_localization']}")
         for place, field in enumerate(row["fields"]):
             each = f"[dim]\\[{field['of_each']}][/dim]" if field["of_each"] else ""
             table.add_row(

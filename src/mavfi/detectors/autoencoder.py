@@ -144,12 +144,13 @@ class AutoencoderDetector:
 
     model_kind = SOURCE
 
-    def __init__(self, model: Model, policy: str | None = None) -> None:
+    def __init__(self, model: Model, policy: str | None = None, preprocessor: Preprocessor | None = None) -> None:
         """Take over what was trained.
 
         Args:
             model: A model of kind "autoencoder".
             policy: "paper" or "keyed"; default: "paper" for profile `paper`, "keyed" for `tuned`.
+            preprocessor: Of the fields that the model was trained on, if they are no monitored set.
 
         Raises:
             BadInputError: The policy is not known.
@@ -158,7 +159,7 @@ class AutoencoderDetector:
         if self._policy not in POLICIES:
             raise BadInputError(f"recovery policy {policy!r}: not known; allowed: {', '.join(POLICIES)}")
         parameters = model.parameters
-        self._features = Preprocessor(model.monitored, model.profile, model.prediction)
+        self._features = preprocessor or Preprocessor(model.monitored, model.profile, model.prediction)
         sizes = np.array(parameters["sizes"], np.int64)
         scale, weights = np.array(parameters["scale"], np.float64), np.array(parameters["weights"], np.float64)
         self._network = Network(scale, sizes, weights, np.zeros((3, int(sizes.max()))))

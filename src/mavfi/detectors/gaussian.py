@@ -117,14 +117,15 @@ class GaussianDetector:
 
     model_kind = SOURCE
 
-    def __init__(self, model: Model, sigmas: float | None = None) -> None:
+    def __init__(self, model: Model, sigmas: float | None = None, preprocessor: Preprocessor | None = None) -> None:
         """Take over what was trained.
 
         Args:
             model: A model of kind "gaussian".
             sigmas: The paper's n instead of the model's; `paper` only.
+            preprocessor: Of the fields that the model was trained on, if they are no monitored set.
         """
-        self._features = Preprocessor(model.monitored, model.profile, model.prediction)
+        self._features = preprocessor or Preprocessor(model.monitored, model.profile, model.prediction)
         size = len(self._features.fields)
         self._deltas = np.zeros(size, np.int16)
         self._scores = np.zeros(size)

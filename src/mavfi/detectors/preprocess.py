@@ -4,19 +4,18 @@
 to what was predicted first, in float64, then its code.  Integers: difference, saturated to 16 bits.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
 from mavfi.detectors import features
 from mavfi.errors import BadInputError
-from mavfi.states import MONITORED_SETS, STATES, State, StateSpec
+from mavfi.states import MONITORED_SETS, ODOMETRY, STATES, State, StateSpec
 
 PROFILES = ("paper", "tuned")
 PREDICTIONS = {"interval": features.CODE_OF_INTERVAL, "trapezoid": features.CODE_OF_TRAPEZOID}
 """How a way-point's position is predicted, see `features.measure`: "interval" where way-points carry the mean
 velocity on the way to them, "trapezoid" where they carry the velocity at their position."""
-VEHICLE_STATE = "sensor.odometry"
 
 _HALF_METRE, _QUARTER, _ONE_SECOND, _EIGHTH = -1, -2, 0, -3
 _POSITIONS = {"x": "vx", "y": "vy", "z": "vz"}
@@ -46,16 +45,41 @@ class Preprocessor:
         watched = MONITORED_SETS[_known(monitored, MONITORED_SETS, "monitored set")]
         _known(profile, PROFILES, "profile")
         _known(prediction, PREDICTIONS, "prediction")
+        specs = {state: STATES[state] for state, _ in watched}
+        self._fill(specs, watched, [_row(STATES[state], field, profile, prediction) for state, field in watched])
+
+    @classmethod
+    def of(cls, specs: Mapping[str, StateSpec], profile: str, thresholds: Sequence[int]) -> "Preprocessor":
+        """Deltas of every field of states that are in no table of ours; all of them are float64.
+
+        Args:
+            specs: States by name.
+            profile: "paper" or "tuned".
+            thresholds: Exponent threshold of each field's code, see `sign_exponent_code`.
+        """
+        rule = features.DELTA_OF_CODES if _known(profile, PROFILES, "profile") == "paper" else features.CODE_OF_DELTA
+        watched = tuple((name, field.name) for name, spec in specs.items() for field in spec.header)
+        rows = [
+            (_offset(specs[state], field), rule, threshold, -1, 0)
+            for (state, field), threshold in zip(watched, thresholds, strict=True)
+        ]
+        made = cls.__new__(cls)
+        made._fill(specs, watched, rows)
+        return made
+
+    def _fill(
+        self, specs: Mapping[str, StateSpec], watched: tuple[tuple[str, str], ...],
+        rows: Sequence[tuple[int, int, int, int, int]],
+    ) -> None:  # fmt: skip
+        self._specs = specs
         self.fields = tuple(f"{state}.{field}" for state, field in watched)
-        names = list(dict.fromkeys(state for state, _ in watched))
-        self.slots = {name: slot for slot, name in enumerate(names)}
-        rows = [_row(STATES[state], field, profile, prediction) for state, field in watched]
-        size = max(STATES[name].header_dtype.itemsize for name in names)
+        self.slots = {name: slot for slot, name in enumerate(specs)}
+        size = max(spec.header_dtype.itemsize for spec in specs.values())
         self.watch = features.Watch(
-            places=np.array([_place(STATES[name], watched) for name in names], np.int64),
+            places=np.array([_place(spec, watched) for spec in specs.values()], np.int64),
             table=np.array(rows, np.int64),
-            memory=np.zeros((len(names), 2)),
-            last=np.zeros((len(names), size), np.uint8),
+            memory=np.zeros((len(specs), 2)),
+            last=np.zeros((len(specs), size), np.uint8),
             vehicle=np.zeros(features.KNOWN + 1),
         )
 
@@ -67,7 +91,7 @@ class Preprocessor:
 
     def note(self, state: State) -> None:
         """Remember where the vehicle is, if this state says so."""
-        if state.spec.name == VEHICLE_STATE:
+        if state.spec.name in ODOMETRY.values():
             features.note_vehicle(state.header.view(np.uint8), self.watch.vehicle)
 
     def range_of(self, slot: int) -> tuple[int, int]:
@@ -81,8 +105,12 @@ class Preprocessor:
 
     def stage(self, index: int) -> str:
         """Stage of the field at an index of the vector."""
-        state, _, _ = self.fields[index].rpartition(".")
-        return STATES[state].stage.value
+        return self._specs[self.state(index)].stage.value
+
+    def state(self, index: int) -> str:
+        """Name of the state of the field at an index of the vector."""
+        lasts = self.watch.places[:, features.LAST]
+        return list(self.slots)[int(np.searchsorted(lasts, index, side="right"))]
 
 
 def _known(name: str, allowed: Collection[str], what: str) -> str:

@@ -6,12 +6,12 @@ import numpy as np
 
 from mavfi.detectors import features
 from mavfi.detectors.detector import Alarm
-from mavfi.detectors.preprocess import VEHICLE_STATE
-from mavfi.states import MONITORED_SETS, STATES, State
+from mavfi.states import MONITORED_SETS, ODOMETRY, STATES, State
 
 WATCHED = tuple(dict.fromkeys(state for fields in MONITORED_SETS.values() for state, _ in fields))
 """The states of which some field is in a monitored set."""
 _WAYPOINT = "planning.waypoint"
+_ODOMETRY_SIZE = STATES[ODOMETRY["truth"]].header_dtype.itemsize
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class Recording:
     @property
     def ends(self) -> np.ndarray:
         """Where each header ends in `content`. Shape (m,), int64."""
-        sizes = [STATES[name].header_dtype.itemsize for name in (*WATCHED, VEHICLE_STATE)]
+        sizes = [*(STATES[name].header_dtype.itemsize for name in WATCHED), _ODOMETRY_SIZE]
         return np.cumsum(np.array(sizes, np.int64)[self.kinds])
 
     def headers(self, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -72,8 +72,8 @@ class Recorder:
     def accept(self, state: State, time_us: int) -> None:
         """Keep a value that was published."""
         name = state.spec.name
-        if name == VEHICLE_STATE:
-            self._odometry = state.header.tobytes()
+        if name in ODOMETRY.values():
+            self._odometry = state.header.tobytes()[:_ODOMETRY_SIZE]
         elif name in _KINDS:
             if name == _WAYPOINT:
                 self._note_trajectory(int(state.header["trajectory_seq"][0]), time_us)

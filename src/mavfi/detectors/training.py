@@ -193,7 +193,7 @@ def fit_frozen(sample: Sample, preprocessor: Preprocessor) -> dict[str, Any]:
 
 def _fields(preprocessor: Preprocessor) -> list[tuple[int, int]]:
     """Index and watched state of each field."""
-    return [(index, preprocessor.slots[name.rpartition(".")[0]]) for index, name in enumerate(preprocessor.fields)]
+    return [(index, preprocessor.slots[preprocessor.state(index)]) for index in range(len(preprocessor.fields))]
 
 
 def fit_autoencoder(sample: Sample, per_output: bool) -> dict[str, Any]:
@@ -253,7 +253,7 @@ def train_network(inputs: np.ndarray) -> MLPRegressor:
     )  # fmt: skip
     with threadpool_limits(1), warnings.catch_warnings():
         warnings.simplefilter("ignore", ConvergenceWarning)  # the number of epochs is the stopping rule
-        network.fit(inputs, inputs)
+        network.fit(inputs, inputs if inputs.shape[1] > 1 else inputs.ravel())
     return network
 
 

@@ -26,7 +26,7 @@ class Fault:
     """A planned fault.
 
     Attributes:
-        level: "state" here; "instruction" and "register" exist for other injectors.
+        level: "state" or "instruction"; "register" exists for another injector.
         site: Where.
         time_us: The first publication at or after this instant is struck (of those that consumers act on); `NO_SITE`
             = the golden flight has no site for what was drawn, which is reported and never redrawn.
@@ -37,6 +37,8 @@ class Fault:
         weight: Probability that a bit drawn from the whole word falls in the stratum, for whole-word rates.
         stage: PPC stage that was drawn.
         seed: Seed of the draw.
+        instruction: Of the level "instruction": the planned `InstructionFault` as plain data; the site is then kernel
+            and function, and the instant that of the struck call.
     """
 
     level: str
@@ -49,6 +51,7 @@ class Fault:
     weight: float = 1.0
     stage: str = ""
     seed: int = 0
+    instruction: dict[str, Any] | None = None
 
     @property
     def has_site(self) -> bool:
@@ -56,8 +59,11 @@ class Fault:
         return self.time_us != NO_SITE
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return asdict(self)
+        """Plain data; without what faults of this level do not have."""
+        data = asdict(self)
+        if self.instruction is None:
+            del data["instruction"]
+        return data
 
     @staticmethod
     def from_json(data: dict[str, Any]) -> "Fault":

@@ -14,7 +14,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, Fault, FaultSite
 from mavfi.faults.strata import bits_of, word_share
 from mavfi.flight_log import Profile
-from mavfi.states import MONITORED_SETS, PPC_STAGES, STACKS, STATES, StateSpec, find_state
+from mavfi.states import MONITORED_SETS, PPC_STAGES, STACKS, STATES, StateSpec, find_state, states_with
 
 FAULT_PURPOSE = 3
 """First part of the spawn key of every stream that faults are drawn from."""
@@ -59,20 +59,23 @@ def live_fields(spec: StateSpec, stack: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(live))
 
 
-def stage_target(stage: str, stack: str, monitored_set: str | None = None) -> Target:
+def stage_target(
+    stage: str, stack: str, monitored_set: str | None = None, localization: str = "truth"
+) -> Target:  # fmt: skip
     """All live fields of the states of a stage.
 
     Args:
         stage: "perception", "planning" or "control".
         stack: Name of the stack, which decides what is dead.
         monitored_set: Only fields of this set; None = all.
+        localization: "truth" or "estimator", which decides what states there are.
 
     Raises:
         BadInputError: There is no such stage or set, or nothing is left.
     """
     if stage not in PPC_STAGES:
         raise BadInputError(f"stage {stage!r}: not known; allowed: {', '.join(PPC_STAGES)}")
-    fields = {spec.name: live_fields(spec, stack) for spec in STATES.values() if spec.stage == stage}
+    fields = {spec.name: live_fields(spec, stack) for spec in states_with(localization).values() if spec.stage == stage}
     if monitored_set is not None:
         if monitored_set not in MONITORED_SETS:
             raise BadInputError(f"monitored set {monitored_set!r}: not known; allowed: {', '.join(MONITORED_SETS)}")
@@ -81,16 +84,19 @@ def stage_target(stage: str, stack: str, monitored_set: str | None = None) -> Ta
     return Target(stage, {state: names for state, names in fields.items() if names})
 
 
-def group_target(name: str, sites: Sequence[str]) -> Target:
+def group_target(name: str, sites: Sequence[str], localization: str = "truth") -> Target:
     """The named fields, e.g. "planning.waypoint.x".
 
     Raises:
-        BadInputError: A site names no state or no field.
+        BadInputError: A site names no state or no field, or a state that this localization does not publish.
     """
     fields: dict[str, tuple[str, ...]] = {}
     for site in sites:
         state, _, field_name = site.rpartition(".")
-        find_state(state).find(field_name)
+        spec = find_state(state)
+        spec.find(field_name)
+        if not spec.exists_with(localization):
+            raise BadInputError(f"group {name!r}: {site}: only flights with localization {spec.only_with} publish it")
         fields[state] = (*fields.get(state, ()), field_name)
     if not fields:
         raise BadInputError(f"group {name!r}: names no site")

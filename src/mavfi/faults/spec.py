@@ -10,13 +10,13 @@ from mavfi.faults.fault import Fault, FaultSite
 from mavfi.faults.sampling import draw_publication, live_fields, stream
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight_log import Profile
-from mavfi.states import STATES, Field, StateSpec, find_state
+from mavfi.states import STATES, Field, StateSpec, states_with
 
-FORM = "null, or state:STATE[.FIELD][[ELEMENT]][:bit=N][@SECONDS]"
-_UNAVAILABLE = ("instruction", "register")
+FORM = "null, state:STATE[.FIELD][[ELEMENT]][:bit=N][@SECONDS], or instruction:KERNEL[:which=CLASS][:model=MODEL]"
 _PATTERN = re.compile(
     r"(?P<path>[^:@\[\]]+)(\[(?P<element>\d+)\])?(:bit=(?P<bit>\d+))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?"
 )
+_INSTRUCTION = re.compile(r"(?P<kernel>\w+)(:which=(?P<which>.+?))?(:model=(?P<model>\w+))?")
 _NULL_SITE = FaultSite("planning.waypoint", "x")
 _LONGEST = 1e9
 
@@ -89,41 +89,77 @@ class FaultRequest:
         return Profile({name: profile.times_us[name][later]}, {name: profile.counts[name][later]})
 
 
-def parse(text: str) -> FaultRequest:
+@dataclass(frozen=True, slots=True)
+class KernelRequest:
+    """A fault in an instruction as a user names it; which one is drawn.
+
+    Attributes:
+        kernel: Name of the kernel.
+        which: Class of instructions, see `mavfi.faults.instruction.selection`.
+        model: What becomes of the value.
+    """
+
+    kernel: str
+    which: str = "all"
+    model: str = "one_bit"
+
+
+def parse(text: str, localization: str = "truth") -> FaultRequest | KernelRequest:
     """Read a fault from the command line.
 
     Args:
-        text: `null` (the empty mask on the way-point in force), or `state:` and a site.
+        text: `null` (the empty mask on the way-point in force), `state:` and a site, or `instruction:` and a kernel.
+        localization: "truth" or "estimator", which decides what states there are.
 
     Raises:
         BadInputError: It names no state, field, element or bit that exists; the message says what does.
     """
     if text == "null":
         return FaultRequest(STATES[_NULL_SITE.state], _NULL_SITE.field, null=True)
-    level, separator, rest = text.partition(":")
-    if separator and level in _UNAVAILABLE:
-        raise BadInputError(f"fault {text!r}: level {level!r} is not available; allowed: state")
+    level, _, rest = text.partition(":")
+    if level == "register":
+        raise BadInputError(f"fault {text!r}: registers are struck by mavfi inject; allowed: state, instruction")
+    if level == "instruction":
+        return _parse_kernel(text, rest)
     match = _PATTERN.fullmatch(rest)
     if level != "state" or match is None:
         raise BadInputError(f"fault {text!r}: not understood; allowed: {FORM}")
-    spec, field = _find(text, match["path"])
+    spec, field = _find(text, match["path"], localization)
     element, bit = (None if match[name] is None else int(match[name]) for name in ("element", "bit"))
     _check_element(text, spec, field, element)
     _check_bit(text, spec, field, bit)
     return FaultRequest(spec, field, element, bit, _microseconds(text, match["time"]))
 
 
-def _find(text: str, path: str) -> tuple[StateSpec, str | None]:
-    if path in STATES:
-        return STATES[path], None
-    state, _, field = path.rpartition(".")
-    if state not in STATES:
-        raise BadInputError(f"fault {text!r}: no state {path!r}; allowed: {', '.join(STATES)}")
+def _parse_kernel(text: str, rest: str) -> KernelRequest:
+    from mavfi.faults.instruction.fault import MODELS
+    from mavfi.faults.instruction.selection import parse_selection
+
+    match = _INSTRUCTION.fullmatch(rest)
+    if match is None:
+        raise BadInputError(f"fault {text!r}: not understood; allowed: {FORM}")
+    which, model = match["which"] or "all", match["model"] or "one_bit"
     try:
-        find_state(state).find(field)
+        parse_selection(which)
     except BadInputError as error:
         raise BadInputError(f"fault {text!r}: {error}") from None
-    return STATES[state], field
+    if model not in MODELS:
+        raise BadInputError(f"fault {text!r}: no model {model!r}; allowed: {', '.join(MODELS)}")
+    return KernelRequest(match["kernel"], which, model)
+
+
+def _find(text: str, path: str, localization: str) -> tuple[StateSpec, str | None]:
+    state, _, field = (path, "", "") if path in STATES else path.rpartition(".")
+    known = states_with(localization)
+    if state not in STATES:
+        raise BadInputError(f"fault {text!r}: no state {path!r}; allowed: {', '.join(known)}")
+    if state not in known:
+        only = STATES[state].only_with
+        raise BadInputError(f"fault {text!r}: {state} is published with localization {only} only, not {localization}")
+    try:
+        return known[state], known[state].find(field).name if field else None
+    except BadInputError as error:
+        raise BadInputError(f"fault {text!r}: {error}") from None
 
 
 def _check_element(text: str, spec: StateSpec, field: str | None, element: int | None) -> None:

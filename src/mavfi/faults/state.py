@@ -1,13 +1,15 @@
 """State-level faults: one bit of one field of one published inter-kernel state, once."""
 
+from copy import copy
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, FaultSite, Injection
 from mavfi.faults.strata import WORD_BITS
-from mavfi.states import State, StateSpec, find_state
+from mavfi.states import STATES, State, StateSpec, find_state
 
 
 def flip(state: State, site: FaultSite, bit: int | None) -> tuple[State, float | int | bool, float | int | bool]:
@@ -63,6 +65,45 @@ class ActedOn:
         return grew
 
 
+class Injector(Protocol):
+    """The tap through which every published value goes first."""
+
+    @property
+    def spent(self) -> bool:
+        """Whether it leaves everything that comes untouched."""
+
+    def __call__(self, state: State, time_us: int) -> State:
+        """What is published instead."""
+
+    def finish(self) -> list[Injection]:
+        """All that it did."""
+
+
+class CounterWatch:
+    """A tap in the injector's place that changes nothing, and notes what an injector has to know of what passed.
+
+    Attributes:
+        acted_on: By state, for those of which consumers do not act on every publication.
+    """
+
+    spent = True
+
+    def __init__(self) -> None:
+        self.acted_on = {spec.name: ActedOn(spec) for spec in STATES.values() if spec.acted_on}
+
+    def __call__(self, state: State, time_us: int) -> State:
+        """Answer the publication itself."""
+        del time_us
+        acted_on = self.acted_on.get(state.spec.name)
+        if acted_on is not None:
+            acted_on(state)
+        return state
+
+    def finish(self) -> list[Injection]:
+        """Nothing was done."""
+        return []
+
+
 class StateInjector:
     """A tap that strikes as one fault says, once; every other publication passes untouched.
 
@@ -70,14 +111,26 @@ class StateInjector:
         injections: What it did so far.
     """
 
-    def __init__(self, fault: Fault) -> None:
+    def __init__(self, fault: Fault, watch: CounterWatch | None = None) -> None:
+        """Get ready.
+
+        Args:
+            fault: What to do.
+            watch: What passed before this injector is put in; None = nothing.
+        """
         self.injections: list[Injection] = []
         self._fault = fault
         self._spec = find_state(fault.site.state)
-        self._acted_on = ActedOn(self._spec)
+        known = None if watch is None else watch.acted_on.get(self._spec.name)
+        self._acted_on = ActedOn(self._spec) if known is None else copy(known)
         self._in_elements = self._spec.in_elements(fault.site.field)
         self._spec.find(fault.site.field)
         self._armed = fault.has_site
+
+    @property
+    def spent(self) -> bool:
+        """Whether it will leave everything that comes untouched."""
+        return not self._armed
 
     def __call__(self, state: State, time_us: int) -> State:
         """Answer what is published instead.

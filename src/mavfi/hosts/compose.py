@@ -7,27 +7,34 @@ import numpy as np
 from mavfi.config import (
     CameraConfig,
     EnvironmentConfig,
+    LocalizationConfig,
     MapConfig,
     PlannerConfig,
     PlatformConfig,
     StackConfig,
     Vector,
-    VehicleConfig,
+    WindConfig,
     names,
     parse,
     shipped,
 )
 from mavfi.errors import BadInputError
+from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.mission import Scenario
+from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.kernel import PipelineConfig
+from mavfi.pipeline.maps import find_map
 from mavfi.platforms.compute import stage_latency
+from mavfi.sim import imu
 from mavfi.sim.environments import SCAN_ENDINGS, World, environment_for_file
+from mavfi.sim.mjcf import find_vehicle
 from mavfi.states import Stage
 
 CONTROL_PERIOD_US = 20_000
 DEFAULT_V_MAX = 3.0
 NOMINAL_HULL = 0.35
 """Hull that the radii of a stack are meant for (m)."""
+_LEAST_POSITION_NOISE, _LEAST_HEADING_NOISE = 1e-3, 1e-3
 
 
 def find_environment(name: str) -> EnvironmentConfig:
@@ -59,11 +66,15 @@ def make_scenario(  # noqa: PLR0913 (one keyword for each option of the command 
     stack: str = "published",
     platform: str = "i9-9940x",
     planner: str = "rrt_connect",
+    vehicle: str | None = None,
     v_max: float | None = None,
     start: Vector | None = None,
     goal: Vector | None = None,
     depth_noise: float = 0.0,
     map_kind: str = "dense",
+    map_resolution: float | None = None,
+    wind: float = 0.0,
+    localization: str = "truth",
 ) -> Scenario:
     """A scenario from names; what is not given comes from the environment, then from the defaults.
 
@@ -73,11 +84,15 @@ def make_scenario(  # noqa: PLR0913 (one keyword for each option of the command 
         stack: "published", "hardened", or a path to a YAML file.
         platform: Name or path.
         planner: Name, path to a YAML file, entry point or "package:Class".
+        vehicle: Name or path to a YAML file; None = the environment's.
         v_max: m/s.
         start: World frame (m); None = the environment's.
         goal: Same.
         depth_noise: Standard deviation / range.
-        map_kind: "dense" or "octree".
+        map_kind: "dense", "octree", entry point or "package:Class".
+        map_resolution: Edge of a voxel (m).
+        wind: Amplitude of gusts (m/s).
+        localization: "truth" or "estimator".
 
     Raises:
         BadInputError: Something is not known, or does not fit together.
@@ -85,6 +100,8 @@ def make_scenario(  # noqa: PLR0913 (one keyword for each option of the command 
     if seed < 0:
         raise BadInputError(f"seed: {seed}: must be 0 or more")
     world = find_environment(environment)
+    if vehicle is not None:
+        world = world.model_copy(update={"vehicle": vehicle})
     speed = v_max if v_max is not None else (world.v_max or DEFAULT_V_MAX)
     if not 0.1 <= speed <= 20.0:
         raise BadInputError(f"v_max: {speed}: must lie between 0.1 and 20 m/s")
@@ -93,25 +110,35 @@ def make_scenario(  # noqa: PLR0913 (one keyword for each option of the command 
     )  # fmt: skip
     return Scenario(
         environment=world, seed=seed, stack=shipped("stacks", StackConfig, stack),
-        vehicle=shipped("vehicles", VehicleConfig, world.vehicle),
+        vehicle=find_vehicle(world.vehicle),
         platform=shipped("platforms", PlatformConfig, platform), planner=find_planner(planner), camera=camera,
-        map=_map_config(map_kind, world.map_resolution),
-        v_max=speed, start=start, goal=goal,
+        map=_map_config(map_kind, map_resolution if map_resolution is not None else world.map_resolution),
+        v_max=speed, start=start, goal=goal, wind=parse(WindConfig, {"gust": wind}, "wind"),
+        localization=parse(LocalizationConfig, {"kind": localization}, "localization"),
     )  # fmt: skip
 
 
 def _map_config(kind: str, resolution: float | None) -> MapConfig:
     chosen = {"kind": kind} if resolution is None else {"kind": kind, "resolution": resolution}
+    find_map(kind)
     return parse(MapConfig, chosen, "map")
 
 
-def pipeline_config(scenario: Scenario, world: World, directions: np.ndarray) -> PipelineConfig:
+def pipeline_config(
+    scenario: Scenario,
+    world: World,
+    directions: np.ndarray,
+    rewindable: bool = False,
+    functions: KernelFunctions = PLAIN,
+) -> PipelineConfig:
     """What the pipeline is told of a mission.
 
     Args:
         scenario: The mission.
         world: Its world: only limits and goal are passed on, obstacles are for the camera to see.
         directions: Ray of each pixel. Shape (n, 3).
+        rewindable: Whether the flight can be put back to earlier instants.
+        functions: What its kernels call.
     """
     stack = scenario.stack
     hull = scenario.vehicle.hull_radius / NOMINAL_HULL
@@ -124,5 +151,18 @@ def pipeline_config(scenario: Scenario, world: World, directions: np.ndarray) ->
         tracker_slowdown=scenario.platform.tracker_slowdown,
         map_latency=1e-6 * stage_latency(scenario.platform, Stage.PERCEPTION),
         plan_latency=1e-6 * stage_latency(scenario.platform, Stage.PLANNING),
-        velocity_lag=1.0 / scenario.vehicle.velocity_gain,
+        velocity_lag=1.0 / scenario.vehicle.velocity_gain, noise=_noise(scenario.localization), rewindable=rewindable,
+        functions=functions,
+    )  # fmt: skip
+
+
+def _noise(config: LocalizationConfig) -> Noise | None:
+    """What an estimator assumes: the figures of the sensors, but no better ones than its steps of 4 ms are good for."""
+    if config.kind == "truth":
+        return None
+    scale = max(config.imu_noise, 1.0)
+    return Noise(
+        scale * imu.ACCELEROMETER_RANDOM_WALK, scale * imu.GYRO_RANDOM_WALK,
+        scale * imu.ACCELEROMETER_BIAS_WALK, scale * imu.GYRO_BIAS_WALK,
+        max(config.position_noise, _LEAST_POSITION_NOISE), max(config.heading_noise, _LEAST_HEADING_NOISE),
     )  # fmt: skip

@@ -7,8 +7,9 @@ the last good value meanwhile.  A recomputation that gives the same value is acc
 
 import heapq
 import math
+import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,18 +17,22 @@ import numpy as np
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
-from mavfi.faults.state import ActedOn, StateInjector
+from mavfi.faults.state import Injector, StateInjector
 from mavfi.flight_log import COLUMNS, Event, FlightLog, Profile
 from mavfi.hosts.compose import CONTROL_PERIOD_US, pipeline_config
+from mavfi.hosts.publications import Publications
+from mavfi.hosts.sensing import Sensors
 from mavfi.mission import ARRIVAL_RADIUS, FLY_AWAY_MARGIN, MissionStatus, Scenario, time_limit
-from mavfi.pipeline.kernel import Kernel
+from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.pipeline.ppc import PERIODIC, build_pipeline
-from mavfi.platforms.compute import STAGE_KERNELS, latency, stage_latency
+from mavfi.platforms.compute import STAGE_KERNELS, latency, redo_latency, stage_latency
 from mavfi.sim.environments import World, build_world
 from mavfi.sim.simulator import Simulator
-from mavfi.states import STATES, Stage, State, floats, new_state
+from mavfi.states import ODOMETRY, STATES, Stage, State, floats, states_with
 
 _PHYSICS_US = 4_000
+_TICK = "tick"
 
 Observer = Callable[[State, int], None]
 """Sees every published value and the instant (microseconds); it must not change it."""
@@ -50,73 +55,63 @@ class Flight:
     pipeline: dict[str, Kernel]
 
 
-@dataclass(slots=True)
-class _Redo:
-    """A recomputation on its way; the value that comes out is published, whatever the detector says."""
+@dataclass(frozen=True, slots=True)
+class Redo:
+    """A recomputation on its way; the value that comes out is published, whatever the detector says.
+
+    Attributes:
+        rejected: What the alarm was about.
+        place: Of the alarm's record.
+    """
 
     rejected: State
-    record: dict[str, Any]
+    place: int
 
 
-@dataclass(slots=True)
-class _Publications:
-    """Counts what was published, and when, if a profile is wanted."""
+class Host:
+    """One flight.
 
-    wanted: bool
-    count: dict[str, int] = field(default_factory=lambda: dict.fromkeys(STATES, 0))
-    times: dict[str, list[int]] = field(default_factory=lambda: {name: [] for name in STATES})
-    sizes: dict[str, list[int]] = field(default_factory=lambda: {name: [] for name in STATES})
-    acted_on: dict[str, ActedOn] = field(default_factory=lambda: {s.name: ActedOn(s) for s in STATES.values()})
+    Args:
+        scenario, fault, detector, want_profile, observer, functions: See `fly`.
+        rewindable: Whether the flight can be put back to earlier instants and gone on with under another detector
+            (see `hosts.checkpoints`): maps keep their changes, and kernels are marked even if nothing can alarm yet.
+        kernels: Makes the kernels, which may be proxies of kernels elsewhere; None = all of them, here.
+    """
 
-    def note(self, state: State, time_us: int) -> None:
-        name = state.spec.name
-        self.count[name] += 1
-        if not self.wanted:
-            return
-        if not self.acted_on[name](state):
-            return
-        self.times[name].append(time_us)
-        self.sizes[name].append(len(state.elements))
-
-    def profile(self) -> Profile | None:
-        if not self.wanted:
-            return None
-        return Profile(
-            {name: np.array(times, np.int64) for name, times in self.times.items()},
-            {name: np.array(sizes, np.int32) for name, sizes in self.sizes.items()},
-        )
-
-
-class _Host:
-    """One flight."""
+    # configuration; what is judged, counted or recorded; and the taps, which a checkpoint holds beside the memory
+    not_memory = (
+        "scenario", "world", "sim", "config", "latency", "readers", "observer", "course", "limit_us", "marks",
+        "status", "publications", "rows", "events", "alarms", "compute_us", "recompute_us", "injector", "detector",
+        "goal", "arena", "sensors",
+    )  # fmt: skip
 
     def __init__(
-        self, scenario: Scenario, fault: Fault | None, detector: Detector | None, want_profile: bool,
-        observer: Observer | None,
+        self, scenario: Scenario, fault: Fault | None = None, detector: Detector | None = None,
+        want_profile: bool = False, observer: Observer | None = None, rewindable: bool = False,
+        functions: KernelFunctions = PLAIN, kernels: Callable[[PipelineConfig], dict[str, Kernel]] | None = None,
     ) -> None:  # fmt: skip
         self.scenario = scenario
         self.world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
         self.sim = Simulator(self.world, scenario)
-        self.config = pipeline_config(scenario, self.world, self.sim.ray_directions)
-        self.kernels = build_pipeline(self.config)
+        self.config = pipeline_config(scenario, self.world, self.sim.ray_directions, rewindable, functions)
+        self.kernels = (kernels or build_pipeline)(self.config)
         self.latency = {name: latency(scenario.platform, name) for name in self.kernels}
-        self.injector = None if fault is None else StateInjector(fault)
+        self.injector: Injector | None = None if fault is None else StateInjector(fault)
         self.detector = detector
+        self.marks = rewindable or detector is not None
         if detector is not None:
             detector.start()
         self.readers: dict[str, list[Kernel]] = {
             name: [kernel for kernel in self.kernels.values() if name in kernel.reads] for name in STATES
         }
-        self.publications = _Publications(want_profile)
+        self.sensors = Sensors(self.sim, scenario.localization)
+        self.publications = Publications(want_profile, states_with(scenario.localization.kind))
         self.observer = observer
-        self.queue: list[tuple[int, int, Callable[[int], None]]] = []
-        self.order = 0
-        self.now = 0
+        self.queue: list[tuple[int, int, str, tuple[Any, ...]]] = []
+        self.order, self.now = 0, 0
         self.busy: dict[str, State | None] = {}
-        self.redo: dict[str, _Redo] = {}
-        self.mapped = False
-        self.captured_us = 0
-        self.failed_plans = 0
+        self.redo: dict[str, Redo] = {}
+        self.mapped, self.captured_us, self.failed_plans = False, 0, 0
         self.rows: list[np.ndarray] = []
         self.events: list[Event] = []
         self.alarms: list[dict[str, Any]] = []
@@ -125,66 +120,87 @@ class _Host:
         self.command = np.zeros(4)
         self.reference = self.sim.odometry[:3].copy()
         self.status: MissionStatus | None = None
-        course = float(np.linalg.norm(self.world.goal - self.world.start))
-        self.course = course
-        self.limit_us = int(1e6 * time_limit(course, scenario.v_max, scenario.platform))
+        self.course = float(np.linalg.norm(self.world.goal - self.world.start))
+        self.goal: list[float] = self.world.goal.tolist()
+        self.arena: tuple[list[float], list[float]] = self.world.arena_lower.tolist(), self.world.arena_upper.tolist()
+        self.limit_us = int(1e6 * time_limit(self.course, scenario.v_max, scenario.platform))
 
     # ---- time -------------------------------------------------------------------------------------------------------
-    def at(self, time_us: int, action: Callable[[int], None]) -> None:
-        """Do something later; what was asked for first is done first."""
+    def at(self, time_us: int, action: str, *arguments: Any) -> None:  # noqa: ANN401 (as the action wants)
+        """Do something later: call the method of that name; what was asked for first is done first."""
         self.order += 1
-        heapq.heappush(self.queue, (time_us, self.order, action))
+        heapq.heappush(self.queue, (time_us, self.order, action, arguments))
 
     def fly(self) -> Flight:
         """Run until the mission has a status."""
-        self.at(0, self.capture)
-        self.at(0, self.tick)
+        self.begin()
+        self.run()
+        return self.flight()
+
+    def begin(self) -> None:
+        """Put into the queue what a flight begins with; with an estimator, images need its first estimate."""
+        for action in (_TICK, "capture") if self.sensors.estimating else ("capture", _TICK):
+            self.at(0, action)
+
+    def run(self, until: int = sys.maxsize) -> None:
+        """Go on until the mission has a status, or a control tick is next and so many have been."""
         while self.status is None:
-            self.now, _, action = heapq.heappop(self.queue)
+            if self.queue[0][2] == _TICK and len(self.rows) >= until:
+                return
+            self.now, _, action, arguments = heapq.heappop(self.queue)
             # the vehicle is where the first physics step at or after this instant leaves it
             self.sim.advance(-(-self.now // _PHYSICS_US) * _PHYSICS_US)
-            action(self.now)
-        self.queue.clear()  # what was still to come refers back to this host: a cycle would keep its maps in memory
-        return Flight(self._log(self.status), self.publications.profile(), self.world, self.kernels)
+            getattr(self, action)(self.now, *arguments)
+
+    def flight(self) -> Flight:
+        """What became of it, once the mission has a status."""
+        assert self.status is not None  # `run` has come to the end
+        for text in self.sim.warnings():
+            self.events.append(Event(self.now, "warning", {"text": text}))
+        log = self.log(self.status, self.sim.rejected_commands)
+        return Flight(log, self.publications.profile(), self.world, self.kernels)
 
     # ---- sensors and the control period -----------------------------------------------------------------------------
     def capture(self, now: int) -> None:
         """Take a depth image; perception goes on from there."""
         self.captured_us, self.mapped = now, False
-        if self.detector is not None:
+        if self.marks:
             for name in STAGE_KERNELS[Stage.PERCEPTION]:
                 self.kernels[name].mark()
-        ranges, pose = self.sim.depth()
-        state = new_state("sensor.depth", len(ranges))
-        floats(state.header, 7)[:] = pose
-        state.elements["range"] = ranges
-        self.deliver(state, now)
+        self.deliver(self.sensors.depth(), now)
 
     def tick(self, now: int) -> None:
-        """One control period: judge, publish odometry, hand over, track."""
+        """One control period: judge, measure where the vehicle is, hand over, track."""
         self.status = self._judge(now)
         self._write_row(now)
         if self.status is not None:
             return
-        odometry = new_state("sensor.odometry")
-        floats(odometry.header, 13)[:] = self.sim.odometry
-        self.deliver(odometry, now)
+        self.sense(now)
+        for later in self.sensors.samples_between(now, now + CONTROL_PERIOD_US):
+            self.at(later, "sense")
         for name in PERIODIC:
             if name not in self.busy:
                 self.start(self.kernels[name], now)
-        self.at(now + CONTROL_PERIOD_US, self.tick)
+        self.at(now + CONTROL_PERIOD_US, _TICK)
+
+    def sense(self, now: int) -> None:
+        """Publish what says where the vehicle is."""
+        for state in self.sensors.motion(now):
+            self.deliver(state, now)
 
     def _judge(self, now: int) -> MissionStatus | None:
-        state, world = self.sim.odometry, self.world
-        position = state[:3]
-        if not np.isfinite(state).all():
+        state = self.sim.odometry.tolist()  # NumPy would take longer to start than to run, fifty times a second
+        if not all(map(math.isfinite, state)):
             return MissionStatus.INVALID_STATE
         if self.sim.collided:
             return MissionStatus.COLLISION
-        if math.dist(position, world.goal) < ARRIVAL_RADIUS:
+        if math.dist(state[:3], self.goal) < ARRIVAL_RADIUS:
             return MissionStatus.SUCCESS
-        outside = np.maximum(world.arena_lower - position, position - world.arena_upper).max()
-        if outside > FLY_AWAY_MARGIN:
+        lower, upper = self.arena
+        if any(
+            max(low - value, value - high) > FLY_AWAY_MARGIN
+            for low, value, high in zip(lower, state[:3], upper, strict=True)
+        ):
             return MissionStatus.FLY_AWAY
         if self.failed_plans > self.scenario.stack.max_failed_plans:
             return MissionStatus.NO_PATH
@@ -193,7 +209,7 @@ class _Host:
     # ---- kernels and publications -----------------------------------------------------------------------------------
     def start(self, kernel: Kernel, now: int, extra_us: int | None = None) -> None:
         """Run a kernel; what it gives is published when its latency (or `extra_us`) has passed."""
-        if self.detector is not None and kernel.stage is not Stage.PERCEPTION:
+        if self.marks and kernel.name not in STAGE_KERNELS[Stage.PERCEPTION]:
             kernel.mark()
         self.finish(kernel, kernel.step(now), now, self.latency[kernel.name] if extra_us is None else extra_us)
 
@@ -205,19 +221,20 @@ class _Host:
                 self.deliver(state, now)
             return
         self.busy[kernel.name] = None
+        self.at(now + latency_us, "done", kernel.name, states)
 
-        def done(then: int) -> None:
-            waiting = self.busy.pop(kernel.name, None)
-            for state in states:
-                self.deliver(state, then)
-            if waiting is None:
-                return
-            if kernel.name in self.busy:  # it is run again: what waits goes on waiting
-                self.busy[kernel.name] = self.busy[kernel.name] or waiting
-            elif kernel.receive(waiting, then):
-                self.start(kernel, then)
-
-        self.at(now + latency_us, done)
+    def done(self, now: int, name: str, states: list[State]) -> None:
+        """The latency of a kernel has passed."""
+        waiting = self.busy.pop(name, None)
+        for state in states:
+            self.deliver(state, now)
+        if waiting is None:
+            return
+        kernel = self.kernels[name]
+        if name in self.busy:  # it is run again: what waits goes on waiting
+            self.busy[name] = self.busy[name] or waiting
+        elif kernel.receive(waiting, now):
+            self.start(kernel, now)
 
     def deliver(self, state: State, now: int) -> None:
         """A value on its way to its consumers: injector, detector, then they see it."""
@@ -244,21 +261,25 @@ class _Host:
             values = floats(state.header, 5)
             self.command = values[:4].copy()
             self.sim.command(self.command, float(values[4]))
+        elif name == ODOMETRY["estimator"]:
+            self.sensors.see(state)
         elif name == "planning.waypoint":
             self.reference = floats(state.header, 3).copy()
         elif name == "perception.map_update":
             self.mapped = True
         elif name == "perception.collision_status" and self.mapped:
             self.mapped = False
-            self.at(max(now, self.captured_us + self.scenario.camera.period_us), self.capture)
+            self.at(max(now, self.captured_us + self.scenario.camera.period_us), "capture")
 
     # ---- detection and recovery -------------------------------------------------------------------------------------
     def _let_pass(self, state: State, now: int, detector: Detector) -> bool:
         """Whether a value may be published; if not, its recomputation has begun."""
         redo = self.redo.pop(state.spec.name, None)
         if redo is not None:
-            if redo.record["action"] == "recompute":
-                redo.record["outcome"] = "accepted" if state.same_bits(redo.rejected) else "repaired"
+            record = self.alarms[redo.place]
+            if record["action"] == "recompute":
+                outcome = "accepted" if state.same_bits(redo.rejected) else "repaired"
+                self.alarms[redo.place] = {**record, "outcome": outcome}  # a checkpoint may hold the record as it was
             detector.accept(state, now)
             return True
         alarm = detector.check(state, now)
@@ -270,7 +291,7 @@ class _Host:
     def _recover(self, alarm: Alarm, state: State, now: int) -> bool:
         """Answer an alarm; False where nothing can be run again (the value passes)."""
         platform = self.scenario.platform
-        stage = _stage_of(alarm)
+        stage = stage_of(alarm)
         name = state.spec.name
         waypoint: Any = self.kernels["waypoint"]
         record = {"time_s": 1e-6 * now, **alarm.to_json(), "state": name, "action": "recompute", "outcome": "replaced"}
@@ -279,23 +300,24 @@ class _Host:
             record["action"] = "stop" if alarm.stop else "abandon"
             states = waypoint.stop() if alarm.stop else waypoint.abandon(now)
             self.recompute_us[Stage.CONTROL.value] += stage_latency(platform, Stage.CONTROL)
-            self.redo["planning.waypoint"] = _Redo(state, record)
+            self.redo["planning.waypoint"] = Redo(state, len(self.alarms) - 1)
             self.finish(waypoint, states, now, stage_latency(platform, Stage.CONTROL))
             return name == "planning.waypoint"
         kernel = self.kernels.get(state.spec.writer)
         if kernel is None or stage is not kernel.stage:
             return self._recompute_elsewhere(record, stage, now)
-        self.redo[name] = _Redo(state, record)
+        self.redo[name] = Redo(state, len(self.alarms) - 1)
         if kernel.name in self.busy:
             return True  # an alarm at another of its states has made it run again
-        self.recompute_us[stage.value] += stage_latency(platform, stage)
-        if stage is Stage.PERCEPTION:
+        cost = redo_latency(platform, kernel.name, stage)
+        self.recompute_us[stage.value] += cost
+        if kernel.name in STAGE_KERNELS[Stage.PERCEPTION]:
             for member in STAGE_KERNELS[stage]:
                 self.kernels[member].rollback()
             self.start(self.kernels["point_cloud"], now)
             return True
         kernel.rollback()
-        self.start(kernel, now, stage_latency(platform, stage))
+        self.start(kernel, now, cost)
         return True
 
     def _recompute_elsewhere(self, record: dict[str, Any], stage: Stage, now: int) -> bool:
@@ -329,20 +351,19 @@ class _Host:
         row[18:21] = self.reference
         self.rows.append(row)
 
-    def _log(self, status: MissionStatus) -> FlightLog:
-        for text in self.sim.warnings():
-            self.events.append(Event(self.now, "warning", {"text": text}))
+    def log(self, status: MissionStatus, rejected_commands: int) -> FlightLog:
+        """The record of a flight that is over."""
         injections = [] if self.injector is None else [hit.to_json() for hit in self.injector.finish()]
         meta = {
             "scenario": self.scenario.to_json(), "start": self.world.start.tolist(), "goal": self.world.goal.tolist(),
             "course_m": self.course, "time_limit_s": 1e-6 * self.limit_us, "world": self.world.digest(),
             "compute_us": self.compute_us, "recompute_us": self.recompute_us, "publications": self.publications.count,
-            "rejected_commands": self.sim.rejected_commands,
+            "rejected_commands": rejected_commands,
         }  # fmt: skip
         return FlightLog(np.array(self.rows), status, self.events, injections, self.alarms, meta)
 
 
-def _stage_of(alarm: Alarm) -> Stage:
+def stage_of(alarm: Alarm) -> Stage:
     """The stage that an alarm names.
 
     Raises:
@@ -357,7 +378,7 @@ def _stage_of(alarm: Alarm) -> Stage:
 
 def fly(
     scenario: Scenario, fault: Fault | None = None, detector: Detector | None = None, *, want_profile: bool = False,
-    observer: Observer | None = None,
+    observer: Observer | None = None, functions: KernelFunctions = PLAIN,
 ) -> Flight:  # fmt: skip
     """Fly one mission.
 
@@ -367,6 +388,7 @@ def fly(
         detector: What watches; None = nothing.
         want_profile: Whether to record when which state was published.
         observer: Sees what is published.
+        functions: What the kernels call: the compiled functions, or twins of some of them.
 
     Returns:
         The flight; the same arguments give the same bytes.
@@ -375,4 +397,4 @@ def fly(
         BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
     """
     with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
-        return _Host(scenario, fault, detector, want_profile, observer).fly()
+        return Host(scenario, fault, detector, want_profile, observer, functions=functions).fly()

@@ -8,14 +8,18 @@ module, callers in others would go on with the old code.  So the cache lies in a
 all compiled modules.
 """
 
+import functools
 import hashlib
 import os
 import shutil
+import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.compiler import Compiler
+from numba.core.errors import NumbaDebugInfoWarning
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -24,7 +28,8 @@ _COMPILED = ("numerics", "kernels", "sim", "detectors")
 _KEPT = 4
 
 
-def _cache_folder() -> Path:
+@functools.cache
+def code_folder() -> Path:
     """Where code compiled from the present text of the package is kept."""
     package = Path(__file__).parents[1]
     digest = hashlib.sha256()
@@ -49,11 +54,29 @@ def _use_cache(folder: Path) -> None:
 
 
 if not numba.config.CACHE_DIR:  # type: ignore[attr-defined]
-    _use_cache(_cache_folder())
+    _use_cache(code_folder())
+
+
+class LineTables(Compiler):
+    """Numba's own pipeline, with line tables: IR and debuggers know source lines, the machine code stays as it was.
+
+    `debug=True` would switch optimisations off.  It is what `lineinfo=True` uses on GPUs.
+    """
+
+    def __init__(self, *arguments: object) -> None:
+        super().__init__(*arguments)  # type: ignore[no-untyped-call]
+        self.state.targetctx = self.state.targetctx.subtarget(enable_debuginfo=True)
+        self.state.flags.dbg_directives_only = True
+
+    def compile_extra(self, func: Callable[..., object]) -> object:
+        """Compile; functions that Numba makes up (array expressions) have no source, which is as it should be."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NumbaDebugInfoWarning)
+            return super().compile_extra(func)  # type: ignore[no-untyped-call]
 
 
 def kernel_jit(function: F) -> F:
-    """Compile a numeric function: cached on disk, IEEE division, no fast math, GIL released.
+    """Compile a numeric function: cached on disk, IEEE division, no fast math, GIL released, with line tables.
 
     Args:
         function: A function of arrays, scalars and named tuples.
@@ -61,4 +84,13 @@ def kernel_jit(function: F) -> F:
     Returns:
         The compiled dispatcher; its pure Python twin is `function.py_func`.
     """
-    return cast(F, numba.njit(cache=True, error_model="numpy", fastmath=False, nogil=True)(function))
+    compiled = numba.njit(
+        cache=True, error_model="numpy", fastmath=False, nogil=True, pipeline_class=LineTables
+    )(function)  # fmt: skip
+    return cast(F, compiled)
+
+
+def uncached_copy(dispatcher: Any) -> Any:
+    """A dispatcher of the same function with the same flags that has its IR: what is loaded from a cache has none."""
+    flags = {name: value for name, value in dispatcher.targetoptions.items() if name != "nopython"}
+    return numba.njit(**flags, locals=dict(dispatcher.locals), pipeline_class=LineTables)(dispatcher.py_func)

@@ -16,11 +16,13 @@ class Tracker:
 
     name = "pid"
     stage = Stage.CONTROL
-    reads = ("planning.waypoint", "sensor.odometry")
     writes = ("control.command", "control.tracking")
+    not_memory = ("_dt", "_slowdown", "_gains", "_track")
 
     def __init__(self, config: PipelineConfig) -> None:
+        self.reads = ("planning.waypoint", config.odometry)
         stack = config.stack
+        self._track = config.functions.track
         self._dt = 1e-6 * config.control_period_us
         self._slowdown = config.tracker_slowdown
         held = stack.sampling == "held"
@@ -59,7 +61,7 @@ class Tracker:
             carry = self._remaining if -self._dt <= self._remaining <= 0.0 else 0.0
             self._remaining = float(self._waypoint[10]) + carry
             self._fresh = False
-        slowdown = pid.track(self._waypoint, self._odometry, self._memory, self._gains, self._dt, values[:4])
+        slowdown = self._track(self._waypoint, self._odometry, self._memory, self._gains, self._dt, values[:4])
         self._remaining -= self._dt / (slowdown * self._slowdown)
         tracking.header["remaining"] = self._remaining
         return [command, tracking]

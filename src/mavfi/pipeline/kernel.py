@@ -3,6 +3,11 @@
 A kernel knows no faults, no detectors, no simulator and no middleware.  A host calls `receive` with every publication
 that the kernel reads; where that makes a step due, the host calls `step` and publishes the result after the latency of
 its platform.  `mark` and `rollback` let a host run a stage again from the same memory.
+
+A host can also take the memory of a kernel as a whole: all its attributes but those that the class lists in
+`not_memory`, which are configuration or scratch.  A class that lists too little is saved slowly, never wrongly.
+
+A class may list in `quiet` the inputs that never make a step due: a host whose kernels are elsewhere then need not ask.
 """
 
 from dataclasses import dataclass
@@ -11,8 +16,11 @@ from typing import Protocol
 import numpy as np
 
 from mavfi.config import CameraConfig, MapConfig, PlannerConfig, StackConfig
+from mavfi.errors import BadInputError
+from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.numerics.voxels import Grid
-from mavfi.states import Stage, State
+from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.states import ODOMETRY, Stage, State
 
 
 class Kernel(Protocol):
@@ -72,6 +80,9 @@ class PipelineConfig:
         map_latency: From image to collision status (s).
         plan_latency: From request to trajectory (s).
         velocity_lag: Time constant of the vehicle's velocity loop (s).
+        noise: What the state estimator assumes of its sensors; None = the pipeline is told the truth.
+        rewindable: Whether maps keep what they need to go back to any earlier instant.
+        functions: What kernels call; a host may hand in twins.
     """
 
     stack: StackConfig
@@ -94,18 +105,38 @@ class PipelineConfig:
     map_latency: float
     plan_latency: float
     velocity_lag: float
+    noise: Noise | None = None
+    rewindable: bool = False
+    functions: KernelFunctions = PLAIN
+
+    @property
+    def odometry(self) -> str:
+        """The state that says where the vehicle is."""
+        return ODOMETRY["truth" if self.noise is None else "estimator"]
 
 
 HORIZONTAL_MARGIN = 5.0
 VERTICAL_MARGIN = 0.5
+LARGEST_GRID = 1 << 27
+"""Voxels; the pipeline keeps about 25 bytes for each."""
 
 
 def map_grid(config: PipelineConfig) -> Grid:
-    """The grid of the map: the arena with a margin, offset by half a voxel so that the ground lies inside a layer."""
+    """The grid of the map: the arena with a margin, offset by half a voxel so that the ground lies inside a layer.
+
+    Raises:
+        BadInputError: The resolution is too fine for this arena.
+    """
     resolution = config.map.resolution
     margin = np.array([HORIZONTAL_MARGIN, HORIZONTAL_MARGIN, VERTICAL_MARGIN])
     first = np.floor((config.arena_lower - margin) / resolution + 0.5)
     last = np.ceil((config.arena_upper + margin) / resolution + 0.5)
     lower = (first - 0.5) * resolution
     nx, ny, nz = (int(n) for n in last - first)
+    voxels = nx * ny * nz
+    if voxels > LARGEST_GRID:
+        finest = resolution * (voxels / LARGEST_GRID) ** (1.0 / 3.0)
+        raise BadInputError(
+            f"map resolution {resolution:g} m: {voxels:,} voxels in this arena; allowed: about {finest:.2g} m or more"
+        )
     return Grid(float(lower[0]), float(lower[1]), float(lower[2]), 1.0 / resolution, nx, ny, nz)

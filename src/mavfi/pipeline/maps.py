@@ -1,13 +1,18 @@
-"""The kinds of map that kernel `octomap` can keep: a dense array, or OctoMap's octree; both hold the same occupancy."""
+"""The maps that kernel `octomap` can keep: a dense array, OctoMap's octree with the same occupancy, or a user's own."""
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 
-from mavfi.kernels.perception import octomap, octree
-from mavfi.kernels.perception.key_sets import KeyFrame, collect
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.kernels.perception import octree
+from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.kernels.perception.octomap import UpdateRule
+from mavfi.kernels.perception.octree import Octree
+from mavfi.pipeline.changes import Change, Changes
+from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.plugins import build, load_object, reason
 
 FIRST_CAPACITY = 1 << 14
 """Nodes that an octree begins with room for; where they do not suffice, the room is doubled."""
@@ -37,49 +42,102 @@ class OccupancyMap(Protocol):
     def rollback(self) -> None:
         """Put the map back to the last mark."""
 
+    def save(self) -> Any:  # noqa: ANN401 (each kind of map has its own form)
+        """The map, and what a rollback needs, as they are; never changed afterwards."""
+
+    def restore(self, saved: Any) -> None:  # noqa: ANN401
+        """Put the map back to what `save` gave."""
+
+    def same(self, saved: Any) -> bool:  # noqa: ANN401
+        """Whether `save` would give the same, bit for bit."""
+
 
 class DenseMap:
-    """Log-odds in an array."""
+    """Log-odds in an array.
 
-    def __init__(self, frame: KeyFrame, rule: UpdateRule, max_range: float) -> None:
+    Args:
+        frame: Grid.
+        rule: Update rule.
+        max_range: Of the sensor (m).
+        functions: What it calls.
+        rewindable: Whether `restore` can go back to any `save`; otherwise only the last scan can be taken back.
+    """
+
+    def __init__(
+        self, frame: KeyFrame, rule: UpdateRule, max_range: float, functions: KernelFunctions = PLAIN,
+        rewindable: bool = False,
+    ) -> None:  # fmt: skip
         self._frame, self._rule, self._range = frame, rule, max_range
+        self._functions, self._rewindable = functions, rewindable
         size = frame.nx * frame.ny * frame.nz
         self.log_odds = np.zeros(size, np.float32)
         self._stamp = np.zeros(size, np.int32)
         self._touched = np.zeros(size + 1, np.int32)
         self._before = np.zeros(size, np.float32)
-        self._count = 0
+        self._changes = Changes(self.log_odds)
+        self._takes_back = False
         self._stamps = 0
 
     def insert(self, points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Integrate a scan, and keep what the voxels held."""
         self._stamps += 1
-        self._count = octomap.insert_scan(
+        count = self._functions.insert_scan(
             points, origin, self._range, self._frame, self._rule, self.log_odds, self._stamp, self._stamps,
             self._touched, self._before,
         )  # fmt: skip
-        voxels = self._touched[: self._count]
-        return voxels, self.log_odds[voxels]
+        voxels, before = self._touched[:count].copy(), self._before[:count].copy()
+        after = self.log_odds[voxels]
+        if self._rewindable:  # most voxels are at a clamp already: what stays need not be kept
+            changed = np.flatnonzero(before.view(np.uint32) != after.view(np.uint32))
+            self._changes.note(voxels[changed], before[changed], after[changed])
+        else:
+            self._changes.forget()
+            self._changes.note(voxels, before, after)
+        self._takes_back = True
+        return voxels, after
+
+    def _put(self, voxels: np.ndarray, log_odds: np.ndarray) -> None:
+        self.log_odds[voxels] = log_odds
 
     def mark(self) -> None:
-        """Forget how to take the last scan back."""
-        self._count = 0
+        """What was taken in stays."""
+        self._takes_back = False
 
     def rollback(self) -> None:
         """Take the last scan back; its stamp is not used again, since stamps are not taken back."""
-        octomap.undo_scan(self.log_odds, self._touched, self._before, self._count)
-        self._count = 0
+        if self._takes_back:
+            self._changes.take_back(len(self._changes) - 1, self._put)
+        self._takes_back = False
+
+    def save(self) -> tuple[tuple[Change, ...], bool]:
+        """Every scan so far, and whether the last one can be taken back; stamps only have to be new."""
+        return self._changes.save(), self._takes_back
+
+    def restore(self, saved: tuple[tuple[Change, ...], bool]) -> None:
+        """Put the map back to what `save` gave."""
+        changes, self._takes_back = saved
+        self.log_odds[:] = self._changes.restore(changes)
+
+    def same(self, saved: tuple[tuple[Change, ...], bool]) -> bool:
+        """Whether the map, and what a rollback would make of it, are the same."""
+        changes, takes_back = saved
+        return self._takes_back == takes_back and self._changes.same(changes, int(takes_back))
 
 
 class OctreeMap:
-    """Log-odds in an octree, which takes more memory when it needs it.
+    """Log-odds in an octree, which takes more memory when it needs it; arguments as of `DenseMap`.
 
     Attributes:
         tree: Its nodes.
     """
 
-    def __init__(self, frame: KeyFrame, rule: UpdateRule, max_range: float) -> None:
+    def __init__(
+        self, frame: KeyFrame, rule: UpdateRule, max_range: float, functions: KernelFunctions = PLAIN,
+        rewindable: bool = False,
+    ) -> None:  # fmt: skip
+        del rewindable  # nodes are copied whole
         self._frame, self._rule, self._range = frame, rule, max_range
+        self._functions = functions
         self._size = frame.nx * frame.ny * frame.nz
         self._largest = octree.largest_tree(frame)
         self.tree = octree.new_octree(min(FIRST_CAPACITY, self._largest))
@@ -98,13 +156,13 @@ class OctreeMap:
     def insert(self, points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Integrate a scan; voxels beyond the largest tree, which only corrupted nodes can fill, are left out."""
         self._stamps += 1
-        n_free, count = collect(
+        n_free, count = self._functions.collect(
             points, origin, self._range, self._frame, self._stamp, self._stamps, self._touched
         )  # fmt: skip
         voxels, after = self._touched[:count], np.empty(count, np.float32)
         done = 0
         while True:
-            done = octree.update_voxels(self.tree, self._frame, self._rule, voxels, n_free, done, after)
+            done = self._functions.update_voxels(self.tree, self._frame, self._rule, voxels, n_free, done, after)
             capacity = len(self.tree.log_odds)
             if done == count or capacity >= self._largest:
                 return voxels[:done], after[:done]
@@ -120,6 +178,118 @@ class OctreeMap:
         """Put every node back, and the memory that was taken since is as new."""
         octree.copy_into(self._marked, self.tree)
 
+    def save(self) -> tuple[Octree, Octree]:
+        """Copies of the nodes as they are, and as they were at the last mark (these are never changed)."""
+        return octree.compact_copy(self.tree), self._marked
 
-MAPS: dict[str, Callable[[KeyFrame, UpdateRule, float], OccupancyMap]] = {"dense": DenseMap, "octree": OctreeMap}
-"""By `MapConfig.kind`."""
+    def restore(self, saved: tuple[Octree, Octree]) -> None:
+        """Put the nodes back to what `save` gave; how much room they have decides nothing."""
+        nodes, self._marked = saved
+        if len(nodes.log_odds) > len(self.tree.log_odds):
+            self.tree = octree.new_octree(len(nodes.log_odds))
+        octree.copy_into(nodes, self.tree)
+
+    def same(self, saved: tuple[Octree, Octree]) -> bool:
+        """Whether the nodes are the same, in the same places, now and at the last mark."""
+        nodes, marked = saved
+        return _same_nodes(octree.compact_copy(self.tree), nodes) and _same_nodes(self._marked, marked)
+
+
+def _same_nodes(one: Octree, other: Octree) -> bool:
+    return one is other or all(a.tobytes() == b.tobytes() for a, b in zip(one, other, strict=True))
+
+
+class GuardedMap:
+    """A user's map, whose answers are looked at before the pipeline works with them."""
+
+    def __init__(self, name: str, inner: OccupancyMap, size: int) -> None:
+        self._name, self._inner, self._size = name, inner, size
+
+    @property
+    def log_odds(self) -> np.ndarray:
+        """Of every voxel of the grid, 0 = unknown. Shape (size,), float32."""
+        try:
+            values = np.asarray(self._inner.log_odds)
+        except AttributeError:
+            raise self._wrong("lacks log_odds") from None
+        self._must(values.shape == (self._size,), f"log_odds has shape {values.shape}", f"({self._size},)")
+        self._must(values.dtype == np.float32, f"log_odds is {values.dtype}", "float32")
+        return values
+
+    def insert(self, points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Integrate a scan.
+
+        Raises:
+            BadInputError: The map raised, or its answer does not have the form of `OccupancyMap.insert`.
+        """
+        try:
+            voxels, log_odds = map(np.asarray, self._inner.insert(points, origin))
+        except MavfiError:
+            raise
+        except Exception as error:  # noqa: BLE001 - whatever a user's map raises
+            raise self._wrong(f"insert raised {reason(error)}") from None
+        shapes = f"insert gave shapes {voxels.shape} and {log_odds.shape}"
+        self._must(voxels.ndim == 1 and voxels.shape == log_odds.shape, shapes, "(n,) and (n,)")
+        types = f"insert gave {voxels.dtype} and {log_odds.dtype}"
+        self._must(voxels.dtype == np.int32 and log_odds.dtype == np.float32, types, "int32 and float32")
+        if len(voxels) > 0:
+            low, high = int(voxels.min()), int(voxels.max())
+            inside = 0 <= low and high < self._size
+            self._must(inside, f"insert gave voxels from {low} to {high}", f"0 to {self._size - 1}")
+        return voxels, log_odds
+
+    def mark(self) -> None:
+        """Remember the map as it is."""
+        self._inner.mark()
+
+    def rollback(self) -> None:
+        """Put the map back to the last mark."""
+        self._inner.rollback()
+
+    def _must(self, right: bool, found: str, allowed: str) -> None:
+        if not right:
+            raise self._wrong(f"{found}; allowed: {allowed}")
+
+    def _wrong(self, text: str) -> BadInputError:
+        return BadInputError(f"map {self._name!r}: {text}")
+
+
+GROUP = "mavfi.maps"
+MAPS: dict[str, Callable[..., OccupancyMap]] = {"dense": DenseMap, "octree": OctreeMap}
+"""The shipped kinds, by `MapConfig.kind`."""
+_SHIPPED = {kind: f"{__name__}:{factory.__name__}" for kind, factory in MAPS.items()}
+
+
+def find_map(kind: str) -> Callable[[KeyFrame, UpdateRule, float], OccupancyMap]:
+    """The class of a kind of map: a shipped one, an entry point of the group `mavfi.maps`, or "package:Class".
+
+    Raises:
+        BadInputError: There is none, or it cannot be imported.
+    """
+    return cast(Callable[[KeyFrame, UpdateRule, float], OccupancyMap], load_object("map", kind, GROUP, _SHIPPED))
+
+
+def make_map(
+    kind: str, frame: KeyFrame, rule: UpdateRule, max_range: float, functions: KernelFunctions = PLAIN,
+    rewindable: bool = False,
+) -> OccupancyMap:  # fmt: skip
+    """An empty map.
+
+    Args:
+        kind: See `find_map`.
+        frame: Geometry of the grid among OctoMap's keys.
+        rule: Log-odds of a hit and a miss, and their limits.
+        max_range: Where a ray without return ends (m).
+        functions: What the shipped kinds call.
+        rewindable: Whether it shall be able to go back to any earlier instant; a user's own map is copied whole.
+
+    Raises:
+        BadInputError: It cannot be built, or lacks a method.
+    """
+    if kind in MAPS:
+        return MAPS[kind](frame, rule, max_range, functions, rewindable)
+    factory = find_map(kind)
+    made = build("map", kind, factory, frame, rule, max_range, needs=("insert", "mark", "rollback"))
+    guarded = GuardedMap(kind, made, frame.nx * frame.ny * frame.nz)
+    _ = guarded.log_odds  # looked at before the first scan
+    return cast(OccupancyMap, guarded)

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 
-from mavfi.kernels.perception import collision_check, octomap, point_cloud
+from mavfi.kernels.perception import collision_check, octomap
 from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.numerics.voxels import voxel_of
 from mavfi.pipeline.kernel import PipelineConfig, map_grid
-from mavfi.pipeline.maps import MAPS
+from mavfi.pipeline.maps import make_map
 from mavfi.pipeline.room import Room
 from mavfi.states import STATES, Stage, State, floats, new_state
 
@@ -23,6 +23,7 @@ class PointCloud:
     stage = Stage.PERCEPTION
     reads = ("sensor.depth",)
     writes = ("perception.point_cloud",)
+    not_memory = ("_config",)
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
@@ -44,7 +45,7 @@ class PointCloud:
         points = cloud.elements.view(np.float32).reshape(count, 3)
         rotation = np.empty((3, 3))
         rotation_matrix(pose[3:7], rotation)
-        point_cloud.back_project(
+        self._config.functions.back_project(
             ranges[:count], self._config.directions, rotation, pose[:3], self._config.camera.range, points
         )
         floats(cloud.header, 3)[:] = pose[:3]
@@ -58,7 +59,7 @@ class PointCloud:
 
 
 class OctoMap:
-    """Kernel `octomap`, on a dense array or an octree as the configuration says.
+    """Kernel `octomap`, on a dense array, an octree or a map of the user's, as the configuration says.
 
     Attributes:
         grid: Geometry.
@@ -70,6 +71,7 @@ class OctoMap:
     stage = Stage.PERCEPTION
     reads = ("perception.point_cloud",)
     writes = ("perception.map_update",)
+    not_memory = ("grid", "frame")
 
     def __init__(self, config: PipelineConfig) -> None:
         self.grid = grid = map_grid(config)
@@ -81,7 +83,9 @@ class OctoMap:
         update_rule = octomap.UpdateRule(
             *(octomap.log_odds(p) for p in (rule.hit, rule.miss, rule.clamp_min, rule.clamp_max))
         )
-        self.map = MAPS[rule.kind](self.frame, update_rule, config.camera.range)
+        self.map = make_map(
+            rule.kind, self.frame, update_rule, config.camera.range, config.functions, config.rewindable
+        )
         self._scan = 0
         self._marked_scan = 0
         self._cloud = new_state("perception.point_cloud")
@@ -124,18 +128,20 @@ class CollisionCheck:
 
     name = "collision_check"
     stage = Stage.PERCEPTION
-    reads = (
-        "perception.map_update", "planning.trajectory", "planning.waypoint", "sensor.odometry",
-        "perception.collision_status", "control.tracking",
-    )  # fmt: skip
     writes = ("perception.collision_status",)
+    quiet = ("planning.waypoint", "sensor.odometry", "perception.collision_status", "control.tracking")
+    not_memory = ("_config", "_every_map", "_reach")
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
+        self.reads = (
+            "perception.map_update", "planning.trajectory", "planning.waypoint", config.odometry,
+            "perception.collision_status", "control.tracking",
+        )  # fmt: skip
         self._every_map = config.stack.replanning == "every_map"
         # not beyond the planner's clearance, or a path along a wall would always see the unknown inside of the wall
         self._reach = max(1, math.ceil(config.plan_radius / config.map.resolution))
-        self.room = Room(config)
+        self.room = Room(config, config.functions.apply_updates)
         self._trajectories: dict[int, State] = {}
         self._waypoint: State | None = None
         self._position = np.zeros(3)
@@ -155,7 +161,7 @@ class CollisionCheck:
             self.room.apply(state)
             self._again = self._rolled_back
             return True
-        if name == "sensor.odometry":
+        if name == self._config.odometry:
             self._position = floats(state.header, 3)
         elif name == "planning.waypoint":
             self._waypoint = state
@@ -219,13 +225,13 @@ class CollisionCheck:
             return [status]  # one-shot: the consumers have not answered the last alarm yet
         points = floats(trajectory.elements, 11).reshape(-1, 11)
         config = self._config
-        time = collision_check.time_to_collision(
+        time = config.functions.time_to_collision(
             self.room.narrow, self.room.grid, position, points, index, remaining, config.stack.geofence
         )
         header = status.header[0]
         if self._every_map:
             number = int(trajectory.header["trajectory_seq"][0])
-            blocked, unknown = collision_check.known_free_distance(
+            blocked, unknown = config.functions.known_free_distance(
                 self.room.narrow, self.room.cells, self.room.grid, points, index, _UNKNOWN_HORIZON, self._reach,
                 self._still_escaping(number, points[index]),
             )  # fmt: skip

@@ -10,6 +10,7 @@ from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import rrt, rrt_connect, rrt_star
 from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import Grid
+from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.plugins import build, load_object
 
 GROUP = "mavfi.planners"
@@ -48,6 +49,10 @@ class PathSearch(Protocol):
 class _SamplingSearch(ABC):
     """Runs of a sampling planner, and what is done to their paths: the best one, shortened."""
 
+    not_memory = ("_config", "_runs", "_longest", "_path", "_buffer", "_tree", "_trees", "functions")
+    functions: KernelFunctions = PLAIN
+    """What it calls."""
+
     def __init__(self, config: PlannerConfig, seed: int, runs: int, vertices: int) -> None:
         self._config = config
         self._runs = runs
@@ -67,13 +72,13 @@ class _SamplingSearch(ABC):
         """See `PathSearch.search`."""
         best = np.zeros((0, 3))
         shortest = np.inf
-        for attempt in range(self._runs):
+        for attempt in range(min(self._runs, self._config.restarts)):  # memory that a fault can change is not trusted
             count = self._run(counter, grid, start, goal, lower, upper)
             if count == 0:
                 if attempt > 0 and len(best) == 0:
                     break  # two failures in a row: there is hardly a way
                 continue
-            count = paths.shortcut_greedy(counter, grid, self._path, count)
+            count = self.functions.shortcut_greedy(counter, grid, self._path, count)
             length = paths.path_length(self._path, count)
             if length < shortest:
                 shortest, best = length, self._path[:count].copy()
@@ -81,7 +86,7 @@ class _SamplingSearch(ABC):
                 break
         if len(best) > 2:
             self._path[: len(best)] = best
-            count = paths.shortcut_random(
+            count = self.functions.shortcut_random(
                 counter, grid, self._path, len(best), self._config.shortcuts, self.random, self._buffer
             )
             best = self._path[:count].copy()
@@ -99,10 +104,10 @@ class Rrt(_SamplingSearch):
         self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
     ) -> int:
         config = self._config
-        return rrt.plan(
+        return cast(int, self.functions.plan_rrt(
             counter, grid, start, goal, lower, upper, config.range, config.goal_bias, config.iterations, self.random,
             self._tree, self._path,
-        )  # fmt: skip
+        ))  # fmt: skip
 
 
 class RrtConnect(_SamplingSearch):
@@ -115,10 +120,10 @@ class RrtConnect(_SamplingSearch):
     def _run(
         self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
     ) -> int:
-        return rrt_connect.plan(
+        return cast(int, self.functions.plan_rrt_connect(
             counter, grid, start, goal, lower, upper, self._config.range, self._config.iterations, self.random,
             self._trees, self._path,
-        )  # fmt: skip
+        ))  # fmt: skip
 
 
 class RrtStar(_SamplingSearch):
@@ -138,10 +143,10 @@ class RrtStar(_SamplingSearch):
         self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
     ) -> int:
         config = self._config
-        return rrt_star.plan(
-            counter, grid, start, goal, lower, upper, config.range, config.goal_bias, config.iterations, self._longest,
-            self.random, self._tree, self._path,
-        )  # fmt: skip
+        return cast(int, self.functions.plan_rrt_star(
+            counter, grid, start, goal, lower, upper, config.range, config.goal_bias, config.iterations,
+            min(self._longest, config.iterations * config.restarts), self.random, self._tree, self._path,
+        ))  # fmt: skip
 
 
 _SHIPPED = {
@@ -151,11 +156,14 @@ _SHIPPED = {
 }
 
 
-def make_search(config: PlannerConfig, seed: int) -> PathSearch:
+def make_search(config: PlannerConfig, seed: int, functions: KernelFunctions = PLAIN) -> PathSearch:
     """The planner that a configuration names: a shipped one, an entry point of `mavfi.planners`, or "package:Class".
 
     Raises:
         BadInputError: There is no such planner, or it cannot be built.
     """
     factory = load_object("planner", config.name, GROUP, _SHIPPED)
-    return cast(PathSearch, build("planner", config.name, factory, config, seed, needs=("search",)))
+    search = cast(PathSearch, build("planner", config.name, factory, config, seed, needs=("search",)))
+    if isinstance(search, _SamplingSearch):
+        search.functions = functions
+    return search

@@ -51,14 +51,16 @@ class MotionPlanner:
 
     name = "planner"
     stage = Stage.PLANNING
-    reads = (
-        "perception.map_update", "perception.collision_status", "sensor.odometry", "planning.waypoint",
-        "planning.trajectory",
-    )  # fmt: skip
     writes = ("planning.path",)
+    quiet = ("perception.map_update", "planning.waypoint", "planning.trajectory")
+    not_memory = ("_config", "_every_map")
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
+        self.reads = (
+            "perception.map_update", "perception.collision_status", config.odometry, "planning.waypoint",
+            "planning.trajectory",
+        )  # fmt: skip
         self._every_map = config.stack.replanning == "every_map"
         self.routes = Routes(config)
         self.room = self.routes.room
@@ -78,6 +80,7 @@ class MotionPlanner:
         name = state.spec.name
         if name == "perception.map_update":
             self.room.apply(state)
+            self.room.mark()  # updates carry absolute values: they are never taken back here
         elif name == "perception.collision_status":
             self._take_status(state)
             if self._every_map:

@@ -1,6 +1,7 @@
-"""Builds the perception-planning-control pipeline: seven kernels, in the order of the data flow."""
+"""Builds the perception-planning-control pipeline: its kernels, in the order of the data flow."""
 
 from mavfi.pipeline.control import Tracker
+from mavfi.pipeline.estimation import StateEstimator
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.pipeline.perception import CollisionCheck, OctoMap, PointCloud
 from mavfi.pipeline.planning import MotionPlanner
@@ -12,10 +13,11 @@ PERIODIC = ("waypoint", "pid")
 
 
 def build_pipeline(config: PipelineConfig) -> dict[str, Kernel]:
-    """All kernels by name."""
+    """All kernels by name: seven, and the state estimator where the pipeline is not told the truth."""
+    estimators = () if config.noise is None else (StateEstimator(config.noise),)
     planner = MotionPlanner(config)
     kernels: tuple[Kernel, ...] = (
-        PointCloud(config), OctoMap(config), CollisionCheck(config), planner,
+        *estimators, PointCloud(config), OctoMap(config), CollisionCheck(config), planner,
         TrajectoryGenerator(config, planner.room), WaypointHandOver(config), Tracker(config),
     )  # fmt: skip
     return {kernel.name: kernel for kernel in kernels}

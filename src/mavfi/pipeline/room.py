@@ -4,6 +4,8 @@ import numpy as np
 
 from mavfi.kernels.perception import clearance
 from mavfi.numerics.voxels import offsets_within
+from mavfi.pipeline.changes import Change, Changes
+from mavfi.pipeline.functions import Compiled
 from mavfi.pipeline.kernel import PipelineConfig, map_grid
 from mavfi.states import State
 
@@ -19,7 +21,8 @@ class Room:
         updates: How many map updates were taken over.
     """
 
-    def __init__(self, config: PipelineConfig) -> None:
+    def __init__(self, config: PipelineConfig, apply_updates: Compiled = clearance.apply_updates) -> None:
+        self._apply_updates = apply_updates
         self.grid = map_grid(config)
         self.cells = np.zeros(self.grid.size, np.uint8)
         self.wide = np.zeros(self.grid.size, np.int16)
@@ -27,32 +30,56 @@ class Room:
         boxes = config.stack.distance == "boxes"
         self._wide_offsets = offsets_within(config.plan_radius, self.grid.resolution, boxes)
         self._narrow_offsets = offsets_within(config.check_radius, self.grid.resolution, boxes)
-        self._journal: list[tuple[np.ndarray, np.ndarray]] = []
+        self._rewindable = config.rewindable
+        self._changes = Changes(self.cells)
+        self._marked = 0
         self.updates = 0
 
     def apply(self, update: State) -> None:
         """Take a `perception.map_update` over."""
-        voxels = np.ascontiguousarray(update.elements["voxel"])
-        log_odds = np.ascontiguousarray(update.elements["log_odds"])
+        voxels, log_odds = update.elements["voxel"], update.elements["log_odds"]
         changed_voxels = np.empty(len(voxels), np.int32)
         changed_cells = np.empty(len(voxels), np.uint8)
-        count = clearance.apply_updates(
+        count = self._apply_updates(
             voxels, log_odds, self.grid, self.cells, self.wide, self._wide_offsets, self.narrow, self._narrow_offsets,
             changed_voxels, changed_cells,
         )  # fmt: skip
-        self._journal.append((changed_voxels[:count], changed_cells[:count]))
+        voxels = changed_voxels[:count].copy()
+        self._changes.note(voxels, changed_cells[:count].copy(), self.cells[voxels])
         self.updates += 1
+
+    def _put(self, voxels: np.ndarray, cells: np.ndarray) -> None:
+        """Give voxels their states, and the counters what follows from them."""
+        clearance.undo_updates(
+            self.grid, self.cells, self.wide, self._wide_offsets, self.narrow, self._narrow_offsets,
+            np.ascontiguousarray(voxels[::-1]), np.ascontiguousarray(cells[::-1]), len(voxels),
+        )  # fmt: skip
 
     def mark(self) -> None:
         """Remember the map as it is."""
-        self._journal.clear()
+        if not self._rewindable:
+            self._changes.forget()
+        self._marked = len(self._changes)
 
     def rollback(self) -> None:
         """Take back every update since the last mark."""
-        for voxels, cells in reversed(self._journal):
-            clearance.undo_updates(
-                self.grid, self.cells, self.wide, self._wide_offsets, self.narrow, self._narrow_offsets, voxels, cells,
-                len(voxels),
-            )  # fmt: skip
-            self.updates -= 1
-        self._journal.clear()
+        self.updates -= len(self._changes) - self._marked
+        self._changes.take_back(self._marked, self._put)
+
+    def save(self) -> tuple[tuple[Change, ...], int, int]:
+        """Every update so far, how many of them were there at the last mark, and the number of updates."""
+        return self._changes.save(), self._marked, self.updates
+
+    def restore(self, saved: tuple[tuple[Change, ...], int, int]) -> None:
+        """Put the map back to what `save` gave."""
+        changes, self._marked, self.updates = saved
+        cells = self._changes.restore(changes)
+        flips = np.flatnonzero((self.cells == clearance.OCCUPIED) != (cells == clearance.OCCUPIED)).astype(np.int32)
+        self._put(flips, cells[flips])  # counters follow from what is occupied alone
+        self.cells[:] = cells
+
+    def same(self, saved: tuple[tuple[Change, ...], int, int]) -> bool:
+        """Whether the map, and what a rollback would make of it, are the same; counters follow from the cells."""
+        changes, marked, updates = saved
+        revocable = len(self._changes) - self._marked
+        return self.updates == updates and revocable == len(changes) - marked and self._changes.same(changes, revocable)

@@ -41,12 +41,14 @@ class Routes:
         search: The planner that the configuration names; its generator is the only memory.
     """
 
+    not_memory = ("_config", "_pace", "_occupied", "_buffer")
+
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
         self.room = Room(config)
-        self.search: PathSearch = make_search(config.planner, config.seed)
+        self.search: PathSearch = make_search(config.planner, config.seed, config.functions)
         small = config.planner.model_copy(update={"iterations": _LOCAL_ITERATIONS, "restarts": 1})
-        self._local: PathSearch = make_search(small, config.seed)
+        self._local: PathSearch = make_search(small, config.seed, config.functions)
         self._local.random = self.search.random  # one stream, one thing to roll back
         v_max = config.v_max
         self._pace = travel.Pace(
@@ -56,16 +58,17 @@ class Routes:
         self._occupied = np.zeros(self.room.grid.size, np.int16)
         self._buffer = np.zeros((2, 20_000, 3))
 
-    def between(self, start: np.ndarray, counter: np.ndarray) -> np.ndarray | None:
-        """Vertices from (next to) `start` to (next to) the goal in `counter`, or None."""
+    def between(self, start: np.ndarray, counter: np.ndarray, goal: np.ndarray | None = None) -> np.ndarray | None:
+        """Vertices from (next to) `start` to (next to) the goal (None = the mission's) in `counter`, or None."""
         config, room = self._config, self.room
+        goal = config.goal if goal is None else goal
         first, last = np.empty(3), np.empty(3)
         box = config.flight_lower, config.flight_upper
         core = self._core()
         if not paths.nearest_with_room(counter, room.narrow, core, room.grid, start, *box, _REACH, first):
             return None
-        if not paths.nearest_with_room(room.wide, room.narrow, core, room.grid, config.goal, *box, _REACH, last):
-            last[:] = config.goal
+        if not paths.nearest_with_room(room.wide, room.narrow, core, room.grid, goal, *box, _REACH, last):
+            last[:] = goal
         found = self.search.search(counter, room.grid, first, last, *box)
         return found if len(found) else None
 

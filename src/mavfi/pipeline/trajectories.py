@@ -1,10 +1,15 @@
 """The trajectory generator: path -> timed trajectory (MAVFI section III-A); hand-over is in `waypoints`."""
 
+import math
+from dataclasses import dataclass, field
+
 import numpy as np
 
+from mavfi.kernels.planning import course, minimum_snap, stations
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import trajectory as timing
 from mavfi.kernels.planning import waypoint as handover
+from mavfi.pipeline.control import MAX_YAW_RATE
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.room import Room
 from mavfi.pipeline.routes import BLEND, LATERAL_SHARE, NOMINAL_SPEED, PLANNING_ACCELERATION, TIGHT_SPEED
@@ -20,14 +25,42 @@ _CLOSE, _ROUND = 0.2, 1.0 / 3.0
 _LOOK = 3.0
 """How far ahead of the vehicle its yaw looks at the nominal speed (m)."""
 
+_ACCELERATION_SHARE = 0.9
+"""Largest acceleration of a polynomial / a_max."""
+_ENTRY_SHARE = 0.8
+"""Largest acceleration with which a polynomial begins / its limit."""
+_REACH_SHARE = 0.7
+"""Reach of a polynomial at a corner / that of a blend which cuts it as deeply."""
+_STATION_TIME = 0.5
+"""Spacing of stations on a straight leg / v_max (s)."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Motion:
+    """How the vehicle moves where a trajectory begins; velocity None = along the path, yaw NaN = unknown."""
+
+    speed: float
+    velocity: np.ndarray | None = None
+    acceleration: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    yaw: float = math.nan
+
 
 class TrajectoryGenerator:
-    """Kernel `trajectory`: smooths a path, times it, publishes points.  It runs beside the planner, on the same map."""
+    """Kernel `trajectory`: smooths a path, times it, publishes points.  It runs beside the planner, on the same map.
+
+    Attributes:
+        fallbacks: How often no polynomial was found and corners were rounded instead.
+    """
 
     name = "trajectory"
     stage = Stage.PLANNING
     reads = ("planning.path", "planning.waypoint", "planning.trajectory")
     writes = ("planning.trajectory",)
+    quiet = ("planning.waypoint", "planning.trajectory")
+    not_memory = (
+        "_config", "_splices", "_blend", "_inner", "_corners", "_curve", "_arc", "_speed", "_dense", "_held", "_work",
+        "fallbacks",
+    )  # fmt: skip
 
     def __init__(self, config: PipelineConfig, room: Room) -> None:
         self._config = config
@@ -45,6 +78,8 @@ class TrajectoryGenerator:
         self._speed = np.zeros(timing.CURVE_LIMIT)
         self._dense = np.zeros((timing.POINT_LIMIT, timing.POINT_WIDTH))
         self._held = np.zeros((timing.POINT_LIMIT, timing.POINT_WIDTH))
+        self._work = stations.new_work()
+        self.fallbacks = 0
 
     def receive(self, state: State, time_us: int) -> bool:
         """A path makes a step due."""
@@ -71,45 +106,79 @@ class TrajectoryGenerator:
         return [trajectory]
 
     def _points(self) -> np.ndarray:
-        config, room = self._config, self._room
+        config = self._config
         vertices = floats(self._path.elements, 3).reshape(-1, 3)
-        entry = float(self._path.header["entry_speed"][0])
+        motion = _Motion(float(self._path.header["entry_speed"][0]))
         if len(vertices) and self._splices:
-            vertices, entry = self._splice(vertices, entry)
+            vertices, motion = self._splice(vertices, motion.speed)
         vertices = _without_repeats(vertices)
         if len(vertices) < 2 or len(vertices) > timing.CURVE_LIMIT // 40:
             return np.zeros((0, timing.POINT_WIDTH))
-        tight = self._splices and bool(self._path.header["tight"][0])
-        # held points are tracked a little late: a reserve of speed keeps the vehicle from falling behind
-        top = config.v_max if self._splices else 0.97 * config.v_max
-        slow = min(1.0, config.v_max / NOMINAL_SPEED)  # lengths go with speed
-        limits = timing.Limits(
-            top, min(TIGHT_SPEED, top) if tight else top, LATERAL_SHARE * config.a_max, PLANNING_ACCELERATION,
-            BRAKING, self._blend * slow, _LOOK * slow,
-        )  # fmt: skip
-        count = timing.smooth(
-            room.narrow, room.grid, vertices, len(vertices), limits.blend, self._inner, self._corners, self._curve
-        )
-        if count < 2:
-            return np.zeros((0, timing.POINT_WIDTH))
-        timing.speed_profile(room.wide, room.grid, self._curve, count, entry, limits, self._arc, self._speed)
+        n = self._polynomials(vertices, motion) if config.stack.smoothing == "minimum_snap" else 0
+        n = n or self._blends(vertices, motion.speed)
         step = 1e-6 * config.control_period_us
-        n = timing.sample(self._curve, count, self._arc, self._speed, step, limits.look, 0.0, self._dense)
-        if config.stack.sampling == "interpolated":
+        if n == 0 or config.stack.sampling == "interpolated":
             return self._dense[:n]
         per_point = max(1, round(config.stack.point_period / step))
         n = timing.hold_points(self._dense, n, per_point, step, round(config.stack.look_ahead / step), self._held)
         return self._held[:n]
 
-    def _splice(self, vertices: np.ndarray, entry: float) -> tuple[np.ndarray, float]:
+    def _limits(self) -> timing.Limits:
+        config = self._config
+        tight = self._splices and bool(self._path.header["tight"][0])
+        # held points are tracked a little late: a reserve of speed keeps the vehicle from falling behind
+        top = config.v_max if self._splices else 0.97 * config.v_max
+        slow = min(1.0, config.v_max / NOMINAL_SPEED)  # lengths go with speed
+        return timing.Limits(
+            top, min(TIGHT_SPEED, top) if tight else top, LATERAL_SHARE * config.a_max, PLANNING_ACCELERATION,
+            BRAKING, self._blend * slow, _LOOK * slow,
+        )  # fmt: skip
+
+    def _blends(self, vertices: np.ndarray, entry: float) -> int:
+        """Dense points of rounded corners with a speed profile; their number."""
+        room, limits = self._room, self._limits()
+        count = timing.smooth(
+            room.narrow, room.grid, vertices, len(vertices), limits.blend, self._inner, self._corners, self._curve
+        )
+        if count < 2:
+            return 0
+        timing.speed_profile(room.wide, room.grid, self._curve, count, entry, limits, self._arc, self._speed)
+        step = 1e-6 * self._config.control_period_us
+        return timing.sample(self._curve, count, self._arc, self._speed, step, limits.look, 0.0, self._dense)
+
+    def _polynomials(self, vertices: np.ndarray, motion: _Motion) -> int:
+        """Dense points of a minimum-snap curve; their number, 0 = none was found."""
+        room, limits = self._room, self._limits()
+        law = stations.Law(
+            limits.speed, _ACCELERATION_SHARE * self._config.a_max, limits.tight_speed, limits.lateral,
+            limits.tangential, limits.braking, _REACH_SHARE * limits.blend, _STATION_TIME * limits.speed,
+        )  # fmt: skip
+        with np.errstate(over="ignore", invalid="ignore"):
+            velocity = motion.velocity
+            if velocity is None:
+                velocity = motion.speed * (vertices[1] - vertices[0]) / paths.distance(vertices[1], vertices[0])
+            size = paths.distance(motion.acceleration, np.zeros(3))
+            acceleration = motion.acceleration * min(1.0, _ENTRY_SHARE * law.acceleration / max(size, 1e-9))
+        n = course.fit(
+            room.narrow, room.wide, room.grid, vertices, len(vertices), velocity, acceleration, law, self._work
+        )
+        if n == 0:
+            self.fallbacks += 1
+            return 0
+        step = 1e-6 * self._config.control_period_us
+        return minimum_snap.sample(
+            self._work.ends, self._work.times, n, step, limits.look, motion.yaw, MAX_YAW_RATE, self._dense
+        )
+
+    def _splice(self, vertices: np.ndarray, entry: float) -> tuple[np.ndarray, _Motion]:
         """Rest of the trajectory in force up to the junction, then the new path; timed from the present speed."""
         junction = int(self._path.header["junction"][0])
         if self._waypoint is None or self._flown is None or junction < 0:
-            return vertices, 0.0
+            return vertices, _Motion(0.0)
         points = floats(self._flown.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH)
         index = int(self._waypoint.header["index"][0])
         if not 0 <= index < len(points) or not junction < len(points):
-            return vertices, entry
+            return vertices, _Motion(entry)
         arc = np.empty(len(points))
         handover.arc_lengths(points, arc)
         waypoint = floats(self._waypoint.header, timing.POINT_WIDTH)
@@ -125,7 +194,8 @@ class TrajectoryGenerator:
             if arc[k] - last >= 0.7 and arc[junction] - arc[k] >= 0.5:
                 head.append(points[k, :3])
                 last = arc[k]
-        return np.vstack([*head, tail]), speed
+        motion = _Motion(speed, waypoint[4:7].copy(), waypoint[7:10].copy(), float(waypoint[3]))
+        return np.vstack([*head, tail]), motion
 
     def mark(self) -> None:
         """Remember the sequence number."""

@@ -45,11 +45,12 @@ class WaypointHandOver:
 
     name = "waypoint"
     stage = Stage.PLANNING
-    reads = ("planning.trajectory", "perception.collision_status", "sensor.odometry", "control.tracking")
     writes = ("planning.waypoint",)
+    not_memory = ("_config", "_governed", "_creep")
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
+        self.reads = ("planning.trajectory", "perception.collision_status", config.odometry, "control.tracking")
         self._governed = config.stack.sampling == "interpolated"
         self._memory = _Memory()
         self._marked = self._memory
@@ -67,7 +68,7 @@ class WaypointHandOver:
         """Note an input; steps are due at the control period only."""
         del time_us
         name = state.spec.name
-        if name == "sensor.odometry":
+        if name == self._config.odometry:
             self._odometry = floats(state.header, 13)
         elif name == "control.tracking":
             self._remaining = float(state.header["remaining"][0])

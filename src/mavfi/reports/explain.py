@@ -10,9 +10,11 @@ from scipy.spatial import cKDTree
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import golden_twin
 from mavfi.campaign.store import Store
+from mavfi.campaign.worker import KERNEL_KEYS
 from mavfi.errors import BadInputError
 from mavfi.flight_log import FlightLog
 from mavfi.reports.change import change
+from mavfi.reports.kernel_story import kernel_story
 from mavfi.reports.watch import Difference, first_difference, fly_watched
 
 LEFT = 0.1
@@ -50,7 +52,8 @@ class Explanation:
         log: Its flight of now.
         twin: The golden flight of now, with the same detector.
         same: Whether the digest is the stored one.
-        first: First publication that differs; None = masked.
+        first: First publication that differs; None = masked, or a fault in an instruction: its flight ends in a forked
+            process, and `kernel_outcome` of its log has the first difference.
         departure: How the paths part.
     """
 
@@ -74,6 +77,7 @@ def explain(directory: Path, run_id: str) -> Explanation:
         SpecMismatchError: The detector's model is no longer the one that the run flew with.
     """
     with Store.open(directory) as store:
+        store.require_flights()
         run = store.run(run_id)
         twin = golden_twin(store, run.spec)
         if twin is None:
@@ -84,7 +88,8 @@ def explain(directory: Path, run_id: str) -> Explanation:
     log = injected.flight.log
     return Explanation(
         run.spec, log, golden.flight.log, log.digest() == run.record["digest"],
-        first_difference(golden.publications, injected.publications), departure(golden.flight.log, log),
+        first_difference(golden.publications, injected.publications) if injected.publications else None,
+        departure(golden.flight.log, log),
     )  # fmt: skip
 
 
@@ -149,6 +154,7 @@ def to_json(found: Explanation) -> dict[str, Any]:
             "largest_m": found.departure.largest_m, "largest_time_s": found.departure.largest_s,
             "behind_s": found.departure.behind_s,
         },
+        **{key: found.log.meta[key] for key in KERNEL_KEYS if key in found.log.meta},
         "alarms": found.log.alarms,
         "status": found.log.status.label, "flight_time_s": float(found.log.column("time")[-1]),
         "golden": {
@@ -166,8 +172,11 @@ def lines(found: Explanation) -> list[tuple[str, str]]:
     if not found.same:
         story.append(("note", "another digest than the stored one: other versions or another machine flew it"))
     story.append(("golden twin", "the same mission without the fault" + (", the detector on" if spec.detector else "")))
-    story += [("fault", _fault(spec, injection)) for injection in found.log.injections]
-    story.append(("first difference", _difference(found.first)))
+    for injection in found.log.injections:
+        story.append(("fault", _fault(spec, injection)))
+        story += kernel_story(injection, found.log.meta.get("kernel_outcome"))
+    if "kernel_outcome" not in found.log.meta:
+        story.append(("first difference", _difference(found.first)))
     story.append(("path", _path(found.departure)))
     story += _alarms(found.log.alarms)
     story.append(("end", _end(found)))
@@ -184,8 +193,10 @@ def _fault(spec: RunSpec, injection: dict[str, Any]) -> str:
     if spec.fault is not None and not spec.fault.has_site:
         return f"{injection['site']}: no site, the golden flight never published it"
     if not injection["hit"]:
+        if injection["level"] == "instruction":
+            return f"{injection['site']}: not hit, the instruction was not executed"
         return f"{injection['site']}: not hit, no such publication came"
-    bit = "empty mask" if injection["bit"] is None else f"bit {injection['bit']}"
+    bit = injection.get("model", "empty mask") if injection["bit"] is None else f"bit {injection['bit']}"
     before, after = change(injection["before"], injection["after"])
     return f"{injection['site']}, {bit}, at {injection['time_s']:.3f} s: {before} → {after}"
 

@@ -16,7 +16,7 @@ from mavfi.reports.tables import Analysis, Entry, populations_of
 
 
 def draw(analysis: Analysis, directory: Path) -> list[str]:
-    """Draw every figure for which there is something to show.
+    """Draw every figure for which there is something to show; a campaign of kernels has tables and a page of its own.
 
     Returns:
         Names of the files in the directory.
@@ -27,6 +27,8 @@ def draw(analysis: Analysis, directory: Path) -> list[str]:
     makers: dict[str, Callable[[Analysis], Figure | None]] = {
         "success.png": success, "flight_time.png": flight_time, "states.png": states,
     }  # fmt: skip
+    if analysis["campaign"]["law"] == "kernels":
+        return []
     written = []
     with style.house_style():
         for name, maker in makers.items():
@@ -86,7 +88,8 @@ def success(analysis: Analysis) -> Figure | None:
         lowest = min(lowest, float(bounds.min()))
         beside = [(a, entry["paper"]) for a, entry in zip(x, shown, strict=True) if entry["paper"] is not None]
         for a, value in beside:
-            axes.plot([a - 0.36 * width, a + 0.36 * width], [value] * 2, color=style.INK, linewidth=2.0, zorder=3)
+            ends = [a - 0.36 * width, a + 0.36 * width]
+            axes.plot(ends, [value] * 2, color=style.INK, linewidth=2.0, zorder=3, clip_on=False)
             lowest = min(lowest, value)
     _frame(axes, environments, max(0.0, np.floor(10 * lowest - 0.5) / 10))
     axes.set_title(f"Success · stack {analysis['campaign']['stack']} · one fault per mission", pad=10)
@@ -181,7 +184,7 @@ def states(analysis: Analysis) -> Figure | None:
     axes.tick_params(axis="y", length=0)
     bits = ", ".join(text.population(name) for name in _names(entries, "population"))
     where = "all environments" if whole == "all" else whole
-    axes.set_xlabel(f"missions that fail or take more than 5 % longer ({bits}, {where})")
+    axes.set_xlabel(f"missions that fail or take more than 5 % longer\n({bits}; {where})")
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=6, fontsize=8.5, handlelength=1.2)
     return figure
 
@@ -191,4 +194,7 @@ def _points(axes: Axes, entries: list[Entry], y: np.ndarray, colour: str, label:
     rates = np.array([0.0 if hurt["rate"] is None else hurt["rate"] for hurt in shown])
     bounds = np.array([[hurt["low"] or 0.0, hurt["high"] or 0.0] for hurt in shown])
     errors = np.abs(bounds.T - rates)
-    axes.errorbar(rates, y, xerr=errors, fmt="o", color=colour, markersize=4.5, elinewidth=1.2, capsize=2, label=label)
+    axes.errorbar(
+        rates, y, xerr=errors, fmt="o", color=colour, markersize=4.5, elinewidth=1.2, capsize=2, label=label,
+        clip_on=False, zorder=4,
+    )  # fmt: skip

@@ -3,6 +3,9 @@
 from mavfi.reports import text
 from mavfi.reports.tables import Analysis
 
+EACH = {"stage_balanced": "stage", "groups": "group", "kernels": "kernel"}
+"""What each number of faults is drawn for, by law."""
+
 
 def null_line(analysis: Analysis) -> str:
     """Whether flights with an empty mask were the golden ones."""
@@ -22,13 +25,15 @@ def header(analysis: Analysis) -> list[str]:
     seeds = f"seeds {c['seeds'][0]} to {c['seeds'][1]}"
     shares = sorted(c["strata"].items(), reverse=True)
     strata = " : ".join(f"{text.population(name)} {share:g}" for name, share in shares)
+    drawn = f"drawn {strata}, fields: {c['sites']}"
+    if c["law"] == "kernels":
+        drawn = f"instructions: {c['kernels']['which']}, model {c['kernels']['model']}"
     versions = sorted(c["versions"].items(), key=lambda item: item[0] != "mavfi")
-    each = "group" if c["law"] == "groups" else "stage"
+    each = EACH[c["law"]]
     speed = "" if c["v_max"] is None else f" · {c['v_max']:g} m/s"
     lines = [
         f"campaign {c['name']} · stack {c['stack']} · {c['platform']} · {c['planner']}{speed}",
-        f"{c['flights']} missions per environment ({seeds}), {c['faults']} faults per {each}, drawn {strata}, "
-        f"fields: {c['sites']}",
+        f"{c['flights']} missions per environment ({seeds}), {c['faults']} faults per {each}, {drawn}",
         f"{c['done']} of {c['total']} flights done · digest {c['digest'][:16]}…",
         " · ".join(f"{name} {version}" for name, version in versions),
     ]

@@ -2,8 +2,9 @@
 
 from collections.abc import Iterable, Mapping
 
-from mavfi.reports.header import header, null_line
-from mavfi.reports.tables import Analysis, Table, tables
+from mavfi.reports.header import EACH, header, null_line
+from mavfi.reports.table import Table
+from mavfi.reports.tables import Analysis, tables
 
 FIGURES = {
     "success.png": "Success with 95 % intervals (sign + exponent); black: the paper's figure.",
@@ -36,7 +37,7 @@ def readme_block(analysis: Analysis, date: str) -> str:
     c = analysis["campaign"]
     table = tables(analysis)[0]
     versions = ", ".join(f"{name} {version}" for name, version in sorted(c["versions"].items()) if name != "mavfi")
-    each = "group" if c["law"] == "groups" else "stage"
+    each = EACH[c["law"]]
     head = (
         f"Generated on {date} by mavfi {c['versions']['mavfi']} ({versions}): campaign `{c['name']}`, stack "
         f"`{c['stack']}`, platform `{c['platform']}`, planner `{c['planner']}`, {c['flights']} missions "

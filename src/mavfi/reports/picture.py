@@ -28,7 +28,7 @@ _WIDTH = 11.0
 _SIDE_STRETCH = 1.6
 """Heights in the side view are drawn larger by this factor."""
 _SOLID, _EDGE, _MAP = "#D4D4D4", "#A8A8A8", "#3B3B3B"
-_HALO = [effects.withStroke(linewidth=4.0, foreground="white")]
+_HALO = [effects.withStroke(linewidth=5.0, foreground="white")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,8 @@ def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None) ->
         courses.append(_Course("golden", _positions(golden), line))
     alone = golden is None
     label = "flight" if alone else "with the fault"
-    line = {"color": style.BLUE if alone else style.ORANGE, "linewidth": 2.6, "zorder": 5, "path_effects": _HALO}
+    look = {"color": style.BLUE, "linewidth": 2.6} if alone else {"color": style.ORANGE, "linewidth": 3.6}
+    line = look | {"zorder": 5, "path_effects": _HALO}
     courses.append(_Course(label, _positions(flight), line))
     if recovered is not None:
         line = {"color": style.GREEN, "linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 7}
@@ -162,11 +163,14 @@ def _draw_scan(above: Axes, side: Axes, world: World, course: np.ndarray) -> Non
         _shade(axes, solid, extent, _SOLID, 1)
 
 
-def _shade(axes: Axes, cells: np.ndarray, extent: tuple[float, float, float, float], colour: str, order: int) -> None:
+def _shade(
+    axes: Axes, cells: np.ndarray, extent: tuple[float, float, float, float], colour: str, order: int,
+    alpha: float = 1.0,
+) -> None:  # fmt: skip
     """Colour the cells that are set; shape (columns, rows)."""
     image = np.zeros((cells.shape[1], cells.shape[0], 4))
     image[..., :3] = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
-    image[..., 3] = cells.T
+    image[..., 3] = alpha * cells.T
     axes.imshow(image, origin="lower", extent=extent, interpolation="nearest", aspect="auto", zorder=order)
 
 
@@ -177,7 +181,8 @@ def _draw_map(above: Axes, side: Axes, flight: Flight, limits: tuple[np.ndarray,
         return False
     grid = room.grid
     ix, iy, iz = np.nonzero(room.cells.reshape(grid.nx, grid.ny, grid.nz) == OCCUPIED)
-    centres = np.array([grid.x0, grid.y0, grid.z0]) + (np.stack([ix, iy, iz], axis=1) + 0.5) * grid.resolution
+    corner, shape = np.array([grid.x0, grid.y0, grid.z0]), np.array([grid.nx, grid.ny, grid.nz])
+    centres = corner + (np.stack([ix, iy, iz], axis=1) + 0.5) * grid.resolution
     lower, upper = limits
     centres = centres[((centres > lower) & (centres < upper)).all(axis=1)]
     course = _positions(flight)[::10]
@@ -187,11 +192,12 @@ def _draw_map(above: Axes, side: Axes, flight: Flight, limits: tuple[np.ndarray,
     else:
         from_above = centres[centres[:, 2] > grid.resolution]  # so would the ground
         from_side = from_above[_distance(from_above, course) < NEAR]
-    size = 72 * (_WIDTH - 0.75) / (upper[0] - lower[0]) * grid.resolution
-    shape = {"marker": "s", "linestyle": "", "markersize": size, "markeredgewidth": 0, "color": _MAP, "zorder": 2}
+    end = corner + shape * grid.resolution
     for axes, points, index in ((above, from_above, 1), (side, from_side, 2)):
-        seen = np.unique(points[:, [0, index]], axis=0)
-        axes.plot(seen[:, 0], seen[:, 1], alpha=0.5, **shape)
+        seen = np.zeros((shape[0], shape[index]), bool)
+        cells = ((points - corner) * grid.inverse).astype(int)
+        seen[cells[:, 0], cells[:, index]] = True
+        _shade(axes, seen, (corner[0], end[0], corner[index], end[index]), _MAP, 2, alpha=0.55)
     return len(centres) > 0
 
 
@@ -259,7 +265,7 @@ def _legend(figure: Figure, courses: list[_Course], marks: list[Line2D], known: 
     handles += marks
     handles.append(Patch(facecolor=_SOLID, edgecolor=_EDGE, label="solid" if world.is_voxels else "obstacle"))
     if known:
-        handles.append(Patch(facecolor=_MAP, alpha=0.5, label="seen by the map"))
+        handles.append(Patch(facecolor=_MAP, alpha=0.55, label="occupied in the map"))
     height = figure.get_figheight()
     figure.legend(
         handles=handles, loc="center left", bbox_to_anchor=(0.6 / _WIDTH, 1 - 0.78 / height), ncols=len(handles),

@@ -1,11 +1,12 @@
 """Tables of a report as plain text, derived from the analysis of a campaign; terminal and Markdown show the same."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 from mavfi.faults.strata import HEADLINE
 from mavfi.reports import text
+from mavfi.reports.kernel_tables import kernel_tables
+from mavfi.reports.table import Table
 
 Analysis = Mapping[str, Any]
 Entry = Mapping[str, Any]
@@ -35,27 +36,10 @@ _PAPER_NAMES = {
 """Rows of the paper's Table I."""
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
-    """One table.
-
-    Attributes:
-        title: What it shows.
-        columns: Headings.
-        rows: Cells.
-        notes: Lines below it.
-        detail: Shown in the file only, not in the terminal.
-    """
-
-    title: str
-    columns: tuple[str, ...]
-    rows: Sequence[tuple[str, ...]]
-    notes: tuple[str, ...] = field(default=())
-    detail: bool = False
-
-
 def tables(analysis: Analysis) -> list[Table]:
     """All tables that have rows, most important first; each says which stack flew."""
+    if analysis["campaign"]["law"] == "kernels":
+        return kernel_tables(analysis)
     makers: tuple[Callable[[Analysis], Iterable[Table]], ...] = (
         as_in_the_paper, success, recovery, faults_by, outcomes, endings, flight_times, false_alarms, detections,
         overheads, sites,

@@ -70,7 +70,7 @@ def _latest(row: Row) -> float:
 
 def golden_spec(store: Store, spec: RunSpec) -> RunSpec:
     """The golden run of the same mission, without a detector."""
-    wanted = (GOLDEN, spec.environment, spec.seed)
+    wanted = (GOLDEN if spec.detector else spec.golden_setting, spec.environment, spec.seed)
     runs = (run.spec for run in store.runs(phase=1))
     return next(s for s in runs if (s.setting, s.environment, s.seed) == wanted)
 

@@ -8,7 +8,8 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from mavfi.reports.header import header, null_line
-from mavfi.reports.tables import Analysis, Table, tables
+from mavfi.reports.table import Table
+from mavfi.reports.tables import Analysis, tables
 
 
 def show(analysis: Analysis, console: Console) -> None:

@@ -12,6 +12,7 @@ from mavfi.campaign.worker import Tools
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import Fault
 from mavfi.hosts.inprocess import Flight, fly
+from mavfi.hosts.instruction import fly_struck
 from mavfi.mission import Scenario
 from mavfi.states import State
 
@@ -26,7 +27,7 @@ class Publication:
 
 @dataclass(slots=True)
 class Watched:
-    """A flight, and all that was published in it, in order."""
+    """A flight, and all that was published in it, in order; nothing of a flight that ended in a forked process."""
 
     flight: Flight
     publications: list[Publication]
@@ -42,6 +43,9 @@ class _Watcher:
     def __call__(
         self, scenario: Scenario, fault: Fault | None, detector: Detector | None, *, want_profile: bool
     ) -> Flight:
+        if fault is not None and fault.level == "instruction":
+            self.flight = fly_struck(scenario, [fault], detector).flights[0]
+            return self.flight
         self.flight = fly(scenario, fault, detector, want_profile=want_profile, observer=self._note)
         return self.flight
 

@@ -16,16 +16,13 @@ ACCELEROMETER_RANDOM_WALK = 2.354e-3
 """m/s^2 sqrt(s) (0.24 mg / sqrt(Hz))."""
 ACCELEROMETER_BIAS_STABILITY, ACCELEROMETER_BIAS_TIME = 3.53e-4, 800.0
 """m/s^2 (36 ug), and the time for which it was stated (s)."""
+ACCELEROMETER_BIAS_WALK = ACCELEROMETER_BIAS_STABILITY / math.sqrt(ACCELEROMETER_BIAS_TIME)
+GYRO_BIAS_WALK = GYRO_BIAS_STABILITY / math.sqrt(GYRO_BIAS_TIME)
+"""Standard deviations of the biases after one second (m/s^2 and rad/s, / sqrt(s))."""
 
 _SHORTEST_INTERVAL_US = 1_000
 _WHITE = np.repeat([ACCELEROMETER_RANDOM_WALK, GYRO_RANDOM_WALK], 3)
-_WALK = np.repeat(
-    [
-        ACCELEROMETER_BIAS_STABILITY / math.sqrt(ACCELEROMETER_BIAS_TIME),
-        GYRO_BIAS_STABILITY / math.sqrt(GYRO_BIAS_TIME),
-    ],
-    3,
-)
+_WALK = np.repeat([ACCELEROMETER_BIAS_WALK, GYRO_BIAS_WALK], 3)
 
 
 class Imu:
@@ -36,12 +33,14 @@ class Imu:
         time_us: Instant of the last sample.
     """
 
-    def __init__(self, noise_key: int) -> None:
+    def __init__(self, noise_key: int, scale: float = 1.0) -> None:
         """Start at time zero.
 
         Args:
             noise_key: Key of the noise.
+            scale: Noise / AirSim's figures.
         """
+        self._scale = scale
         self.bias = np.zeros(6)
         self.time_us = 0
         self._noise_key = noise_key
@@ -59,7 +58,7 @@ class Imu:
         interval = max(time_us - self.time_us, _SHORTEST_INTERVAL_US) * 1e-6
         stream = np.random.Generator(np.random.Philox(key=self._noise_key, counter=[0, 0, 0, time_us]))
         white, walk = stream.standard_normal((2, 6))
-        self.bias = self.bias + _WALK * math.sqrt(interval) * walk
+        self.bias = self.bias + self._scale * _WALK * math.sqrt(interval) * walk
         self.time_us = time_us
-        measured: np.ndarray = truth + self.bias + _WHITE / math.sqrt(interval) * white
+        measured: np.ndarray = truth + self.bias + self._scale * _WHITE / math.sqrt(interval) * white
         return measured

@@ -1,14 +1,10 @@
-"""World and airframe as a MuJoCo model, and MuJoCo's step as a function that compiled code can call."""
+"""World and airframe as a MuJoCo model."""
 
-import ctypes
-from pathlib import Path
-
-import llvmlite.binding
 import mujoco
 import numpy as np
-from numba import types
 
 from mavfi.config import VehicleConfig
+from mavfi.sim import mjcf
 from mavfi.sim.environments.world import World
 
 STEP_US = 4_000
@@ -19,37 +15,13 @@ GRAVITY = 9.80665
 ACCELEROMETER, GYRO, CONTACTS = slice(0, 3), slice(3, 6), 6
 """Where the sensors are in MjData.sensordata."""
 
-_WARNING_HANDLER_TYPE = ctypes.CFUNCTYPE(None, ctypes.c_char_p)
-
-
-@_WARNING_HANDLER_TYPE
-def _keep_quiet(_text: bytes) -> None:
-    """MuJoCo counts its warnings in MjData, which `Simulator.warnings` reports; it shall not write files as well."""
-
-
-def _load_library() -> ctypes.CDLL:
-    folder = Path(mujoco.__file__).parent
-    path = next(file for file in sorted(folder.iterdir()) if file.name.startswith("libmujoco."))
-    return ctypes.CDLL(str(path))
-
-
-_LIBRARY = _load_library()
-ctypes.c_void_p.in_dll(_LIBRARY, "mju_user_warning").value = ctypes.cast(_keep_quiet, ctypes.c_void_p).value
-llvmlite.binding.add_symbol("mj_step", ctypes.cast(_LIBRARY.mj_step, ctypes.c_void_p).value)
-
-mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
-"""MuJoCo's step for compiled code: takes the addresses of MjModel and MjData.
-
-Found by symbol and not through a ctypes object, so that code which calls it can be cached on disk.
-"""
-
 
 def build_model(world: World, vehicle: VehicleConfig) -> mujoco.MjModel:
     """The model of one flight: a free body with a sphere as hull, static boxes, the ground.
 
     All forces but gravity and contact come from outside, by `qfrc_applied`.  They are constant during a step, and so
     Euler (semi-implicit) is as accurate as `implicitfast` here and 0.3 us cheaper.  Worlds of voxels have their own
-    contact test; then the model holds the body alone.
+    contact test; then the model holds the body alone.  A vehicle with an MJCF file has that model fixed to its body.
 
     Args:
         world: Obstacles and start.
@@ -65,10 +37,14 @@ def build_model(world: World, vehicle: VehicleConfig) -> mujoco.MjModel:
         for centre, half in zip(0.5 * (world.lower + world.upper), 0.5 * (world.upper - world.lower), strict=True):
             spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=centre, size=half)
     body = spec.worldbody.add_body(pos=world.start)
-    body.mass, body.inertia, body.ipos = vehicle.mass, np.array(vehicle.inertia), np.zeros(3)
-    body.explicitinertial = True
     body.add_freejoint()
-    body.add_geom(name="hull", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=np.array([vehicle.hull_radius, 0.0, 0.0]))
+    hull = body.add_geom(name="hull", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=np.array([vehicle.hull_radius, 0.0, 0.0]))
+    if vehicle.mjcf is None:
+        body.mass, body.inertia, body.ipos = vehicle.mass, np.array(vehicle.inertia), np.zeros(3)
+        body.explicitinertial = True
+    else:
+        hull.mass = 0.0
+        mjcf.attach(vehicle, spec, body)
     body.add_site(name="imu")
     _add_sensors(spec)
     return spec.compile()

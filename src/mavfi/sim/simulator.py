@@ -12,10 +12,13 @@ from mavfi.mission import Scenario
 from mavfi.sim.camera import Camera
 from mavfi.sim.environments.world import World
 from mavfi.sim.imu import Imu
-from mavfi.sim.scene import STEP_US, build_model
+from mavfi.sim.positioning import Positioning
+from mavfi.sim.scene import ACCELEROMETER, STEP_US, build_model
 from mavfi.sim.vehicle import YAW_REFERENCE, Body, advance, airframe_of, hover_memory
+from mavfi.sim.wind import Weather
 
 _PURPOSE_SENSOR_NOISE = 2
+_PURPOSE_WIND = 5
 _LONGEST_COMMAND = 1e6
 
 
@@ -66,7 +69,7 @@ class Simulator:
 
         Args:
             world: Where it flies.
-            scenario: Vehicle, camera, speed limit and seed.
+            scenario: Vehicle, camera, localization, wind, speed limit and seed.
         """
         vehicle = scenario.vehicle
         self._model = build_model(world, vehicle)
@@ -82,9 +85,11 @@ class Simulator:
         self._yaw_rate_limit = vehicle.max_yaw_rate
         self._setpoint = np.zeros(4)
         self._expiry_us = 0
-        keys = np.random.SeedSequence(scenario.seed, spawn_key=(_PURPOSE_SENSOR_NOISE,)).generate_state(2, np.uint64)
+        keys = np.random.SeedSequence(scenario.seed, spawn_key=(_PURPOSE_SENSOR_NOISE,)).generate_state(3, np.uint64)
         self._camera = Camera(scenario.camera, world, int(keys[0]))
-        self._imu = Imu(int(keys[1]))
+        self._imu = Imu(int(keys[1]), scenario.localization.imu_noise)
+        self._positioning = Positioning(scenario.localization, int(keys[2]))
+        self._weather = Weather(scenario.wind, np.random.SeedSequence(scenario.seed, spawn_key=(_PURPOSE_WIND,)))
         self.time_us = 0
         self.odometry = np.zeros(13)
         self.collided = False
@@ -115,7 +120,7 @@ class Simulator:
             velocity_yaw_rate: vx vy vz, world frame (m/s), and yaw rate (rad/s). Shape (4,).
             duration: How long it holds (s); 0 and less = hover at once.
         """
-        vx, vy, vz, yaw_rate = (float(value) for value in velocity_yaw_rate)
+        vx, vy, vz, yaw_rate = velocity_yaw_rate.tolist()
         if not all(map(math.isfinite, (vx, vy, vz, yaw_rate, duration))):
             self.rejected_commands += 1
             return
@@ -134,11 +139,14 @@ class Simulator:
         """
         if time_us % STEP_US or time_us < self.time_us:
             raise BadInputError(f"time {time_us} us: must be a multiple of {STEP_US} us from {self.time_us} us on")
+        if time_us == self.time_us:
+            return
         steps = (time_us - self.time_us) // STEP_US
         commanded = max(0, self._expiry_us - self.time_us + STEP_US - 1) // STEP_US
         touched = advance(
-            self._airframe, self._body, self._voxels, self._controller, self._setpoint, steps, commanded, self.odometry
-        )
+            self._airframe, self._body, self._voxels, self._weather.until(1e-6 * time_us), self.time_us,
+            self._controller, self._setpoint, steps, commanded, self.odometry,
+        )  # fmt: skip
         self.collided = self.collided or touched
         self.time_us = time_us
 
@@ -153,8 +161,17 @@ class Simulator:
         return self._camera.capture(pose, self.time_us), pose
 
     def imu(self) -> np.ndarray:
-        """Measure specific force (m/s^2) and rates (rad/s) in the body frame, with noise. Shape (6,)."""
-        return self._imu.sample(self._data.sensordata[:6], self.time_us)
+        """Measure in the body frame, with noise. Shape (6,).
+
+        Specific force (m/s^2), as it was during the last step of physics, and rates (rad/s), as they are now.
+        """
+        return self._imu.sample(
+            np.concatenate([self._data.sensordata[ACCELEROMETER], self.odometry[10:]]), self.time_us
+        )
+
+    def position_fix(self) -> np.ndarray:
+        """Measure position (m) and heading (rad) in the world frame, with noise. Shape (4,)."""
+        return self._positioning.fix(self.odometry, self.time_us)
 
     def warnings(self) -> list[str]:
         """MuJoCo's warnings so far, with their numbers."""

@@ -15,8 +15,10 @@ from mavfi.config import VehicleConfig
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.rotations import rotation_matrix, wrap_angle, yaw_of
 from mavfi.sim.contact import sphere_touches_voxels
+from mavfi.sim.engine import mj_step
 from mavfi.sim.environments.world import Voxels
-from mavfi.sim.scene import CONTACTS, GRAVITY, STEP_US, mj_step
+from mavfi.sim.scene import CONTACTS, GRAVITY, STEP_US
+from mavfi.sim.wind import Wind, wind_at
 
 STEP = STEP_US * 1e-6
 """Period of the flight controller (s)."""
@@ -217,7 +219,7 @@ def apply_forces(
     Args:
         airframe: Vehicle.
         thrusts: Of the rotors (N). Shape (4,) or longer.
-        velocity: World frame (m/s). Shape (3,) or longer.
+        velocity: Relative to the air, world frame (m/s). Shape (3,) or longer.
         matrix: Body to world. Shape (3, 3).
         qfrc: Result. Shape (6,).
     """
@@ -250,6 +252,8 @@ def advance(
     airframe: Airframe,
     body: Body,
     voxels: Voxels,
+    wind: Wind,
+    time_us: int,
     memory: np.ndarray,
     setpoint: np.ndarray,
     steps: int,
@@ -262,6 +266,8 @@ def advance(
         airframe: Vehicle.
         body: Its rigid body.
         voxels: Obstacles that MuJoCo does not know.
+        wind: Moves the air; drag acts on the velocity relative to it.
+        time_us: Now.
         memory: Of the controller, updated. Shape (MEMORY_SIZE,).
         setpoint: vx vy vz (m/s) and yaw rate (rad/s). Shape (4,).
         steps: How many periods.
@@ -273,11 +279,15 @@ def advance(
     """
     matrix = np.empty((3, 3))
     hover = np.zeros(4)
+    air = np.empty(3)
     touched = False
     for step in range(steps):
         rotation_matrix(body.qpos[3:7], matrix)
         control(airframe, memory, setpoint if step < commanded_steps else hover, body.qpos, body.qvel, matrix)
-        apply_forces(airframe, memory, body.qvel, matrix, body.qfrc)
+        wind_at(wind, 1e-6 * (time_us + step * STEP_US), air)
+        for axis in range(3):
+            air[axis] = body.qvel[axis] - air[axis]
+        apply_forces(airframe, memory, air, matrix, body.qfrc)
         mj_step(body.model, body.data)  # type: ignore[call-overload]
         touched = touched or body.sensors[CONTACTS] > 0.0
         if voxels.occupied.size > 0:

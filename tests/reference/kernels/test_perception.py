@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from mavfi.kernels.perception import clearance, collision_check, octomap, point_cloud
+from mavfi.kernels.perception import clearance, collision_check, key_sets, octomap, point_cloud
+from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.numerics.voxels import offsets_within
 from tests.reference.kernels import naive, scenes
@@ -70,6 +71,63 @@ def test_the_map_equals_a_dictionary_under_octomaps_rule_bit_by_bit(seed):
             twin.insert(points, origin, 6.0)
             assert kernel.log_odds.tobytes() == twin.dense().tobytes()
     assert (kernel.log_odds > 0).sum() > 50 and (kernel.log_odds < 0).sum() > 200
+
+
+def walked_alone(points, origin, max_range, frame):
+    """Free voxels in the order in which rays that are walked one after the other come to them, and the voxels hit."""
+    size = frame.nx * frame.ny * frame.nz
+    stamp, touched, end = np.zeros(size, np.int32), np.zeros(size + 1, np.int32), np.empty(3, np.float32)
+    start = (origin + np.array([frame.shift_x, frame.shift_y, frame.shift_z])).astype(np.float32)
+    ends, hits = [], []
+    for point in points:
+        voxel = key_sets._end_of_ray(start, point, max_range, frame, end)
+        ends.append(end.copy())
+        if voxel >= 0 and voxel not in hits:
+            hits.append(voxel)
+            stamp[voxel] = 3
+    count = 0
+    for end in ends:
+        count = key_sets._walk_free(frame, start, end, stamp, 2, touched, count)
+    return touched[:count].tolist(), hits
+
+
+FINE = KeyFrame(0.02, 0.01, 0.01, 0.01, -150, -150, -20, 320, 310, 100)
+
+
+@pytest.mark.parametrize("frame", (FRAME, FINE), ids=("coarse", "fine"))
+@pytest.mark.parametrize("seed", SEEDS)
+def test_rays_walked_side_by_side_meet_the_same_voxels_in_the_same_order(frame, seed):
+    random = np.random.default_rng(100 + seed)
+    origin = random.uniform([-2.0, -1.0, 0.3], [2.0, 1.0, 1.0])
+    directions = random.normal(size=(key_sets.RAYS + 37, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    points = (origin + directions * random.uniform(0.01, 9.0, (len(directions), 1))).astype(np.float32)
+    # along an axis, and from corner to corner of voxels: faces are met at the same time
+    points[:9] = origin + np.round(points[:9] - origin) * np.float32(frame.resolution)
+    points[9:12, 1:] = origin[1:]
+    size = frame.nx * frame.ny * frame.nz
+    stamp, touched = np.zeros(size, np.int32), np.zeros(size + 1, np.int32)
+    n_free, count = key_sets.collect(points, origin, 6.0, frame, stamp, 1, touched)
+    free, hits = walked_alone(points, origin, 6.0, frame)
+    assert touched[:n_free].tolist() == free and touched[n_free:count].tolist() == hits
+    assert len(free) > 300 and len(hits) > 20
+
+
+def test_rays_that_leave_the_grid_or_are_long_are_walked_alone():
+    block = key_sets.Block(
+        np.zeros((12, key_sets.RAYS)), np.zeros(key_sets.RAYS, np.int64), np.empty((key_sets.LONGEST, key_sets.RAYS)),
+        np.empty((key_sets.LONGEST, key_sets.RAYS)),
+    )  # fmt: skip
+    start = np.array([-2.89, -2.89, -0.29], np.float32)
+    inside, near, beyond, above, far = (
+        [-1.89, -1.89, 0.71],
+        [-2.885, -2.89, -0.29],
+        [3.5, 0, 0],
+        [0, 0, 1.9],
+        [3, 2.9, 1.5],
+    )
+    longest = key_sets._set_out(FINE, start, np.array([inside, near, beyond, above, far], np.float32), 0, 5, block)
+    assert block.steps[:5].tolist() == [longest, 0, -1, -1, -1] and 145 <= longest <= 155
 
 
 def test_each_voxel_is_updated_once_a_scan_and_occupied_wins():

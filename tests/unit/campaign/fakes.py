@@ -5,6 +5,7 @@ import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -15,9 +16,10 @@ from mavfi.faults.state import StateInjector
 from mavfi.flight_log import COLUMNS, Event, FlightLog, Profile
 from mavfi.hosts.compose import make_scenario
 from mavfi.mission import MissionStatus
-from mavfi.states import STATES, new_state
+from mavfi.states import new_state, states_with
 
 MODEL = "0123456789abcdef"
+STATES = states_with("truth")
 
 
 @dataclass
@@ -130,6 +132,24 @@ def load_detector(detector, profile, models_dir, scenario):
 
 
 FAKE = Tools(fly, load_detector, make_scenario)
+
+
+class FakeFamily:
+    """Flies the long way, and notes in which process the flights of a mission were."""
+
+    flown: ClassVar[Path | None] = None
+
+    def __init__(self, scenario):
+        self.scenario = scenario
+
+    def fly(self, fault, detector, arm):
+        if FakeFamily.flown is not None:
+            world = f"{self.scenario.environment.name}-{self.scenario.seed}"
+            (FakeFamily.flown / f"{world}.{os.getpid()}").touch()
+        return fly(self.scenario, fault, detector, want_profile=fault is None and detector is None)
+
+
+FORKING = Tools(fly, load_detector, make_scenario, FakeFamily)
 
 
 def small(**changes) -> Campaign:

@@ -1,15 +1,16 @@
 import pytest
 
-from mavfi.campaign.config import Campaign, load_campaign
+from mavfi.campaign.config import KERNELS, Campaign, load_campaign
 from mavfi.campaign.plan import count_runs
 from mavfi.config import parse
 from mavfi.errors import BadInputError
+from mavfi.pipeline.functions import STRUCK
 
 BASE = {"name": "c", "environments": ["sparse"]}
 GROUP = {"name": "g", "sites": ["planning.waypoint.x"]}
 
 
-@pytest.mark.parametrize("name", ["table1", "states", "bits", "smoke"])
+@pytest.mark.parametrize("name", ["table1", "states", "bits", "smoke", "kernels"])
 def test_shipped_campaigns_are_valid_and_fly_evaluation_seeds(name):
     campaign = load_campaign(name)
     assert campaign.name == name
@@ -41,6 +42,11 @@ def test_table1_has_the_size_of_the_paper():
         ),
         ({"strata": {"mantissa": 0}}, "shares above 0"),
         ({"monitored_set": "all"}, "monitored_set: 'all': not known; allowed: paper-13"),
+        ({"law": "kernels"}, "kernels are given where, and only where, law is 'kernels'"),
+        ({"kernels": {"names": ["pid"]}}, "kernels are given where, and only where, law is 'kernels'"),
+        ({"law": "kernels", "kernels": {"names": ["lidar"]}}, "kernels: 'lidar': not known; allowed: point_cloud"),
+        ({"law": "kernels", "kernels": {"names": ["pid", "pid"]}}, "kernels: 'pid': named 2 times; allowed: once"),
+        ({"law": "kernels", "kernels": {"names": ["pid"]}}, "null_runs: 3; allowed: 0 where law is 'kernels'"),
         ({"first_seed": 999_990}, "seeds from 1000000 on are for training"),
         (
             {
@@ -65,3 +71,13 @@ def test_unknown_names_tell_what_is_known():
         load_campaign("table2")
     with pytest.raises(BadInputError, match="allowed: quick, paper"):
         load_campaign("table1").at_scale("huge")
+
+
+def test_the_kernels_campaign_has_the_size_of_the_papers_study():
+    campaign = load_campaign("kernels").at_scale("paper")
+    assert count_runs(campaign) == 7 * 100 + 3 * 100, "100 per kernel, and a golden flight for each planner"
+    assert set(campaign.kernels.names) == set(STRUCK) == set(KERNELS)
+
+
+def test_campaigns_without_kernels_keep_their_keys():
+    assert "kernels" not in load_campaign("table1").to_json()

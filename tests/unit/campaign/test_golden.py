@@ -1,13 +1,16 @@
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
-from mavfi.campaign.golden import GoldenFlight, Row, Setting, fly_row, measure
+from mavfi.campaign.golden import GoldenFlight, Row, Setting, fly_row, measure, turns_back
 from mavfi.errors import BadInputError
 
 FARM = Setting("farm", "hardened")
 
 
 def flight(seed=1, status="success", time_s=30.0):
-    return GoldenFlight(seed, status, time_s, 150.0, 0.5, 0.3, 1.05, 2, 0, 1, 0, (1.0, 2.0, 3.0), "")
+    return GoldenFlight(seed, status, time_s, 150.0, 0.5, 0.3, 1.05, 2, 0, 1, 0, (1.0, 2.0, 3.0), "", "")
 
 
 def test_a_row_counts_successes_and_takes_times_of_flights_that_arrived():
@@ -30,6 +33,39 @@ def test_the_command_flies_the_mission_again():
     assert (scenario.v_max, scenario.camera.noise, scenario.platform.name) == (5.0, 0.02, "cortex-a57")
 
 
+def test_ends_and_resolution_reach_mission_and_command():
+    setting = Setting("dense", "hardened", map_resolution=0.25, start=(12.0, -1.5, 3.0), goal=(100.0, 0.0, 3.0))
+    scenario, command = setting.scenario(1), setting.command(1)
+    assert (scenario.map.resolution, scenario.start, scenario.goal) == (0.25, setting.start, setting.goal)
+    assert "--map-resolution 0.25 --start 12 -1.5 3 --goal 100 0 3 --picture" in command
+    assert FARM.scenario(1).map.resolution == 0.5 and "--map-resolution" not in FARM.command(1)
+
+
+def test_bars_are_met_or_not():
+    wanted = replace(FARM, least=97, quality=True)
+    good = [flight(seed) for seed in range(97)]
+    lost = [flight(seed, "timeout") for seed in range(97, 101)]
+    assert [bar.met for bar in Row(wanted, (*good, *lost[:3])).bars()] == [True] * 4
+    assert [bar.met for bar in Row(wanted, (*good, *lost)).bars()] == [False, True, True, True]
+    for change in ({"clearance_m": 0.149}, {"tracking_m": 1.0}, {"speed_share": 1.101}):
+        bars = Row(wanted, (*good, replace(lost[0], **change))).bars()
+        assert sum(not bar.met for bar in bars) == 1
+    assert Row(FARM, (flight(),)).bars() == []
+
+
+def test_going_back_counts_once_until_the_goal_comes_nearer_again():
+    assert turns_back(np.array([50.0, 40.0, 44.0, 30.0, 20.0])) == 0
+    assert turns_back(np.array([50.0, 40.0, 46.0, 60.0, 57.0, 58.0, 30.0])) == 1
+    assert turns_back(np.array([50.0, 40.0, 46.0, 40.0, 46.0, 10.0])) == 2
+
+
+def test_wind_and_localization_are_part_of_a_setting():
+    setting = Setting("dense", "published", wind=3.0, localization="estimator")
+    assert "--wind 3 --localization estimator" in setting.command(1)
+    scenario = setting.scenario(1)
+    assert (scenario.wind.gust, scenario.localization.kind) == (3.0, "estimator")
+
+
 def test_a_flight_is_judged_by_the_true_world():
     one = measure((FARM, 10_000))
     assert one.success and one.events == "" and one.warnings == 0
@@ -44,6 +80,23 @@ def test_a_flight_that_did_not_arrive_tells_its_last_events(monkeypatch):
     one = measure((Setting("dense", "hardened"), 1))
     assert one.status == "timeout" and one.time_s == pytest.approx(6.0)
     assert "s trajectory seq 1, points " in one.events
+    assert one.cause.startswith("flew ") and one.cause.endswith("turned back 0 times")
+
+
+def test_a_collision_tells_whether_the_map_knew(monkeypatch):
+    from mavfi.hosts import inprocess
+
+    flown = []
+    fly = inprocess.fly
+    monkeypatch.setattr(inprocess, "fly", lambda scenario: flown.append(fly(scenario)) or flown[-1])
+    monkeypatch.setattr("mavfi.pipeline.room.Room.apply", lambda room, _: setattr(room, "updates", 1))  # blind
+    one = measure((Setting("dense", "published"), 1))
+    assert one.status == "collision" and one.clearance_m < 0.01
+    assert one.cause.startswith("touched what its map had not seen, ")
+    room = flown[0].pipeline["planner"].room
+    room.cells[:] = 2
+    monkeypatch.setattr(inprocess, "fly", lambda scenario: flown[0])
+    assert measure((Setting("dense", "published"), 1)).cause.startswith("touched what its map held for occupied, ")
 
 
 def test_rows_are_flown_in_the_order_of_seeds_on_any_number_of_workers():

@@ -55,9 +55,9 @@ def test_absurd_numbers_of_workers_are_refused_before_any_is_forked():
 
 def test_there_are_never_more_workers_than_items(monkeypatch):
     opened, really_open = [], local._open
-    monkeypatch.setattr(local, "_open", lambda workers: opened.append(workers) or really_open(workers))
+    monkeypatch.setattr(local, "_open", lambda: opened.append(really_open()) or opened[-1])
     assert dict(LocalPool(MOST_WORKERS).run(double, [1])) == {1: 2}
-    assert opened == [1]
+    assert len(opened) == 1
 
 
 def test_an_exception_comes_through():
@@ -91,3 +91,38 @@ def test_leaving_early_stops_the_workers():
     assert next(results) == (0.0, 0.0)
     results.close()
     assert time.perf_counter() - started < 20
+
+
+def who(item):
+    return os.getpid()
+
+
+def test_a_group_and_what_follows_from_it_goes_to_one_worker():
+    groups = [[(name, number) for number in range(3)] for name in "abcdef"]
+    rest = {name: [[(name, 3), (name, 4)], [(name, 5)]] for name in "abcdef"}
+
+    def follow(item):
+        return rest[item[0]].pop(0) if item[1] in (2, 4) else []
+
+    results = list(LocalPool(2).run_groups(who, groups, follow))
+    assert sorted(item for item, _ in results) == [(name, number) for name in "abcdef" for number in range(6)]
+    assert len({worker for _, worker in results}) == 2
+    for name in "abcdef":
+        mine = [(number, worker) for (group, number), worker in results if group == name]
+        assert [number for number, _ in mine] == list(range(6)), "in order"
+        assert len({worker for _, worker in mine}) == 1
+
+
+def test_what_follows_from_an_item_that_died_is_done_too(tmp_path):
+    path = tmp_path / "deaths"
+    path.write_text("100")
+    follow = {1: [(5, None)], 2: [(6, None)], 6: [(7, None)]}
+    groups = [[(1, None), (2, path)], [(3, None)]]
+    results = dict(LocalPool(2).run_groups(die_while_counted, groups, lambda item: follow.get(item[0], [])))
+    assert {item[0] for item in results} == {1, 2, 3, 5, 6, 7}
+    assert {item[0] for item, result in results.items() if isinstance(result, Lost)} == {2}
+
+
+def test_empty_groups_are_passed_over():
+    results = list(LocalPool(1).run_groups(double, [[], [1], [], [], [2]], lambda _: []))
+    assert results == [(1, 2), (2, 4)]

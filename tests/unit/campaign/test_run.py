@@ -158,3 +158,9 @@ def test_the_kind_of_map_reaches_every_scenario():
     scenarios = run_module.campaign_scenarios(small(map="octree"), FAKE).values()
     assert {scenario.map.kind for scenario in scenarios} == {"octree"}
     assert {s.map.kind for s in run_module.campaign_scenarios(small(), FAKE).values()} == {"dense"}
+
+
+def test_the_vehicle_of_a_campaign_takes_the_place_of_the_environments():
+    scenarios = run_module.campaign_scenarios(small(vehicle="small_quad"), FAKE).values()
+    assert {scenario.vehicle.name for scenario in scenarios} == {"small_quad"}
+    assert {s.vehicle.name for s in run_module.campaign_scenarios(small(), FAKE).values()} == {"airsim_quad"}

@@ -11,11 +11,11 @@ from mavfi.cli import run
 from mavfi.cli.commands import app
 from mavfi.cli.progress import Bar
 from mavfi.cli.stopping import leave_on_ctrl_c, stoppable
-from mavfi.states import STATES
+from mavfi.states import STATES, states_with
 
 VERBS = (
     ["fly"], ["states"], ["train"], ["campaign"], ["campaign", "run"], ["campaign", "status"], ["campaign", "digest"],
-    ["report"], ["replay"], ["explain"], ["reproduce"],
+    ["report"], ["replay"], ["explain"], ["vulnerability"], ["reproduce"],
 )  # fmt: skip
 
 
@@ -105,7 +105,7 @@ def test_help_loads_nothing_heavy():
 def test_states_print_the_registry(capsys):
     assert run(["states", "--json", "--stack", "hardened"]) == 0
     data = json.loads(capsys.readouterr().out)
-    assert [row["state"] for row in data["states"]] == list(STATES)
+    assert [row["state"] for row in data["states"]] == list(states_with("truth"))
     assert sum(field["monitored"] for row in data["states"] for field in row["fields"]) == 13
     dead = {(r["state"], f["field"]) for r in data["states"] for f in r["fields"] if f["dead"]}
     assert ("sensor.odometry", "wx") in dead
@@ -117,5 +117,14 @@ def test_states_as_a_table(capsys):
     assert run(["states"]) == 0
     text = capsys.readouterr().out
     for name in STATES:
-        assert name in text
+        assert (name in text) == STATES[name].exists_with("truth")
     assert "dead" in text and "rad/s" in text and "range[pixel]" in text
+    assert run(["states", "--localization", "estimator"]) == 0
+    text = capsys.readouterr().out
+    for name in STATES:
+        assert (name in text) == STATES[name].exists_with("estimator")
+
+
+def test_a_localization_that_is_not_known_is_told(capsys):
+    assert run(["states", "--localization", "gps"]) == 2
+    assert "--localization: 'gps': allowed: truth, estimator" in capsys.readouterr().err

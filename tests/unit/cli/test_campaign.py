@@ -52,6 +52,14 @@ def test_digest_is_the_same_when_run_again(capsys, config, flown):
     assert capsys.readouterr().out.strip() == digest
 
 
+def test_the_long_way_gives_the_same_digest(capsys, config, flown, tmp_path):
+    arguments = ["campaign", "run", str(config), "--out", str(tmp_path), "--workers", "1", "--no-forking"]
+    assert run(arguments) == 0
+    capsys.readouterr()
+    digests = [_json(capsys, "campaign", "digest", str(folder))["digest"] for folder in (flown, tmp_path)]
+    assert digests[0] == digests[1]
+
+
 def test_the_digest_of_a_part_says_that_it_is_one(capsys, tmp_path, flown):
     from mavfi.campaign.config import load_campaign
     from mavfi.campaign.run import run_campaign
@@ -103,7 +111,7 @@ def test_explain_tells_the_story(capsys, flown):
         (["campaign", "run", "absent.yaml", "--out", "OUT"], "absent.yaml"),
         (["campaign", "run", "CONFIG", "--out", "CONFIG"], "cannot be written"),
         (["campaign", "run", "CONFIG", "--out", "OUT", "--scale", "huge"], "scale 'huge'"),
-        (["campaign", "run", "smoke"], "--out"),
+        (["campaign", "run", "nothing"], "campaign 'nothing': not known"),
         (["campaign", "status", "OUT"], "holds no campaign"),
         (["campaign", "digest", "OUT"], "holds no campaign"),
         (["report", "OUT"], "holds no campaign"),

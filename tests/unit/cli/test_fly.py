@@ -37,6 +37,18 @@ def test_twice_the_same_seed_twice_the_same_digest(capsys, golden_digest):
     assert _fly(capsys)["digest"] == golden_digest
 
 
+def test_wind_and_an_estimator_fly_and_are_told(capsys, golden_digest):
+    windy = _fly(capsys, "--wind", "3")
+    assert (windy["wind"], windy["localization"], windy["status"]) == (3.0, "truth", "success")
+    believed = _fly(capsys, "--localization", "estimator", "--fault", "state:perception.odometry.x:bit=56@5.0")
+    assert (believed["wind"], believed["localization"]) == (0.0, "estimator")
+    assert believed["injections"][0]["site"] == "perception.odometry.x" and believed["outcome"] == "sdc"
+    assert len({golden_digest, windy["digest"], believed["digest"], believed["golden"]["digest"]}) == 4
+    assert run(["fly", "--environment", "sparse", "--seed", "7", "--wind", "3", "--localization", "estimator"]) == 0
+    text = capsys.readouterr().out
+    assert "wind gusts" in text and "estimator" in text
+
+
 def test_an_octree_gives_the_same_flight(capsys, golden_digest):
     assert _fly(capsys, "--map", "octree")["digest"] == golden_digest
 
@@ -120,6 +132,18 @@ def test_a_mission_that_fails_is_no_failure_of_the_program(capsys, monkeypatch):
         (["--fault", "null", "--fault-seed", "-1"], "--fault-seed: -1"),
         (["--depth-noise", "-0.1"], "--depth-noise"),
         (["--depth-noise", "nan"], "--depth-noise"),
+        (["--map-resolution", "0"], "--map-resolution"),
+        (["--map-resolution", "nan"], "--map-resolution"),
+        (["--map-resolution", "0.05"], "map resolution 0.05 m: 951,084,261 voxels"),
+        (["--wind", "-1"], "--wind"),
+        (["--wind", "31"], "--wind"),
+        (["--wind", "nan"], "--wind"),
+        (["--localization", "gps"], "--localization: 'gps': allowed: truth, estimator"),
+        (["--fault", "state:sensor.imu.fx"], "sensor.imu is published with localization estimator only, not truth"),
+        (
+            ["--fault", "state:sensor.odometry", "--localization", "estimator"],
+            "sensor.odometry is published with localization truth only, not estimator",
+        ),
         (["--v-max", "0"], "--v-max"),
         (["--v-max", "inf"], "--v-max"),
         (["--start", "nan", "0", "1"], "--start"),

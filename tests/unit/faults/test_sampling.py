@@ -5,7 +5,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE
 from mavfi.faults.sampling import draw, group_target, live_fields, stage_target
 from mavfi.flight_log import Profile
-from mavfi.states import STATES
+from mavfi.states import PPC_STAGES, STATES
 
 
 def profile(**counts: int) -> Profile:
@@ -30,6 +30,17 @@ def test_dead_fields_are_not_live():
 def test_states_without_a_live_field_are_not_drawn():
     assert "control.tracking" in stage_target("control", "published").fields
     assert "control.tracking" not in stage_target("control", "hardened").fields
+
+
+def test_only_states_that_exist_are_drawn():
+    for stage in PPC_STAGES:
+        assert all(STATES[name].exists_with("truth") for name in stage_target(stage, "published").fields)
+    with_filter = stage_target("perception", "published", localization="estimator").fields
+    assert with_filter["perception.odometry"] == ("x", "y", "z", "vx", "vy", "vz", "qw", "qx", "qy", "qz")
+    assert set(with_filter) - {"perception.odometry"} == set(stage_target("perception", "published").fields)
+    assert group_target("mine", ["sensor.imu.fx"], "estimator").fields == {"sensor.imu": ("fx",)}
+    with pytest.raises(BadInputError, match="group 'mine': sensor.imu.fx: only flights with localization estimator"):
+        group_target("mine", ["sensor.imu.fx"])
 
 
 def test_monitored_only():

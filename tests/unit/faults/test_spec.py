@@ -3,7 +3,7 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite
-from mavfi.faults.spec import parse
+from mavfi.faults.spec import KernelRequest, parse
 from mavfi.flight_log import Profile
 from mavfi.states import STACKS
 
@@ -22,6 +22,14 @@ def test_everything_named():
     fault = request.resolve(0, "published")
     assert fault.site == FaultSite("planning.trajectory", "x", 3)
     assert (fault.bit, fault.time_us, fault.stage) == (62, 5_000_000, "planning")
+
+
+def test_states_of_one_localization_can_be_named_with_it_alone():
+    fault = parse("state:perception.odometry.x:bit=62@5.0", "estimator").resolve(0, "published")
+    assert (fault.site, fault.stage) == (FaultSite("perception.odometry", "x"), "perception")
+    for text, localization in (("state:perception.odometry.x", "truth"), ("state:sensor.odometry", "estimator")):
+        with pytest.raises(BadInputError, match="is published with localization"):
+            parse(text, localization)
 
 
 def test_header_field_with_bit_and_instant():
@@ -71,14 +79,14 @@ def test_no_site_without_a_publication():
 @pytest.mark.parametrize(
     ("text", "names"),
     [
-        ("", "null, or state:STATE"),
-        ("state:", "null, or state:STATE"),
-        ("nul", "null, or state:STATE"),
-        ("planning.waypoint.x", "null, or state:STATE"),
-        ("state:planning.waypoint.x:bit=x", "null, or state:STATE"),
-        ("state:planning.waypoint.x@-3", "null, or state:STATE"),
-        ("state:planning.waypoint.x@20.0:bit=3", "null, or state:STATE"),
-        ("state:planning.waypoint.x[-1]", "null, or state:STATE"),
+        ("", "null, state:STATE"),
+        ("state:", "null, state:STATE"),
+        ("nul", "null, state:STATE"),
+        ("planning.waypoint.x", "null, state:STATE"),
+        ("state:planning.waypoint.x:bit=x", "null, state:STATE"),
+        ("state:planning.waypoint.x@-3", "null, state:STATE"),
+        ("state:planning.waypoint.x@20.0:bit=3", "null, state:STATE"),
+        ("state:planning.waypoint.x[-1]", "null, state:STATE"),
         ("state:planning.waypoint.roll", "x, y, z, yaw"),
         ("state:planning.waipoint.x", "sensor.depth"),
         ("state:nothing", "sensor.depth"),
@@ -88,8 +96,11 @@ def test_no_site_without_a_publication():
         ("state:planning.waypoint.x[3]", "no element"),
         ("state:control.command[0]", "no element"),
         ("state:planning.waypoint.x@1e99", "0 to 1e+09"),
-        ("instruction:octomap", "level 'instruction' is not available"),
-        ("register:1234", "level 'register' is not available"),
+        ("instruction:", "allowed: null, state:"),
+        ("instruction:pid:bit=3", "allowed: null, state:"),
+        ("instruction:pid:which=left", "instructions 'left': not understood; allowed: all, floating_point"),
+        ("instruction:pid:model=two_bits", "no model 'two_bits'; allowed: one_bit"),
+        ("register:1234", "registers are struck by mavfi inject; allowed: state, instruction"),
     ],
 )
 def test_errors_are_one_line_that_says_what_is_allowed(text, names):
@@ -100,3 +111,11 @@ def test_errors_are_one_line_that_says_what_is_allowed(text, names):
     assert names in message
     assert repr(text) in message
     assert "allowed:" in message
+
+
+def test_faults_in_instructions_name_kernel_class_and_model():
+    assert parse("instruction:octomap") == KernelRequest("octomap")
+    assert parse("instruction:pid:which=line:pid.py:74-90:model=zero") == KernelRequest(
+        "pid", "line:pid.py:74-90", "zero"
+    )
+    assert parse("instruction:pid:which=opcode:fmul") == KernelRequest("pid", "opcode:fmul")

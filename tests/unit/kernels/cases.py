@@ -12,8 +12,29 @@ from typing import Any
 import numpy as np
 
 from mavfi.kernels.control import pid
-from mavfi.kernels.perception import clearance, collision_check, key_sets, octomap, octree, point_cloud
-from mavfi.kernels.planning import nearest, rrt, rrt_connect, rrt_star, trajectory, travel, tree, waypoint
+from mavfi.kernels.perception import (
+    clearance,
+    collision_check,
+    key_sets,
+    octomap,
+    octree,
+    point_cloud,
+    state_estimation,
+)
+from mavfi.kernels.perception.state_estimation import Noise, Spread
+from mavfi.kernels.planning import (
+    course,
+    minimum_snap,
+    nearest,
+    rrt,
+    rrt_connect,
+    rrt_star,
+    stations,
+    trajectory,
+    travel,
+    tree,
+    waypoint,
+)
 from mavfi.kernels.planning import path as paths
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.random import seed_generator
@@ -27,6 +48,9 @@ RULE = octomap.UpdateRule(*(octomap.log_odds(p) for p in (0.7, 0.4, 0.12, 0.97))
 GAINS = pid.Gains(np.full(3, 0.2), np.full(3, 0.1), np.full(3, 0.1), 1.0, 1.0, 0.4, 3.0, 10.0, 1.5)
 PACE = travel.Pace(5.0, 1.0, 2.5, 3.5, 2.0)
 LIMITS = trajectory.Limits(3.0, 1.0, 3.5, 2.5, 4.0, 2.0, 3.0)
+SENSORS = Noise(2e-3, 9e-5, 1e-5, 1e-6, 0.05, 0.025)
+ALIGNED = Spread(0.02, 0.01, 0.002, 0.0002)
+LAW = stations.Law(3.0, 4.5, 1.0, 3.5, 2.5, 4.0, 2.0, 1.5)
 OFFSETS = offsets_within(0.8, 0.5, False)
 
 
@@ -92,8 +116,27 @@ def updates():
     return [voxels, np.ones(7, np.float32), *counters, np.zeros(7, np.int32), np.zeros(7, np.uint8)]
 
 
+def estimate():
+    nominal = np.zeros(16)
+    nominal[6] = 1.0
+    return nominal
+
+
 def curve(count=30):
     return np.linspace([-1.9, -1.9, 0.1], [3.9, 2.9, 2.9], count)
+
+
+def knots():
+    """Points, times, start and work space of a minimum-snap curve."""
+    still = np.array([1.0, 0.0, 0.0]), np.zeros(3)
+    return [path_of(5), np.full(4, 1.2), 5, *still, np.zeros((5, 3, 6)), np.zeros((5, 4, 3))]
+
+
+def solved():
+    """Ends and times of such a curve."""
+    arguments = knots()
+    minimum_snap.solve(*arguments)
+    return [arguments[6], arguments[1]]
 
 
 def planning_problem():
@@ -238,6 +281,27 @@ CASES = {
         lambda: [curve(), 30, np.linspace(0, 8.6, 30), np.full(30, 2.0), 0.02, 3.0, 0.0, np.zeros((400, 11))],
         count_up_to(400),
     ),
+    "solve": Case(
+        minimum_snap.solve, knots,
+        lambda result, a: not result or bool((np.abs(a[6][:, 1:]) < 1e6).all()),
+    ),
+    "coefficients": Case(minimum_snap.coefficients, lambda: [solved()[0], 1, 1.2, np.zeros((8, 3))], never),
+    "peaks": Case(minimum_snap.peaks, lambda: [solved()[0], 1, 1.2], never),
+    "evaluate": Case(
+        minimum_snap.evaluate, lambda: [np.ones((8, 3)), np.zeros(3), 1.2, 0.3, np.zeros(9)], never
+    ),
+    "sample of polynomials": Case(
+        minimum_snap.sample, lambda: [*solved(), 5, 0.02, 3.0, 0.1, 1.5, np.zeros((400, 11))], count_up_to(400)
+    ),
+    "first_stations": Case(
+        stations.first_stations, lambda: [path_of(5), 5, LAW, stations.new_work()], count_up_to(minimum_snap.KNOT_LIMIT)
+    ),
+    "fit": Case(
+        course.fit,
+        lambda: [np.zeros(GRID.size, np.int16), blocked(), GRID, path_of(5), 5, np.array([1.0, 0.5, 0.0]), np.zeros(3),
+                 LAW, stations.new_work()],
+        lambda result, a: result == 0 or bool(np.isfinite(a[8].ends[:result]).all()),
+    ),
     "hold_points": Case(
         trajectory.hold_points, lambda: [points(50), 50, 25, 0.02, 15, np.zeros((400, 11))], count_up_to(400)
     ),
@@ -248,6 +312,19 @@ CASES = {
         lambda: [np.array([1.0, 0.5, 0.0]), points(), np.linspace(0, 5, 8), 0.02, 3.0, 4.0, 2.5, 0.5, 1.0], never,
     ),
     "reference": Case(waypoint.reference, lambda: [np.array([1.0, 0.5, 0.0]), points(), np.zeros(11)], never),
+    "align": Case(
+        state_estimation.align, lambda: [np.ones(16), np.eye(15), np.ones(4), SENSORS, ALIGNED], never
+    ),
+    "turn": Case(state_estimation.turn, lambda: [np.array((1.0, 0.0, 0.0, 0.0)), 0.1, 0.2, 0.3], never),
+    "predict": Case(
+        state_estimation.predict, lambda: [estimate(), np.eye(15), np.ones(6), 0.004, SENSORS], never
+    ),
+    "correct": Case(
+        state_estimation.correct, lambda: [estimate(), np.eye(15), np.ones(4), SENSORS],
+        lambda result, _: isinstance(result, float),
+    ),
+    "usable_sample": Case(state_estimation.usable_sample, lambda: [np.ones(6)], lambda result, _: result in (0, 1)),
+    "usable_fix": Case(state_estimation.usable_fix, lambda: [np.ones(4)], lambda result, _: result in (0, 1)),
     "track": Case(
         pid.track, lambda: [np.ones(11), np.ones(13), np.zeros(pid.MEMORY_WIDTH), GAINS, 0.02, np.zeros(4)], never
     ),
@@ -263,9 +340,11 @@ def corrupted(case):
         elif isinstance(argument, np.ndarray) and argument.dtype.kind == "f":
             middle = argument.size // 2
             places = [0, middle, argument.size - 1, slice(None)]
-        elif isinstance(argument, pid.Gains | trajectory.Limits | travel.Pace):
+        elif isinstance(argument, pid.Gains | trajectory.Limits | travel.Pace | Noise | Spread | stations.Law):
             places = [name for name, value in argument._asdict().items() if isinstance(value, float)]
-        elif isinstance(argument, octree.Octree):
+        elif isinstance(argument, octree.Octree) or (
+            isinstance(argument, stations.Work) and case.function is course.fit
+        ):
             yield from struck_memory(case, position)
             continue
         else:

@@ -72,3 +72,13 @@ def test_a_way_point_that_comes_between_step_and_rollback_still_counts():
     kernel.receive(waypoint(duration=0.2), 0)
     kernel.rollback()
     assert float(kernel.step(0)[1].header["remaining"][0]) == pytest.approx(0.18)
+
+
+def test_the_gains_of_the_stack_reach_the_tracker_and_a_command_lasts_one_control_period():
+    kernel = tracker(gain_p=(0.0, 0.0, 0.0), gain_i=(2.0, 0.0, 0.0), gain_d=(0.0, 0.5, 0.0), integral_limit=0.03)
+    kernel.receive(waypoint(position=(3.0, 6.0, 3.0)), 0)
+    first, *others = [kernel.step(0)[0].header[0] for _ in range(3)]
+    assert first["vx"] == pytest.approx(2.0 * 0.02) and first["vy"] == 0.0 and first["duration"] == 0.02
+    assert [command["vx"] for command in others] == pytest.approx([2.0 * 0.03] * 2)
+    kernel.receive(waypoint(position=(3.0, 6.1, 3.0)), 0)
+    assert kernel.step(0)[0].header["vy"][0] == pytest.approx(0.5 * 0.1 / 0.02)

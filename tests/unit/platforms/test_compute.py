@@ -2,7 +2,7 @@ import pytest
 
 from mavfi.config import PlatformConfig, shipped
 from mavfi.errors import BadInputError
-from mavfi.platforms.compute import STAGE_KERNELS, latency, stage_latency
+from mavfi.platforms.compute import STAGE_KERNELS, UNCHARGED, latency, redo_latency, stage_latency
 from mavfi.states import PPC_STAGES, STATES, Stage
 
 
@@ -20,7 +20,14 @@ def test_every_kernel_that_writes_a_state_has_a_latency(name):
     for spec in STATES.values():
         if spec.stage is not Stage.SENSOR:
             assert latency(platform, spec.writer) >= 0
-            assert spec.writer in (*STAGE_KERNELS[spec.stage], "waypoint")
+            assert spec.writer in (*STAGE_KERNELS[spec.stage], "waypoint", *UNCHARGED)
+
+
+def test_what_runs_on_the_flight_controller_costs_nothing():
+    platform = PlatformConfig(name="toy", latency_us={"point_cloud": 5, "octomap": 6, "collision_check": 7})
+    assert latency(platform, "state_estimation") == 0
+    assert redo_latency(platform, "state_estimation", Stage.PERCEPTION) == 0
+    assert redo_latency(platform, "octomap", Stage.PERCEPTION) == 18
 
 
 def test_a_kernel_that_the_platform_does_not_know_is_told():

@@ -1,17 +1,18 @@
 """A pool of local processes that survives the death of a worker.
 
-Workers are forked, so they inherit what the parent has compiled.  Results come back in the order of completion.
+Workers are forked, so they inherit what the parent has compiled.  Each has a lane of its own: the items of a group, and
+what follows from them, go to one worker, which may keep what they share.  Results come back in the order of completion.
 """
 
 import multiprocessing
 import os
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
-from itertools import chain, islice
+from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from pebble import ProcessExpired, ProcessPool
 
@@ -73,62 +74,119 @@ class LocalPool:
         Raises:
             Exception: Whatever the function raised.
         """
-        suspects, waiting = [], list(items)
-        workers = min(self._workers, max(1, len(waiting)))
-        for item, result in _stream(function, waiting, workers, self._time_limit):
-            if isinstance(result, Lost):
-                suspects.append(item)
-            else:
-                yield item, result
-        for item in suspects:
-            yield item, self._alone(function, item)
+        return self.run_groups(function, [[item] for item in items], lambda _: ())
+
+    def run_groups(
+        self, function: Callable[[T], R], groups: Iterable[Sequence[T]], follow: Callable[[T], Iterable[T]]
+    ) -> Generator[tuple[T, R | Lost], None, None]:
+        """Call a function for every item of every group, and for what follows from each; otherwise as `run`.
+
+        Args:
+            function: As in `run`.
+            groups: Items of a group are taken up in order by the same worker, which then goes on to another group.
+            follow: Asked for each item when its result has been yielded: further items, for the same worker, next.
+
+        Yields:
+            See `run`.
+        """
+        waiting = [list(group) for group in groups]
+        while waiting:
+            suspects = []
+            lanes = min(self._workers, len(waiting))
+            for item, result in _stream(function, waiting, follow, lanes, self._time_limit):
+                if isinstance(result, Lost):
+                    suspects.append(item)
+                else:
+                    yield item, result
+            waiting = []
+            for item in suspects:
+                yield item, self._alone(function, item)
+                waiting.append(list(follow(item)))
+            waiting = [group for group in waiting if group]
 
     def _alone(self, function: Callable[[T], R], item: T) -> R | Lost:
         result: R | Lost = Lost("was never tried", died=False)
         for _ in range(ATTEMPTS_ALONE):
-            for _, result in _stream(function, [item], 1, self._time_limit):
+            for _, result in _stream(function, [[item]], lambda _: (), 1, self._time_limit):
                 if not isinstance(result, Lost):
                     return result
         return result
 
 
+@dataclass(slots=True, eq=False)
+class _Lane(Generic[T, R]):
+    """A worker, what is ahead of it, and what was handed to it."""
+
+    pool: ProcessPool
+    ahead: deque[T] = field(default_factory=deque)
+    running: "dict[Future[R], T]" = field(default_factory=dict)
+
+
+_Finished = SimpleQueue[tuple[_Lane[T, R], "Future[R]"]]
+
+
 def _stream(
-    function: Callable[[T], R], items: Iterable[T], workers: int, time_limit: float
-) -> Iterator[tuple[T, R | Lost]]:
-    """Keep the workers busy with a few items each, and replace the pool if it breaks."""
-    waiting = iter(items)
-    running: dict[Future[R], T] = {}
-    finished: SimpleQueue[Future[R]] = SimpleQueue()
-    pool = _open(workers)
+    function: Callable[[T], R], groups: Iterable[Sequence[T]], follow: Callable[[T], Iterable[T]], workers: int,
+    time_limit: float,
+) -> Iterator[tuple[T, R | Lost]]:  # fmt: skip
+    """Keep each worker busy with a few items, and replace one that breaks."""
+    waiting = iter(groups)
+    finished: _Finished[T, R] = SimpleQueue()
+    lanes: list[_Lane[T, R]] = []
     try:
+        lanes += [_Lane(_open()) for _ in range(workers)]
         while True:
-            broken = False
-            for item in islice(waiting, QUEUED_PER_WORKER * workers - len(running)):
-                try:
-                    future = pool.schedule(function, args=(item,), timeout=time_limit)
-                except RuntimeError:  # the pool broke since the last result; the item was not begun
-                    waiting, broken = chain([item], waiting), True
-                    break
-                running[future] = item
-                future.add_done_callback(finished.put)
-            if not running and not broken:
+            broken = [lane for lane in lanes if not _fill(lane, function, waiting, finished, time_limit)]
+            if not broken and not any(lane.running for lane in lanes):
                 return
-            done = _next(pool, finished) if running else None
+            done = None if broken else _next(lanes, finished)
             if done is not None:
-                item, result = running.pop(done), _result(done)
-                yield item, result
+                yield from _told(*done, follow)
                 continue
-            for item in running.values():
-                yield item, Lost("the pool of workers broke", died=True)
-            running, finished = {}, SimpleQueue()
-            _close(pool)
-            pool = _open(workers)
+            for lane in broken or [lane for lane in lanes if not lane.pool.active]:
+                for item in lane.running.values():
+                    yield item, Lost("the pool of workers broke", died=True)
+                lane.running.clear()
+                _close(lane.pool)
+                lane.pool = _open()
     finally:
-        _close(pool)
+        for lane in lanes:
+            _close(lane.pool)
 
 
-def _open(workers: int) -> ProcessPool:
-    return ProcessPool(max_workers=workers, context=multiprocessing.get_context("fork"))
+def _told(lane: _Lane[T, R], future: "Future[R]", follow: Callable[[T], Iterable[T]]) -> Iterator[tuple[T, R | Lost]]:
+    """The item that is done; what follows from it is next in its lane."""
+    item = lane.running.pop(future, None)
+    if item is None:
+        return  # it was lost with its pool, and that was told
+    result = _result(future)
+    yield item, result
+    if not isinstance(result, Lost):
+        lane.ahead.extendleft(reversed(list(follow(item))))
+
+
+def _fill(
+    lane: _Lane[T, R], function: Callable[[T], R], waiting: Iterator[Sequence[T]], finished: _Finished[T, R],
+    time_limit: float,
+) -> bool:  # fmt: skip
+    """Hand items to a worker until it has enough of them; False if its pool is broken."""
+    while len(lane.running) < QUEUED_PER_WORKER:
+        while not lane.ahead:
+            group = next(waiting, None)
+            if group is None:
+                return True
+            lane.ahead.extend(group)
+        try:
+            future = lane.pool.schedule(function, args=(lane.ahead[0],), timeout=time_limit)
+        except RuntimeError:  # the pool broke since the last result; the item was not begun
+            return False
+        lane.running[future] = lane.ahead.popleft()
+        future.add_done_callback(lambda done: finished.put((lane, done)))
+    return True
+
+
+def _open() -> ProcessPool:
+    return ProcessPool(max_workers=1, context=multiprocessing.get_context("fork"))
 
 
 def _close(pool: ProcessPool) -> None:
@@ -136,13 +194,13 @@ def _close(pool: ProcessPool) -> None:
     pool.join()
 
 
-def _next(pool: ProcessPool, finished: "SimpleQueue[Future[R]]") -> "Future[R] | None":
-    """The next future that is done; None if the pool broke and will finish nothing more."""
+def _next(lanes: Sequence[_Lane[T, R]], finished: "_Finished[T, R]") -> "tuple[_Lane[T, R], Future[R]] | None":
+    """The next future that is done; None if a pool broke and will finish nothing more."""
     while True:
         try:
             return finished.get(timeout=_POLL)
         except Empty:
-            if not pool.active:
+            if not all(lane.pool.active for lane in lanes):
                 return None
 
 

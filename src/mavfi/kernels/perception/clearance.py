@@ -15,11 +15,25 @@ OCCUPIED = 2
 
 
 @kernel_jit
-def _move(counter: np.ndarray, grid: Grid, voxel: int, offsets: np.ndarray, step: int) -> None:
-    """Add `step` to the counters around a voxel."""
+def _reach(offsets: np.ndarray) -> int:
+    """Largest offset along an axis."""
+    reach = 0
+    for i in range(offsets.shape[0]):
+        reach = max(reach, max(abs(offsets[i, 0]), max(abs(offsets[i, 1]), abs(offsets[i, 2]))))
+    return reach
+
+
+@kernel_jit
+def _move(counter: np.ndarray, grid: Grid, voxel: int, offsets: np.ndarray, reach: int, step: int) -> None:
+    """Add `step` to the counters around a voxel; `reach` is that of the offsets."""
     ix = voxel // (grid.ny * grid.nz)
     iy = (voxel // grid.nz) % grid.ny
     iz = voxel % grid.nz
+    margin = min(min(ix, grid.nx - 1 - ix), min(min(iy, grid.ny - 1 - iy), min(iz, grid.nz - 1 - iz)))
+    if margin >= reach:  # the whole ball lies in the grid
+        for i in range(offsets.shape[0]):
+            counter[voxel + (offsets[i, 0] * grid.ny + offsets[i, 1]) * grid.nz + offsets[i, 2]] += step
+        return
     for i in range(offsets.shape[0]):
         x = ix + offsets[i, 0]
         y = iy + offsets[i, 1]
@@ -30,16 +44,19 @@ def _move(counter: np.ndarray, grid: Grid, voxel: int, offsets: np.ndarray, step
 
 @kernel_jit
 def set_cell(
-    grid: Grid, cells: np.ndarray, wide: np.ndarray, wide_offsets: np.ndarray, narrow: np.ndarray,
-    narrow_offsets: np.ndarray, voxel: int, value: int,
+    grid: Grid, cells: np.ndarray, wide: np.ndarray, wide_offsets: np.ndarray, wide_reach: int, narrow: np.ndarray,
+    narrow_offsets: np.ndarray, narrow_reach: int, voxel: int, value: int,
 ) -> None:  # fmt: skip
-    """Give a voxel its state and move both counters if its occupancy changes. Arguments as in `apply_updates`."""
+    """Give a voxel its state and move both counters if its occupancy changes.
+
+    Arguments as in `apply_updates`; reaches are those of the offsets.
+    """
     was = cells[voxel]
     cells[voxel] = value
     if (was == OCCUPIED) != (value == OCCUPIED):
         step = 1 if value == OCCUPIED else -1
-        _move(wide, grid, voxel, wide_offsets, step)
-        _move(narrow, grid, voxel, narrow_offsets, step)
+        _move(wide, grid, voxel, wide_offsets, wide_reach, step)
+        _move(narrow, grid, voxel, narrow_offsets, narrow_reach, step)
 
 
 @kernel_jit
@@ -65,6 +82,7 @@ def apply_updates(
     Returns:
         How many cells changed.
     """
+    wide_reach, narrow_reach = _reach(wide_offsets), _reach(narrow_offsets)
     changed = 0
     for i in range(voxels.shape[0]):
         voxel = voxels[i]
@@ -75,7 +93,9 @@ def apply_updates(
             journal_voxels[changed] = voxel
             journal_cells[changed] = cells[voxel]
             changed += 1
-            set_cell(grid, cells, wide, wide_offsets, narrow, narrow_offsets, voxel, value)
+            set_cell(
+                grid, cells, wide, wide_offsets, wide_reach, narrow, narrow_offsets, narrow_reach, voxel, value
+            )  # fmt: skip
     return changed
 
 
@@ -85,5 +105,9 @@ def undo_updates(
     narrow_offsets: np.ndarray, journal_voxels: np.ndarray, journal_cells: np.ndarray, count: int,
 ) -> None:  # fmt: skip
     """Take the last `apply_updates` back; arguments as there, `count` is what it returned."""
+    wide_reach, narrow_reach = _reach(wide_offsets), _reach(narrow_offsets)
     for i in range(count - 1, -1, -1):
-        set_cell(grid, cells, wide, wide_offsets, narrow, narrow_offsets, journal_voxels[i], journal_cells[i])
+        set_cell(
+            grid, cells, wide, wide_offsets, wide_reach, narrow, narrow_offsets, narrow_reach, journal_voxels[i],
+            journal_cells[i],
+        )  # fmt: skip

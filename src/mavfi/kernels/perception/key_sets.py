@@ -2,7 +2,8 @@
 
 Voxels that hold an end point are hit, voxels that a ray crosses before its end are free; a voxel is in one set only,
 and hit wins.  The arithmetic of the ray walk is that of OctoMap's `computeRayKeys` (float32 direction, float64
-parameters), so that both sets equal the library's.  Sets are kept by stamps on a dense grid, not by hashing.
+parameters), so that both sets equal the library's.  Sets are kept by stamps on a dense grid, not by hashing.  Rays that
+stay in the grid are walked side by side, many at once; the others one by one.
 """
 
 import math
@@ -47,6 +48,30 @@ class KeyFrame(NamedTuple):
     nz: int
 
 
+_NEXT_X, _NEXT_Y, _NEXT_Z, _EACH_X, _EACH_Y, _EACH_Z, _MOVE_X, _MOVE_Y, _MOVE_Z, _VOXEL, _END, _LENGTH = range(12)
+RAYS = 64
+"""How many rays are walked side by side."""
+LONGEST = 512
+"""Steps of the longest walk in a block."""
+
+
+class Block(NamedTuple):
+    """Walks side by side, a column for each ray.
+
+    Attributes:
+        rays: Along each axis the parameter of the next face, that from face to face (m), and what a step adds to the
+            voxel; the voxel that the ray is in, its last one, and its length (m). Shape (12, RAYS).
+        steps: How many voxels lie before the last one; -1 = the ray has to be walked alone. Shape (RAYS,), int64.
+        voxels: Where each ray is after each step. Shape (LONGEST, RAYS).
+        leaves: Parameter at which it leaves that voxel (m). Shape (LONGEST, RAYS).
+    """
+
+    rays: np.ndarray
+    steps: np.ndarray
+    voxels: np.ndarray
+    leaves: np.ndarray
+
+
 @kernel_jit
 def _index(frame: KeyFrame, kx: int, ky: int, kz: int) -> int:
     ix = kx - frame.kx
@@ -69,31 +94,50 @@ def _face(origin: np.float32, direction: np.float32, key: int, resolution: float
 
 
 @kernel_jit
-def _walk_free(
-    frame: KeyFrame, origin: np.ndarray, end: np.ndarray, stamp: np.ndarray, scan_stamp: int, touched: np.ndarray,
-    count: int,
-) -> int:  # fmt: skip
-    """Mark the voxels on origin -> end, without the last one, as free in this scan; returns the new count."""
+def _keys(frame: KeyFrame, point: np.ndarray) -> tuple[int, int, int]:
     inverse = 1.0 / frame.resolution
-    kx = int(math.floor(inverse * origin[0]))
-    ky = int(math.floor(inverse * origin[1]))
-    kz = int(math.floor(inverse * origin[2]))
-    end_x = int(math.floor(inverse * end[0]))
-    end_y = int(math.floor(inverse * end[1]))
-    end_z = int(math.floor(inverse * end[2]))
-    if kx == end_x and ky == end_y and kz == end_z:
-        return count
+    return (
+        int(math.floor(inverse * point[0])), int(math.floor(inverse * point[1])), int(math.floor(inverse * point[2])),
+    )  # fmt: skip
+
+
+@kernel_jit
+def _faces(
+    frame: KeyFrame, origin: np.ndarray, keys: tuple[int, int, int], end: np.ndarray
+) -> tuple[tuple[int, float, float], tuple[int, float, float], tuple[int, float, float], float]:
+    """What `_face` says along each axis of the ray from `origin`, which has `keys`, to `end`; and its length (m)."""
     dx = _F32(end[0] - origin[0])
     dy = _F32(end[1] - origin[1])
     dz = _F32(end[2] - origin[2])
     square = _F32(_F32(_F32(dx * dx) + _F32(dy * dy)) + _F32(dz * dz))
     length = _F32(math.sqrt(np.float64(square)))
-    sx, tx, ex = _face(origin[0], _F32(dx / length), kx, frame.resolution)
-    sy, ty, ey = _face(origin[1], _F32(dy / length), ky, frame.resolution)
-    sz, tz, ez = _face(origin[2], _F32(dz / length), kz, frame.resolution)
+    return (
+        _face(origin[0], _F32(dx / length), keys[0], frame.resolution),
+        _face(origin[1], _F32(dy / length), keys[1], frame.resolution),
+        _face(origin[2], _F32(dz / length), keys[2], frame.resolution),
+        np.float64(length),
+    )
+
+
+@kernel_jit
+def _walk_free(
+    frame: KeyFrame, origin: np.ndarray, end: np.ndarray, stamp: np.ndarray, scan_stamp: np.int32,
+    touched: np.ndarray,
+    count: int,
+) -> int:  # fmt: skip
+    """Mark the voxels on origin -> end, without the last one, as free in this scan; returns the new count."""
+    kx, ky, kz = _keys(frame, origin)
+    end_x, end_y, end_z = _keys(frame, end)
+    if kx == end_x and ky == end_y and kz == end_z:
+        return count
+    (sx, tx, ex), (sy, ty, ey), (sz, tz, ez), length = _faces(frame, origin, (kx, ky, kz), end)
+    entered = False
     for _ in range(STEP_CAP):
         voxel = _index(frame, kx, ky, kz)
+        if voxel < 0 and entered:
+            break  # a straight line that has left the grid does not come back
         if voxel >= 0:
+            entered = True
             # no branch here: whether a voxel is new cannot be predicted, and a wrong guess costs more than the stores
             was = stamp[voxel]
             stamp[voxel] = max(was, scan_stamp)
@@ -114,8 +158,92 @@ def _walk_free(
             tz += ez
         if kx == end_x and ky == end_y and kz == end_z:
             break
-        if min(min(tx, ty), tz) > np.float64(length):
+        if min(min(tx, ty), tz) > length:
             break
+    return count
+
+
+@kernel_jit
+def _well_inside(key: int, end: int, first: int, n: int) -> bool:
+    """Whether a ray stays in the grid along one axis, even if rounding takes it one voxel too far."""
+    return min(key, end) - first >= 1 and max(key, end) - first <= n - 2
+
+
+@kernel_jit
+def _set_out(frame: KeyFrame, origin: np.ndarray, ends: np.ndarray, first: int, count: int, block: Block) -> int:
+    """Prepare the walks to `count` ends from `first` on; returns the number of steps of the longest one."""
+    rays = block.rays
+    kx, ky, kz = _keys(frame, origin)
+    longest = 0
+    for r in range(count):
+        end_x, end_y, end_z = _keys(frame, ends[first + r])
+        (sx, tx, ex), (sy, ty, ey), (sz, tz, ez), length = _faces(frame, origin, (kx, ky, kz), ends[first + r])
+        rays[_NEXT_X, r], rays[_NEXT_Y, r], rays[_NEXT_Z, r] = tx, ty, tz
+        rays[_EACH_X, r], rays[_EACH_Y, r], rays[_EACH_Z, r] = ex, ey, ez
+        rays[_MOVE_X, r], rays[_MOVE_Y, r], rays[_MOVE_Z, r] = sx * frame.ny * frame.nz, sy * frame.nz, sz
+        rays[_VOXEL, r] = ((kx - frame.kx) * frame.ny + (ky - frame.ky)) * frame.nz + (kz - frame.kz)
+        rays[_END, r] = ((end_x - frame.kx) * frame.ny + (end_y - frame.ky)) * frame.nz + (end_z - frame.kz)
+        rays[_LENGTH, r] = length
+        steps = abs(end_x - kx) + abs(end_y - ky) + abs(end_z - kz)
+        inside = (
+            _well_inside(kx, end_x, frame.kx, frame.nx)
+            and _well_inside(ky, end_y, frame.ky, frame.ny)
+            and _well_inside(kz, end_z, frame.kz, frame.nz)
+        )
+        block.steps[r] = steps if inside and length > 0.0 and steps < LONGEST else -1
+        longest = max(longest, block.steps[r])
+    return longest
+
+
+@kernel_jit
+def _walk_block(block: Block, steps: int) -> None:
+    """Walk all rays of a block for a number of steps, and note which voxel each is in and where it leaves it.
+
+    Which axis comes next is selected, not branched upon: no processor can predict it, and without branches the compiler
+    takes several rays at once.  The arithmetic is that of `_walk_free`, bit for bit.
+    """
+    rays, voxels, leaves = block.rays, block.voxels, block.leaves
+    for step in range(steps + 1):
+        for r in range(rays.shape[1]):
+            tx, ty, tz = rays[_NEXT_X, r], rays[_NEXT_Y, r], rays[_NEXT_Z, r]
+            ex, ey, ez = rays[_EACH_X, r], rays[_EACH_Y, r], rays[_EACH_Z, r]
+            sx, sy, sz = rays[_MOVE_X, r], rays[_MOVE_Y, r], rays[_MOVE_Z, r]
+            voxel = rays[_VOXEL, r]
+            voxels[step, r] = voxel
+            nearer = tx if tx < ty else ty
+            leaves[step, r] = nearer if nearer < tz else tz
+            along_x = (tx < ty) & (tx < tz)
+            along_y = (not along_x) & (ty < tz)
+            rays[_NEXT_X, r] = tx + (ex if along_x else 0.0)
+            rays[_NEXT_Y, r] = ty + (ey if along_y else 0.0)
+            rays[_NEXT_Z, r] = tz + (0.0 if along_x | along_y else ez)
+            rays[_VOXEL, r] = voxel + (sx if along_x else (sy if along_y else sz))
+
+
+@kernel_jit
+def _free_block(
+    frame: KeyFrame, origin: np.ndarray, ends: np.ndarray, first: int, block: Block, stamp: np.ndarray,
+    scan_stamp: np.int32, touched: np.ndarray, count: int,
+) -> int:  # fmt: skip
+    """`_walk_free` for the ends from `first` on, as many as a block takes."""
+    size = min(block.rays.shape[1], ends.shape[0] - first)
+    _walk_block(block, _set_out(frame, origin, ends, first, size, block))
+    for r in range(size):
+        steps = block.steps[r]
+        if steps == 0:
+            continue
+        # rounding may lead a ray past its end voxel, or stop it short of it: then it is walked alone
+        if steps < 0 or not (
+            block.voxels[steps, r] == block.rays[_END, r] and block.leaves[steps - 1, r] <= block.rays[_LENGTH, r]
+        ):
+            count = _walk_free(frame, origin, ends[first + r], stamp, scan_stamp, touched, count)
+            continue
+        for step in range(steps):
+            voxel = np.uint32(block.voxels[step, r])
+            was = stamp[voxel]
+            stamp[voxel] = max(was, scan_stamp)
+            touched[np.uint32(count)] = voxel
+            count += was < scan_stamp
     return count
 
 
@@ -173,7 +301,7 @@ def collect(
     # a corrupted number would make stamps wrap round and the list run over
     if not (usable(origin[0], origin[1], origin[2]) and 0 < scan <= LAST_SCAN):
         return 0, 0
-    free_stamp = 2 * scan
+    free_stamp = np.int32(2 * scan)  # as wide as a stamp: a wider number would be converted at every voxel
     start = np.empty(3, np.float32)
     start[0] = _F32(origin[0] + frame.shift_x)
     start[1] = _F32(origin[1] + frame.shift_y)
@@ -192,8 +320,11 @@ def collect(
             hits[n_hits] = voxel
             n_hits += 1
     n_free = 0
-    for i in range(n_ends):
-        n_free = _walk_free(frame, start, ends[i], stamp, free_stamp, touched, n_free)
+    block = Block(
+        np.zeros((12, RAYS)), np.zeros(RAYS, np.int64), np.empty((LONGEST, RAYS)), np.empty((LONGEST, RAYS))
+    )  # fmt: skip
+    for first in range(0, n_ends, RAYS):
+        n_free = _free_block(frame, start, ends[:n_ends], first, block, stamp, free_stamp, touched, n_free)
     for i in range(n_hits):
         touched[n_free + i] = hits[i]
     return n_free, n_free + n_hits

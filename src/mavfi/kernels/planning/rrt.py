@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavfi.kernels.planning.nearest import Index, clear, nearest, new_index
+from mavfi.kernels.planning.nearest import PAYS_FROM, Index, clear, new_index, scan, search
 from mavfi.kernels.planning.tree import draw_towards, steer, trace
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.voxels import Grid, segment_free
@@ -67,7 +67,9 @@ def plan(
         if count >= tree.nodes.shape[0]:
             return 0
         is_goal = draw_towards(goal, goal_bias, lower, upper, random, sample)
-        source = nearest(tree.near, tree.nodes, count, sample)
+        # to hand the index over costs more than to scan a small tree
+        small = count < PAYS_FROM
+        source = scan(tree.nodes, count, sample) if small else search(tree.near, tree.nodes, count, sample)
         reached = steer(tree.nodes[source], sample, max_step, new)
         if not segment_free(counter, grid, tree.nodes[source], new):
             continue

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mavfi.kernels.planning.nearest import Index, clear, nearest, new_index
+from mavfi.kernels.planning.nearest import PAYS_FROM, Index, clear, new_index, scan, search
 from mavfi.kernels.planning.tree import draw, steer, trace
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.voxels import Grid, segment_free
@@ -39,26 +39,27 @@ def new_trees() -> Trees:
 
 
 @kernel_jit
-def _nearest(trees: Trees, which: int, target: np.ndarray) -> int:
-    """Index of the node of a tree that is nearest to a point."""
-    index = trees.near_start if which == 0 else trees.near_goal
-    return nearest(index, trees.nodes[which], trees.counts[which], target)
+def _search(trees: Trees, which: int, target: np.ndarray) -> int:
+    """Index of the node of a large tree that is nearest to a point."""
+    if which == 0:
+        return search(trees.near_start, trees.nodes[0], trees.counts[0], target)
+    return search(trees.near_goal, trees.nodes[1], trees.counts[1], target)
 
 
 @kernel_jit
 def _extend(
-    counter: np.ndarray, grid: Grid, trees: Trees, which: int, source: int, target: np.ndarray, max_step: float,
-    new: np.ndarray,
+    counter: np.ndarray, grid: Grid, nodes: np.ndarray, parents: np.ndarray, counts: np.ndarray, which: int,
+    source: int, target: np.ndarray, max_step: float, new: np.ndarray,
 ) -> int:  # fmt: skip
     """Add one node to a tree: 0 = trapped, 1 = advanced, 2 = reached the target."""
-    reached = steer(trees.nodes[which, source], target, max_step, new)
-    if not segment_free(counter, grid, trees.nodes[which, source], new):
+    reached = steer(nodes[which, source], target, max_step, new)
+    if not segment_free(counter, grid, nodes[which, source], new):
         return 0
-    index = trees.counts[which]
+    index = counts[which]
     for axis in range(3):
-        trees.nodes[which, index, axis] = new[axis]
-    trees.parents[which, index] = source
-    trees.counts[which] = index + 1
+        nodes[which, index, axis] = new[axis]
+    parents[which, index] = source
+    counts[which] = index + 1
     return 2 if reached else 1
 
 
@@ -115,26 +116,30 @@ def plan(
         path[1] = goal
         return 2
     _plant(trees, start, goal, lower, upper)
+    # the arrays by themselves: to hand all of `trees` to a function costs more than to scan a small tree
+    nodes, parents, counts = trees.nodes, trees.parents, trees.counts
     sample = np.empty(3)
     new = np.empty(3)
     joint = np.empty(3)
     which = 0
     for _ in range(iterations):
         draw(lower, upper, random, sample)
-        source = _nearest(trees, which, sample)
-        if _extend(counter, grid, trees, which, source, sample, max_step, new) > 0:
+        small = counts[which] < PAYS_FROM
+        source = scan(nodes[which], counts[which], sample) if small else _search(trees, which, sample)
+        if _extend(counter, grid, nodes, parents, counts, which, source, sample, max_step, new) > 0:
             other = 1 - which
-            source = _nearest(trees, other, new)
+            small = counts[other] < PAYS_FROM
+            source = scan(nodes[other], counts[other], new) if small else _search(trees, other, new)
             result = 1
-            while result == 1 and trees.counts[other] < NODE_LIMIT:
-                result = _extend(counter, grid, trees, other, source, new, max_step, joint)
-                source = trees.counts[other] - 1
+            while result == 1 and counts[other] < NODE_LIMIT:
+                result = _extend(counter, grid, nodes, parents, counts, other, source, new, max_step, joint)
+                source = counts[other] - 1
             if result == 2:
-                ends = (trees.counts[which] - 1, trees.counts[other] - 1)
+                ends = (counts[which] - 1, counts[other] - 1)
                 if which == 0:
                     return _collect(trees, ends[0], ends[1], path)
                 return _collect(trees, ends[1], ends[0], path)
-        if trees.counts[0] >= NODE_LIMIT - 1 or trees.counts[1] >= NODE_LIMIT - 1:
+        if counts[0] >= NODE_LIMIT - 1 or counts[1] >= NODE_LIMIT - 1:
             return 0
         which = 1 - which
     return 0

@@ -83,44 +83,44 @@ def plant(tree: CostTree, start: np.ndarray, lower: np.ndarray, upper: np.ndarra
 
 
 @kernel_jit
-def _before(tree: CostTree, a: int, b: int) -> bool:
+def _before(found: np.ndarray, through: np.ndarray, a: int, b: int) -> bool:
     """Order of the near set: by cost of the new node through it, of equal ones the older node first."""
-    if tree.through[a] != tree.through[b]:
-        return bool(tree.through[a] < tree.through[b])
-    return bool(tree.ball[a] < tree.ball[b])
+    if through[a] != through[b]:
+        return bool(through[a] < through[b])
+    return bool(found[a] < found[b])
 
 
 @kernel_jit
-def _swap(tree: CostTree, a: int, b: int) -> None:
-    node = tree.ball[a]
-    tree.ball[a] = tree.ball[b]
-    tree.ball[b] = node
-    cost = tree.through[a]
-    tree.through[a] = tree.through[b]
-    tree.through[b] = cost
+def _swap(found: np.ndarray, through: np.ndarray, a: int, b: int) -> None:
+    node = found[a]
+    found[a] = found[b]
+    found[b] = node
+    cost = through[a]
+    through[a] = through[b]
+    through[b] = cost
 
 
 @kernel_jit
-def _sift(tree: CostTree, top: int, end: int) -> None:
+def _sift(found: np.ndarray, through: np.ndarray, top: int, end: int) -> None:
     """Let an entry sink in the heap below it."""
     while 2 * top + 1 < end:
         later = 2 * top + 1
-        if later + 1 < end and _before(tree, later, later + 1):
+        if later + 1 < end and _before(found, through, later, later + 1):
             later += 1
-        if not _before(tree, top, later):
+        if not _before(found, through, top, later):
             return
-        _swap(tree, top, later)
+        _swap(found, through, top, later)
         top = later
 
 
 @kernel_jit
-def _sort(tree: CostTree, size: int) -> None:
+def _sort(found: np.ndarray, through: np.ndarray, size: int) -> None:
     """Heap sort of the near set: in place, and without a slow worst case."""
     for top in range(size // 2 - 1, -1, -1):
-        _sift(tree, top, size)
+        _sift(found, through, top, size)
     for end in range(size - 1, 0, -1):
-        _swap(tree, 0, end)
-        _sift(tree, 0, end)
+        _swap(found, through, 0, end)
+        _sift(found, through, 0, end)
 
 
 @kernel_jit
@@ -201,7 +201,7 @@ def _insert(counter: np.ndarray, grid: Grid, tree: CostTree, new: np.ndarray, ne
     for i in range(size):
         tree.through[i] = tree.costs[tree.ball[i]] + distance(tree.nodes[tree.ball[i]], new)
         tree.edges[i] = _UNKNOWN
-    _sort(tree, size)
+    _sort(tree.ball, tree.through, size)
     for axis in range(3):
         tree.nodes[index, axis] = new[axis]
     tree.child[index] = -1

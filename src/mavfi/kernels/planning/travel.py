@@ -59,7 +59,7 @@ def tight_share(wide: np.ndarray, grid: Grid, a: np.ndarray, b: np.ndarray) -> f
 
 
 @kernel_jit
-def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
+def turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
     """Angle between a -> b and b -> c (rad); 0 where a leg has no length."""
     first = distance(a, b)
     second = distance(b, c)
@@ -74,10 +74,10 @@ def _turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
 @kernel_jit
 def corner_loss(a: np.ndarray, b: np.ndarray, c: np.ndarray, reach: float, pace: Pace) -> float:
     """Time lost by slowing down for the corner at b and picking up speed again (s)."""
-    turn = _turn(a, b, c)
-    if turn < 1e-3:
+    angle = turn(a, b, c)
+    if angle < 1e-3:
         return 0.0
-    bend = _SHARPNESS * math.tan(0.5 * min(turn, 3.0))
+    bend = _SHARPNESS * math.tan(0.5 * min(angle, 3.0))
     slow = min(pace.speed, math.sqrt(pace.lateral * reach / bend))
     return (pace.speed - slow) ** 2 / (pace.speed * pace.tangential)
 
@@ -118,7 +118,7 @@ def travel_time(wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, velo
             time += corner_loss(path[i - 1], path[i], path[i + 1], reach, pace)
     if count > 1:
         moving = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
-        away = math.sin(0.5 * _turn(path[0] - velocity, path[0], path[1]))
+        away = math.sin(0.5 * turn(path[0] - velocity, path[0], path[1]))
         time += min(moving, pace.speed) / pace.tangential * away * away
     return time
 

@@ -25,20 +25,22 @@ HALO = 6.0
 """Half side of the free square around start and goal (m)."""
 _LAW = 0
 _LARGEST_GAP = 3.0
+_SMALLEST_GAP = 1.0
 _RESTARTS = 12
 _DARTS = 40_000
 
 
-def cuboids(seed: int, density: float, side: float) -> World:
+def cuboids(seed: int, density: float, side: float, gap: float | None = None) -> World:
     """Cuboids that stand at random places of the arena.
 
-    Any two are at least min(3 m, side / 2) apart along x or along y, so that every gap can be passed.  Heights are
-    uniform between the side and the ceiling.
+    Any two are at least a gap apart along x or along y, so that every gap can be passed.  Heights are uniform between
+    the side and the ceiling.
 
     Args:
         seed: Seed of the mission.
         density: Share of the arena's ground area, halos excluded, that the footprints cover; met within half a cuboid.
         side: Side of the footprint (m).
+        gap: Least distance of two cuboids (m); None = min(3 m, side / 2).  A smaller one lets more of them fit.
 
     Raises:
         BadInputError: A parameter is out of range, or so many cuboids do not fit.
@@ -46,7 +48,8 @@ def cuboids(seed: int, density: float, side: float) -> World:
     density = checked_number("density", density, 0.0, 1.0)
     side = checked_number("side", side, 0.5, 2.0 * HALF_WIDTH)
     count = cuboid_count(density, side)
-    gap = min(_LARGEST_GAP, 0.5 * side)
+    usual = min(_LARGEST_GAP, 0.5 * side)
+    gap = usual if gap is None else checked_number("gap", gap, _SMALLEST_GAP, 2.0 * HALF_WIDTH)
     if count > _most_cuboids(side, gap):
         raise _does_not_fit(density, side, gap, count)
     stream = world_stream(seed, _LAW)

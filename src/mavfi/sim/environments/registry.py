@@ -8,11 +8,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from mavfi.config import EnvironmentConfig, Vector, VehicleConfig, shipped
+from mavfi.config import EnvironmentConfig, Vector
 from mavfi.errors import BadInputError
 from mavfi.mission import ARRIVAL_RADIUS
 from mavfi.plugins import load_object
 from mavfi.sim.environments.world import World
+from mavfi.sim.mjcf import find_vehicle
 
 Generator = Callable[..., World]
 """A generator is called as `generator(seed, **parameters)`; one that has parameters `start` and `goal` gets those of
@@ -118,7 +119,7 @@ def _with_ends(world: World, start: Vector | None, goal: Vector | None) -> World
 
 @cache
 def _hull_radius(vehicle: str) -> float:
-    return shipped("vehicles", VehicleConfig, vehicle).hull_radius
+    return find_vehicle(vehicle).hull_radius
 
 
 def _text(point: np.ndarray) -> str:

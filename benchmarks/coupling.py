@@ -1,0 +1,89 @@
+"""What the observer's delay costs: the same faults with the detector as a gate and as an observer; writes docs/ros.md.
+
+    N=40 python benchmarks/coupling.py
+
+N: missions (40).  Each gets one fault in the sign or exponent of a monitored field of planning or control.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from docs.build_pages import between
+from mavfi.campaign.tools import host_tools
+from mavfi.faults.sampling import draw, stage_target
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.inprocess import Flight, fly
+from mavfi.hosts.observed import fly_observed
+from mavfi.mission import MissionStatus
+
+PAGE = Path(__file__).parents[1] / "docs" / "ros.md"
+FIRST_SEED = 10_000
+ENVIRONMENT, STACK = "dense", "published"
+ARMS = ("none", "gaussian inline", "gaussian observer", "autoencoder inline", "autoencoder observer")
+
+
+def peak(flight: Flight, golden: Flight) -> float:
+    """Largest distance from the golden flight at the same instant (m), while both fly."""
+    count = min(len(flight.log.rows), len(golden.log.rows))
+    apart = flight.log.columns("x", "y", "z")[:count] - golden.log.columns("x", "y", "z")[:count]
+    return float(np.linalg.norm(apart, axis=1).max())
+
+
+def pair(seed: int) -> dict[str, tuple[bool, float, float]]:
+    """One mission with one fault in every arm: success, flight time (s), largest distance from its golden twin (m)."""
+    scenario = make_scenario(ENVIRONMENT, seed, stack=STACK)
+    load = host_tools().load_detector
+    profile = fly(scenario, want_profile=True).profile
+    assert profile is not None
+    stage = ("planning", "control")[seed % 2]
+    fault = draw(stage_target(stage, STACK, "paper-13"), "sign_exponent", profile, seed, ENVIRONMENT, 0)
+    found = {}
+    for arm in ARMS:
+        name, _, coupling = arm.partition(" ")
+        detector = None if name == "none" else load(name, "paper", None, scenario)[0]
+        if coupling == "observer" and detector is not None:
+            golden, flight = fly_observed(scenario, None, detector), fly_observed(scenario, fault, detector)
+        else:
+            golden, flight = fly(scenario, None, detector), fly(scenario, fault, detector)
+        success = flight.log.status is MissionStatus.SUCCESS
+        found[arm] = success, float(flight.log.column("time")[-1]), peak(flight, golden)
+    return found
+
+
+def table(pairs: list[dict[str, tuple[bool, float, float]]]) -> str:
+    """The table of all arms."""
+    lines = [
+        f"{len(pairs)} missions in `{ENVIRONMENT}`, stack `{STACK}`, seeds from {FIRST_SEED}, one fault each in the "
+        "sign or exponent of a monitored field of planning or control, profile `paper`; the same faults in every arm. "
+        "Distances are the largest ones from the golden twin at the same instant; times are those of missions that "
+        "arrive in every arm.",
+        "",
+        "| detector | arrived | off its twin (m): median | p90 | flight time (s) |",
+        "|---|---|---|---|---|",
+    ]
+    arrived = [found for found in pairs if all(found[arm][0] for arm in ARMS)]
+    for arm in ARMS:
+        apart = sorted(found[arm][2] for found in pairs)
+        middle, high = np.percentile(apart, [50, 90])
+        time = np.mean([found[arm][1] for found in arrived]) if arrived else float("nan")
+        count = sum(found[arm][0] for found in pairs)
+        lines.append(f"| {arm} | {count} / {len(pairs)} | {middle:.2f} | {high:.2f} | {time:.2f} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Fly all arms and write the table."""
+    pairs = []
+    for seed in range(FIRST_SEED, FIRST_SEED + int(os.environ.get("N", "40"))):
+        pairs.append(pair(seed))
+        sys.stderr.write(f"\r{len(pairs)} missions")
+    written = between(PAGE.read_text(encoding="utf-8"), "coupling", table(pairs))
+    PAGE.write_text(written, encoding="utf-8")
+    sys.stdout.write(f"\n{table(pairs)}\n")
+
+
+if __name__ == "__main__":
+    main()

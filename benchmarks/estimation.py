@@ -1,0 +1,56 @@
+"""Flies golden missions with the state estimator and prints how far its estimates are from the truth.
+
+    N=20 FIRST_SEED=10000 python benchmarks/estimation.py
+
+Errors are taken at the control ticks; "NEES" is the mean over the flights of the last position error, squared, in
+units of the filter's own covariance: 3 where the filter is right about itself.
+"""
+
+import os
+import sys
+
+import numpy as np
+
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.inprocess import fly
+from mavfi.mission import MissionStatus
+from mavfi.states import ODOMETRY, State, floats
+
+SETTINGS = [(environment, stack) for environment in ("sparse", "dense") for stack in ("published", "hardened")]
+WIDTH = 10
+
+
+def fly_one(environment: str, stack: str, seed: int) -> tuple[MissionStatus, np.ndarray, float]:
+    """Status, errors of position (m) at the ticks, and the last one squared in units of its covariance."""
+    estimates: dict[int, np.ndarray] = {}
+
+    def note(state: State, time_us: int) -> None:
+        if state.spec.name == ODOMETRY["estimator"]:
+            estimates[time_us] = floats(state.header, WIDTH).copy()
+
+    flight = fly(make_scenario(environment, seed, stack=stack, localization="estimator"), observer=note)
+    log = flight.log
+    times = np.round(1e6 * log.column("time")).astype(int)
+    truth = log.columns("x", "y", "z")[: len(times) - 1]  # the last tick only judges
+    errors = np.array([estimates[time][:3] for time in times[:-1]]) - truth
+    covariance = flight.pipeline["state_estimation"].covariance[:3, :3]
+    return log.status, np.linalg.norm(errors, axis=1), float(errors[-1] @ np.linalg.solve(covariance, errors[-1]))
+
+
+def main() -> None:
+    """Fly and print."""
+    count, first = int(os.environ.get("N", "20")), int(os.environ.get("FIRST_SEED", "10000"))
+    sys.stdout.write("| environment | stack | arrived | RMS (m) | max (m) | NEES |\n|---|---|---|---|---|---|\n")
+    for environment, stack in SETTINGS:
+        flights = [fly_one(environment, stack, seed) for seed in range(first, first + count)]
+        arrived = sum(status is MissionStatus.SUCCESS for status, _, _ in flights)
+        errors = np.concatenate([errors for _, errors, _ in flights])
+        sys.stdout.write(
+            f"| {environment} | {stack} | {arrived}/{count} | {np.sqrt(np.mean(errors**2)):.3f} | {errors.max():.3f} "
+            f"| {np.mean([nees for _, _, nees in flights]):.1f} |\n"
+        )
+        sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,182 @@
+"""What instruction-level injection costs: a struck call, a fork, a warm start; and that golden flights pay nothing.
+
+    python benchmarks/instruction.py
+
+A struck call is compared with the same call of the plain kernel, on arguments recorded in flights.  Forks and starts
+are given in CPU time, too: on a busy machine their wall time tells how long the queue is.
+"""
+
+import copy
+import os
+import pickle
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from mavfi.faults.instruction import Counting, Injecting, InstructionFault, run_in_child
+from mavfi.faults.instruction.api import name_of
+from mavfi.faults.instruction.runtime import NEVER
+from mavfi.faults.instruction.variant import signature_of, variant_for
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.inprocess import fly
+from mavfi.kernels.control import pid
+from mavfi.pipeline.functions import PLAIN, STRUCK
+
+REPEATS = 15
+FLIGHTS = 7
+Row = tuple[str, str]
+WARM_START = """
+import pickle, sys, time
+start = time.perf_counter()
+from mavfi.faults.instruction.variant import variant_of
+from mavfi.pipeline.functions import PLAIN
+imported = time.perf_counter() - start
+for name, signature in pickle.loads(sys.stdin.buffer.read()):
+    variant_of(getattr(PLAIN, name), signature)
+print(imported, time.perf_counter() - start, time.process_time())
+"""
+
+
+class Recorder:
+    """Keeps the arguments of the longest call, as they were before it."""
+
+    def __init__(self, function: Any) -> None:
+        self._function = function
+        self._longest = 0.0
+        self.args: tuple[Any, ...] | None = None
+
+    def __call__(self, *args: Any) -> Any:
+        """As the function."""
+        kept = copy.deepcopy(args)
+        start = time.perf_counter()
+        result = self._function(*args)
+        wall = time.perf_counter() - start
+        if wall > self._longest:
+            self._longest, self.args = wall, kept
+        return result
+
+
+def recorded() -> dict[str, tuple[Any, ...]]:
+    """Arguments of the longest call of each struck function in three flights."""
+    found: dict[str, tuple[Any, ...]] = {}
+    for planner, stack, kind in (
+        ("rrt_connect", "hardened", "dense"), ("rrt", "published", "octree"), ("rrt_star", "hardened", "dense")
+    ):  # fmt: skip
+        twins = {name: Recorder(getattr(PLAIN, name)) for name in PLAIN.__dataclass_fields__}
+        scenario = make_scenario("sparse", 7, planner=planner, stack=stack, map_kind=kind)
+        fly(scenario)  # compiles, or reads the cache
+        fly(scenario, functions=replace(PLAIN, **twins))
+        found.update({name: twin.args for name, twin in twins.items() if twin.args is not None and name not in found})
+    return found
+
+
+def best(action: Callable[..., Any], args: tuple[Any, ...] = (), repeats: int = REPEATS) -> float:
+    """Shortest wall time of some calls, each with its own copy of the arguments (s)."""
+    walls = []
+    for _ in range(repeats):
+        own = copy.deepcopy(args)
+        start = time.perf_counter()
+        action(*own)
+        walls.append(time.perf_counter() - start)
+    return min(walls)
+
+
+def cpu_of(action: Callable[[], Any], repeats: int) -> float:
+    """Mean CPU time of a call, that of its children included (s)."""
+    before = _cpu()
+    for _ in range(repeats):
+        action()
+    return (_cpu() - before) / repeats
+
+
+def _cpu() -> float:
+    used = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
+    return sum(part.ru_utime + part.ru_stime for part in used)
+
+
+def warm_start(args: dict[str, tuple[Any, ...]]) -> Row:
+    """A fresh process that has every struck function instrumented and ready."""
+    wanted = pickle.dumps([(name, signature_of(values)) for name, values in args.items()])
+    walls = []
+    for _ in range(3):
+        start = time.perf_counter()
+        done = subprocess.run([sys.executable, "-c", WARM_START], input=wanted, capture_output=True, check=True)
+        walls.append((time.perf_counter() - start, *map(float, done.stdout.split())))
+    wall, imported, ready, cpu = min(walls)
+    return (
+        f"fresh process, {len(args)} functions instrumented, warm cache",
+        f"{wall:.2f} s in all (imports {imported:.2f}, then {ready - imported:.2f}); {cpu:.2f} s of CPU time",
+    )
+
+
+def call_rows(args: dict[str, tuple[Any, ...]], fork: float) -> list[Row]:
+    """For each kernel the longest call, plain and instrumented, and what a flight with a fault costs more."""
+    rows = []
+    for kernel, names in STRUCK.items():
+        for name in names:
+            plain, variant = getattr(PLAIN, name), variant_for(getattr(PLAIN, name), args[name])
+            walls = (
+                best(plain, args[name]),
+                best(lambda *own, v=variant: v.inject(NEVER, 0, 0, NEVER, *own), args[name]),
+            )
+            more = max(0.0, walls[1] - walls[0])
+            rows.append(
+                (
+                    f"{kernel}: longest call of {name}, plain / instrumented",
+                    f"{1e3 * walls[0]:.3f} / {1e3 * walls[1]:.3f} ms (x {walls[1] / walls[0]:.2f}); "
+                    f"with a fork a flight costs {1e3 * (more + fork):.1f} ms more",
+                )
+            )
+    return rows
+
+
+def flight_rows() -> list[Row]:
+    """Whole flights: golden, with a fault in place, with one in a forked child."""
+    scenario = make_scenario("sparse", 7)
+    counting = Counting(pid.track)
+    fly(scenario, functions=replace(PLAIN, track=counting))
+    call = len(counting.counts) // 2
+    fault = InstructionFault(
+        name_of(pid.track), counting.digests[call], NEVER - 1, call=call, bits=(0,), budget=NEVER
+    )  # fmt: skip
+    walls: dict[str, list[float]] = {"golden": [], "armed": []}
+    for _ in range(FLIGHTS):  # in turn, so that the machine's load strikes both
+        for name, functions in (("golden", PLAIN), ("armed", None)):
+            twins = functions or replace(PLAIN, track=Injecting(pid.track, fault))
+            start = time.process_time()
+            fly(scenario, functions=twins)
+            walls[name].append(time.process_time() - start)
+    golden, armed = min(walls["golden"]), min(walls["armed"])
+    same = PLAIN.track is pid.track
+    return [
+        ("golden flights call the compiled kernels themselves", "yes" if same else "no"),
+        ("golden flight / flight with an injector that never strikes", f"{golden:.3f} / {armed:.3f} s CPU"),
+    ]
+
+
+def fork_row() -> tuple[float, Row]:
+    """CPU time of a child that only reports (s), in a process that has flown."""
+    flight = fly(make_scenario("sparse", 7))
+    wall = best(lambda: run_in_child(lambda: b""), repeats=50)
+    fork = cpu_of(lambda: run_in_child(lambda: b""), 50)
+    with open("/proc/self/statm", encoding="ascii") as memory:
+        resident = int(memory.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+    del flight
+    label = f"fork, empty report, wait, after a flight ({resident:.0f} MiB resident)"
+    return fork, (label, f"{1e3 * fork:.1f} ms of CPU time, {1e3 * wall:.1f} ms at best on the wall")
+
+
+def instruction_rows() -> list[Row]:
+    """All rows."""
+    fork, row = fork_row()
+    args = recorded()
+    return [row, *call_rows(args, fork), *flight_rows(), warm_start(args)]
+
+
+if __name__ == "__main__":
+    for label, value in instruction_rows():
+        print(f"{label:62} {value}")

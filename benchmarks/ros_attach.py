@@ -1,0 +1,121 @@
+"""Measures what attaching costs: latency of a message with and without mavfi in its way, and how long a target stands.
+
+Needs ROS 1 and a private network: `unshare -n .venv/bin/python benchmarks/ros_attach.py`.
+"""
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from mavfi.campaign.config import load_any
+from mavfi.faults.register import RegisterInjection, Request, inject
+from mavfi.hosts.ros.attach.bench import MASTER_URI, Bench
+from mavfi.hosts.ros.attach.message import Composer
+from mavfi.hosts.ros.attach.station import Outlet
+from mavfi.hosts.ros.supervisor import loopback_up
+
+MESSAGES = 500
+ROUNDS = 3
+STRIKES = 100
+PERIOD_S = 0.002
+TOPIC = "/speed"
+READER = """
+import sys, time
+from mavfi.hosts.ros.attach.master import Master
+from mavfi.hosts.ros.attach.station import Station
+
+def arrived(message):
+    sys.stdout.buffer.write(time.perf_counter_ns().to_bytes(8, "little"))
+    sys.stdout.flush()
+
+Station(Master(), "/reader").subscribe("/speed", arrived)
+time.sleep(3600)
+"""
+"""Writes when each message arrives; the clocks of processes are one clock."""
+RELAY = ["-m", "mavfi", "ros", "corrupt", "--topic", TOPIC, "--field", "position[0]", "--at", "1000000000"]
+
+
+def latencies(outlet: Outlet, message: bytes, reader: subprocess.Popen) -> list[float]:
+    """Time from sending to arrival in another process (us), of many messages."""
+    found = []
+    assert reader.stdout is not None
+    for _ in range(MESSAGES):
+        sent = time.perf_counter_ns()
+        outlet.send(message)
+        found.append((int.from_bytes(reader.stdout.read(8), "little") - sent) / 1000)
+        time.sleep(PERIOD_S)
+    return found
+
+
+def show(name: str, values: Sequence[float]) -> None:
+    """Median and 99 % quantile."""
+    ordered = sorted(values)
+    print(f"{name:32} p50 {statistics.median(ordered):7.0f} us   p99 {ordered[int(0.99 * len(ordered))]:7.0f} us")
+
+
+def wait_for(condition: Callable[[], object]) -> None:
+    """Until it is the case."""
+    while not condition():
+        time.sleep(0.01)
+
+
+def measure_relay(bench: Bench) -> None:
+    """A joint state from one process to another, straight and through a third one that is mavfi, in turn."""
+    composer = Composer("sensor_msgs/JointState")
+    message = composer.pack({"name": ["a", "b"], "position": [0.5, 0.25]})
+    outlet = bench.station("/writer").advertise(TOPIC, composer.header)
+    straight, relayed = [], []
+    with subprocess.Popen([sys.executable, "-c", READER], stdout=subprocess.PIPE) as reader:
+        wait_for(lambda: outlet.reader("/reader"))
+        for _ in range(ROUNDS):
+            straight += latencies(outlet, message, reader)
+            with subprocess.Popen([sys.executable, *RELAY], stdout=subprocess.DEVNULL) as relay:
+                wait_for(lambda: outlet.reader("/mavfi") and not outlet.reader("/reader"))
+                time.sleep(0.2)
+                relayed += latencies(outlet, message, reader)
+                relay.kill()
+            wait_for(lambda: outlet.reader("/reader") and not outlet.reader("/mavfi"))
+        reader.kill()
+    show("straight", straight)
+    show("through mavfi", relayed)
+    print(f"{'added':32} p50 {statistics.median(relayed) - statistics.median(straight):7.0f} us")
+
+
+def measure_stops(bench: Bench) -> None:
+    """How long robot_state_publisher stands still for a strike at a symbol."""
+    campaign = load_any("ros_robot_state_publisher")
+    for name, value in campaign.parameters.items():
+        bench.master.call("setParam", name, value)
+    process = bench.start(list(campaign.command))
+    bench.wait_for_node(campaign.node, process)
+    composer = Composer(campaign.inputs.type)
+    outlet = bench.station().advertise(campaign.inputs.topic, composer.header)
+    message = composer.pack(campaign.inputs.messages[0])
+    for walk in (1, 64):
+        request = Request(process.pid, symbol="SubscriptionQueue4call", walk=walk, null=True, timeout=20.0)
+        done: list[RegisterInjection] = []
+        striking = threading.Thread(target=inject, args=(request, STRIKES, 0.0, done.append))
+        striking.start()
+        while striking.is_alive():
+            outlet.send(message)
+            time.sleep(0.005)
+        show(f"stands still, walk {walk}", [injection.stopped_us for injection in done])
+
+
+def main() -> None:
+    """Print all figures."""
+    loopback_up()
+    os.environ["ROS_MASTER_URI"] = MASTER_URI
+    with tempfile.TemporaryDirectory() as folder, Bench(Path(folder)) as bench:
+        measure_relay(bench)
+        measure_stops(bench)
+
+
+if __name__ == "__main__":
+    main()

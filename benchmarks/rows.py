@@ -1,0 +1,22 @@
+"""A row of the table of speeds, with the target where there is one."""
+
+from typing import NamedTuple
+
+
+class Row(NamedTuple):
+    """What was measured, in words; `ratio` is what `target` is held against, `at_most` where small is good."""
+
+    what: str
+    value: str
+    ratio: float | None = None
+    target: float | None = None
+    at_most: bool = False
+
+    @property
+    def verdict(self) -> str:
+        """The target and whether it was met; empty where there is none."""
+        if self.ratio is None or self.target is None:
+            return ""
+        met = self.ratio <= self.target if self.at_most else self.ratio >= self.target
+        sign = "≤" if self.at_most else "≥"
+        return f"{sign} {self.target:g}: {'met' if met else 'not met'}"

@@ -1,0 +1,205 @@
+"""Searches the tracker's gains of `hardened`, one after the other, on design seeds, and says which values it confirms.
+
+    N=4 SEED=200 ONLY=gain_p python benchmarks/tune_pid.py
+
+N: missions of each setting (4); SEED: the first one's seed (200), below 10000; ONLY: one parameter. Nothing is written:
+a value that loses is for a person to change, since every golden digest of the stack changes with it.
+
+Objective of a variant, smaller is better: root mean square of the distance from the reference (m), plus 5 x the speed
+above 1.1 v_max (as a share of v_max, worst flight), plus 10 x the share of missions that did not arrive. A value is
+confirmed if its objective is within TOLERANCE of the best one's, or if it loses by its tracking alone and by less than
+two standard errors of the paired difference between the missions' mean squares: another gain makes other paths, and
+their tracking differs by chance. `published` is the paper's code and is not tuned; its look-ahead is flown at other
+values for comparison.
+"""
+
+import os
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavfi.config import StackConfig, shipped
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.inprocess import fly
+from mavfi.mission import MissionStatus
+
+DESIGN_SEEDS = range(10_000)
+SETTINGS = (("dense", 3.0), ("clutter", 5.0))
+"""Environment and v_max (m/s)."""
+TOLERANCE = 0.10
+"""Share."""
+SPEED_LIMIT = 1.1
+CANDIDATES: dict[str, tuple[float, ...]] = {
+    "gain_p": (1.0, 1.5, 2.0, 2.5, 3.0),
+    "gain_i": (0.0, 0.2),
+    "gain_d": (0.0, 0.1),
+    "velocity_feed_forward": (0.9, 1.0, 1.01, 1.05),
+    "acceleration_feed_forward": (0.0, 0.2, 0.4, 0.6),
+    "command_limit": (1.0, 1.04, 1.08, 1.1),
+}
+"""Values that are tried beside the one in the YAML file; a gain is the same on all axes."""
+LOOK_AHEAD = (0.0, 0.15, 0.3, 0.45)
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """How well a variant follows its references.
+
+    Attributes:
+        arrived: Share of missions.
+        squares: Mean square of the distance from the reference (m^2), by mission.
+        farthest: Largest distance (m).
+        speed: Largest speed / v_max.
+        duration: Mean flight time (s); shown, not judged.
+    """
+
+    arrived: float
+    squares: tuple[float, ...]
+    farthest: float
+    speed: float
+    duration: float
+
+    @property
+    def tracking(self) -> float:
+        """Root mean square of the distance from the reference, over all missions (m)."""
+        return float(np.sqrt(np.mean(self.squares)))
+
+    @property
+    def penalty(self) -> float:
+        """What is added to it for speed and for missions that did not arrive."""
+        return 5.0 * max(0.0, self.speed - SPEED_LIMIT) + 10.0 * (1.0 - self.arrived)
+
+    @property
+    def objective(self) -> float:
+        """Smaller is better; see the module."""
+        return self.tracking + self.penalty
+
+
+def check_seeds(first: int, count: int) -> None:
+    """Refuse seeds that are for published figures.
+
+    Raises:
+        BadInputError: One of them is not a design seed.
+    """
+    if count < 1 or first not in DESIGN_SEEDS or first + count - 1 not in DESIGN_SEEDS:
+        raise BadInputError(
+            f"SEED={first} N={count}: allowed: seeds from 0 to {DESIGN_SEEDS[-1]}, at least one; others are for results"
+        )
+
+
+def variant(stack: StackConfig, key: str, value: float) -> StackConfig:
+    """The stack with one value changed; a gain on all axes."""
+    is_vector = isinstance(getattr(stack, key), tuple)
+    return stack.model_copy(update={key: (value,) * 3 if is_vector else value})
+
+
+def present(stack: StackConfig, key: str) -> float:
+    """The stack's value."""
+    value = getattr(stack, key)
+    return float(value[0] if isinstance(value, tuple) else value)
+
+
+def score(stack: StackConfig, seeds: range) -> Score:
+    """Fly every setting with every seed."""
+    arrived, squares, durations, farthest, speed = [], [], [], 0.0, 0.0
+    for environment, v_max in SETTINGS:
+        for seed in seeds:
+            scenario = make_scenario(environment, seed, stack=stack.name, v_max=v_max)
+            log = fly(scenario.model_copy(update={"stack": stack})).log
+            off = np.linalg.norm(
+                log.columns("x", "y", "z") - log.columns("reference_x", "reference_y", "reference_z"), axis=1
+            )
+            fast = np.linalg.norm(log.columns("vx", "vy", "vz"), axis=1).max() / v_max
+            arrived.append(log.status is MissionStatus.SUCCESS)
+            squares.append(float(np.mean(off**2)))
+            durations.append(float(log.column("time")[-1]))
+            farthest, speed = max(farthest, float(off.max())), max(speed, float(fast))
+    return Score(float(np.mean(arrived)), tuple(squares), farthest, speed, float(np.mean(durations)))
+
+
+def candidates(key: str, stack: StackConfig) -> list[float]:
+    """Values to try, the present one among them."""
+    values = LOOK_AHEAD if key == "look_ahead" else CANDIDATES[key]
+    return sorted({*values, present(stack, key)})
+
+
+def search(stack: StackConfig, keys: list[str], seeds: range, known: dict[str, Score]) -> Iterator[tuple[str, list]]:
+    """Every value of every parameter, the others as they are; `known` keeps what was flown already."""
+    for key in keys:
+        rows = []
+        for value in candidates(key, stack):
+            changed = variant(stack, key, value)
+            name = changed.model_dump_json()
+            if name not in known:
+                known[name] = score(changed, seeds)
+            rows.append((value, known[name]))
+        yield key, rows
+
+
+def verdict(key: str, stack: StackConfig, rows: list[tuple[float, Score]]) -> str:
+    """Whether the present value is as good as the best one."""
+    ours = present(stack, key)
+    best_value, best = min(rows, key=lambda row: row[1].objective)
+    own = next(found for value, found in rows if value == ours)
+    more = own.objective / best.objective - 1.0
+    told = f"{100 * more:.1f} % above the best ({best_value:g})"
+    if more <= TOLERANCE:
+        return f"{stack.name}.yaml {key} {ours:g}: confirmed, {told}"
+    if by_chance(own, best):
+        return f"{stack.name}.yaml {key} {ours:g}: confirmed, {told}, which may be chance"
+    return f"{stack.name}.yaml {key} {ours:g}: NOT confirmed, {told}"
+
+
+def by_chance(own: Score, best: Score) -> bool:
+    """Whether only the tracking is worse, by less than two standard errors of the paired difference."""
+    more = np.subtract(own.squares, best.squares)
+    error = float(np.std(more, ddof=1) / np.sqrt(len(more)))
+    return own.penalty <= best.penalty and float(np.mean(more)) <= 2.0 * error
+
+
+def table(key: str, stack: StackConfig, rows: list[tuple[float, Score]]) -> str:
+    """The rows of one parameter; the present value is marked."""
+    lines = [
+        f"{key:26s} {'objective':>9s} {'arrived':>8s} {'rms (m)':>8s} {'max (m)':>8s} {'speed':>6s} {'time (s)':>9s}"
+    ]
+    for value, found in rows:
+        mark = " <- yaml" if value == present(stack, key) else ""
+        lines.append(
+            f"{value:26g} {found.objective:9.4f} {100 * found.arrived:7.0f}% {found.tracking:8.4f} "
+            f"{found.farthest:8.3f} {found.speed:6.3f} {found.duration:9.1f}{mark}"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Search, print."""
+    first, count = int(os.environ.get("SEED", "200")), int(os.environ.get("N", "4"))
+    only = os.environ.get("ONLY", "")
+    start = time.perf_counter()
+    try:
+        check_seeds(first, count)
+        if only and only not in (*CANDIDATES, "look_ahead"):
+            raise BadInputError(f"ONLY={only}: not known; allowed: {', '.join((*CANDIDATES, 'look_ahead'))}")
+    except MavfiError as error:
+        sys.exit(str(error))
+    seeds = range(first, first + count)
+    flown = ", ".join(f"{name} at {v_max:g} m/s" for name, v_max in SETTINGS)
+    sys.stdout.write(f"seeds {seeds[0]} to {seeds[-1]}; {flown}; tolerance {100 * TOLERANCE:g} %\n\n")
+    verdicts = []
+    for name, keys in (("hardened", list(CANDIDATES)), ("published", ["look_ahead"])):
+        stack = shipped("stacks", StackConfig, name)
+        wanted = [key for key in keys if only in ("", key)]
+        for key, rows in search(stack, wanted, seeds, {}):
+            sys.stdout.write(f"{name}: {table(key, stack, rows)}\n\n")
+            sys.stdout.flush()
+            if name == "hardened":
+                verdicts.append(verdict(key, stack, rows))
+    sys.stdout.write("\n".join(verdicts) + f"\n{time.perf_counter() - start:.0f} s\n")
+
+
+if __name__ == "__main__":
+    main()

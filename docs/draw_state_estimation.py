@@ -1,0 +1,64 @@
+"""Draw docs/images/state_estimation.png: errors of the state estimator in a golden flight, and what it says of them.
+
+Run as `python docs/draw_state_estimation.py`.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from mavfi.hosts.compose import make_scenario, pipeline_config
+from mavfi.hosts.inprocess import fly
+from mavfi.pipeline.estimation import StateEstimator
+from mavfi.states import State, floats
+
+PARTS = (
+    ("position error (m)", ("x", "y", "z"), 0, 0.22),
+    ("velocity error (m/s)", ("vx", "vy", "vz"), 3, 0.12),
+)
+WIDTH = 10
+
+
+def replayed(published: list[tuple[int, State]], noise: Any) -> dict[int, np.ndarray]:
+    """Estimates and standard deviations by instant, from the sensors' publications. Shape (2, 6) each."""
+    kernel = StateEstimator(noise)
+    found = {}
+    for time_us, state in published:
+        if kernel.receive(state, time_us):
+            (estimate,) = kernel.step(time_us)
+            deviations = np.sqrt(np.diag(kernel.covariance)[:6])
+            found[time_us] = np.array([floats(estimate.header, WIDTH)[:6], deviations])
+    return found
+
+
+def draw(path: Path) -> None:
+    """Fly, let the estimator run again on what its sensors published, and draw."""
+    scenario = make_scenario("dense", 7, stack="hardened", localization="estimator")
+    published: list[tuple[int, State]] = []
+
+    def note(state: State, time_us: int) -> None:
+        if state.spec.name in StateEstimator.reads:
+            published.append((time_us, state))
+
+    flight = fly(scenario, observer=note)
+    found = replayed(published, pipeline_config(scenario, flight.world, np.zeros((0, 3))).noise)
+    times = flight.log.column("time")[:-1]
+    estimates, deviations = np.array([found[round(1e6 * time)] for time in times]).transpose(1, 0, 2)
+    figure, panels = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained")
+    for panel, (label, columns, first, limit) in zip(panels, PARTS, strict=True):
+        truth = flight.log.columns(*columns)[:-1]
+        for axis, colour in enumerate(("tab:blue", "tab:orange", "tab:green")):
+            error = estimates[:, first + axis] - truth[:, axis]
+            panel.plot(times, error, color=colour, linewidth=0.9, label=columns[axis])
+        for sign in (-3.0, 3.0):
+            panel.plot(times, sign * deviations[:, first], color="grey", linestyle="--", linewidth=0.9)
+        panel.set(xlabel="time (s)", ylabel=label, ylim=(-limit, limit), xlim=(0.0, times[-1]))
+        panel.legend(frameon=False, ncols=3, loc="upper right")
+        panel.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path, dpi=110)
+
+
+if __name__ == "__main__":
+    draw(Path(__file__).parent / "images" / "state_estimation.png")

@@ -1,0 +1,75 @@
+"""`mavfi export`: a flight as a ROS bag, an mcap file or a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mavfi.cli.console import JSON_HELP, check_writable, console, write_json
+from mavfi.errors import BadInputError
+
+if TYPE_CHECKING:
+    from mavfi.flight_log import FlightLog
+
+ENDINGS = (".bag", ".mcap", ".csv")
+
+
+def export(
+    flight: Annotated[
+        Path, typer.Argument(metavar="FLIGHT.npz|DIR", help="What `mavfi fly --save` wrote, or a campaign's folder.")
+    ],
+    run_id: Annotated[
+        str, typer.Argument(metavar="[RUN_ID]", help="Run of the campaign; it is flown again.", show_default=False)
+    ] = "",
+    to: Annotated[
+        Path, typer.Option(metavar="FILE", help=".bag (ROS 1), .mcap (ROS 2, Foxglove, PlotJuggler), or .csv.")
+    ] = Path("flight.mcap"),
+    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+) -> None:
+    """Write a flight for other people's tools; no ROS is needed.
+
+    Example: [bold]mavfi export flight.npz --to flight.mcap[/bold]
+    """
+    if to.suffix not in ENDINGS:
+        raise BadInputError(f"--to: {to}: allowed: a file that ends in {', '.join(ENDINGS)}")
+    if flight.is_dir() and not run_id:
+        raise BadInputError(f"{flight}: is a folder; name the run, too: mavfi export {flight} RUN_ID")
+    if run_id and not flight.is_dir():
+        raise BadInputError(f"{flight}: is not the folder of a campaign, so there is no run {run_id!r}")
+    check_writable(to)
+    log = _log(flight, run_id)
+    count = _write(log, to)
+    if as_json:
+        write_json({"file": str(to), "written": count, "unit": "rows" if to.suffix == ".csv" else "messages"})
+        return
+    what = "rows" if to.suffix == ".csv" else "messages"
+    console().print(f"{to}: {count} {what}, {float(log.column('time')[-1]):.1f} s of flight, {log.status.label}")
+
+
+def _log(flight: Path, run_id: str) -> FlightLog:
+    if run_id:
+        from mavfi.campaign.replay import replay
+
+        return replay(flight, run_id).flight.log
+    from mavfi.flight_log import FlightLog
+
+    return FlightLog.load(flight)
+
+
+def _write(log: FlightLog, to: Path) -> int:
+    if to.suffix == ".csv":
+        from mavfi.reports.export.table import write_csv
+
+        return write_csv(log, to)
+    from mavfi.config import parse
+    from mavfi.mission import Scenario
+    from mavfi.reports.export.bags import write_bag, write_mcap
+    from mavfi.reports.export.timeline import timeline
+    from mavfi.sim.environments import build_world
+
+    scenario = parse(Scenario, log.meta.get("scenario", {}), "flight log, scenario")
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    write = write_bag if to.suffix == ".bag" else write_mcap
+    return write(timeline(log, world), to)

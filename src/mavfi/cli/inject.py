@@ -1,0 +1,82 @@
+"""`mavfi inject`: flip a bit in a register of a running process."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mavfi.cli.console import JSON_HELP, check_seed, console, write_json
+from mavfi.errors import BadInputError
+
+if TYPE_CHECKING:
+    from mavfi.faults.register import RegisterInjection
+
+
+def inject(  # noqa: PLR0913 - one parameter per option
+    pid: Annotated[int | None, typer.Option(help="Process to strike; one of your own.")] = None,
+    ros_node: Annotated[
+        str | None, typer.Option(metavar="NAME", help="The ROS node to strike, instead of --pid.")
+    ] = None,
+    symbol: Annotated[
+        str, typer.Option(help="Strike at the next call of this function: its name, or a part that no other has.")
+    ] = "",
+    registers: Annotated[str, typer.Option(help="general (with the flags), fp (XMM, YMM), or all.")] = "all",
+    access: Annotated[
+        str, typer.Option(help="Strike what the next instruction reads, or what it has written: read, write, either.")
+    ] = "either",
+    thread: Annotated[int, typer.Option(help="Its number; 0 = the busiest, or whichever calls the symbol.")] = 0,
+    walk: Annotated[
+        int, typer.Option(help="From the stop on, fewer than this many instructions are executed before the strike.")
+    ] = 64,
+    count: Annotated[int, typer.Option(help="How many strikes.")] = 1,
+    interval: Annotated[float, typer.Option(help="Between two strikes, s.")] = 0.0,
+    timeout: Annotated[float, typer.Option(help="Longest wait for a strike, s.")] = 10.0,
+    seed: Annotated[int, typer.Option(help="Draws length of walk, register and bit.")] = 0,
+    null: Annotated[bool, typer.Option("--null", help="Do everything but flip the bit.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+) -> None:
+    """Flip one bit in one register of a running process (x86-64 Linux), and say what was hit.
+
+    The process need not know mavfi. It stands still for about a millisecond, and runs on.
+
+    Example: [bold]mavfi inject --pid 1234 --registers fp --seed 3[/bold]
+    """
+    check_seed("--seed", seed)
+
+    from mavfi.faults.register import Request
+    from mavfi.faults.register import inject as strike
+
+    request = Request(_process(pid, ros_node), seed, registers, access, symbol, thread, walk, timeout, null)
+    done = strike(request, count, interval, None if as_json else _tell)
+    if as_json:
+        write_json({"request": request.to_json(), "injections": [injection.to_json() for injection in done]})
+
+
+def _process(pid: int | None, ros_node: str | None) -> int:
+    """The process that is meant."""
+    if (pid is None) == (ros_node is None):
+        raise BadInputError("--pid, --ros-node: allowed: one of them")
+    if pid is not None:
+        return pid
+    from mavfi.hosts.ros.attach.master import Master
+
+    assert ros_node is not None
+    return Master().node_pid(ros_node)
+
+
+def _tell(injection: RegisterInjection) -> None:
+    """One strike in two lines."""
+    where = injection.symbol or f"{injection.offset:#x}"
+    moment = "before" if injection.access == "read" else "after"
+    struck = "struck" if injection.hit else "NOT struck as planned"
+    text = console()
+    text.print(
+        f"pid {injection.pid}, thread {injection.thread}: [bold]{injection.register}[/bold] bit {injection.bit} "
+        f"{struck} {moment} [bold]{injection.instruction}[/bold]: {injection.before:#x} → {injection.after:#x}"
+    )
+    text.print(
+        f"  at {injection.address:#x}, {where} in {injection.library}; "
+        f"stood still for {injection.stopped_us / 1000:.2f} ms",
+        style="dim",
+    )

@@ -1,0 +1,226 @@
+"""`mavfi ros list | corrupt | watch`: look at, change and watch any ROS 1 application while it runs."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich import box
+from rich.table import Table
+
+from mavfi.cli.console import JSON_HELP, check_number, check_seed, console, write_json
+from mavfi.cli.stopping import stoppable
+from mavfi.errors import BadInputError, MavfiError
+
+if TYPE_CHECKING:
+    from mavfi.detectors.detector import Detector
+    from mavfi.hosts.ros.attach.corrupt import Corruptor, MessageInjection
+    from mavfi.hosts.ros.attach.relay import Relay
+    from mavfi.hosts.ros.attach.survey import Survey
+    from mavfi.hosts.ros.attach.watch import Listener, Probe
+
+_LONGEST_S = 7 * 86_400.0
+_AFTERWARDS_S = 0.2
+"""How long messages still pass through after the last strike: what was struck must arrive (s)."""
+_POLL_S = 0.01
+
+
+def add_verbs(app: typer.Typer) -> None:
+    """Add the verbs to `mavfi ros`."""
+    app.command("list")(list_graph)
+    app.command("corrupt")(corrupt)
+    app.command("watch")(watch)
+
+
+def list_graph(
+    seconds: Annotated[float, typer.Option(help="How long to listen for rates, s; 0 = not at all.")] = 1.0,
+    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+) -> None:
+    """Print nodes, processes, executables, topics, types and rates of the running ROS graph.
+
+    Example: [bold]mavfi ros list[/bold]
+    """
+    check_number("--seconds", seconds, 0.0, 3600.0)
+    from mavfi.hosts.ros.attach.master import Master
+    from mavfi.hosts.ros.attach.survey import survey
+
+    found = survey(Master(), seconds)
+    if as_json:
+        write_json(found.to_json())
+        return
+    out = console()
+    for table in _tables(found):
+        out.print(table)
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_style="bold", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in columns:
+        table.add_column(column, justify="right" if column in ("pid", "Hz") else "left", overflow="fold")
+    return table
+
+
+def _tables(found: Survey) -> tuple[Table, Table]:
+    nodes = _table(f"Nodes at {found.master}", "node", "pid", "executable", "publishes", "reads")
+    for node in found.nodes:
+        pid = str(node.pid) if node.is_alive else "[red]dead[/red]"
+        executable = node.executable if node.is_alive else "[dim]registered only; `rosnode cleanup` removes it[/dim]"
+        nodes.add_row(node.name, pid, executable, "\n".join(node.publishes), "\n".join(node.reads))
+    topics = _table("Topics", "topic", "type", "Hz", "publishers", "readers")
+    for topic in found.topics:
+        rate = "" if topic.rate is None else f"{topic.rate:.1f}"
+        topics.add_row(topic.name, topic.kind, rate, "\n".join(topic.publishers), "\n".join(topic.readers))
+    return nodes, topics
+
+
+def corrupt(  # noqa: PLR0913 - one parameter per option
+    topic: Annotated[str, typer.Option(help="Whose messages are struck.")],
+    field: Annotated[str, typer.Option(help="A number in them, e.g. position\\[0] or pose.position.x.")],
+    bit: Annotated[int | None, typer.Option(help="0 = least significant; drawn by default.")] = None,
+    at: Annotated[int, typer.Option(help="First message that may be struck, counted from 1.")] = 1,
+    once: Annotated[bool, typer.Option("--once", help="Strike one message, then let go (the default).")] = False,
+    rate: Annotated[float | None, typer.Option(help="Strike each message with this probability, until Ctrl-C.")] = None,
+    node: Annotated[str | None, typer.Option(help="Only this reader gets struck messages.")] = None,
+    to: Annotated[
+        str | None, typer.Option(metavar="TOPIC", help="Publish there; the target was started with that remapping.")
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="Let go after so long, s.")] = None,
+    seed: Annotated[int, typer.Option(help="Draws messages and bits.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+) -> None:
+    r"""Flip bits of a number in the messages of any topic, without restarting anybody.
+
+    Readers are turned to mavfi, and back to their publishers in the end, also if mavfi is killed.
+
+    Example: [bold]mavfi ros corrupt --topic /joint_states --field 'position\[0]' --bit 51 --at 10[/bold]
+    """
+    check_seed("--seed", seed)
+    check_number("--duration", duration, 0.0, _LONGEST_S)
+    if once and rate is not None:
+        raise BadInputError("--once, --rate: allowed: one of them")
+    from mavfi.hosts.ros.attach.corrupt import Corruptor, MessageFault
+    from mavfi.hosts.ros.attach.master import Master
+    from mavfi.hosts.ros.attach.relay import Relay
+
+    fault = MessageFault(field, bit, at, rate, seed)
+    corruptor = Corruptor(fault, None if as_json else _tell)
+    relay = Relay(Master(), topic, corruptor, fault.check, node, to)
+    with stoppable("Stopped. The graph is as it was."), relay:
+        try:
+            _run(relay, corruptor, duration)
+        finally:
+            corruptor.stop()
+            if as_json:
+                done = [injection.to_json() for injection in corruptor.injections]
+                write_json({"topic": relay.to, "passed": relay.passed, "injections": done})
+    if not as_json:
+        console().print(f"{relay.passed} messages passed, {len(corruptor.injections)} struck; the graph is as it was")
+
+
+def _run(relay: Relay, corruptor: Corruptor, duration: float | None) -> None:
+    """Until the fault has struck, or time is over."""
+    for failure in relay.failures:
+        console(error=True).print(f"not turned: {failure}", markup=False)
+    end = time.monotonic() + (_LONGEST_S if duration is None else duration)
+    while time.monotonic() < end:
+        if relay.error is not None:
+            raise MavfiError(f"topic {relay.topic}: {relay.error}")
+        if corruptor.fault.rate is None and corruptor.struck.wait(_POLL_S):
+            break
+        time.sleep(_POLL_S)
+    corruptor.stop()
+    time.sleep(_AFTERWARDS_S)
+
+
+def _tell(injection: MessageInjection) -> None:
+    """One strike in one line."""
+    verdict = "verified" if injection.verified else "NOT verified"
+    console().print(
+        f"{injection.topic} message {injection.message}: [bold]{injection.field.replace('[', chr(92) + '[')}[/bold] "
+        f"({injection.kind}) bit {injection.bit}: {injection.before!r} → {injection.after!r}, "
+        f"{injection.readers} readers, {verdict}"
+    )
+
+
+def watch(  # noqa: PLR0913 - one parameter per option
+    topics: Annotated[str, typer.Option(metavar="TOPIC,...", help="What is watched.")],
+    fields: Annotated[
+        str, typer.Option(metavar="FIELD,...", help="Numbers, e.g. position\\[0], or TOPIC:FIELD; all by default.")
+    ] = "",
+    detector: Annotated[str, typer.Option(help="gaussian or autoencoder.")] = "gaussian",
+    profile: Annotated[
+        str, typer.Option(help="paper (signs and exponents of values) or tuned (of changes).")
+    ] = "tuned",
+    train: Annotated[
+        str, typer.Option(metavar="FILE.bag|online", help="A ROS 1 bag of normal messages, or what comes first.")
+    ] = "online",
+    learn_s: Annotated[float, typer.Option("--learn", help="How long to learn online, s.")] = 10.0,
+    alarm_topic: Annotated[str, typer.Option(help="Where alarms are published, as JSON text.")] = "/mavfi/alarm",
+    duration: Annotated[float | None, typer.Option(help="Watch for so long, s; until Ctrl-C by default.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+) -> None:
+    r"""Watch numbers of any topics with one of the paper's detectors; alarms are printed and published.
+
+    Example: [bold]mavfi ros watch --topics /joint_states --fields 'position\[0]' --train bag.bag[/bold]
+    """
+    check_number("--learn", learn_s, 0.1, _LONGEST_S)
+    check_number("--duration", duration, 0.0, _LONGEST_S)
+    if profile not in ("paper", "tuned"):
+        raise BadInputError(f"--profile: {profile!r}: allowed: paper, tuned")
+    from mavfi.hosts.ros.attach.master import Master
+    from mavfi.hosts.ros.attach.watch import Listener, Watch
+
+    listener = Listener(Master(), _list(topics, "--topics"))
+    out = console()
+    with stoppable("Stopped. The graph is as it was."), listener:
+        probes, trained, used = _trained(listener, (detector, profile), _list(fields), train, learn_s)
+        watching = Watch(listener, probes, trained, alarm_topic)
+        if not as_json:
+            out.print(f"learned from {used} messages; watching " + ", ".join(sorted(probes)), markup=False)
+        try:
+            for topic, message in listener.take(_LONGEST_S if duration is None else duration):
+                alarm = watching.judge(topic, message)
+                if alarm is not None and not as_json:
+                    named = ", ".join(f"{f} = {v}" for f, v in zip(alarm.fields, alarm.values, strict=False))
+                    out.print(f"{topic} message {alarm.message}: {named}, score {alarm.score:.3g}", markup=False)
+        finally:
+            if as_json:
+                write_json({
+                    "learned_from": used, "judged": dict(watching.judged), "skipped": dict(watching.skipped),
+                    "alarms": [alarm.to_json() for alarm in watching.alarms],
+                })  # fmt: skip
+    if not as_json:
+        out.print(f"{watching.judged.total()} messages judged, {len(watching.alarms)} alarms")
+
+
+def _list(text: str, option: str = "") -> list[str]:
+    """The parts of a list with commas."""
+    parts = [part.strip() for part in text.split(",") if part.strip()]
+    if option and not parts:
+        raise BadInputError(f"{option}: {text!r}: allowed: names, with commas between")
+    return parts
+
+
+def _trained(
+    listener: Listener, chosen: tuple[str, str], fields: list[str], source: str, seconds: float
+) -> tuple[dict[str, Probe], Detector, int]:
+    """What is watched, the detector, and how many messages it has learned from."""
+    from mavfi.detectors.foreign import KINDS
+    from mavfi.hosts.ros.attach.watch import make_probes, read_bag, train
+
+    if chosen[0] not in KINDS:
+        raise BadInputError(f"--detector: {chosen[0]!r}: allowed: {', '.join(KINDS)}")
+    used: list[int] = []
+    if source == "online":
+        probes = make_probes(listener.first(), fields)
+        return probes, train(*chosen, probes, listener.take(seconds), used.append), used[0]
+    messages = list(read_bag(Path(source), listener.topics))
+    first = {topic: (definition, message) for topic, definition, message in reversed(messages)}
+    for topic, definition in listener.definitions.items():
+        if topic in first and definition.types != first[topic][0].types:
+            raise BadInputError(f"{source}: {topic} has another type there than now ({definition.kind})")
+    probes = make_probes(first, fields)
+    parts = ((topic, message) for topic, _, message in messages)
+    return probes, train(*chosen, probes, parts, used.append), used[0]

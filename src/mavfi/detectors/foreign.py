@@ -1,0 +1,110 @@
+"""GAD and AAD for the numbers of any program: the same classes and arithmetic, with scales learned from the numbers.
+
+Nothing is known of such a number's unit.  So what counts as zero is learned as well: of the profile `paper`, which
+subtracts codes of values, an eighth of the largest magnitude; of `tuned`, which codes differences, half of the largest
+difference.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from mavfi.detectors import features, training
+from mavfi.detectors.autoencoder import SOURCE as AUTOENCODER
+from mavfi.detectors.autoencoder import AutoencoderDetector
+from mavfi.detectors.detector import Detector
+from mavfi.detectors.gaussian import SOURCE as GAUSSIAN
+from mavfi.detectors.gaussian import GaussianDetector
+from mavfi.detectors.model import Model
+from mavfi.detectors.preprocess import Preprocessor
+from mavfi.errors import BadInputError
+from mavfi.states import Field, Stage, State, StateSpec
+
+KINDS = (GAUSSIAN, AUTOENCODER)
+SMALLEST_SAMPLE = 50
+"""Messages of each source without which nothing can be learned."""
+_SMALLEST_EXPONENT, _LARGEST_EXPONENT = -1000, 1000
+_BELOW = {"paper": 3, "tuned": 1}
+"""How many octaves below the largest magnitude, or difference, the threshold of a code lies."""
+
+
+def foreign_spec(name: str, fields: Sequence[str]) -> StateSpec:
+    """Numbers that are published together, as a state.
+
+    Args:
+        name: Of their source.
+        fields: Names of the numbers.
+    """
+    return StateSpec(name, "", Stage.SENSOR, "", tuple(Field(field, "f8", "-") for field in fields))
+
+
+def foreign_state(spec: StateSpec, values: Sequence[float]) -> State:
+    """One publication of such a state."""
+    header = np.array(values, np.float64).view(spec.header_dtype)
+    return State(spec, header, np.zeros(0, spec.element_dtype))
+
+
+def learn(kind: str, profile: str, states: Sequence[State], specs: Mapping[str, StateSpec]) -> Detector:
+    """A detector that takes what it is shown for normal.
+
+    Args:
+        kind: One of KINDS.
+        profile: "paper" or "tuned".
+        states: Publications in their order.
+        specs: Their specs by name.
+
+    Raises:
+        BadInputError: The kind is not known, a source published too little, or a number is not finite.
+    """
+    if kind not in KINDS:
+        raise BadInputError(f"detector {kind!r}: not known; allowed: {', '.join(KINDS)}")
+    order = {name: slot for slot, name in enumerate(specs)}
+    slots = np.array([order[state.spec.name] for state in states], np.int64)
+    thresholds = [
+        threshold
+        for slot, spec in enumerate(specs.values())
+        for threshold in _thresholds(spec, [state for state in states if state.spec is spec], profile)
+    ]
+    preprocessor = Preprocessor.of(specs, profile, thresholds)
+    sample = _sample(states, slots, preprocessor)
+    if kind == GAUSSIAN:
+        fit = training.fit_online if profile == "paper" else training.fit_frozen
+        return GaussianDetector(_model(kind, profile, fit(sample, preprocessor)), preprocessor=preprocessor)
+    parameters = training.fit_autoencoder(sample, per_output=profile == "tuned")
+    return AutoencoderDetector(_model(kind, profile, parameters), "keyed", preprocessor)
+
+
+def _model(kind: str, profile: str, parameters: dict) -> Model:
+    return Model(kind, profile, "", "", parameters, {})
+
+
+def _thresholds(spec: StateSpec, states: Sequence[State], profile: str) -> list[int]:
+    if len(states) < SMALLEST_SAMPLE:
+        raise BadInputError(
+            f"training: {len(states)} messages of {spec.name}; allowed: {SMALLEST_SAMPLE} or more that are normal"
+        )
+    values = np.array([state.header[0].item() for state in states])
+    if not np.isfinite(values).all():
+        field = spec.header[int(np.argwhere(~np.isfinite(values))[0, 1])].name
+        raise BadInputError(f"training: {spec.name} {field}: holds numbers that are not finite; leave this field out")
+    with np.errstate(over="ignore"):
+        largest = np.abs(values if profile == "paper" else np.diff(values, axis=0)).max(axis=0)
+    largest = np.minimum(largest, np.finfo(np.float64).max)
+    exponents = np.where(largest > 0, np.frexp(largest)[1] - 1, np.frexp(np.abs(values).max(axis=0))[1] - 1 - 20)
+    return [int(exponent) for exponent in np.clip(exponents - _BELOW[profile], _SMALLEST_EXPONENT, _LARGEST_EXPONENT)]
+
+
+def _sample(states: Sequence[State], slots: np.ndarray, preprocessor: Preprocessor) -> training.Sample:
+    """What a detector would have seen."""
+    contents = [state.header.tobytes() for state in states]
+    events = features.Events(
+        slots, np.cumsum([len(part) for part in contents]), np.frombuffer(b"".join(contents), np.uint8)
+    )
+    vectors = np.zeros((len(states), len(preprocessor.fields)), np.int16)
+    regimes = np.zeros(len(states), np.int64)
+    preprocessor.start()
+    features.replay(events, preprocessor.watch, vectors, regimes)
+    preprocessor.start()
+    first = np.zeros(len(states), bool)
+    first[np.unique(slots, return_index=True)[1]] = True
+    return training.Sample(vectors, slots, regimes, first)

@@ -1,0 +1,236 @@
+"""What one does with a kernel: count its instructions, say what they are, draw faults, and strike.
+
+Kernels are functions compiled by `mavfi.numerics.jit.kernel_jit`; nothing else of mavfi is needed.
+"""
+
+import hashlib
+import pickle
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.faults.instruction.build import name_of
+from mavfi.faults.instruction.fault import InstructionFault, Model, Strike, plan, strike_of
+from mavfi.faults.instruction.forked import Ended, run_in_child
+from mavfi.faults.instruction.refusal import BuildError, MismatchError
+from mavfi.faults.instruction.selection import parse_selection
+from mavfi.faults.instruction.table import Site
+from mavfi.faults.instruction.variant import Variant, variant_for
+
+_ROUNDS = 40
+_BATCH = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one struck call.
+
+    Attributes:
+        how: "masked": result and arguments are bit for bit as without the fault; "sdc": they are not; "crash": a
+            signal; "hang": the budget of instructions was used up; "exception"; "not_reached": there was no strike.
+        strike: What the fault did.
+        detail: Name of the signal, or text of the exception.
+    """
+
+    how: Literal["masked", "sdc", "crash", "hang", "exception", "not_reached"]
+    strike: Strike
+    detail: str = ""
+
+
+def count(kernel: Any, *args: Any) -> int:
+    """How many values the kernel writes: its dynamic instructions that can be struck.
+
+    Args:
+        kernel: A compiled function.
+        *args: Its arguments; they are changed as by a call.
+
+    Raises:
+        RefusedError: It cannot be instrumented exactly.
+    """
+    return variant_for(kernel, args).count(*args)[1]
+
+
+def histogram(kernel: Any, *args: Any) -> list[tuple[Site, int]]:
+    """All static instructions, and how often each is executed.
+
+    Args:
+        kernel: A compiled function.
+        *args: Its arguments; they are changed as by a call.
+    """
+    variant = variant_for(kernel, args)
+    _, times, _ = variant.profile(*args)
+    return [(site, int(n)) for block, n in zip(variant.table.blocks, times, strict=True) for site in block]
+
+
+def resolve(kernel: Any, indices: Sequence[int], *args: Any) -> list[Site | None]:
+    """Which static instruction has which dynamic index; None beyond the last.
+
+    Args:
+        kernel: A compiled function.
+        indices: From 0; in any order.
+        *args: Its arguments; they are changed as by a call.
+    """
+    return variant_for(kernel, args).resolve(indices, *args)[1]
+
+
+def draw(
+    kernel: Any, n: int, *args: Any, which: str = "all", model: Model = "one_bit", seed: int = 0, bits: int = 2
+) -> list[InstructionFault]:
+    """Draw faults for one call: uniform over its dynamic instructions of a class, then over bits.
+
+    Args:
+        kernel: A compiled function.
+        n: How many.
+        *args: Its arguments; they stay as they are.
+        which: Class of instructions, see `mavfi.faults.instruction.selection`.
+        model: "one_bit", "bits", "random" or "zero".
+        seed: Of the draw.
+        bits: Number of bits for the model "bits".
+
+    Raises:
+        BadInputError: No instruction of that class was found among some thousands.
+    """
+    variant = variant_for(kernel, args)
+    selection = parse_selection(which)
+    random = np.random.default_rng(seed)
+    total = int(_apart(lambda: variant.count(*args)[1]))
+    if total == 0:
+        raise BadInputError(f"{name_of(kernel)}: it writes no value that could be struck")
+    found: list[InstructionFault] = []
+    for _ in range(_ROUNDS):
+        indices = random.integers(total, size=max(_BATCH, n)).tolist()
+        sites: list[Site] = _apart(partial(_sites, variant, indices, args))
+        for index, site in zip(indices, sites, strict=True):
+            if site in selection and len(found) < n:
+                drawn = plan(random, name_of(kernel), variant.ir_sha256, site, index, model, bits)
+                found.append(replace(drawn, which=which, budget=budget_for(total)))
+        if len(found) == n:
+            return found
+    raise BadInputError(
+        f"instructions {which!r}: {len(found)} found in {_ROUNDS * max(_BATCH, n)} tries; allowed: a class that "
+        f"{name_of(kernel)} executes"
+    )
+
+
+def budget_for(total: int) -> int:
+    """After how many values a call counts as hanging, if it writes `total` without a fault."""
+    return 3 * total + 10_000
+
+
+def inject(kernel: Any, fault: InstructionFault, *args: Any) -> tuple[Any, Strike]:
+    """Call a kernel with a fault, in this process.
+
+    A wild write, a crash or a hang (exit status 77) ends the process: strike addresses and control by `run_forked`.
+
+    Args:
+        kernel: A compiled function.
+        fault: What to strike.
+        *args: Its arguments; they are changed as by a call with the fault.
+
+    Returns:
+        The result of the call, and what the fault did.
+
+    Raises:
+        MismatchError: The fault belongs to other machine code.
+    """
+    variant = variant_for(kernel, args)
+    check_fault(fault, variant, kernel)
+    budget = fault.budget or budget_for(int(_apart(lambda: variant.count(*args)[1])))
+    result = variant.inject(fault.index, *fault.masks, budget, *args)
+    return result, strike_of(fault, variant.report())
+
+
+def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float = 60.0) -> Outcome:
+    """Call a kernel with a fault in a forked child, and compare with the call without it.
+
+    Args:
+        kernel: A compiled function.
+        fault: What to strike.
+        *args: Its arguments; they stay as they are.
+        timeout: Wall-clock limit (s), for what the budget of instructions does not see.
+
+    Raises:
+        MismatchError: The fault belongs to other machine code.
+    """
+    variant = variant_for(kernel, args)
+    check_fault(fault, variant, kernel)
+    variant.own_report()
+    golden, total = _apart(lambda: _digest_and_count(variant, args))
+    armed = replace(fault, budget=fault.budget or budget_for(total))
+
+    def struck() -> bytes:
+        result = variant.inject(armed.index, *armed.masks, armed.budget, *args)
+        return digest((result, args))
+
+    return judge(armed, variant, run_in_child(struck, timeout), golden)
+
+
+def judge(fault: InstructionFault, variant: Variant, ended: Ended, golden: bytes) -> Outcome:
+    """The outcome of a struck call whose child reported the digest of what it left."""
+    strike = strike_of(fault, variant.report())
+    if strike.site is None:
+        return Outcome("not_reached", strike, ended.detail)
+    if ended.how == "done":
+        return Outcome("masked" if ended.payload == golden else "sdc", strike)
+    return Outcome(ended.how, strike, ended.detail)
+
+
+def check_fault(fault: InstructionFault, variant: Variant, kernel: Any) -> None:
+    """Refuse a fault that was drawn for other machine code.
+
+    Raises:
+        MismatchError: Kernel or digest differ.
+    """
+    if fault.kernel != name_of(kernel):
+        raise MismatchError(f"fault in {fault.kernel}: given to {name_of(kernel)}")
+    if fault.ir_sha256 != variant.ir_sha256:
+        raise MismatchError(
+            f"fault in {fault.kernel}: drawn for IR {fault.ir_sha256[:12]}, this is {variant.ir_sha256[:12]}: source, "
+            "numba, llvmlite or CPU differ"
+        )
+
+
+def digest(value: Any) -> bytes:
+    """Digest of numbers and arrays, bit for bit, also within tuples and lists."""
+    total = hashlib.sha256()
+    for part in _bytes(value):
+        total.update(part)
+    return total.digest()
+
+
+def _bytes(value: Any) -> Iterator[bytes]:
+    if isinstance(value, np.ndarray | np.generic):
+        yield f"{value.dtype}{value.shape}".encode()
+        yield value.tobytes()
+    elif isinstance(value, tuple | list):
+        yield f"{type(value).__name__}{len(value)}".encode()
+        for part in value:
+            yield from _bytes(part)
+    else:
+        number = np.float64(value).tobytes() if isinstance(value, float) else repr(value).encode()
+        yield type(value).__name__.encode() + number
+
+
+def _sites(variant: Variant, indices: list[int], args: tuple[Any, ...]) -> list[Site | None]:
+    return variant.resolve(indices, *args)[1]
+
+
+def _digest_and_count(variant: Variant, args: tuple[Any, ...]) -> tuple[bytes, int]:
+    result, total = variant.count(*args)
+    return digest((result, args)), total
+
+
+def _apart(work: Callable[[], Any]) -> Any:
+    """The result of a sound run in a forked child, so that arguments stay as they are.
+
+    Raises:
+        BuildError: It did not end well, although there was no fault.
+    """
+    ended = run_in_child(lambda: pickle.dumps(work()))
+    if ended.how != "done":
+        raise BuildError(f"a run without a fault ended with {ended.how} ({ended.detail})")
+    return pickle.loads(ended.payload)

@@ -1,0 +1,132 @@
+"""Builds the instrumented variant of a kernel: in a child process, since the compiler aborts on a malformed module."""
+
+import json
+import zlib
+from dataclasses import dataclass
+from typing import Any
+
+import llvmlite.binding as llvm
+
+from mavfi.faults.instruction.forked import run_in_child
+from mavfi.faults.instruction.instrument import Instrumented, instrument
+from mavfi.faults.instruction.refusal import BuildError, RefusedError
+from mavfi.faults.instruction.table import Table
+from mavfi.numerics.jit import uncached_copy
+
+_PATIENCE = 600.0
+_OPTIMISATION = 3
+"""Level of code generation, as Numba's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Built:
+    """Machine code of an instrumented kernel and what is known of it.
+
+    Attributes:
+        code: Object file.
+        table: What can be struck.
+        ir_sha256: Digest of the fault space.
+        wrapper: Name of the function that Python calls.
+        environment: Name of the global that points to Numba's environment of the kernel.
+    """
+
+    code: bytes
+    table: Table
+    ir_sha256: str
+    wrapper: str
+    environment: str
+
+    def pack(self) -> bytes:
+        """Bytes that hold all of it."""
+        facts = [self.table.to_json(), self.ir_sha256, self.wrapper, self.environment]
+        head = zlib.compress(json.dumps(facts).encode(), 1)
+        return len(head).to_bytes(8, "little") + head + self.code
+
+    @staticmethod
+    def unpack(data: bytes) -> "Built":
+        """Inverse of `pack`."""
+        size = 8 + int.from_bytes(data[:8], "little")
+        rows, *names = json.loads(zlib.decompress(data[8:size]))
+        return Built(data[size:], Table.from_json(rows), *names)
+
+
+def name_of(kernel: Any) -> str:
+    """Module and name of a kernel."""
+    return f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
+
+
+def check(kernel: Any) -> None:
+    """Refuse what cannot be instrumented exactly, as far as the kernel's flags say so.
+
+    Raises:
+        RefusedError: It is not compiled, or with flags under which a fault could not be replayed.
+    """
+    flags = getattr(kernel, "targetoptions", None)
+    if flags is None or not hasattr(kernel, "inspect_llvm"):
+        raise RefusedError(getattr(kernel, "__name__", repr(kernel)), "it is not a function compiled by kernel_jit")
+    for flag in ("fastmath", "parallel", "forceobj"):
+        if flags.get(flag):
+            raise RefusedError(name_of(kernel), f"{flag}={flags[flag]!r}")
+
+
+def build(kernel: Any, signature: tuple[Any, ...]) -> Built:
+    """Instrument one signature of a kernel.
+
+    Args:
+        kernel: Numba dispatcher.
+        signature: Numba types of the arguments.
+
+    Raises:
+        RefusedError: It has a construct that is not known.
+        BuildError: The compiler did not survive it.
+    """
+    check(kernel)
+
+    def work() -> bytes:
+        try:
+            return b"B" + assemble(*prepare(kernel, signature)).pack()
+        except RefusedError as error:
+            return b"R" + error.construct.encode()
+
+    ended = run_in_child(work, _PATIENCE)
+    if ended.how != "done":
+        raise BuildError(f"{name_of(kernel)}: the compiler ended with {ended.detail}")
+    if ended.payload[:1] == b"R":
+        raise RefusedError(name_of(kernel), ended.payload[1:].decode())
+    return Built.unpack(ended.payload[1:])
+
+
+def prepare(kernel: Any, signature: tuple[Any, ...]) -> tuple[Instrumented, str, str]:
+    """Compile a kernel anew in this process, and instrument its IR; gives wrapper and environment by name, too."""
+    copy = uncached_copy(kernel)
+    copy.compile(signature)
+    names = copy.overloads[signature].fndesc
+    made = instrument(copy.inspect_llvm(signature), name_of(kernel))
+    return made, names.llvm_cpython_wrapper_name, names.env_name
+
+
+def assemble(made: Instrumented, wrapper: str, environment: str) -> Built:
+    """Translate instrumented IR into machine code."""
+    return Built(translate(made.text), made.table, made.ir_sha256, wrapper, environment)
+
+
+def target_machine() -> Any:
+    """What Numba generates code for: this CPU."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    target = llvm.Target.from_triple(llvm.get_process_triple())
+    return target.create_target_machine(
+        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=_OPTIMISATION,
+        reloc="static", codemodel="jitdefault", jit=True,
+    )  # fmt: skip
+
+
+def translate(text: str) -> bytes:
+    """IR to an object file.
+
+    Raises:
+        RuntimeError: The IR is not well formed (where LLVM does not abort).
+    """
+    module = llvm.parse_assembly(text)
+    module.verify()
+    return bytes(target_machine().emit_object(module))

@@ -1,0 +1,142 @@
+"""What a value is used for: as an address, to decide where control goes, or as data.
+
+A value feeds an address if a pointer operand is computed from it, without a call or a comparison between; also through
+a parameter of a function that was not inlined, and through memory: what is stored where an address is loaded from later
+(an index in an array, a result that is returned through a pointer).  Memory is told apart by where its pointers come
+from: a parameter, the stack, or a call.
+
+A value decides control if a branch, switch or select depends on it, without a load, a call or a comparison of
+floating-point numbers between: counters and bounds of loops do.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from mavfi.faults.instruction.ir import Function, Instruction, Module, holds_pointer, is_floating
+
+ADDRESS, CONTROL, FLOATING, INTEGER = "address", "control", "floating_point", "integer"
+_ADDRESS_STOPS = ("load", "call", "icmp", "fcmp")
+_CONTROL_STOPS = ("load", "call", "fcmp")
+
+
+@dataclass(slots=True)
+class Roles:
+    """Names of a function's values by what they are used for."""
+
+    addresses: set[str]
+    conditions: set[str]
+
+    def of(self, instruction: Instruction) -> str:
+        """Class of the result: the first that fits of address, control, floating point, integer."""
+        if holds_pointer(instruction.kind) or instruction.result in self.addresses:
+            return ADDRESS
+        if is_floating(instruction.kind):
+            return FLOATING
+        return CONTROL if instruction.result in self.conditions else INTEGER
+
+
+def roles(module: Module) -> dict[str, Roles]:
+    """Roles of the values of each function in the fault space, by its name."""
+    flows = {function.name: _Flow(function) for function in module.functions}
+    while any([flow.grow(flows) for flow in flows.values()]):  # all of them, in each round
+        pass
+    return {name: flow.roles() for name, flow in flows.items()}
+
+
+@dataclass(slots=True)
+class _Flow:
+    """How values of one function flow into addresses.
+
+    Attributes:
+        addresses: Values that feed addresses.
+        indices: Origins of memory from which address-feeding values are loaded.
+    """
+
+    function: Function
+    addresses: set[str] = field(default_factory=set)
+    indices: set[str] = field(default_factory=set)
+    made_by: dict[str, Instruction] = field(default_factory=dict)
+    instructions: list[Instruction] = field(default_factory=list)
+    known_origins: dict[str, frozenset[str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.instructions = [instruction for block in self.function.blocks for instruction in block.all()]
+        self.made_by = {str(made.result): made for made in self.instructions if made.result is not None}
+
+    def grow(self, flows: "dict[str, _Flow]") -> bool:
+        """Add what follows from what is known so far; says whether there was anything new."""
+        before = len(self.addresses) + len(self.indices)
+        seeds = set(self.addresses)
+        for instruction in self.instructions:
+            seeds.update(instruction.addresses)
+            if instruction.opcode == "store" and self.origins(instruction.tokens[5]) & self.indices:
+                seeds.add(instruction.tokens[2])
+            callee = flows.get(str(instruction.callee))
+            if callee is not None:
+                seeds.update(self._exchange(instruction, callee))
+        self.addresses |= _sources(seeds, self.made_by, _ADDRESS_STOPS)
+        for instruction in self.instructions:
+            if instruction.opcode == "load" and instruction.result in self.addresses:
+                self.indices |= self.origins(instruction.tokens[4])
+        return len(self.addresses) + len(self.indices) > before
+
+    def _exchange(self, call: Instruction, callee: "_Flow") -> set[str]:
+        """Tell a callee which memory holds indices, and learn it; gives the arguments that it uses in addresses."""
+        found = set()
+        for (_, name), (_, argument) in zip(callee.function.parameters, call.arguments, strict=True):
+            if name in callee.addresses:
+                found.add(argument)
+            origins = self.origins(argument)
+            if name in callee.indices:
+                self.indices |= origins
+            elif origins & self.indices:
+                callee.indices.add(name)
+        return found
+
+    def origins(self, pointer: str) -> frozenset[str]:
+        """Where a pointer comes from: parameters, allocations, calls, loads."""
+        if pointer not in self.known_origins:
+            found, seen, following = set(), {pointer}, [pointer]
+            while following:
+                name = following.pop()
+                sources = _pointers(self.made_by.get(name))
+                if not sources and name[0] == "%":
+                    found.add(name)
+                new = [source for source in sources if source not in seen]
+                seen.update(new)
+                following += new
+            self.known_origins[pointer] = frozenset(found)
+        return self.known_origins[pointer]
+
+    def roles(self) -> Roles:
+        conditions: list[str] = []
+        for instruction in self.instructions:
+            conditions += instruction.conditions
+            if instruction.opcode == "ret":
+                conditions += instruction.uses()  # Numba's functions return a status
+        return Roles(self.addresses, _sources(conditions, self.made_by, _CONTROL_STOPS))
+
+
+def _pointers(maker: Instruction | None) -> list[str]:
+    """What a pointer is computed from; nothing if it has its origin here."""
+    if maker is None or maker.opcode in ("alloca", "call", "load"):
+        return []
+    if maker.opcode == "getelementptr":
+        return [maker.tokens[4]]
+    values = [value for value, _ in maker.incoming] or maker.uses()
+    return [value for value in values if value[0] == "%" and value not in maker.conditions]
+
+
+def _sources(names: Iterable[str], made_by: dict[str, Instruction], stops: tuple[str, ...]) -> set[str]:
+    """The names, and all from which they are computed."""
+    found: set[str] = set()
+    following = list(names)
+    while following:
+        name = following.pop()
+        if name in found or name[0] != "%":
+            continue
+        found.add(name)
+        maker = made_by.get(name)
+        if maker is not None and maker.opcode not in stops:
+            following += maker.uses()
+    return found

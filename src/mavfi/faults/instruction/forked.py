@@ -1,0 +1,172 @@
+"""Work in a forked child: whatever a fault does there, the parent goes on from the instant of the fork.
+
+The child carries on, reports through a pipe, and ends without running the parent's clean-up code.  It ends with the
+parent, writes no core file, and leaves no zombie and no open file behind.
+"""
+
+import contextlib
+import ctypes
+import faulthandler
+import os
+import resource
+import select
+import signal
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Literal, NoReturn
+
+from mavfi.faults.instruction.runtime import HANG_EXIT
+
+How = Literal["done", "crash", "hang", "exception"]
+_EXCEPTION_EXIT = 70
+_LENGTH_BYTES = 8
+_CHUNK = 1 << 16
+_SIGNALS = {int(number): number.name for number in signal.Signals}
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a child ended.
+
+    Attributes:
+        how: "done": it reported; "crash": a signal; "hang": it used up its budget of instructions, or the wall clock;
+            "exception": it raised, or left in another way.
+        payload: What it reported.
+        detail: Name of the signal, text of the exception, or "wall clock".
+    """
+
+    how: How
+    payload: bytes = b""
+    detail: str = ""
+
+
+class ForkPoint:
+    """One process becomes two, once: the child goes on, the parent waits for its end."""
+
+    def __init__(self) -> None:
+        self._pipe = -1
+
+    @property
+    def in_child(self) -> bool:
+        """Whether this is the child."""
+        return self._pipe >= 0
+
+    def split(self, timeout: float = 60.0) -> Ended | None:
+        """Fork.
+
+        Args:
+            timeout: Wall-clock limit of the child (s).
+
+        Returns:
+            None in the child, at once; in the parent how the child ended.
+        """
+        reading, writing = os.pipe()
+        parent = os.getpid()
+        pid = os.fork()
+        if pid == 0:
+            os.close(reading)
+            self._pipe = writing
+            _settle(parent)
+            return None
+        os.close(writing)
+        try:
+            return _wait(pid, reading, timeout)
+        finally:
+            os.close(reading)
+
+    def finish(self, payload: bytes) -> NoReturn:
+        """End the child and report."""
+        self._end(payload, 0)
+
+    @contextlib.contextmanager
+    def guard(self) -> Iterator[None]:
+        """Within it an exception in the child is reported and ends it; in the parent it changes nothing."""
+        try:
+            yield
+        except BaseException as error:
+            if not self.in_child:
+                raise
+            self._end(f"{type(error).__name__}: {error}".encode(errors="replace"), _EXCEPTION_EXIT)
+
+    def _end(self, payload: bytes, status: int) -> NoReturn:
+        try:
+            data = memoryview(len(payload).to_bytes(_LENGTH_BYTES, "little") + payload)
+            while data:
+                data = data[os.write(self._pipe, data) :]
+        finally:
+            os._exit(status)
+
+
+def run_in_child(work: Callable[[], bytes], timeout: float = 60.0) -> Ended:
+    """Do something in a forked child.
+
+    Args:
+        work: Gives the report.
+        timeout: Wall-clock limit (s).
+    """
+    point = ForkPoint()
+    with point.guard():
+        ended = point.split(timeout)
+        if ended is None:
+            point.finish(work())
+    return ended
+
+
+def _settle(parent: int) -> None:
+    """What makes a child harmless."""
+    ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(_EXCEPTION_EXIT)  # the parent ended before it could be watched
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    faulthandler.disable()
+    signal.set_wakeup_fd(-1)
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
+
+
+def _wait(pid: int, pipe: int, timeout: float) -> Ended:
+    """Read what the child writes until it ends, or end it."""
+    deadline = time.monotonic() + timeout
+    data = bytearray()
+    late = False
+    handle = os.pidfd_open(pid)
+    try:
+        sources = [handle, pipe]
+        while handle in sources:
+            ready, _, _ = select.select(sources, [], [], max(0.0, deadline - time.monotonic()))
+            if not ready:
+                late = True
+                break
+            if pipe in ready:
+                chunk = os.read(pipe, _CHUNK)
+                data += chunk
+                if not chunk:
+                    sources.remove(pipe)
+            elif handle in ready:
+                break  # it ended, and nothing is left in the pipe
+    finally:
+        if late or not _has_ended(handle):
+            signal.pidfd_send_signal(handle, signal.SIGKILL)
+        _, status = os.waitpid(pid, 0)
+        os.close(handle)
+    return Ended("hang", detail="wall clock") if late else _judge(status, bytes(data))
+
+
+def _has_ended(handle: int) -> bool:
+    return bool(select.select([handle], [], [], 0.0)[0])
+
+
+def _judge(status: int, data: bytes) -> Ended:
+    if os.WIFSIGNALED(status):
+        return Ended("crash", detail=_SIGNALS.get(os.WTERMSIG(status), f"signal {os.WTERMSIG(status)}"))
+    code = os.WEXITSTATUS(status)
+    if code == HANG_EXIT:
+        return Ended("hang", detail="instruction budget")
+    payload = data[_LENGTH_BYTES:]
+    whole = len(data) >= _LENGTH_BYTES and int.from_bytes(data[:_LENGTH_BYTES], "little") == len(payload)
+    if code == 0 and whole:
+        return Ended("done", payload)
+    if code == _EXCEPTION_EXIT and whole:
+        return Ended("exception", detail=payload.decode(errors="replace"))
+    return Ended("exception", detail=f"ended with status {code} without a report")

@@ -1,0 +1,309 @@
+"""The instructions of LLVM IR that the injector knows, each with its whole syntax."""
+
+import re
+
+from mavfi.faults.instruction.ir import Instruction, holds_pointer, parts
+from mavfi.faults.instruction.lexer import Cursor
+
+ABI_ATTRIBUTES = ("signext", "zeroext")
+PROMISES = {
+    "captures", "dead_on_return", "dead_on_unwind", "dereferenceable", "dereferenceable_or_null", "immarg",
+    "initializes", "noalias", "nocapture", "nofpclass", "nofree", "nonnull", "noundef", "range", "readnone", "readonly",
+    "returned", "writable", "writeonly",
+}  # fmt: skip
+"""Attributes without which the machine code is the same, and with which a corrupted value would be undefined."""
+POISON_FLAGS = ("nuw", "nsw", "exact", "inbounds", "nusw", "disjoint", "nneg", "samesign")
+FAST_MATH = ("fast", "reassoc", "nnan", "ninf", "nsz", "arcp", "contract", "afn")
+_BINARY = {
+    "add", "sub", "mul", "udiv", "sdiv", "urem", "srem", "shl", "lshr", "ashr", "and", "or", "xor",
+    "fadd", "fsub", "fmul", "fdiv", "frem",
+}  # fmt: skip
+_CASTS = {
+    "trunc", "zext", "sext", "fptrunc", "fpext", "fptoui", "fptosi", "uitofp", "sitofp", "ptrtoint", "inttoptr",
+    "bitcast",
+}  # fmt: skip
+_PREDICATES = {
+    "icmp": ("eq", "ne", "ugt", "uge", "ult", "ule", "sgt", "sge", "slt", "sle"),
+    "fcmp": ("false", "oeq", "ogt", "oge", "olt", "ole", "one", "ord", "ueq", "ugt", "uge", "ult", "ule", "une", "uno",
+             "true"),
+}  # fmt: skip
+_INTRINSICS = re.compile(
+    r"@llvm\.(?:mem(?:set|cpy|move)(?:\.inline)?|[us](?:min|max)|[us](?:add|sub|mul)\.(?:with\.overflow|sat)|abs|floor|"
+    r"ceil|trunc|rint|nearbyint|round|roundeven|fabs|sqrt|pow|powi|exp|exp2|log|log2|log10|sin|cos|tan|copysign|fma|"
+    r"min(?:num|imum)|max(?:num|imum)|fshl|fshr|ctpop|ctlz|cttz|bswap|bitreverse|[us]shl\.sat|is\.fpclass|"
+    r"masked\.(?:load|store|gather|scatter|compressstore|expandload)|vector\.reduce\.\w+|x86\.[\w.]+|"
+    r"lro?und|llro?und|ldexp)(?:\.|$)"
+)
+_DROPPED = re.compile(
+    r"@llvm\.(?:lifetime\.(?:start|end)|assume|experimental\.noalias\.scope\.decl|donothing|invariant\.)"
+)
+"""Promises in the shape of calls; they compute nothing."""
+_POISON_ARGUMENT = re.compile(r"@llvm\.(?:abs|ctlz|cttz)\.")
+"""Their last argument says that some inputs are undefined behaviour."""
+_PARALLEL = re.compile(r"@\"?(?:numba_parallel_for|do_scheduling|set_num_threads|get_num_threads|launch_threads)")
+_PYTHON = re.compile(r"@\"?numba_gil_ensure")
+
+
+def parse_instruction(cursor: Cursor) -> Instruction | None:
+    """Read one instruction; None for a call that only promises something.
+
+    Raises:
+        RefusedError: Anything in it is not known.
+    """
+    result = None
+    if cursor.next.startswith("%"):
+        result = cursor.local()
+        cursor.expect("=")
+    for word in ("musttail", "notail"):
+        if cursor.next == word:
+            raise cursor.refused()
+    cursor.accept("tail")
+    opcode = cursor.take()
+    reader = _READERS.get(opcode)
+    if reader is None:
+        cursor.at -= 1
+        raise cursor.refused()
+    instruction = Instruction(opcode, [opcode], result)
+    _flags(cursor)
+    reader(cursor, instruction)
+    cursor.finish()
+    return None if instruction.callee is not None and _DROPPED.match(instruction.callee) else instruction
+
+
+def _flags(cursor: Cursor) -> None:
+    while cursor.accept(*POISON_FLAGS):
+        pass
+    if cursor.next in FAST_MATH:
+        raise cursor.refused(f"fast math ({cursor.next!r} in {' '.join(cursor.tokens)[:80]!r})")
+
+
+def skip_promises(cursor: Cursor) -> list[str]:
+    """Pass over attributes that promise something; gives those that the calling convention needs."""
+    kept = []
+    while True:
+        if cursor.next in ABI_ATTRIBUTES:
+            kept.append(cursor.take())
+        elif cursor.next == "align":
+            cursor.take()
+            cursor.number()
+        elif cursor.next in PROMISES:
+            cursor.take()
+            if cursor.next == "(":
+                cursor.balanced()
+        else:
+            return kept
+
+
+def _like(kind: str, other: str) -> str:
+    """`kind` for every element, if `other` is a vector."""
+    return f"{other.split(' x ')[0]} x {kind}>" if other.startswith("<") else kind
+
+
+def _alignment(cursor: Cursor) -> list[str]:
+    if not cursor.accept(","):
+        return []
+    cursor.expect("align")
+    return [",", "align", cursor.number()]
+
+
+def _locals(*values: str) -> list[str]:
+    return [value for value in values if value.startswith("%")]
+
+
+def _binary(cursor: Cursor, new: Instruction) -> None:
+    new.kind = cursor.kind()
+    left = cursor.value()
+    cursor.expect(",")
+    new.tokens += [new.kind, left, ",", cursor.value()]
+
+
+def _unary(cursor: Cursor, new: Instruction) -> None:
+    new.kind = cursor.kind()
+    new.tokens += [new.kind, cursor.value()]
+
+
+def _cast(cursor: Cursor, new: Instruction) -> None:
+    new.tokens += [cursor.kind(), cursor.value(), cursor.expect("to")]
+    new.kind = cursor.kind()
+    new.tokens.append(new.kind)
+
+
+def _compare(cursor: Cursor, new: Instruction) -> None:
+    predicate, kind = cursor.expect(*_PREDICATES[new.opcode]), cursor.kind()
+    left = cursor.value()
+    cursor.expect(",")
+    new.kind = _like("i1", kind)
+    new.tokens += [predicate, kind, left, ",", cursor.value()]
+
+
+def _select(cursor: Cursor, new: Instruction) -> None:
+    new.tokens += [cursor.kind(), cursor.value(), cursor.expect(",")]
+    new.conditions = _locals(new.tokens[2])
+    new.kind = cursor.kind()
+    new.tokens += [new.kind, cursor.value(), cursor.expect(","), cursor.kind(), cursor.value()]
+
+
+def _phi(cursor: Cursor, new: Instruction) -> None:
+    new.kind = cursor.kind()
+    new.tokens.append(new.kind)
+    while True:
+        cursor.expect("[")
+        value = cursor.value()
+        cursor.expect(",")
+        new.incoming.append((value, cursor.local()))
+        cursor.expect("]")
+        if not cursor.accept(","):
+            return
+
+
+def _load(cursor: Cursor, new: Instruction) -> None:
+    new.kind = cursor.kind()
+    new.tokens += [new.kind, cursor.expect(","), cursor.expect("ptr"), cursor.value()]
+    new.addresses = _locals(new.tokens[-1])
+    new.tokens += _alignment(cursor)
+
+
+def _store(cursor: Cursor, new: Instruction) -> None:
+    new.tokens += [cursor.kind(), cursor.value(), cursor.expect(","), cursor.expect("ptr"), cursor.value()]
+    new.addresses = _locals(new.tokens[-1])
+    new.tokens += _alignment(cursor)
+
+
+def _element_address(cursor: Cursor, new: Instruction) -> None:
+    new.tokens += [cursor.kind(), cursor.expect(",")]
+    kinds = [cursor.kind()]
+    new.tokens += [kinds[0], cursor.value()]
+    while cursor.accept(","):
+        kinds.append(cursor.kind())
+        new.tokens += [",", kinds[-1], cursor.value()]
+    new.kind = _like("ptr", next((kind for kind in kinds if kind.startswith("<")), ""))
+    new.addresses = _locals(*new.tokens)
+
+
+def _alloca(cursor: Cursor, new: Instruction) -> None:
+    new.kind = "ptr"
+    new.tokens.append(cursor.kind())
+    new.tokens += _alignment(cursor)
+
+
+def _extract_value(cursor: Cursor, new: Instruction) -> None:
+    kind = cursor.kind()
+    new.tokens += [kind, cursor.value()]
+    while cursor.accept(","):
+        index = cursor.number()
+        kind = parts(kind)[int(index)]
+        new.tokens += [",", index]
+    new.kind = kind
+
+
+def _insert_value(cursor: Cursor, new: Instruction) -> None:
+    new.kind = cursor.kind()
+    new.tokens += [new.kind, cursor.value(), cursor.expect(","), cursor.kind(), cursor.value()]
+    while cursor.accept(","):
+        new.tokens += [",", cursor.number()]
+
+
+def _extract_element(cursor: Cursor, new: Instruction) -> None:
+    kind = cursor.kind()
+    new.tokens += [kind, cursor.value(), cursor.expect(","), cursor.kind(), cursor.value()]
+    new.kind = kind.split(" x ", 1)[1][:-1]
+
+
+def _insert_element(cursor: Cursor, new: Instruction) -> None:
+    new.kind = cursor.kind()
+    new.tokens += [new.kind, cursor.value(), cursor.expect(","), cursor.kind(), cursor.value()]
+    new.tokens += [cursor.expect(","), cursor.kind(), cursor.value()]
+
+
+def _shuffle(cursor: Cursor, new: Instruction) -> None:
+    kind = cursor.kind()
+    new.tokens += [kind, cursor.value(), cursor.expect(","), cursor.kind(), cursor.value()]
+    new.tokens.append(cursor.expect(","))
+    mask = cursor.kind()
+    new.tokens += [mask, cursor.value()]
+    new.kind = f"{mask.split(' x ')[0]} x {kind.split(' x ', 1)[1]}"
+
+
+def _call(cursor: Cursor, new: Instruction) -> None:
+    abi = skip_promises(cursor)
+    new.kind = cursor.kind()
+    new.tokens += [*abi, new.kind]
+    if cursor.next == "(":
+        new.tokens += cursor.balanced()
+    if not cursor.next.startswith("@"):
+        raise cursor.refused(f"indirect call or assembly in {' '.join(cursor.tokens)[:120]!r}")
+    new.callee = cursor.take()
+    _check_callee(cursor, new.callee)
+    new.tokens += [new.callee, cursor.expect("(")]
+    _arguments(cursor, new)
+    if cursor.next.startswith("#"):
+        cursor.take()
+
+
+def _check_callee(cursor: Cursor, callee: str) -> None:
+    if _PARALLEL.match(callee):
+        raise cursor.refused(f"parallel execution ({callee})")
+    if _PYTHON.match(callee):
+        raise cursor.refused(f"object mode ({callee})")
+    if callee.startswith("@llvm.") and not (_INTRINSICS.match(callee) or _DROPPED.match(callee)):
+        raise cursor.refused(f"intrinsic {callee}")
+
+
+def _arguments(cursor: Cursor, new: Instruction) -> None:
+    callee = str(new.callee)
+    if _DROPPED.match(callee):
+        cursor.at -= 1
+        cursor.balanced()
+        return
+    while not cursor.accept(")"):
+        kind = cursor.kind()
+        abi = skip_promises(cursor)
+        value = cursor.value()
+        if _POISON_ARGUMENT.match(callee) and cursor.next == ")":
+            value = "false"
+        new.arguments.append((kind, value))
+        new.tokens += [kind, *abi, value]
+        is_length = callee.startswith("@llvm.mem") and kind == "i64"
+        if holds_pointer(kind) or is_length:
+            new.addresses += _locals(value)
+        if cursor.accept(","):
+            new.tokens.append(",")
+    new.tokens.append(")")
+
+
+def _branch(cursor: Cursor, new: Instruction) -> None:
+    if cursor.next != "label":
+        new.tokens += [cursor.expect("i1"), cursor.value(), cursor.expect(",")]
+        new.conditions = _locals(new.tokens[2])
+        new.tokens += [cursor.expect("label"), cursor.local(), cursor.expect(",")]
+    new.tokens += [cursor.expect("label"), cursor.local()]
+
+
+def _switch(cursor: Cursor, new: Instruction) -> None:
+    new.tokens += [cursor.kind(), cursor.value(), cursor.expect(","), cursor.expect("label"), cursor.local()]
+    new.conditions = _locals(new.tokens[2])
+    new.tokens.append(cursor.expect("["))
+    while not cursor.accept("]"):
+        new.tokens += [cursor.kind(), cursor.value(), cursor.expect(","), cursor.expect("label"), cursor.local()]
+    new.tokens.append("]")
+
+
+def _return(cursor: Cursor, new: Instruction) -> None:
+    kind = cursor.kind()
+    new.tokens.append(kind)
+    if kind != "void":
+        new.tokens.append(cursor.value())
+
+
+def _nothing(cursor: Cursor, new: Instruction) -> None:
+    """`unreachable` has no operands."""
+
+
+_READERS = {
+    **dict.fromkeys(_BINARY, _binary), **dict.fromkeys(_CASTS, _cast), "fneg": _unary, "freeze": _unary,
+    "icmp": _compare, "fcmp": _compare, "select": _select, "phi": _phi, "load": _load, "store": _store,
+    "getelementptr": _element_address, "alloca": _alloca, "extractvalue": _extract_value,
+    "insertvalue": _insert_value, "extractelement": _extract_element, "insertelement": _insert_element,
+    "shufflevector": _shuffle, "call": _call, "br": _branch, "switch": _switch, "ret": _return,
+    "unreachable": _nothing,
+}  # fmt: skip

@@ -1,0 +1,243 @@
+"""Rewrites the IR of a kernel so that the result of one dynamic instruction can be changed, once.
+
+Each block with n sites becomes
+
+    B:       its phis; counter += n; beyond the threshold? -> B.slow, else -> B.fast
+    B.fast:  the instructions as they were                                           -> B.join
+    B.slow:  the same ones, each followed by (value & keep) ^ flip where it is struck -> B.join
+    B.join:  a phi for each value that is used elsewhere; the terminator
+
+so that all but the struck block run as before.  Nothing is optimised after this, only translated.
+"""
+
+import hashlib
+import re
+from dataclasses import dataclass
+
+from mavfi.faults.instruction.ir import Block, Function, Instruction, Module, parts, width
+from mavfi.faults.instruction.parser import parse_module
+from mavfi.faults.instruction.refusal import RefusedError
+from mavfi.faults.instruction.runtime import MASK_BYTES, REPORT_WORDS, RUNTIME, Control, address
+from mavfi.faults.instruction.table import Table, make_table
+
+_ENVIRONMENT = re.compile(r'@"?_ZN08NumbaEnv')
+_UNLIKELY = '!0 = !{!"branch_weights", i32 1, i32 100000}'
+_PER_PROCESS = re.compile(r"B\d+v\d+(?!\d)|0x[0-9a-f]{6,}|(?<=picklebuf\.)[0-9a-f]+|\d{9,}")
+"""Parts of Numba's global names that differ from process to process or from folder to folder: counters of functions,
+addresses, digests of exceptions with the path of their source."""
+
+
+@dataclass(frozen=True, slots=True)
+class Instrumented:
+    """An instrumented module.
+
+    Attributes:
+        text: Its IR.
+        table: What can be struck.
+        ir_sha256: Digest of the fault space, the same in every process.
+    """
+
+    text: str
+    table: Table
+    ir_sha256: str
+
+
+def instrument(text: str, kernel: str) -> Instrumented:
+    """Instrument a module.
+
+    Args:
+        text: IR as `Dispatcher.inspect_llvm` gives it.
+        kernel: Name for error messages.
+
+    Raises:
+        RefusedError: Something in it is not known, or cannot be instrumented exactly.
+    """
+    module = parse_module(text, kernel)
+    if not module.functions:
+        raise RefusedError(kernel, "there is no IR: was it loaded from a cache?")
+    table = make_table(module)
+    widest = max((site.width for block in table.blocks for site in block), default=0)
+    if widest > 8 * MASK_BYTES:
+        raise RefusedError(kernel, f"a value of {widest} bits")
+    bodies = _fault_space(module)
+    if _ENVIRONMENT.search(bodies):
+        raise RefusedError(kernel, "Python objects are used within compiled code (Numba's environment)")
+    lines, first = [*module.preamble, RUNTIME], 0
+    for function in module.functions:
+        lines.append(_Rewriter(function, first).text())
+        first += sum(bool(block.sites) for block in function.blocks)
+    lines += [*module.others, _UNLIKELY, ""]
+    return Instrumented("\n".join(lines), table, _digest(bodies))
+
+
+def _fault_space(module: Module) -> str:
+    return "\n".join(function.text() for function in module.functions)
+
+
+def _digest(bodies: str) -> str:
+    names: dict[str, str] = {}
+
+    def neutral(match: "re.Match[str]") -> str:
+        return names.setdefault(match[0], _PER_PROCESS.sub("*", match[0]))
+
+    return hashlib.sha256(re.sub(r'@(?:"[^"]*"|[-\w$.]+)', neutral, bodies).encode()).hexdigest()
+
+
+class _Rewriter:
+    """Writes one function anew."""
+
+    def __init__(self, function: Function, first_block: int) -> None:
+        self.function = function
+        self.first_block = first_block
+        self.lines: list[str] = [function.head()]
+        self.temporaries = 0
+        self.seen = ""
+        self.joined = {block.label: f"{block.label}.join" for block in function.blocks if block.sites}
+        self.shared = _used_elsewhere(function)
+
+    def text(self) -> str:
+        number = self.first_block
+        for block in self.function.blocks:
+            if block.sites:
+                self._split(block, number)
+                number += 1
+            else:
+                self._copy(block)
+        return "\n".join([*self.lines, "}"])
+
+    def _temporary(self) -> str:
+        self.temporaries += 1
+        return f"%t{self.temporaries}"
+
+    def _let(self, text: str) -> str:
+        """A new name for the result of an instruction."""
+        name = self._temporary()
+        self.lines.append(f"  {name} = {text}")
+        return name
+
+    def _copy(self, block: Block) -> None:
+        self.lines.append(f"{block.label[1:]}:")
+        self.lines += [f"  {memory.result} = {memory.text()}" for memory in block.allocations]
+        self.lines += [f"  {instruction.text()}" for instruction in block.all() if instruction.result is None]
+
+    def _split(self, block: Block, number: int) -> None:
+        label, count = block.label, len(block.sites)
+        self.lines.append(f"{label[1:]}:")
+        raw = {str(phi.result): f"{phi.result}.p" for phi in block.phis}
+        self.lines += [f"  {phi.result}.p = {phi.text({}, self.joined)}" for phi in block.phis]
+        self.lines += [f"  {memory.result} = {memory.text()}" for memory in block.allocations]
+        before = self._let("load i64, ptr @mavfi_control")
+        after = self._let(f"add i64 {before}, {count}")
+        self.lines.append(f"  store i64 {after}, ptr @mavfi_control")
+        beyond = self._let(f"icmp ugt i64 {after}, {self._let(f'load i64, ptr {address(Control.THRESHOLD)}')}")
+        self.lines.append(f"  br i1 {beyond}, label {label}.slow, label {label}.fast, !prof !0")
+        fast = self._fast(block, dict(raw))
+        slow = self._slow(block, dict(raw), after, number)
+        self.lines.append(f"{label[1:]}.join:")
+        for site in block.sites:
+            name = str(site.result)
+            if name in self.shared:
+                pairs = f"[ {fast[name]}, {label}.fast ], [ {slow[name]}, {label}.slow ]"
+                self.lines.append(f"  {name} = phi {site.kind} {pairs}")
+        if block.terminator is not None:
+            self.lines.append(f"  {block.terminator.text()}")
+
+    def _fast(self, block: Block, names: dict[str, str]) -> dict[str, str]:
+        self.lines.append(f"{block.label[1:]}.fast:")
+        for instruction in block.body:
+            text = instruction.text(names)
+            if instruction.result is None:
+                self.lines.append(f"  {text}")
+            else:
+                names[instruction.result] = f"{instruction.result}.f"
+                self.lines.append(f"  {instruction.result}.f = {text}")
+        self.lines.append(f"  br label {block.label}.join")
+        return names
+
+    def _slow(self, block: Block, names: dict[str, str], after: str, number: int) -> dict[str, str]:
+        self.lines.append(f"{block.label[1:]}.slow:")
+        struck = self._let(f"call i64 @mavfi_slow(i64 {after}, i64 {len(block.sites)}, i64 {number})")
+        self.seen = self._let(
+            f"getelementptr i64, ptr {self._let(f'load ptr, ptr {address(Control.REPORT)}')}, i64 {REPORT_WORDS}"
+        )
+        offset = 0
+        for phi in block.phis:
+            names[str(phi.result)] = self._strike(phi, f"{phi.result}.p", struck, offset)
+            offset += 1
+        for instruction in block.body:
+            text = instruction.text(names)
+            if instruction.result is None:
+                self.lines.append(f"  {text}")
+                continue
+            self.lines.append(f"  {instruction.result}.r = {text}")
+            names[instruction.result] = self._strike(instruction, f"{instruction.result}.r", struck, offset)
+            offset += 1
+        self.lines.append(f"  br label {block.label}.join")
+        return names
+
+    def _strike(self, site: Instruction, raw: str, struck: str, offset: int) -> str:
+        """Emit what changes a value if it is the struck one, and notes it before and after; gives its new name."""
+        bits = width(site.kind)
+        word, room = f"i{bits}", f"i{-(-bits // 8) * 8}"
+        hit = self._let(f"icmp eq i64 {struck}, {offset}")
+        value = self._to_bits(raw, site.kind, bits)
+        keep, flip = (self._resized(self._let(f"load {room}, ptr @mavfi_{m}"), room, word) for m in ("keep", "flip"))
+        changed = self._let(f"xor {word} {self._let(f'and {word} {value}, {keep}')}, {flip}")
+        result = self._let(f"select i1 {hit}, {word} {changed}, {word} {value}")
+        seen = self._let(f"select i1 {hit}, ptr {self.seen}, ptr @mavfi_unseen")
+        self.lines.append(f"  store {room} {self._resized(value, word, room)}, ptr {seen}, align 1")
+        later = self._let(f"getelementptr i8, ptr {seen}, i64 {MASK_BYTES}")
+        self.lines.append(f"  store {room} {self._resized(result, word, room)}, ptr {later}, align 1")
+        return self._from_bits(result, site.kind, bits)
+
+    def _resized(self, value: str, source: str, target: str) -> str:
+        if source == target:
+            return value
+        return self._let(f"{'zext' if int(source[1:]) < int(target[1:]) else 'trunc'} {source} {value} to {target}")
+
+    def _to_bits(self, value: str, kind: str, bits: int) -> str:
+        """The value as one integer."""
+        word = f"i{bits}"
+        if parts(kind):
+            total, at = "0", 0
+            for i, part in enumerate(parts(kind)):
+                field = self._to_bits(self._let(f"extractvalue {kind} {value}, {i}"), part, width(part))
+                wide = self._resized(field, f"i{width(part)}", word)
+                total = self._let(f"or {word} {total}, {self._let(f'shl {word} {wide}, {at}')}")
+                at += width(part)
+            return total
+        if kind == "ptr":
+            return self._let(f"ptrtoint ptr {value} to i64")
+        if "ptr" in kind:
+            numbers = kind.replace("ptr", "i64")
+            return self._let(f"bitcast {numbers} {self._let(f'ptrtoint {kind} {value} to {numbers}')} to {word}")
+        return value if kind == word else self._let(f"bitcast {kind} {value} to {word}")
+
+    def _from_bits(self, value: str, kind: str, bits: int) -> str:
+        """Inverse of `_to_bits`."""
+        word = f"i{bits}"
+        if parts(kind):
+            whole, at = "poison", 0
+            for i, part in enumerate(parts(kind)):
+                field = self._resized(self._let(f"lshr {word} {value}, {at}"), word, f"i{width(part)}")
+                field = self._from_bits(field, part, width(part))
+                whole = self._let(f"insertvalue {kind} {whole}, {part} {field}, {i}")
+                at += width(part)
+            return whole
+        if kind == "ptr":
+            return self._let(f"inttoptr i64 {value} to ptr")
+        if "ptr" in kind:
+            numbers = kind.replace("ptr", "i64")
+            return self._let(f"inttoptr {numbers} {self._let(f'bitcast {word} {value} to {numbers}')} to {kind}")
+        return value if kind == word else self._let(f"bitcast {word} {value} to {kind}")
+
+
+def _used_elsewhere(function: Function) -> set[str]:
+    """Values that are used in another block, in a phi, or by a terminator."""
+    home = {site.result: block.label for block in function.blocks for site in block.sites}
+    found: set[str] = set()
+    for block in function.blocks:
+        for instruction in block.all():
+            anywhere = instruction.opcode == "phi" or instruction is block.terminator
+            found.update(name for name in instruction.uses() if anywhere or home.get(name) != block.label)
+    return found

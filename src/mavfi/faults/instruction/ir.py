@@ -1,0 +1,179 @@
+"""What the injector knows of a module of LLVM IR: functions, blocks, instructions; and of the types of their values."""
+
+import re
+from dataclasses import dataclass, field
+
+_SCALARS = {"half": 16, "bfloat": 16, "float": 32, "double": 64, "ptr": 64}
+_FLOATS = ("half", "bfloat", "float", "double")
+_VECTOR = re.compile(r"<(\d+) x (.+)>")
+_ARRAY = re.compile(r"\[(\d+) x (.+)\]")
+
+
+def width(kind: str) -> int:
+    """Bits of a value of a type, the fields of aggregates one after the other without padding; 0 for `void`."""
+    if kind == "void":
+        return 0
+    if kind in _SCALARS:
+        return _SCALARS[kind]
+    if kind[0] == "i":
+        return int(kind[1:])
+    vector = _VECTOR.fullmatch(kind)
+    if vector is not None:
+        return int(vector[1]) * width(vector[2])
+    return sum(width(part) for part in parts(kind))
+
+
+def parts(kind: str) -> list[str]:
+    """Types of the fields of a struct or array; none for any other type."""
+    array = _ARRAY.fullmatch(kind)
+    if array is not None:
+        return [array[2]] * int(array[1])
+    return split(kind[1:-1]) if kind[0] == "{" else []
+
+
+def split(text: str) -> list[str]:
+    """The parts between commas that are not within brackets."""
+    found, depth, start = [], 0, 0
+    for i, character in enumerate(text):
+        depth += (character in "{[<(") - (character in "}]>)")
+        if character == "," and depth == 0:
+            found.append(text[start:i].strip())
+            start = i + 1
+    return [*found, text[start:].strip()]
+
+
+def is_floating(kind: str) -> bool:
+    """Whether values of the type, or all elements of a vector, are floating-point numbers."""
+    vector = _VECTOR.fullmatch(kind)
+    return (vector[2] if vector else kind) in _FLOATS
+
+
+def holds_pointer(kind: str) -> bool:
+    """Whether a pointer is in a value of the type."""
+    return "ptr" in re.findall(r"\w+", kind)
+
+
+@dataclass(slots=True)
+class Instruction:
+    """One instruction, freed of what would turn a corrupted value into undefined behaviour.
+
+    Attributes:
+        opcode: As in the language reference.
+        tokens: Its text without the result; local names begin with `%`.
+        result: Local name, or None.
+        kind: Type of the result, "void" if there is none.
+        incoming: Of a phi: value and label, in order.
+        addresses: Local names that are used as addresses.
+        conditions: Local names that decide where control or data come from.
+        callee: Function that is called, or None.
+        arguments: Of a call: type and value of each argument.
+        location: Number of its debug location, or None.
+        variable: Source variable that the result is a value of, or None.
+    """
+
+    opcode: str
+    tokens: list[str]
+    result: str | None = None
+    kind: str = "void"
+    incoming: list[tuple[str, str]] = field(default_factory=list)
+    addresses: list[str] = field(default_factory=list)
+    conditions: list[str] = field(default_factory=list)
+    callee: str | None = None
+    arguments: list[tuple[str, str]] = field(default_factory=list)
+    location: int | None = None
+    variable: str | None = None
+
+    def uses(self) -> list[str]:
+        """Local names in its text, labels included."""
+        names = [token for token in self.tokens if token[0] == "%"]
+        for value, label in self.incoming:
+            names += [*re.findall(r"%\w+", value), label]
+        return names
+
+    def text(self, names: dict[str, str] | None = None, labels: dict[str, str] | None = None) -> str:
+        """The instruction without its result.
+
+        Args:
+            names: Other names for local values.
+            labels: Other names for the blocks that a phi names.
+        """
+        values, blocks = names or {}, labels or {}
+        text = " ".join(values.get(token, token) for token in self.tokens)
+        if self.opcode != "phi":
+            return text
+        pairs = (f"[ {values.get(value, value)}, {blocks.get(label, label)} ]" for value, label in self.incoming)
+        return f"{text} {', '.join(pairs)}"
+
+
+@dataclass(slots=True)
+class Block:
+    """A basic block: phis, allocations on the stack, the body, and the terminator."""
+
+    label: str
+    phis: list[Instruction] = field(default_factory=list)
+    allocations: list[Instruction] = field(default_factory=list)
+    body: list[Instruction] = field(default_factory=list)
+    terminator: Instruction | None = None
+
+    @property
+    def sites(self) -> list[Instruction]:
+        """What writes a value, in the order of dynamic indices."""
+        return [instruction for instruction in self.phis + self.body if instruction.result is not None]
+
+    def all(self) -> list[Instruction]:
+        """Every instruction."""
+        end = [] if self.terminator is None else [self.terminator]
+        return self.phis + self.allocations + self.body + end
+
+
+@dataclass(slots=True)
+class Function:
+    """A function in the fault space.
+
+    Attributes:
+        name: Global name.
+        linkage: What stands before the type of the result.
+        kind: Type of the result.
+        parameters: Type, with what the calling convention needs, and local name of each parameter.
+        blocks: First the entry.
+        location: Number of its debug subprogram, or None.
+    """
+
+    name: str
+    linkage: str
+    kind: str
+    parameters: list[tuple[str, str]]
+    blocks: list[Block] = field(default_factory=list)
+    location: int | None = None
+
+    def head(self) -> str:
+        """The line that opens its definition."""
+        parameters = ", ".join(f"{kind} {name}" for kind, name in self.parameters)
+        return f"define {self.linkage}{self.kind} {self.name}({parameters}) {{"
+
+    def text(self) -> str:
+        """Its definition."""
+        lines = [self.head()]
+        for block in self.blocks:
+            lines.append(f"{block.label[1:]}:")
+            for instruction in block.all():
+                result = "" if instruction.result is None else f"{instruction.result} = "
+                lines.append(f"  {result}{instruction.text()}")
+        return "\n".join([*lines, "}"])
+
+
+@dataclass(slots=True)
+class Module:
+    """A module: the functions of the fault space in parts, all else as text.
+
+    Attributes:
+        preamble: Target, globals, declarations.
+        functions: The fault space.
+        others: Definitions outside of it (Numba's wrapper and runtime), as text.
+        metadata: Text of the numbered metadata.
+    """
+
+    preamble: list[str] = field(default_factory=list)
+    functions: list[Function] = field(default_factory=list)
+    others: list[str] = field(default_factory=list)
+    metadata: dict[int, str] = field(default_factory=dict)

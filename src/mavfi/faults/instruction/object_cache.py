@@ -1,0 +1,133 @@
+"""Keeps instrumented machine code on disk, beside Numba's own cache.
+
+A key names the kernel, what it was made from as far as Python knows, the versions and the CPU; an entry is valid while
+every source file that its line tables name is as it was.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import types
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import llvmlite.binding as llvm
+import numba
+import numpy as np
+
+from mavfi.faults.instruction.build import Built, build, name_of
+from mavfi.numerics.jit import code_folder
+
+_FOLDER = "instruction"
+
+
+def cached_build(kernel: Any, signature: tuple[Any, ...]) -> Built:
+    """The instrumented variant from the cache; built and stored if it is not there or not valid.
+
+    Raises:
+        RefusedError: The kernel has a construct that is not known.
+        BuildError: The compiler did not survive it.
+    """
+    path = code_folder() / _FOLDER / f"{key(kernel, signature)}.bin"
+    built = _load(path)
+    if built is None:
+        built = build(kernel, signature)
+        _store(path, built)
+    return built
+
+
+def key(kernel: Any, signature: tuple[Any, ...]) -> str:
+    """Digest of everything that the machine code is made from, but the text of callees."""
+    digest = hashlib.sha256(_platform())
+    digest.update(repr([str(kind) for kind in signature]).encode())
+    for part in _parts(kernel, set()):
+        digest.update(hashlib.sha256(part).digest())
+    return digest.hexdigest()[:40]
+
+
+@cache
+def _platform() -> bytes:
+    versions = numba.__version__, llvmlite.__version__, np.__version__
+    own = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
+    cpu = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    return repr((versions, cpu, hashlib.sha256(own).hexdigest())).encode()
+
+
+def _parts(kernel: Any, seen: set[int]) -> Iterator[bytes]:
+    """The function's code, and the values that it takes from its surroundings."""
+    function = kernel.py_func
+    seen.add(id(function))
+    flags = sorted((name, repr(value)) for name, value in kernel.targetoptions.items())
+    yield repr((name_of(kernel), function.__code__.co_filename, flags)).encode()
+    yield from _code(function.__code__)
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    outside = {name: cell.cell_contents for name, cell in cells}
+    outside |= {name: function.__globals__[name] for name in function.__code__.co_names if name in function.__globals__}
+    for name, value in sorted(outside.items()):
+        yield name.encode()
+        yield from _value(value, seen)
+
+
+def _code(code: types.CodeType) -> Iterator[bytes]:
+    yield code.co_code
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _code(constant)
+        else:
+            yield repr(constant).encode()
+
+
+def _value(value: Any, seen: set[int]) -> Iterator[bytes]:
+    if hasattr(value, "py_func"):
+        if id(value.py_func) not in seen:
+            yield from _parts(value, seen)
+    elif isinstance(value, np.ndarray):
+        yield repr((value.dtype, value.shape)).encode() + value.tobytes()
+    elif isinstance(value, int | float | complex | str | bytes | tuple | frozenset | None):
+        yield repr(value).encode()
+    else:
+        yield getattr(value, "__name__", type(value).__name__).encode()
+
+
+def _own(path: str) -> bool:
+    """Whether a source file is watched: not those of Numba, which its version stands for."""
+    return os.path.isfile(path) and not Path(path).is_relative_to(Path(numba.__file__).parent)
+
+
+def _digest_of(path: str) -> str:
+    try:
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+    except OSError:
+        return ""
+
+
+def _load(path: Path) -> Built | None:
+    try:
+        data = path.read_bytes()
+        size = 40 + int.from_bytes(data[32:40], "little")
+        if hashlib.sha256(data[32:]).digest() != data[:32]:
+            return None
+        sources = json.loads(data[40:size])
+    except (OSError, ValueError):
+        return None
+    if any(_digest_of(source) != digest for source, digest in sources.items()):
+        return None
+    return Built.unpack(data[size:])
+
+
+def _store(path: Path, built: Built) -> None:
+    """Write an entry at once, so that no other process sees half of it; without room on disk there is no cache."""
+    sources = json.dumps({file: _digest_of(file) for file in sorted(built.table.files()) if _own(file)}).encode()
+    body = len(sources).to_bytes(8, "little") + sources + built.pack()
+    part = path.with_suffix(f".{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_bytes(hashlib.sha256(body).digest() + body)
+        part.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            part.unlink()

@@ -1,0 +1,25 @@
+"""Why a kernel is not instrumented, or a fault not injected: always an error, never a silent omission."""
+
+from mavfi.errors import MavfiError
+
+
+class RefusedError(MavfiError):
+    """The kernel has a construct that cannot be instrumented exactly.
+
+    Attributes:
+        kernel: Name of the kernel.
+        construct: What was met.
+    """
+
+    def __init__(self, kernel: str, construct: str) -> None:
+        super().__init__(f"{kernel}: cannot be instrumented: {construct}")
+        self.kernel = kernel
+        self.construct = construct
+
+
+class BuildError(MavfiError):
+    """The compiler did not survive the instrumented module, or answered nonsense."""
+
+
+class MismatchError(MavfiError):
+    """The fault belongs to other machine code than this: other source, compiler or CPU."""

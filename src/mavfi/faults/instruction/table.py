@@ -1,0 +1,152 @@
+"""The sites of an instrumented kernel: what each static instruction is, and where it stands in the source."""
+
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from mavfi.faults.instruction.classify import ADDRESS, roles
+from mavfi.faults.instruction.ir import Block, Function, Module, is_floating, width
+from mavfi.faults.instruction.metadata import Frame, Locations
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """A static instruction whose result can be struck.
+
+    Attributes:
+        block: Number of its block in the kernel.
+        offset: Its place among the sites of the block.
+        opcode: As in LLVM's language reference.
+        kind: Type of the result.
+        width: Bits of the result.
+        value_class: "address", "control", "floating_point" or "integer": the first that fits.
+        chain: Source lines, the innermost inlined call first.
+        near: Whether the line is that of a neighbour, since the instruction has none of its own (most phis).
+        variable: Source variable that it is a value of, where known.
+    """
+
+    block: int
+    offset: int
+    opcode: str
+    kind: str
+    width: int
+    value_class: str
+    chain: tuple[Frame, ...]
+    near: bool = False
+    variable: str | None = None
+
+    @property
+    def floating(self) -> bool:
+        """Whether the result is a floating-point number or a vector of them, whatever it is used for."""
+        return is_floating(self.kind)
+
+    @property
+    def feeds_address(self) -> bool:
+        """Whether an address is computed from the result."""
+        return self.value_class == ADDRESS
+
+    @property
+    def frames(self) -> list[tuple[str, int]]:
+        """Source files and lines, the innermost inlined call first, without those within Numba.
+
+        Whether Numba's own helpers have lines depends on what a process compiled before. Files are relative to the
+        folder from which they were imported.
+        """
+        all_frames = [(short_path(frame.file), frame.line) for frame in self.chain]
+        return [frame for frame in all_frames if not frame[0].startswith("numba/")] or all_frames[:1]
+
+    @property
+    def file(self) -> str:
+        """Source file, relative to the folder from which it was imported."""
+        return self.frames[0][0] if self.chain else ""
+
+    @property
+    def line(self) -> int:
+        """Source line; 0 = not known."""
+        return self.frames[0][1] if self.chain else 0
+
+    def __str__(self) -> str:
+        variable = f" ({self.variable})" if self.variable else ""
+        return f"{self.file}:{self.line} {self.opcode} {self.kind}{variable}"
+
+
+def short_path(path: str) -> str:
+    """A path without the folder on Python's path in which it lies, so that records do not depend on the machine."""
+    roots = [entry for entry in sys.path if entry and path.startswith(f"{entry.rstrip('/')}/")]
+    longest = max(roots, key=len, default="")
+    return str(Path(path).relative_to(longest)) if longest else path
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """All sites of a kernel, by block.
+
+    Attributes:
+        blocks: Sites of each block, in the order of dynamic indices.
+    """
+
+    blocks: tuple[tuple[Site, ...], ...]
+
+    def sizes(self) -> list[int]:
+        """Number of sites of each block."""
+        return [len(block) for block in self.blocks]
+
+    def files(self) -> set[str]:
+        """Source files that are named."""
+        return {frame.file for block in self.blocks for site in block for frame in site.chain}
+
+    def to_json(self) -> list[list[dict[str, Any]]]:
+        """Plain data."""
+        return [[asdict(site) for site in block] for block in self.blocks]
+
+    @staticmethod
+    def from_json(data: list[list[dict[str, Any]]]) -> "Table":
+        """Inverse of `to_json`."""
+        frames: dict[str, tuple[Frame, ...]] = {}
+
+        def chain(rows: list[dict[str, Any]]) -> tuple[Frame, ...]:
+            key = repr(rows)
+            if key not in frames:
+                frames[key] = tuple(Frame(**row) for row in rows)
+            return frames[key]
+
+        return Table(tuple(tuple(Site(**{**row, "chain": chain(row["chain"])}) for row in block) for block in data))
+
+
+def make_table(module: Module) -> Table:
+    """The sites of all blocks that have any, in the order of the text."""
+    used = roles(module)
+    locations = Locations(module.metadata)
+    blocks: list[tuple[Site, ...]] = []
+    for function in module.functions:
+        for block in function.blocks:
+            if block.sites:
+                chains = _chains(block, function, locations)
+                blocks.append(
+                    tuple(
+                        Site(
+                            len(blocks), offset, site.opcode, site.kind, width(site.kind), used[function.name].of(site),
+                            *chains[id(site)], site.variable,
+                        )
+                        for offset, site in enumerate(block.sites)
+                    )
+                )  # fmt: skip
+    return Table(tuple(blocks))
+
+
+def _chains(block: Block, function: Function, locations: Locations) -> dict[int, tuple[tuple[Frame, ...], bool]]:
+    """Source lines of each instruction, and whether they are borrowed from the next one that has some."""
+    own = [
+        (instruction, () if instruction.location is None else locations.chain(instruction.location))
+        for instruction in block.all()
+    ]
+    own = [(instruction, chain if chain and chain[0].line else ()) for instruction, chain in own]
+    fallback = () if function.location is None else locations.function(function.location)
+    last = next((chain for _, chain in reversed(own) if chain), fallback)
+    found = {}
+    following = last
+    for instruction, chain in reversed(own):
+        following = chain or following
+        found[id(instruction)] = (following, not chain)
+    return found

@@ -1,0 +1,215 @@
+"""The instrumented variant of one signature of a kernel, in memory: its modes, and what a strike reported.
+
+A variant is one piece of code with one control block: it is not for several threads at once.
+"""
+
+import ctypes
+import mmap
+import os
+import weakref
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import llvmlite.binding as llvm
+import numba
+import numpy as np
+
+from mavfi.faults.instruction.build import Built, check, target_machine
+from mavfi.faults.instruction.object_cache import cached_build
+from mavfi.faults.instruction.runtime import MASK_BYTES, NEVER, REPORT_BYTES, REPORT_WORDS, WORDS, Control, Mode
+from mavfi.faults.instruction.table import Site, Table
+
+_CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What a strike reported.
+
+    Attributes:
+        site: Which static instruction.
+        before: Bits of its result, as an integer.
+        after: The same after the strike.
+    """
+
+    site: Site
+    before: int
+    after: int
+
+
+class Variant:
+    """Instrumented machine code that takes the arguments of its kernel.
+
+    Attributes:
+        table: What can be struck.
+        ir_sha256: Digest of the fault space.
+    """
+
+    def __init__(self, built: Built, environment: Any) -> None:
+        self.table: Table = built.table
+        self.ir_sha256 = built.ir_sha256
+        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target_machine())
+        self._engine.add_object_file(llvm.ObjectFileRef.from_data(built.code))
+        self._engine.finalize_object()
+        self._environment = environment  # the code points to it
+        place = self._engine.get_global_value_address(built.environment)
+        if place:
+            ctypes.c_void_p.from_address(place).value = id(environment)
+        self._function = _CALL(self._engine.get_function_address(built.wrapper))
+        self._control = self._words("mavfi_control", WORDS)
+        self._keep, self._flip = (self._bytes(name) for name in ("mavfi_keep", "mavfi_flip"))
+        self._reader = -1
+        self.own_report()
+        self._control[Control.STOP] = ctypes.cast(ctypes.CDLL(None)._exit, ctypes.c_void_p).value or 0
+        self._set(Mode.INJECT, NEVER)
+
+    def own_report(self) -> None:
+        """Let strikes from here on report to this process: called by the one that will read, before it forks.
+
+        The memory outlives a child that dies, so forks share it: two workers of one parent must not use the parent's.
+        """
+        if self._reader == os.getpid():
+            return
+        self._reader = os.getpid()
+        report = np.frombuffer(mmap.mmap(-1, REPORT_BYTES), np.uint8)
+        self._struck = report[: 8 * REPORT_WORDS].view(np.int64)
+        self._values = report[8 * REPORT_WORDS :]
+        self._control[Control.REPORT] = report.ctypes.data
+
+    def _words(self, name: str, count: int) -> np.ndarray:
+        return np.ctypeslib.as_array((ctypes.c_int64 * count).from_address(self._engine.get_global_value_address(name)))
+
+    def _bytes(self, name: str) -> np.ndarray:
+        place = self._engine.get_global_value_address(name)
+        return np.ctypeslib.as_array((ctypes.c_uint8 * MASK_BYTES).from_address(place))
+
+    def _set(self, mode: Mode, threshold: int) -> None:
+        control = self._control
+        control[Control.COUNTER] = control[Control.STRUCK] = 0
+        control[Control.MODE] = mode
+        control[Control.THRESHOLD] = threshold
+
+    def __call__(self, *args: Any) -> Any:
+        """Run it as it is set."""
+        return self._function(None, args, None)
+
+    def count(self, *args: Any) -> tuple[Any, int]:
+        """Run without a fault; gives the result and how many values were written.
+
+        Args:
+            *args: Of the kernel; they are changed as by a call.
+        """
+        self._set(Mode.INJECT, NEVER)
+        result = self(*args)
+        return result, int(self._control[Control.COUNTER])
+
+    def profile(self, *args: Any, room: int = 0) -> tuple[Any, np.ndarray, np.ndarray]:
+        """Run without a fault; gives the result, how often each block ran, and the first blocks in order.
+
+        Args:
+            *args: Of the kernel; they are changed as by a call.
+            room: How many blocks to note in order.
+        """
+        histogram = np.zeros(len(self.table.blocks), np.int64)
+        trace = np.zeros(max(room, 1), np.int32)
+        control = self._control
+        control[Control.HISTOGRAM], control[Control.TRACE] = histogram.ctypes.data, trace.ctypes.data
+        control[Control.TRACE_ROOM], control[Control.TRACE_LENGTH] = room, 0
+        self._set(Mode.PROFILE, 0)
+        try:
+            result = self(*args)
+        finally:
+            self._set(Mode.INJECT, NEVER)
+        return result, histogram, trace[: int(control[Control.TRACE_LENGTH])]
+
+    def resolve(self, indices: Sequence[int], *args: Any) -> tuple[Any, list[Site | None]]:
+        """Run without a fault; gives the result and the site of each dynamic index, None where the kernel ended before.
+
+        Args:
+            indices: In any order.
+            *args: Of the kernel; they are changed as by a call.
+        """
+        wanted = np.array(sorted(set(indices)), np.int64)
+        blocks, offsets = np.full(len(wanted), -1), np.full(len(wanted), -1)
+        control = self._control
+        control[Control.EVENTS], control[Control.EVENT_COUNT] = wanted.ctypes.data, len(wanted)
+        control[Control.EVENT_BLOCKS], control[Control.EVENT_OFFSETS] = blocks.ctypes.data, offsets.ctypes.data
+        control[Control.NEXT_EVENT] = 0
+        self._set(Mode.RESOLVE, int(wanted[0]) if len(wanted) else NEVER)
+        try:
+            result = self(*args)
+        finally:
+            self._set(Mode.INJECT, NEVER)
+        sites = {
+            int(index): self.table.blocks[block][offset] if block >= 0 else None
+            for index, block, offset in zip(wanted, blocks, offsets, strict=True)
+        }
+        return result, [sites[index] for index in indices]
+
+    def inject(self, index: int, keep: int, flip: int, budget: int, *args: Any) -> Any:
+        """Run and strike once: the value with dynamic index `index` becomes (value & keep) ^ flip.
+
+        Args:
+            index: From 0.
+            keep: Mask.
+            flip: Mask.
+            budget: Values that the kernel may write; beyond it the process ends with status `HANG_EXIT`.
+            *args: Of the kernel.
+        """
+        for memory, mask in ((self._keep, keep), (self._flip, flip)):
+            memory[:] = np.frombuffer((mask % (1 << 8 * MASK_BYTES)).to_bytes(MASK_BYTES, "little"), np.uint8)
+        self._struck[:] = 0
+        control = self._control
+        control[Control.TARGET], control[Control.BUDGET] = index, budget
+        self._set(Mode.INJECT, index)
+        try:
+            return self(*args)
+        finally:
+            self._set(Mode.INJECT, NEVER)
+
+    def report(self) -> Report | None:
+        """What the last strike did, here or in a forked child; None if the index was not reached."""
+        struck, block, offset = self._struck.tolist()
+        if not struck:
+            return None
+        site = self.table.blocks[block][offset]
+        size = -(-site.width // 8)
+        before, after = (
+            int.from_bytes(self._values[first : first + size].tobytes(), "little") for first in (0, MASK_BYTES)
+        )
+        return Report(site, before, after)
+
+
+_variants: "weakref.WeakKeyDictionary[Any, dict[tuple[Any, ...], Variant]]" = weakref.WeakKeyDictionary()
+
+
+def signature_of(args: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Numba types of arguments."""
+    return tuple(numba.typeof(argument) for argument in args)  # type: ignore[no-untyped-call]
+
+
+def variant_for(kernel: Any, args: tuple[Any, ...]) -> Variant:
+    """The variant for the types of these arguments; built, or loaded from the cache, when first asked for.
+
+    Raises:
+        RefusedError: The kernel cannot be instrumented exactly.
+        BuildError: The compiler did not survive it.
+    """
+    return variant_of(kernel, signature_of(args))
+
+
+def variant_of(kernel: Any, signature: tuple[Any, ...]) -> Variant:
+    """The variant for a signature; a parent loads it before it forks workers.
+
+    Raises:
+        RefusedError: The kernel cannot be instrumented exactly.
+        BuildError: The compiler did not survive it.
+    """
+    check(kernel)
+    known = _variants.setdefault(kernel, {})
+    if signature not in known:
+        built = cached_build(kernel, signature)
+        kernel.compile(signature)
+        known[signature] = Variant(built, kernel.overloads[signature].environment)
+    return known[signature]

@@ -1,0 +1,171 @@
+"""What lies where in the target: mapped files, functions by address, and addresses by name."""
+
+import bisect
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from elftools.common.exceptions import ELFError
+from elftools.elf.elffile import ELFFile
+
+from mavfi.errors import BadInputError
+
+_SYMBOL = struct.Struct("<IBBHQQ")  # Elf64_Sym: name, info, other, section, value, size
+_FUNCTIONS = (2, 10)  # STT_FUNC, STT_GNU_IFUNC
+_SHOWN = 5
+
+
+@dataclass(frozen=True, slots=True)
+class _Mapping:
+    start: int
+    end: int
+    executable: bool
+    offset: int
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where an address lies: file, offset in it, and function with distance from its begin."""
+
+    library: str
+    offset: int
+    symbol: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Symbols:
+    """Functions of an ELF file by address; addresses as in the file, not where it is loaded."""
+
+    starts: tuple[int, ...]
+    sizes: tuple[int, ...]
+    names: tuple[str, ...]
+    segments: tuple[tuple[int, int, int], ...]
+    """Of each loaded segment: offset in the file, size, address."""
+
+    def address_of(self, offset: int) -> int | None:
+        """Address of a byte of the file."""
+        for start, size, address in self.segments:
+            if start <= offset < start + size:
+                return address + offset - start
+        return None
+
+    def offset_of(self, address: int) -> int | None:
+        """Byte of the file at an address."""
+        for start, size, first in self.segments:
+            if first <= address < first + size:
+                return start + address - first
+        return None
+
+
+def _mappings(pid: int) -> list[_Mapping]:
+    found = []
+    for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
+        columns = line.split(None, 5)
+        start, end = (int(text, 16) for text in columns[0].split("-"))
+        name = columns[5] if len(columns) > 5 else "[anon]"
+        found.append(_Mapping(start, end, "x" in columns[1], int(columns[2], 16), name))
+    return found
+
+
+@lru_cache(maxsize=64)
+def _symbols(path: str, identity: tuple[int, int]) -> _Symbols:
+    """Functions of a file; none if it is no ELF file that can be read."""
+    del identity  # a file that was replaced is read anew
+    functions: dict[int, tuple[int, str]] = {}
+    segments: list[tuple[int, int, int]] = []
+    try:
+        with open(path, "rb") as file:
+            elf = ELFFile(file)
+            for segment in elf.iter_segments("PT_LOAD"):
+                segments.append((segment["p_offset"], segment["p_filesz"], segment["p_vaddr"]))
+            for kind in (".dynsym", ".symtab"):
+                section = elf.get_section_by_name(kind)
+                if section is None:
+                    continue
+                texts = elf.get_section(section["sh_link"]).data()
+                for name, info, _, _, value, size in _SYMBOL.iter_unpack(section.data()):
+                    if info & 15 in _FUNCTIONS and value:
+                        functions[value] = (size, texts[name : texts.index(b"\0", name)].decode(errors="replace"))
+    except (OSError, ELFError, struct.error, ValueError):
+        pass
+    order = sorted(functions)
+    return _Symbols(
+        tuple(order), tuple(functions[at][0] for at in order), tuple(functions[at][1] for at in order), tuple(segments)
+    )
+
+
+class AddressSpace:
+    """The target's memory map, as it is now."""
+
+    def __init__(self, pid: int) -> None:
+        self._pid = pid
+        self._mappings = _mappings(pid)
+
+    def _symbols_of(self, mapping: _Mapping) -> _Symbols | None:
+        if not mapping.name.startswith("/"):
+            return None
+        path = f"/proc/{self._pid}/root{mapping.name}"  # as the target sees it, which may live in a container
+        try:
+            held = os.stat(path)
+        except OSError:
+            return None
+        return _symbols(path, (held.st_ino, held.st_mtime_ns))
+
+    def place(self, address: int) -> Place:
+        """Where an address lies."""
+        for mapping in self._mappings:
+            if not mapping.start <= address < mapping.end:
+                continue
+            offset = address - mapping.start + mapping.offset
+            symbols = self._symbols_of(mapping)
+            at = None if symbols is None else symbols.address_of(offset)
+            name = "" if symbols is None or at is None else _name_at(symbols, at)
+            return Place(mapping.name, offset, name)
+        return Place("[anon]", address, "")
+
+    def find(self, text: str) -> int:
+        """Address of a function.
+
+        Args:
+            text: Its exact name, or a part of it that belongs to one function only.
+
+        Raises:
+            BadInputError: There is none, or more than one; names some.
+        """
+        matches = dict(self._matches(text))
+        exact = {address: name for address, name in matches.items() if name == text}
+        found = exact or matches
+        if len(found) == 1:
+            return next(iter(found))
+        if not found:
+            raise BadInputError(f"symbol {text!r}: no function of process {self._pid} has this name or part of it")
+        some = ", ".join(sorted(set(found.values()))[:_SHOWN])
+        raise BadInputError(f"symbol {text!r}: {len(found)} functions of process {self._pid} match; some: {some}")
+
+    def _matches(self, text: str) -> Iterator[tuple[int, str]]:
+        """Functions whose names hold a text: where they are loaded, and their names without a version."""
+        for mapping in self._mappings:
+            symbols = self._symbols_of(mapping) if mapping.executable else None
+            if symbols is None:
+                continue
+            last = mapping.offset + mapping.end - mapping.start
+            for at, name in zip(symbols.starts, symbols.names, strict=True):
+                plain = name.split("@")[0]
+                offset = symbols.offset_of(at) if text in plain else None
+                if offset is not None and mapping.offset <= offset < last:
+                    yield mapping.start + offset - mapping.offset, plain
+
+
+def _name_at(symbols: _Symbols, address: int) -> str:
+    """Function that holds an address, and the distance from its begin."""
+    index = bisect.bisect_right(symbols.starts, address) - 1
+    if index < 0:
+        return ""
+    distance = address - symbols.starts[index]
+    if symbols.sizes[index] and distance >= symbols.sizes[index]:
+        return ""
+    return f"{symbols.names[index].split('@')[0]}+{distance:#x}"

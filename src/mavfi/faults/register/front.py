@@ -1,0 +1,76 @@
+"""The caller's side of the register injector: starts the tracer, and reads what it did."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.faults.register.request import RegisterInjection, Request
+from mavfi.faults.register.target import check_target
+
+_LAST_WORDS = 5.0
+"""How long a tracer that is no longer wanted has to let the target go (s)."""
+
+
+def inject(
+    request: Request,
+    count: int = 1,
+    interval: float = 0.0,
+    tell: Callable[[RegisterInjection], None] | None = None,
+) -> list[RegisterInjection]:
+    """Strike a running process (MAVFI section III-B: the injector of the paper reaches its targets by system calls).
+
+    The target is traced by a process of its own, is stopped for about a millisecond for each strike, and runs on
+    afterwards, whatever becomes of the caller.
+
+    Args:
+        request: Where and how.
+        count: How many strikes.
+        interval: Between two of them (s).
+        tell: Called with each strike as soon as it is done.
+
+    Returns:
+        The strikes; their `hit` says whether the bit was seen flipped.
+
+    Raises:
+        BadInputError: Not x86-64 Linux; no such process, or one that has ended, is stopped, is traced already, is
+            mavfi itself, or belongs to another user or to the kernel; no such thread or symbol; no permission.
+        MavfiError: The target ended, or did not come by in time.
+    """
+    if count < 1 or not 0.0 <= interval < float("inf"):
+        name, value = ("count", count) if count < 1 else ("interval", interval)
+        raise BadInputError(f"{name}: {value}: allowed: {'1 or more' if count < 1 else '0 s or more'}")
+    check_target(request.pid, os.getpid())
+    order = {"request": request.to_json(), "count": count, "interval": interval, "tool": os.getpid()}
+    done: list[RegisterInjection] = []
+    with subprocess.Popen(
+        [sys.executable, "-m", "mavfi.faults.register.tracer"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    ) as tracer:
+        assert tracer.stdin is not None and tracer.stdout is not None
+        try:
+            tracer.stdin.write(json.dumps(order).encode() + b"\n")
+            tracer.stdin.flush()
+            for line in tracer.stdout:
+                done.append(_read(json.loads(line)))
+                if tell is not None:
+                    tell(done[-1])
+        finally:
+            tracer.stdin.close()  # it then lets the target go, and ends
+            tracer.wait(_LAST_WORDS)
+    if len(done) < count:
+        raise MavfiError(f"pid {request.pid}: the tracer ended with exit code {tracer.returncode}")
+    return done
+
+
+def _read(answer: dict[str, Any]) -> RegisterInjection:
+    if "refused" in answer:
+        raise BadInputError(answer["refused"])
+    if "failed" in answer:
+        raise MavfiError(answer["failed"])
+    return RegisterInjection(**answer["done"])

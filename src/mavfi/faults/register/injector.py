@@ -1,0 +1,230 @@
+"""One strike: stop the target, find an instruction, flip a bit, let go.
+
+Where the target is stopped decides what is struck.  A stop from outside comes at few instructions, always the same
+(skid): so a random number of instructions is executed one by one before the strike.  This spreads the strikes over the
+code near the stop, not over the program: for rates by instruction use the level `instruction`.
+"""
+
+import os
+import random
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.faults.register.addresses import AddressSpace
+from mavfi.faults.register.ptrace import WAIT_ALL, TargetGoneError, Tracee, TracerTimeoutError
+from mavfi.faults.register.registers import Instruction, Register, decode, flip, value_of
+from mavfi.faults.register.request import RegisterInjection, Request
+from mavfi.faults.register.target import check_target, choose_thread, not_permitted, threads_of
+
+_REACH = 40
+"""Instructions after the walk among which the first one that qualifies is struck."""
+_PAUSES = (2e-4, 5e-3)
+"""Shortest and longest time between two attempts (s)."""
+_STEP_LIMIT = 2.0
+_NAP = 2e-4
+_LONGEST_INSTRUCTION = 15
+_SIGN = 1 << 63
+
+
+@dataclass(slots=True)
+class _Attempt:
+    """The target as it stands."""
+
+    tracee: Tracee
+    memory: int
+    walked: int = 0
+    stopped: float = field(default_factory=time.perf_counter)
+
+    def in_system_call(self) -> bool:
+        """Whether the thread was stopped on its way through the kernel: its registers then belong to the call."""
+        return self.tracee.general()["orig_rax"] < _SIGN
+
+    def here(self) -> tuple[int, Instruction | None]:
+        """Address of the next instruction, and the instruction."""
+        address = self.tracee.general()["rip"]
+        return address, decode(os.pread(self.memory, _LONGEST_INSTRUCTION, address), address)
+
+    def walk(self, count: int) -> bool:
+        """Execute instructions one by one; False where one would enter the kernel, which may block."""
+        for _ in range(count):
+            _, instruction = self.here()
+            if instruction is None or instruction.enters_kernel:
+                return False
+            self.tracee.step(_STEP_LIMIT)
+            self.walked += 1
+        return True
+
+
+def strike(request: Request, number: int, tool: int, cancelled: Callable[[], bool] = bool) -> RegisterInjection:
+    """Strike once.
+
+    Args:
+        request: Where and how.
+        number: Of the strike; each has random choices of its own.
+        tool: Process that asked; never a target.
+        cancelled: Asked while waiting; True ends the wait.
+
+    Returns:
+        What was done.
+
+    Raises:
+        BadInputError: The target is refused.
+        MavfiError: The target ended, or did not come to an instruction that qualifies in time.
+    """
+    check_target(request.pid, tool)
+    choices = random.Random(f"{request.seed}/{number}")
+    deadline = time.monotonic() + request.timeout
+    attempts = 0
+    try:
+        while True:
+            attempts += 1
+            with _stopped(request, choices, deadline, cancelled) as attempt:
+                done = _try(request, choices, attempt, attempts)
+            if done is not None:
+                return done
+            if time.monotonic() > deadline or cancelled():
+                raise TracerTimeoutError(
+                    f"pid {request.pid}: within {request.timeout:g} s and {attempts} stops it was never at an "
+                    f"instruction with registers {request.registers!r} to {request.access}, outside of system calls"
+                )
+            time.sleep(choices.uniform(*_PAUSES))
+    except TargetGoneError as error:
+        raise MavfiError(f"pid {request.pid}: {error} before it was struck") from None
+    except PermissionError:
+        raise BadInputError(f"pid {request.pid}: may not be traced ({not_permitted()})") from None
+    except (ProcessLookupError, ChildProcessError):
+        raise MavfiError(f"pid {request.pid}: ended before it was struck") from None
+
+
+def _try(request: Request, choices: random.Random, attempt: _Attempt, attempts: int) -> RegisterInjection | None:
+    """Walk, and strike the first instruction that qualifies; None if there is none."""
+    if attempt.in_system_call() or not attempt.walk(choices.randrange(request.walk)):
+        return None
+    access = choices.choice(("read", "write")) if request.access == "either" else request.access
+    for _ in range(_REACH):
+        address, instruction = attempt.here()
+        if instruction is None:
+            return None
+        registers = _qualifying(instruction, access, request.registers)
+        if registers and not (instruction.enters_kernel and access == "write"):
+            register = choices.choice(registers)
+            bit = choices.choice(register.bits)
+            return _flip(request, attempt, attempts, address, instruction, access, register, bit)
+        if not attempt.walk(1):
+            return None
+    return None
+
+
+def _qualifying(instruction: Instruction, access: str, wanted: str) -> list[Register]:
+    registers = instruction.reads if access == "read" else instruction.writes
+    return [register for register in registers if wanted == "all" or register.is_vector == (wanted == "fp")]
+
+
+def _flip(  # noqa: PLR0913 - all that is known of the strike
+    request: Request, attempt: _Attempt, attempts: int, address: int, instruction: Instruction, access: str,
+    register: Register, bit: int,
+) -> RegisterInjection:  # fmt: skip
+    tracee = attempt.tracee
+    if access == "write":
+        tracee.step(_STEP_LIMIT)
+    before = value_of(tracee, register)
+    if not request.null:
+        flip(tracee, register, bit)
+    after = value_of(tracee, register)
+    stopped = time.perf_counter() - attempt.stopped
+    place = AddressSpace(request.pid).place(address)
+    return RegisterInjection(
+        request.pid, tracee.thread, address, place.library, place.offset, place.symbol, instruction.text, access,
+        register.name, register.width, bit, before, after, attempts, attempt.walked, round(1e6 * stopped),
+        after == before ^ (0 if request.null else 1 << bit),
+    )  # fmt: skip
+
+
+@contextmanager
+def _stopped(
+    request: Request, choices: random.Random, deadline: float, cancelled: Callable[[], bool]
+) -> Iterator[_Attempt]:
+    """The thread that is to be struck, standing still; it is let go in any case."""
+    with ExitStack() as cleanup:
+        memory = os.open(f"/proc/{request.pid}/mem", os.O_RDONLY)
+        cleanup.callback(os.close, memory)
+        if request.symbol:
+            tracee = _stop_at(request, deadline, cancelled, cleanup)
+        else:
+            tracee = Tracee(choose_thread(request.pid, request.thread), cancelled=cancelled)
+            cleanup.callback(tracee.detach)
+            time.sleep(choices.uniform(*_PAUSES))
+            tracee.interrupt(_STEP_LIMIT)
+        yield _Attempt(tracee, memory)
+
+
+def _stop_at(request: Request, deadline: float, cancelled: Callable[[], bool], cleanup: ExitStack) -> Tracee:
+    """Stop the first thread that calls the function; the others are let go again."""
+    address = AddressSpace(request.pid).find(request.symbol)
+    held: dict[int, Tracee] = {}
+
+    def let_go() -> None:
+        for tracee in held.values():
+            _disarm(tracee)
+
+    cleanup.callback(let_go)
+    for thread in [choose_thread(request.pid, request.thread)] if request.thread else threads_of(request.pid):
+        held[thread] = Tracee(thread, cancelled=cancelled)
+        held[thread].interrupt(_STEP_LIMIT)
+        if not request.thread:
+            held[thread].follow_threads()
+        held[thread].set_breakpoint(address)
+        held[thread].resume()
+    arrived = _first_at(address, held, request, deadline, cancelled)
+    arrived.clear_breakpoint()
+    del held[arrived.thread]
+    cleanup.callback(arrived.detach)
+    let_go()
+    held.clear()
+    return arrived
+
+
+def _first_at(
+    address: int, held: dict[int, Tracee], request: Request, deadline: float, cancelled: Callable[[], bool]
+) -> Tracee:
+    """Wait for the first thread that stands at an address; threads that come up meanwhile are watched as well."""
+    while held:
+        thread, status = os.waitpid(-1, WAIT_ALL | os.WNOHANG)
+        if not thread:
+            if time.monotonic() > deadline or cancelled():
+                raise TracerTimeoutError(
+                    f"pid {request.pid}: did not call {request.symbol!r} within {request.timeout:g} s"
+                )
+            time.sleep(_NAP)
+            continue
+        new = thread not in held
+        if new:  # made by one that is watched
+            held[thread] = Tracee(thread, seize=False, cancelled=cancelled)
+        tracee = held[thread]
+        try:
+            stop = tracee.note(status)
+        except TargetGoneError:
+            del held[thread]
+            continue
+        if new:
+            tracee.set_breakpoint(address)
+        elif not stop.signal and not stop.interrupted and tracee.general()["rip"] == address:
+            return tracee
+        tracee.resume(stop.signal)
+    raise TargetGoneError("the target ended")
+
+
+def _disarm(tracee: Tracee) -> None:
+    """Take the breakpoint back, and let go."""
+    try:
+        number = 0
+        if not tracee.stopped and not tracee.ended:
+            number = tracee.halt(_STEP_LIMIT)
+        if not tracee.ended:
+            tracee.clear_breakpoint()
+        tracee.detach(number)
+    except (ProcessLookupError, ChildProcessError, TargetGoneError, TracerTimeoutError):
+        pass

@@ -1,0 +1,278 @@
+"""ptrace(2) on x86-64 Linux, as far as the injector needs it.
+
+All calls for a target must come from the thread that seized it.  `PTRACE_SEIZE` is used throughout: it sends the target
+no signal, and if the tracer dies the target runs on.
+"""
+
+import ctypes
+import os
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mavfi.errors import MavfiError
+
+_CONT, _SINGLESTEP, _GETREGS, _SETREGS, _GETFPREGS, _SETFPREGS, _DETACH = 7, 9, 12, 13, 14, 15, 17
+_POKEUSER = 6
+_SETOPTIONS, _GETSIGINFO, _GETREGSET, _SETREGSET, _SEIZE, _INTERRUPT = 0x4200, 0x4202, 0x4204, 0x4205, 0x4206, 0x4207
+_TRACE_CLONE = 1 << 3
+_EVENT_STOP = 128
+WAIT_ALL = 0x40000000
+"""__WALL: without it, waitpid does not report threads that a process made by clone."""
+_XSTATE_NOTE = 0x202
+_XSTATE_SIZE = 16384
+_XSTATE_HEADER = 512
+_YMM_HIGH = 576
+"""Offset of the upper halves of the YMM registers in the standard XSAVE area (Intel SDM, vol. 1, 13.4)."""
+_YMM_COMPONENT = 1 << 2
+_XMM = 160
+_DEBUG_REGISTERS = 848
+"""offsetof(struct user, u_debugreg)."""
+_SPINS = 400
+_HALT_LIMIT = 1.0
+_NAP = 2e-4
+
+GENERAL = (
+    "r15", "r14", "r13", "r12", "rbp", "rbx", "r11", "r10", "r9", "r8", "rax", "rcx", "rdx", "rsi", "rdi", "orig_rax",
+    "rip", "cs", "rflags", "rsp", "ss", "fs_base", "gs_base", "ds", "es", "fs", "gs",
+)  # fmt: skip
+"""`struct user_regs_struct`."""
+
+
+class TargetGoneError(MavfiError):
+    """The target ended while it was traced."""
+
+
+class TracerTimeoutError(MavfiError):
+    """The target did not do in time what was waited for."""
+
+
+class _Registers(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_uint64) for name in GENERAL]
+
+
+class _Vector(ctypes.Structure):
+    """struct iovec."""
+
+    _fields_ = [("base", ctypes.c_void_p), ("length", ctypes.c_size_t)]
+
+
+_libc = ctypes.CDLL(None, use_errno=True)
+_libc.ptrace.restype = ctypes.c_long
+_libc.ptrace.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]
+
+
+def _ptrace(request: int, thread: int, address: int = 0, data: int = 0) -> None:
+    if _libc.ptrace(request, thread, address, data) < 0:
+        code = ctypes.get_errno()
+        raise OSError(code, os.strerror(code), f"ptrace {request:#x} of {thread}")
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Why a thread stopped.
+
+    Attributes:
+        signal: Signal that is on its way to the target and must be passed on; 0 = none.
+        interrupted: Whether it is the stop that `interrupt` asked for, or a stop of the whole process by SIGSTOP.
+    """
+
+    signal: int = 0
+    interrupted: bool = False
+
+
+class Tracee:
+    """One thread of the target.
+
+    Attributes:
+        thread: Its number.
+        stopped: Whether it stands still.
+        ended: Whether it is gone.
+        cancelled: Asked while waiting; True ends the wait.
+    """
+
+    def __init__(self, thread: int, *, seize: bool = True, cancelled: Callable[[], bool] = bool) -> None:
+        """Take hold of a thread; it runs on.
+
+        Args:
+            thread: Its number.
+            seize: False = it is traced already, being the child of a thread that is.
+            cancelled: See the attributes.
+
+        Raises:
+            OSError: It must not be traced.
+        """
+        self.thread = thread
+        self.stopped = False
+        self.ended = False
+        self.cancelled = cancelled
+        if seize:
+            _ptrace(_SEIZE, thread)
+
+    # ---- running and stopping ---------------------------------------------------------------------------------------
+    def follow_threads(self) -> None:
+        """From now on, threads that this one makes are traced too; the thread must stand still."""
+        _ptrace(_SETOPTIONS, self.thread, 0, _TRACE_CLONE)
+
+    def interrupt(self, timeout: float) -> None:
+        """Stop the thread; signals that come first are delivered.
+
+        Raises:
+            TargetGoneError: It ended.
+            TracerTimeoutError: It did not stop in time.
+        """
+        _ptrace(_INTERRUPT, self.thread)
+        stop = self.wait(timeout)
+        while not stop.interrupted:
+            self.resume(stop.signal)
+            stop = self.wait(timeout)
+
+    def halt(self, timeout: float) -> int:
+        """Stop the thread for whatever reason comes first, and answer the signal that is still to be delivered.
+
+        This is how the target is let go, so it is not cancelled: a breakpoint would be left behind.
+
+        Raises:
+            TargetGoneError: It ended.
+            TracerTimeoutError: It did not stop in time.
+        """
+        _ptrace(_INTERRUPT, self.thread)
+        self.cancelled = bool
+        return self.wait(timeout).signal
+
+    def step(self, timeout: float) -> None:
+        """Execute one instruction; where a signal arrives first, the first one of its handler.
+
+        Raises:
+            TargetGoneError: It ended.
+            TracerTimeoutError: It did not stop in time.
+        """
+        stop = Stop()
+        while True:
+            _ptrace(_SINGLESTEP, self.thread, 0, stop.signal)
+            self.stopped = False
+            stop = self.wait(timeout)
+            if not stop.signal:
+                return
+
+    def resume(self, number: int = 0) -> None:
+        """Let the thread run, and deliver a signal."""
+        _ptrace(_CONT, self.thread, 0, number)
+        self.stopped = False
+
+    def wait(self, timeout: float) -> Stop:
+        """Wait until the thread stops.
+
+        Raises:
+            TargetGoneError: It ended.
+            TracerTimeoutError: It did not stop in time, or the wait was cancelled.
+        """
+        deadline, spins = time.monotonic() + timeout, 0
+        while True:
+            found, status = os.waitpid(self.thread, WAIT_ALL | os.WNOHANG)
+            if found:
+                return self.note(status)
+            spins += 1
+            if spins < _SPINS:  # a step takes microseconds: sleeping would take longer
+                continue
+            if time.monotonic() > deadline or self.cancelled():
+                raise TracerTimeoutError(f"thread {self.thread}: did not stop within {timeout:g} s")
+            time.sleep(_NAP)
+
+    def note(self, status: int) -> Stop:
+        """Take a status of waitpid in.
+
+        Raises:
+            TargetGoneError: It says that the thread ended.
+        """
+        if not os.WIFSTOPPED(status):
+            self.stopped, self.ended = False, True
+            how = f"by signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else f"with {os.WEXITSTATUS(status)}"
+            raise TargetGoneError(f"the target ended {how}")
+        self.stopped = True
+        event, number = status >> 16, os.WSTOPSIG(status)
+        if event == _EVENT_STOP:
+            return Stop(0, interrupted=True)
+        if event or (number == signal.SIGTRAP and self._is_trap()):
+            return Stop()
+        return Stop(number)
+
+    def _is_trap(self) -> bool:
+        """Whether a SIGTRAP comes from a step or breakpoint, not from somebody's kill(2)."""
+        info = (ctypes.c_int * 32)()
+        _ptrace(_GETSIGINFO, self.thread, 0, ctypes.addressof(info))
+        return info[2] > 0  # si_code
+
+    def detach(self, number: int = 0) -> None:
+        """Let go; a thread that has ended needs nothing."""
+        if self.ended:
+            return
+        try:
+            if not self.stopped:
+                number = self.halt(_HALT_LIMIT)
+            _ptrace(_DETACH, self.thread, 0, number)
+        except (ProcessLookupError, ChildProcessError, TargetGoneError, TracerTimeoutError):
+            pass
+
+    # ---- registers --------------------------------------------------------------------------------------------------
+    def general(self) -> dict[str, int]:
+        """General registers by name."""
+        values = _Registers()
+        _ptrace(_GETREGS, self.thread, 0, ctypes.addressof(values))
+        return {name: int(getattr(values, name)) for name in GENERAL}
+
+    def set_general(self, registers: dict[str, int]) -> None:
+        """Write all general registers."""
+        values = _Registers(**registers)
+        _ptrace(_SETREGS, self.thread, 0, ctypes.addressof(values))
+
+    def vector(self, index: int) -> int:
+        """YMM register 0 to 15 as one integer of 256 bits; without AVX the upper half is 0."""
+        low = (ctypes.c_uint8 * 512)()
+        _ptrace(_GETFPREGS, self.thread, 0, ctypes.addressof(low))
+        area, length = self._extended()
+        at = _YMM_HIGH + 16 * index
+        has_high = length >= at + 16 and area[_XSTATE_HEADER] & _YMM_COMPONENT
+        high = bytes(area[at : at + 16]) if has_high else bytes(16)
+        return int.from_bytes(bytes(low[_XMM + 16 * index : _XMM + 16 * index + 16]) + high, "little")
+
+    def set_vector(self, index: int, value: int) -> None:
+        """Write a YMM register; the upper half only if it changes."""
+        before = self.vector(index)
+        raw = value.to_bytes(32, "little")
+        if before % (1 << 128) != value % (1 << 128):
+            low = (ctypes.c_uint8 * 512)()
+            _ptrace(_GETFPREGS, self.thread, 0, ctypes.addressof(low))
+            low[_XMM + 16 * index : _XMM + 16 * index + 16] = list(raw[:16])
+            _ptrace(_SETFPREGS, self.thread, 0, ctypes.addressof(low))
+        if before >> 128 != value >> 128:
+            area, length = self._extended()
+            if not area[_XSTATE_HEADER] & _YMM_COMPONENT:  # all upper halves are 0 and not stored
+                area[_YMM_HIGH : _YMM_HIGH + 256] = [0] * 256
+                area[_XSTATE_HEADER] |= _YMM_COMPONENT
+            at = _YMM_HIGH + 16 * index
+            area[at : at + 16] = list(raw[16:])
+            note = _Vector(ctypes.addressof(area), length)
+            _ptrace(_SETREGSET, self.thread, _XSTATE_NOTE, ctypes.addressof(note))
+
+    def _extended(self) -> tuple["ctypes.Array[ctypes.c_uint8]", int]:
+        area = (ctypes.c_uint8 * _XSTATE_SIZE)()
+        note = _Vector(ctypes.addressof(area), _XSTATE_SIZE)
+        _ptrace(_GETREGSET, self.thread, _XSTATE_NOTE, ctypes.addressof(note))
+        return area, note.length
+
+    # ---- breakpoint -------------------------------------------------------------------------------------------------
+    def set_breakpoint(self, address: int) -> None:
+        """Stop before the instruction at an address is executed by this thread.
+
+        A debug register of the processor does it: the target's code stays as it is, so threads that are not traced and
+        children of the target never meet the breakpoint.
+        """
+        _ptrace(_POKEUSER, self.thread, _DEBUG_REGISTERS, address)
+        _ptrace(_POKEUSER, self.thread, _DEBUG_REGISTERS + 8 * 7, 1)
+
+    def clear_breakpoint(self) -> None:
+        """Take it back; the thread must stand still."""
+        _ptrace(_POKEUSER, self.thread, _DEBUG_REGISTERS + 8 * 7, 0)
+        _ptrace(_POKEUSER, self.thread, _DEBUG_REGISTERS, 0)

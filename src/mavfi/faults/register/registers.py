@@ -1,0 +1,169 @@
+"""Which registers an instruction reads and writes, where they lie, and how a bit of one is flipped."""
+
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+
+import capstone
+from capstone import x86_const as x86
+
+from mavfi.faults.register.ptrace import Tracee
+
+_FLAGS = {"CF": 0, "PF": 2, "AF": 4, "ZF": 6, "SF": 7, "OF": 11}
+_VECTOR = re.compile(r"([xy])mm(\d+)$")
+_LAST_VECTOR = 15
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """A register as an instruction names it.
+
+    Attributes:
+        name: E.g. "eax", "xmm3", "rflags".
+        holder: The register of which it is a part; "" for vector registers.
+        index: Number of a vector register.
+        shift: Where it begins in the holder (bits).
+        bits: Bits that can be struck, counted from its begin.
+    """
+
+    name: str
+    holder: str
+    index: int
+    shift: int
+    bits: tuple[int, ...]
+
+    @property
+    def width(self) -> int:
+        """Size (bits)."""
+        return max(self.bits) + 1 if self.name == "rflags" else len(self.bits)
+
+    @property
+    def is_vector(self) -> bool:
+        """Whether it is XMM or YMM."""
+        return not self.holder
+
+
+def _part(name: str, holder: str, shift: int, width: int) -> Register:
+    return Register(name, holder, 0, shift, tuple(range(width)))
+
+
+def _general() -> dict[str, Register]:
+    parts = []
+    for letter in "abcd":
+        holder = f"r{letter}x"
+        parts += [(holder, holder, 0, 64), (f"e{letter}x", holder, 0, 32), (f"{letter}x", holder, 0, 16)]
+        parts += [(f"{letter}l", holder, 0, 8), (f"{letter}h", holder, 8, 8)]
+    for name in ("si", "di", "bp", "sp"):
+        parts += [(f"r{name}", f"r{name}", 0, 64), (f"e{name}", f"r{name}", 0, 32), (name, f"r{name}", 0, 16)]
+        parts += [(f"{name}l", f"r{name}", 0, 8)]
+    for number in range(8, 16):
+        holder = f"r{number}"
+        parts += [(holder, holder, 0, 64), (f"{holder}d", holder, 0, 32), (f"{holder}w", holder, 0, 16)]
+        parts += [(f"{holder}b", holder, 0, 8)]
+    return {part[0]: _part(*part) for part in parts}
+
+
+_GENERAL = _general()
+
+
+@lru_cache(maxsize=1)
+def _decoder() -> capstone.Cs:
+    decoder = capstone.Cs(capstone.CS_ARCH_X86, capstone.CS_MODE_64)
+    decoder.detail = True
+    return decoder
+
+
+@dataclass(frozen=True, slots=True)
+class Instruction:
+    """A decoded instruction.
+
+    Attributes:
+        text: Mnemonic and operands.
+        enters_kernel: Whether it is a system call: stepping over it may block.
+        reads: Registers that it reads.
+        writes: Registers that it writes.
+    """
+
+    text: str
+    enters_kernel: bool
+    reads: tuple[Register, ...]
+    writes: tuple[Register, ...]
+
+
+@lru_cache(maxsize=4096)
+def decode(code: bytes, address: int) -> Instruction | None:
+    """Decode what stands at an address.
+
+    Args:
+        code: Up to 15 bytes.
+        address: Where they stand.
+
+    Returns:
+        The instruction; None if it is not one that the decoder knows.
+    """
+    found = next(_decoder().disasm(code, address, 1), None)
+    if found is None:
+        return None
+    read, written = found.regs_access()
+    text = f"{found.mnemonic} {found.op_str}".rstrip()
+    return Instruction(
+        text,
+        found.mnemonic in ("syscall", "sysenter", "int"),
+        _registers(found, read, _FLAGS_READ),
+        _registers(found, written, _FLAGS_WRITTEN),
+    )
+
+
+def _flag_masks(*verbs: str) -> dict[str, int]:
+    """Capstone's bits of `eflags` that say that an instruction does something to a flag."""
+    found = {}
+    for flag in _FLAGS:
+        names = [f"X86_EFLAGS_{verb}_{flag}" for verb in verbs]
+        found[flag] = sum(getattr(x86, name, 0) for name in names)
+    return found
+
+
+_FLAGS_READ = _flag_masks("TEST")
+_FLAGS_WRITTEN = _flag_masks("MODIFY", "SET", "RESET")
+
+
+def _registers(found: capstone.CsInsn, numbers: list[int], flags: dict[str, int]) -> tuple[Register, ...]:
+    chosen = []
+    for number in numbers:
+        name = found.reg_name(number)
+        vector = _VECTOR.match(name)
+        if name in _GENERAL:
+            chosen.append(_GENERAL[name])
+        elif name == "rflags":  # only flags that the instruction tests or sets: the others would all be masked
+            bits = tuple(place for flag, place in _FLAGS.items() if found.eflags & flags[flag])
+            chosen += [Register("rflags", "rflags", 0, 0, bits)] if bits else []
+        elif vector and int(vector[2]) <= _LAST_VECTOR:
+            bits = tuple(range(_used_bits(found.mnemonic, vector[1])))
+            chosen.append(Register(name, "", int(vector[2]), 0, bits))
+    return tuple(chosen)
+
+
+def _used_bits(mnemonic: str, kind: str) -> int:
+    """Bits of a vector register that the instruction uses: of scalar arithmetic, one number."""
+    if kind == "y":
+        return 256
+    if mnemonic.endswith("sd"):
+        return 64
+    return 32 if mnemonic.endswith("ss") else 128
+
+
+def value_of(tracee: Tracee, register: Register) -> int:
+    """What a register holds; the thread must stand still."""
+    whole = tracee.vector(register.index) if register.is_vector else tracee.general()[register.holder]
+    return (whole >> register.shift) % (1 << register.width)
+
+
+def flip(tracee: Tracee, register: Register, bit: int) -> None:
+    """Flip a bit of a register; the rest of its holder stays as it is; the thread must stand still."""
+    mask = 1 << (register.shift + bit)
+    if register.is_vector:
+        tracee.set_vector(register.index, tracee.vector(register.index) ^ mask)
+        return
+    held = tracee.general()
+    held[register.holder] ^= mask
+    tracee.set_general(held)

@@ -1,0 +1,66 @@
+"""The process that traces: not the one that the user started, and out of reach of the keyboard.
+
+While a breakpoint is set, the target's life hangs on its tracer.  So the target survives when the user's process is
+stopped or killed: the tracer notices, takes the breakpoint back, lets the target go, and ends.
+"""
+
+import json
+import os
+import select
+import signal
+import sys
+import time
+from typing import TextIO
+
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.faults.register.injector import strike
+from mavfi.faults.register.request import Request
+
+
+def _abandoned() -> bool:
+    """Whether nobody waits for the answer any more: the other end of stdin is closed."""
+    readable, _, _ = select.select([sys.stdin.fileno()], [], [], 0)
+    return bool(readable)
+
+
+def serve(order: dict, answers: TextIO) -> None:
+    """Strike as often as ordered; each strike, or the reason why there is none, becomes a line of JSON."""
+    request = Request(**order["request"])
+    try:
+        for number in range(order["count"]):
+            if number:
+                time.sleep(order["interval"])
+            if _abandoned():
+                return
+            done = strike(request, number, order["tool"], _abandoned)
+            answers.write(json.dumps({"done": _as_numbers(done)}) + "\n")
+            answers.flush()
+    except BadInputError as error:
+        answers.write(json.dumps({"refused": str(error)}) + "\n")
+    except MavfiError as error:
+        answers.write(json.dumps({"failed": str(error)}) + "\n")
+
+
+def _as_numbers(done: object) -> dict:
+    return {name: getattr(done, name) for name in type(done).__slots__}  # type: ignore[attr-defined]
+
+
+def main() -> None:
+    """Read one order from stdin, write answers to stdout."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE):
+        signal.signal(number, signal.SIG_IGN)
+    line = b""
+    while not line.endswith(b"\n"):  # not through a buffer: what follows is the end of the file, which is waited for
+        byte = os.read(sys.stdin.fileno(), 1)
+        if not byte:
+            return
+        line += byte
+    try:
+        serve(json.loads(line), sys.stdout)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,338 @@
+"""The flights of one mission, without flying twice what is the same: with faults, and under several detectors.
+
+`Family.fly` answers what `mavfi.hosts.inprocess.fly` answers, bit for bit.  It saves work in three ways:
+
+- A flight with a fault begins at the golden twin's last checkpoint before the fault.
+- At each checkpoint at which vehicle, kernels and queue are what they are in a twin's flight, the rest is the twin's.
+- A detector that does not alarm changes nothing.  So where a flight without a detector is known, a detector is only
+  shown what was published there; at its first alarm the flight is flown on from the checkpoint before.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from mavfi.detectors.detector import Detector
+from mavfi.errors import MavfiError
+from mavfi.faults.fault import Fault
+from mavfi.faults.state import CounterWatch, StateInjector
+from mavfi.flight_log import FlightLog, Profile
+from mavfi.hosts import memory
+from mavfi.hosts.checkpoints import Checkpoint, Moment, counts_of, is_at, put, set_counts, take
+from mavfi.hosts.compose import CONTROL_PERIOD_US
+from mavfi.hosts.inprocess import Host
+from mavfi.mission import Scenario
+from mavfi.states import State
+
+TICKS = {"dense": 50, "octree": 200}
+"""Control ticks between two checkpoints, by the kind of map: an octree is copied whole each time."""
+
+
+@dataclass(slots=True)
+class Share:
+    """How much of the flights was flown.
+
+    Attributes:
+        flights: Flights asked for.
+        ticks: Their control ticks.
+        flown: Those that were simulated.
+        shown: Those in which a detector was only shown what a known flight had published.
+        joined: Flights that ended as another flight, before their end.
+    """
+
+    flights: int = 0
+    ticks: int = 0
+    flown: int = 0
+    shown: int = 0
+    joined: int = 0
+
+
+@dataclass(slots=True)
+class Forked:
+    """A flight's log, and the profile of the golden flight without a detector."""
+
+    log: FlightLog
+    profile: Profile | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """A flight that is over, and where others can leave or join it.
+
+    Attributes:
+        log: Its record.
+        rows: The record's rows, one array each.
+        shown: Every publication and its instant, in flights without a detector.
+        checkpoints: By number of rows.
+        end: The end.
+    """
+
+    log: FlightLog
+    rows: list[np.ndarray]
+    shown: list[tuple[State, int]]
+    checkpoints: dict[int, Checkpoint]
+    end: Checkpoint
+
+    def before(self, time_us: int) -> int:
+        """Number of rows of the last checkpoint before an instant; the first one, if there is none."""
+        return max((rows for rows in self.checkpoints if rows * CONTROL_PERIOD_US < time_us), default=0)
+
+    def pieces(self, rows: int) -> Iterator[tuple[Checkpoint, Checkpoint]]:
+        """From a checkpoint to the next one, and so on to the end."""
+        chosen = [self.checkpoints[place] for place in sorted(self.checkpoints) if place >= rows]
+        return pairwise([*chosen, self.end])
+
+
+class Family:
+    """All flights of one mission.
+
+    Args:
+        scenario: The mission.
+
+    Attributes:
+        share: What was flown so far.
+
+    Raises:
+        BadInputError: The scenario cannot be flown.
+        MavfiError: It has an estimator, whose sensors are not part of a checkpoint.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        if scenario.localization.kind != "truth":
+            raise MavfiError("flights with an estimator are not forked")
+        self.host = Host(scenario, want_profile=True, rewindable=True)
+        self.pitch = TICKS.get(scenario.map.kind, TICKS["octree"])
+        self.share = Share()
+        self._golden: dict[str, Track] = {}
+        self._profile: Profile | None = None
+        self._last: tuple[Fault, Track] | None = None
+
+    def fly(self, fault: Fault | None = None, detector: Detector | None = None, arm: str = "") -> Forked:
+        """Fly, as far as it is not known yet.
+
+        Args:
+            fault: What to inject; None = golden flight.
+            detector: What watches; None = nothing.  It is told to `start` where its flights begin.
+            arm: Name of the detector: the same name always comes with the same detector.
+        """
+        with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
+            if fault is None:
+                track = self.golden(detector, arm)
+            else:
+                track = self._struck(fault) if detector is None else self._injected(fault, detector, arm)
+        self.share.flights += 1
+        self.share.ticks += len(track.rows)
+        return Forked(track.log, self._profile if fault is None and detector is None else None)
+
+    def golden(self, detector: Detector | None = None, arm: str = "") -> Track:
+        """The golden flight, flown when it is first wanted."""
+        if arm not in self._golden:
+            self._golden[arm] = self._first() if detector is None else self._watched(detector)
+        return self._golden[arm]
+
+    def _first(self) -> Track:
+        """The golden flight without a detector, from take-off."""
+        host = self.host
+        branch = _Branch(self, None, keeps=True)
+        host.injector = CounterWatch()
+        host.begin()
+        branch.keep(take(host))
+        track = branch.fly()
+        self._profile = host.publications.profile()
+        host.publications.wanted = False
+        return track
+
+    def _watched(self, detector: Detector) -> Track:
+        """The golden flight with a detector."""
+        plain = self.golden()
+        branch = _Branch(self, detector, [plain], keeps=True)
+        detector.start()
+        branch.begin(plain, plain.checkpoints[0])
+        branch.host.injector = CounterWatch()
+        branch.keep(plain.checkpoints[0].here)
+        branch.follow(plain, 0)
+        return branch.fly()
+
+    def _struck(self, fault: Fault) -> Track:
+        """The flight with a fault and no detector; of the last fault it is known."""
+        if self._last is None or self._last[0] != fault:
+            self._last = fault, self._injected(fault, None, "")
+        return self._last[1]
+
+    def _injected(self, fault: Fault, detector: Detector | None, arm: str) -> Track:
+        own, plain = self.golden(detector, arm), self.golden()
+        rows = own.before(fault.time_us)
+        start = own.checkpoints[rows]
+        injector = StateInjector(fault, memory.restored(start.injector))
+        as_plain = rows in plain.checkpoints and start.moment is plain.checkpoints[rows].moment
+        # where nothing has alarmed yet, the flight without a detector shows what happens until it does
+        along = self._struck(fault) if detector is not None and as_plain and not injector.spent else None
+        branch = _Branch(self, detector, [plain] if along is None else [along, plain], own, keeps=detector is None)
+        branch.begin(own, start)
+        branch.host.injector = injector
+        if detector is not None:
+            memory.restored(start.detector)
+        if injector.spent:
+            branch.join(own, rows)
+        elif along is not None:
+            branch.follow(along, rows)
+        else:
+            put(branch.host, start.here)
+            if detector is None:
+                branch.keep(start.here)
+        return branch.fly()
+
+
+class _Branch:
+    """A flight that comes about, on the one host of the family.
+
+    Args:
+        family: Where it belongs.
+        detector: What watches.
+        twins: Flights without a detector that it may come to equal.
+        own: The golden flight with the same detector.
+        keeps: Whether others may leave or join this flight: it then has checkpoints.
+    """
+
+    def __init__(
+        self, family: Family, detector: Detector | None, twins: Sequence[Track] = (), own: Track | None = None,
+        keeps: bool = False,
+    ) -> None:  # fmt: skip
+        self.host = family.host
+        self._share, self._pitch = family.share, family.pitch
+        self._detector, self._twins, self._own, self._keeps = detector, twins, own, keeps
+        self._checkpoints: dict[int, Checkpoint] = {}
+        self._shown: list[tuple[State, int]] = []
+        self._flown = False
+        self._log: FlightLog | None = None
+        self.host.detector, self.host.status = detector, None
+        shows = keeps and detector is None
+        self.host.observer = (lambda state, now: self._shown.append((state, now))) if shows else None
+
+    # ---- the record -------------------------------------------------------------------------------------------------
+    def begin(self, track: Track, start: Checkpoint) -> None:
+        """Take the record of a flight over until a checkpoint."""
+        host = self.host
+        host.rows, host.events = track.rows[: start.rows], track.log.events[: start.events]
+        host.alarms, self._shown = list(start.alarms), track.shown[: start.shown]
+        set_counts(host, start.counts)
+
+    def keep(self, moment: Moment) -> None:
+        """Note a checkpoint here."""
+        self._checkpoints[len(self.host.rows)] = self._checkpoint(moment)
+
+    def _checkpoint(self, moment: Moment | None = None) -> Checkpoint:
+        host = self.host
+        spent = host.injector is not None and host.injector.spent
+        return Checkpoint(
+            moment, len(host.rows), len(host.events), len(self._shown), tuple(host.alarms), counts_of(host), spent,
+            memory.save(host.injector), memory.save(self._detector),
+        )  # fmt: skip
+
+    def _append(self, track: Track, here: Checkpoint, there: Checkpoint) -> None:
+        """Go on as another flight did from one of its checkpoints to another one."""
+        host, log = self.host, track.log
+        host.rows += track.rows[here.rows : there.rows]
+        host.events += log.events[here.events : there.events]
+        host.alarms += log.alarms[len(here.alarms) : len(there.alarms)]
+        if self._keeps and self._detector is None:
+            self._shown += track.shown[here.shown : there.shown]
+        so_far = counts_of(host)
+        set_counts(host, (n + b - a for n, a, b in zip(so_far, here.counts, there.counts, strict=True)))
+        if there is track.end:
+            self._log = host.log(log.status, log.meta["rejected_commands"])
+        elif self._keeps:
+            self.keep(there.here)
+
+    # ---- going on as another flight ---------------------------------------------------------------------------------
+    def join(self, track: Track, rows: int) -> None:
+        """Go on as another flight, with all that it had, to the end."""
+        self._share.joined += 1
+        if not self._keeps:
+            self._append(track, track.checkpoints[rows], track.end)
+            return
+        for here, there in track.pieces(rows):
+            self._append(track, here, there)
+
+    def follow(self, track: Track, rows: int) -> None:
+        """Go on as a flight without a detector, until the end or until the detector alarms at what is shown to it."""
+        for here, there in track.pieces(rows):
+            if self._detector is None:
+                return self.join(track, here.rows)
+            if self._own is not None and self._is_own(here, self._own):
+                return self.join(self._own, here.rows)
+            known = memory.save(self._detector)
+            if self._alarms(track.shown[here.shown : there.shown]):
+                memory.restored(known)
+                return put(self.host, here.here)
+            self._share.shown += there.rows - here.rows
+            if not self._flown or isinstance(self.host.injector, CounterWatch):
+                self.host.injector = memory.restored(there.injector)
+            self._append(track, here, there)
+
+    def _is_own(self, here: Checkpoint, own: Track) -> bool:
+        """Whether the rest is that of the golden flight with the same detector."""
+        known = own.checkpoints.get(here.rows)
+        return (
+            known is not None
+            and known.moment is here.moment
+            and self._is_through()
+            and memory.same(self._detector, known.detector)
+        )
+
+    def _is_through(self) -> bool:
+        """Whether nothing is to come of the tap and of the last alarm."""
+        return not self.host.redo and self.host.injector is not None and self.host.injector.spent
+
+    def _alarms(self, shown: list[tuple[State, int]]) -> bool:
+        detector = self._detector
+        assert detector is not None  # only detectors are shown anything
+        for state, now in shown:
+            if detector.check(state, now) is not None:
+                return True
+            detector.accept(state, now)
+        return False
+
+    # ---- flying -----------------------------------------------------------------------------------------------------
+    def fly(self) -> Track:
+        """Go on to the end, by simulation where nothing else will do."""
+        host = self.host
+        while self._log is None:
+            self._flown = True
+            before = len(host.rows)
+            host.run((before // self._pitch + 1) * self._pitch)
+            self._share.flown += len(host.rows) - before
+            if host.status is None:
+                self._arrive()
+            else:
+                self._log = host.flight().log
+        host.observer = None
+        return Track(self._log, host.rows, self._shown, self._checkpoints, self._checkpoint())
+
+    def _arrive(self) -> None:
+        """At the instant of a checkpoint: go on as another flight, if one is in the same state."""
+        twin = self._twin() if self._is_through() else None
+        if self._keeps:
+            self.keep(take(self.host) if twin is None else twin.checkpoints[len(self.host.rows)].here)
+        if twin is not None and twin is self._own:
+            self.join(twin, len(self.host.rows))
+        elif twin is not None:
+            self.follow(twin, len(self.host.rows))
+
+    def _twin(self) -> Track | None:
+        """A flight that is in the same state now."""
+        host, seen = self.host, set()
+        for track in (*self._twins, self._own):
+            here = None if track is None else track.checkpoints.get(len(host.rows))
+            if track is None or here is None or not here.spent or id(here.moment) in seen:
+                continue  # a twin that is still to be struck would be struck for this flight, too
+            seen.add(id(here.moment))
+            if track is self._own and not memory.same(self._detector, here.detector):
+                continue
+            if isinstance(host.injector, CounterWatch) and not memory.same(host.injector, here.injector):
+                continue
+            if is_at(host, here.here):
+                return track
+        return None

@@ -1,0 +1,98 @@
+"""ROS message definitions, derived from the table of states; text only, no ROS needed.
+
+A state `planning.waypoint` becomes the type `mavfi_msgs/PlanningWaypoint`: a `Header` whose stamp is the instant at
+which the value counts, the `number` of the publication, then the fields of the state with their names and types as in
+the table.  Fields of elements are arrays of the same name; where a header field bears the name of an element's field,
+it becomes `header_<name>`.
+"""
+
+from mavfi.states import STATES, StateSpec
+
+PACKAGE = "mavfi_msgs"
+_TYPES = {"f8": "float64", "f4": "float32", "i4": "int32", "?": "bool"}
+
+_SERVICES = {
+    "Drive": """# Lock-step: what a node's kernels do next, and what came of the last operation.
+mavfi_msgs/Operation[] operations
+---
+bool due
+string[] states
+uint64[] numbers
+""",
+}
+
+_OTHERS = {
+    "Operation": """# One operation of one kernel; publish_us: stamp of what is published at once, -1 = it is held.
+uint8 RECEIVE = 0
+uint8 STEP = 1
+uint8 PUBLISH = 2
+uint8 MARK = 3
+uint8 ROLLBACK = 4
+uint8 STOP = 5
+uint8 ABANDON = 6
+uint8 action
+string kernel
+uint64 number
+int64 time_us
+int64 publish_us
+""",
+    "Verdict": """# What a detector says of one publication.
+std_msgs/Header header
+uint64 number
+string state
+bool raised
+bool withheld
+string source
+string stage
+bool abandon_waypoint
+bool stop
+float64 score
+string[] fields
+""",
+    "Recompute": """# A detector's request: the kernels of a stage put their memory back and compute again.
+std_msgs/Header header
+string stage
+string kernel
+bool abandon_waypoint
+bool stop
+""",
+    "Injection": """# What an injector did.
+std_msgs/Header header
+string state
+string record
+""",
+}
+
+
+def type_name(spec: StateSpec) -> str:
+    """Name of the message type of a state, without its package: `planning.waypoint` -> `PlanningWaypoint`."""
+    return "".join(word.capitalize() for word in spec.name.replace(".", "_").split("_"))
+
+
+def header_slots(spec: StateSpec) -> tuple[str, ...]:
+    """Names of the header's fields in the message, in the order of the table."""
+    return tuple(f"header_{f.name}" if spec.in_elements(f.name) else f.name for f in spec.header)
+
+
+def element_slots(spec: StateSpec) -> tuple[str, ...]:
+    """Names of the elements' fields in the message, in the order of the table."""
+    return tuple(f.name for f in spec.elements)
+
+
+def message_text(spec: StateSpec) -> str:
+    """Definition of the message of a state, as in a `.msg` file."""
+    lines = [f"# {spec.name}, published by {spec.writer}: {spec.rate}.", "std_msgs/Header header", "uint64 number"]
+    lines += [f"{_TYPES[f.dtype]} {slot}  # {f.unit}" for slot, f in zip(header_slots(spec), spec.header, strict=True)]
+    slots = zip(element_slots(spec), spec.elements, strict=True)
+    lines += [f"{_TYPES[f.dtype]}[] {slot}  # {f.unit}, per {spec.element}" for slot, f in slots]
+    return "\n".join(lines) + "\n"
+
+
+def messages() -> dict[str, str]:
+    """Text of every message of the package by its name."""
+    return {type_name(spec): message_text(spec) for spec in STATES.values()} | _OTHERS
+
+
+def services() -> dict[str, str]:
+    """Text of every service of the package by its name."""
+    return dict(_SERVICES)

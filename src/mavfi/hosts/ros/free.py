@@ -1,0 +1,136 @@
+"""The world in free-running mode: time passes as on the wall, and nobody waits for anybody."""
+
+import os
+import queue
+import signal
+import time
+from typing import Any
+
+from mavfi.detectors.detector import Alarm
+from mavfi.faults.fault import Fault, Injection
+from mavfi.faults.state import StateInjector
+from mavfi.flight_log import Event
+from mavfi.hosts.inprocess import Flight, Host
+from mavfi.hosts.ros.folder import read_strikes
+from mavfi.hosts.ros.graph import ALARM, WORLD
+from mavfi.hosts.ros.plan import Plan
+from mavfi.hosts.ros.ports import Ports, world_listens
+from mavfi.hosts.ros.roll_call import ask, wait_for
+from mavfi.hosts.ros.senses import Senses
+from mavfi.pipeline.ppc import PERIODIC
+from mavfi.states import State
+
+_POLL_US = 4_000
+_CAMERA_PATIENCE_US = 2_000_000
+
+
+class FreeWorld(Host):
+    """Simulates as time passes, obeys the commands that come, and keeps the record."""
+
+    def __init__(self, plan: Plan) -> None:
+        """Wait until every node is there and connected.
+
+        Args:
+            plan: The flight.
+        """
+        super().__init__(plan.scenario, kernels=lambda config: {})
+        self.busy = dict.fromkeys(PERIODIC)  # they are stepped by their own nodes
+        self.plan = plan
+        self.pids: dict[str, int] = {}
+        self.kills = sorted(plan.kills, key=lambda kill: kill[1])
+        self._gone: dict[str, int] = {}
+        self._came: queue.SimpleQueue[Any] = queue.SimpleQueue()
+        self._number = 0
+        self._ports = ports = Ports(WORLD, plan)
+        self._sensors = {name: ports.outlet(way, way.first) for name, way in ports.ways.items() if way.writer == WORLD}
+        for name, way in ports.ways.items():
+            if world_listens(plan, name) and way.writer != WORLD:
+                ports.read(name, way.final, lambda state, number, time_us: self._came.put(state))
+        if plan.detector is not None:
+            ports.listen(ALARM, "Verdict", self._came.put)
+        self._senses = Senses(self.sim)
+        self.pids = {node: wait_for(node, plan.patience_s) for node in plan.nodes}
+        ports.wait_until_connected()
+        self.injector = None if plan.fault is None else _Elsewhere(plan.fault)
+        self._start = time.monotonic()
+
+    def fly(self) -> Flight:
+        """Run until the mission has a status."""
+        self.at(_POLL_US, "poll")
+        return super().fly()
+
+    def poll(self, now: int) -> None:
+        """Wait until it is that late on the wall, and obey what comes meanwhile."""
+        self._wait(now)
+        self.at(now + _POLL_US, "poll")
+
+    def _wait(self, now: int) -> None:
+        while time.monotonic() < (then := self._start + 1e-6 * now):
+            try:
+                came = self._came.get(timeout=max(1e-4, then - time.monotonic()))
+            except queue.Empty:
+                continue
+            self._take(came, now)
+        while not self._came.empty():
+            self._take(self._came.get(), now)
+
+    def tick(self, now: int) -> None:
+        """One control period."""
+        self._wait(now)
+        self._watch_nodes(now)
+        self._senses.publish(now)
+        super().tick(now)
+        if self.status is None and now - self.captured_us > _CAMERA_PATIENCE_US:
+            self.capture(now)
+
+    def _take(self, came: Any, now: int) -> None:
+        if isinstance(came, State):
+            self.publish(came, now)
+            return
+        alarm = Alarm(
+            came.source, came.stage, came.abandon_waypoint, came.stop, came.score, tuple(came.fields)
+        )  # fmt: skip
+        action = "stop" if came.stop else "abandon" if came.abandon_waypoint else "recompute"
+        record = {"time_s": 1e-6 * now, **alarm.to_json(), "state": came.state, "action": action}
+        self.alarms.append({**record, "outcome": "replaced" if came.withheld else "accepted"})
+
+    def deliver(self, state: State, now: int) -> None:
+        """Publish what sensors measure; nobody waits until it has been seen."""
+        self.publications.note(state, now)
+        self._number += 1
+        self._sensors[state.spec.name].publish(state, self._number, now)
+
+    # ---- nodes that die ---------------------------------------------------------------------------------------------
+    def _watch_nodes(self, now: int) -> None:
+        """Kill those that are to be killed, and see whether they are back."""
+        while self.kills and self.kills[0][1] <= now:
+            node = self.kills.pop(0)[0]
+            self.events.append(
+                Event(now, "node_lost", {"node": node, "pid": self.pids[node], "why": "killed as planned"})
+            )
+            os.kill(self.pids[node], signal.SIGKILL)
+            self._gone[node] = now
+        for node, since in list(self._gone.items()):
+            if (now - since) % 200_000 == 0:
+                answer = ask(node)
+                if answer is not None and answer != self.pids[node]:
+                    self.pids[node] = answer
+                    self.events.append(Event(now, "node_back", {"node": node, "pid": answer}))
+                    del self._gone[node]
+
+
+class _Elsewhere:
+    """The host's injector, which is a node: values do not come by here."""
+
+    spent = False
+
+    def __init__(self, fault: Fault) -> None:
+        self._fault = fault
+
+    def __call__(self, state: State, time_us: int) -> State:
+        """Values go through the node itself."""
+        return state
+
+    def finish(self) -> list[Injection]:
+        """All that the node did."""
+        return read_strikes() or StateInjector(self._fault).finish()

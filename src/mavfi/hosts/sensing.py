@@ -1,0 +1,71 @@
+"""What the vehicle's sensors publish: the truth, or what an estimator is fed with."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from mavfi.config import LocalizationConfig
+from mavfi.sim.scene import STEP_US
+from mavfi.sim.simulator import Simulator
+from mavfi.states import ODOMETRY, State, floats, new_state
+
+_ESTIMATE = ODOMETRY["estimator"]
+
+
+class Sensors:
+    """The sensors of one flight.
+
+    With an estimator nothing that is published comes from the true pose but through a sensor: an image carries the
+    last estimate that consumers have seen, while the camera looks from where the vehicle is.
+
+    Attributes:
+        estimating: Whether there is an estimator.
+    """
+
+    def __init__(self, sim: Simulator, localization: LocalizationConfig) -> None:
+        """Nothing is measured yet.
+
+        Args:
+            sim: What they measure.
+            localization: Truth, or an estimator and the period of its fixes.
+        """
+        self.estimating = localization.kind == "estimator"
+        self._sim = sim
+        self._period_us = localization.position_period_us
+        self._next_fix_us = 0
+        self._estimate = np.zeros(7)
+        self._estimate[3] = 1.0
+
+    def samples_between(self, now: int, later: int) -> Iterator[int]:
+        """Instants after now and before the next control period at which the IMU is sampled."""
+        return iter(range(now + STEP_US, later, STEP_US) if self.estimating else ())
+
+    def depth(self) -> State:
+        """A depth image with the pose that it is believed to be from."""
+        ranges, pose = self._sim.depth()
+        state = new_state("sensor.depth", len(ranges))
+        floats(state.header, 7)[:] = self._estimate if self.estimating else pose
+        state.elements["range"] = ranges
+        return state
+
+    def motion(self, now: int) -> list[State]:
+        """Where the vehicle is: the true odometry; or a position fix where one is due, and a sample of the IMU."""
+        if not self.estimating:
+            return [_state(ODOMETRY["truth"], self._sim.odometry)]
+        measured = []
+        if now >= self._next_fix_us:
+            self._next_fix_us += self._period_us
+            measured.append(_state("sensor.position", self._sim.position_fix()))
+        return [*measured, _state("sensor.imu", self._sim.imu())]
+
+    def see(self, state: State) -> None:
+        """Note the last estimate that consumers have seen."""
+        if state.spec.name == _ESTIMATE:
+            values = floats(state.header, 10)
+            self._estimate[:3], self._estimate[3:] = values[:3], values[6:]
+
+
+def _state(name: str, values: np.ndarray) -> State:
+    state = new_state(name)
+    floats(state.header, len(values))[:] = values
+    return state

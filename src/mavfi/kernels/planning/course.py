@@ -1,0 +1,243 @@
+"""From a path to a minimum-snap trajectory: when the curve passes its stations, and what is done if it strays.
+
+Times follow the trapezoid rule; where a limit is broken, speed and acceleration are planned lower; where the curve
+leaves free space, stations are added in the middle of the stretch of path beside it, as in the published code.
+"""
+
+import math
+
+import numpy as np
+
+from mavfi.kernels.planning import minimum_snap
+from mavfi.kernels.planning.path import distance
+from mavfi.kernels.planning.stations import BEND, NEAR, VERTEX_LIMIT, Law, Work, first_stations, insert, place
+from mavfi.kernels.planning.travel import tight_share, turn
+from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.voxels import Grid, segment_free, voxel_of
+
+ROUNDS = 10
+"""How often stations are added before the curve is given up."""
+_TRIALS = 40
+"""How often the plan of speeds is made gentler before the curve is given up."""
+_SHARED = 0.5
+"""Share of what a segment is too fast by that its neighbours get, too."""
+_SHARPNESS = 1.2
+"""Largest curvature of a cut corner x its reach / tan of half the turn."""
+_SLOWEST = 0.2
+"""Between start and end (m/s)."""
+_ABSURD = 1e3
+"""No vehicle enters faster (m/s)."""
+_STEP = 0.02
+"""Between the points at which free space is looked up (s)."""
+_MOST_STEPS = 2_000
+
+
+@kernel_jit
+def _corner_speed(bend: float, reach: float, sharpness: float, law: Law) -> float:
+    """How fast a turn is flown for which there is some room (m/s)."""
+    sharp = sharpness * math.tan(0.5 * min(bend, 3.0))
+    return min(law.speed, math.sqrt(law.lateral * max(reach, 0.0) / sharp)) if sharp > 1e-6 else law.speed
+
+
+@kernel_jit
+def _room_speeds(wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, law: Law, work: Work, n: int) -> None:
+    """Largest speed at each station, for corners and narrow places; length and tightness of each segment."""
+    for k in range(n):
+        point = work.points[k]
+        voxel = voxel_of(grid, point[0], point[1], point[2])
+        work.caps[k] = law.tight_speed if voxel >= 0 and wide[voxel] > 0 else law.speed
+        work.push[k] = 1.0
+    for k in range(n - 1):
+        chord = distance(work.points[k], work.points[k + 1])
+        work.lengths[k] = 0.5 * (work.stations[k + 1] - work.stations[k] + chord)
+        work.shares[k] = tight_share(wide, grid, work.points[k], work.points[k + 1])
+        for i in range(work.leg[k] + 1, min(work.leg[k + 1] + 1, count - 1)):
+            bend = turn(path[i - 1], path[i], path[i + 1])
+            to = work.stations[k + 1] - work.corners[i]
+            since = work.corners[i] - work.stations[k]
+            if bend < BEND and to > 1e-6:
+                slow = _corner_speed(bend, 0.5 * (since + to), 1.0, law)
+                work.caps[k] = min(work.caps[k], slow)
+            elif to > 1e-6:
+                slow = _corner_speed(bend, min(since, to), _SHARPNESS, law)
+                work.caps[k] = min(work.caps[k], slow)
+            else:  # passed through
+                after = work.stations[k + 2] - work.stations[k + 1] if k < n - 2 else since
+                slow = _corner_speed(bend, 0.5 * min(since, after), 1.0, law)
+            work.caps[k + 1] = min(work.caps[k + 1], slow)
+
+
+@kernel_jit
+def _trapezoid(entry: float, law: Law, work: Work, n: int) -> None:
+    """Speeds that can be reached one after the other, and how long each segment takes."""
+    caps, speeds, push = work.caps, work.speeds, work.push
+    for k in range(n):
+        speeds[k] = max(caps[k], _SLOWEST)
+    speeds[n - 1] = 0.0
+    for k in range(n - 2, -1, -1):
+        gained = 2.0 * law.tangential * push[k] * work.lengths[k]
+        speeds[k] = min(speeds[k], math.sqrt(speeds[k + 1] ** 2 + gained))
+    speeds[0] = entry
+    unavoidable = entry
+    for k in range(n - 1):
+        gained = 2.0 * law.tangential * push[k] * work.lengths[k]
+        lost = 2.0 * law.braking * push[k] * work.lengths[k]
+        speeds[k + 1] = min(speeds[k + 1], math.sqrt(speeds[k] ** 2 + gained))
+        tight = max(law.tight_speed, unavoidable)
+        # what is too fast at the start cannot be slow at once
+        unavoidable = math.sqrt(max(0.0, unavoidable**2 - lost))
+        if k < n - 2:
+            speeds[k + 1] = max(speeds[k + 1], unavoidable)
+        mean = 0.5 * (speeds[k] + speeds[k + 1])
+        if mean > 1e-3:
+            share = work.shares[k]
+            work.times[k] = work.lengths[k] * ((1.0 - share) / mean + share / min(mean, tight))
+        else:
+            work.times[k] = 2.0 * math.sqrt(work.lengths[k] / (law.tangential * push[k]))
+
+
+@kernel_jit
+def _within_limits(entry: float, law: Law, work: Work, n: int) -> bool:
+    """Whether all segments keep to the limits; those that do not, and less so their neighbours, become gentler."""
+    kept = True
+    excess = work.excess
+    for k in range(n - 1):
+        speed, acceleration = minimum_snap.peaks(work.ends, k, work.times[k])
+        fastest = max(law.speed, 1.05 * max(entry if k == 0 else 0.0, work.speeds[k] if entry > law.speed else 0.0))
+        over = max(speed / fastest, acceleration / law.acceleration)
+        kept = kept and over <= 1.0
+        excess[k] = min(1.0, over - 1.0 + 5e-3) if not over <= 1.0 else 0.0
+    if kept:
+        return True
+    for k in range(1, n - 1):
+        excess[k] = max(excess[k], _SHARED * excess[k - 1])
+    for k in range(n - 3, -1, -1):
+        excess[k] = max(excess[k], _SHARED * excess[k + 1])
+    for k in range(n - 1):
+        work.push[k] /= 1.0 + excess[k]
+        gentler = 1.0 + 0.3 * max(excess[k], excess[k - 1] if k > 0 else 0.0)
+        work.caps[k] = min(work.caps[k], law.speed) / gentler
+    return False
+
+
+@kernel_jit
+def _segment_is_free(counter: np.ndarray, grid: Grid, work: Work, k: int) -> bool:
+    """Whether the polynomial of segment k stays out of what is blocked."""
+    polynomial = np.empty((8, 3))
+    point = np.empty(9)
+    last = np.empty(3)
+    minimum_snap.coefficients(work.ends, k, work.times[k], polynomial)
+    steps = int(min(work.times[k] / _STEP, _MOST_STEPS)) + 1
+    for axis in range(3):
+        last[axis] = work.points[k, axis]
+    for step in range(1, steps + 1):
+        minimum_snap.evaluate(polynomial, work.points[k], work.times[k], step / steps, point)
+        if not segment_free(counter, grid, last, point[:3]):
+            return False
+        for axis in range(3):
+            last[axis] = point[axis]
+    return True
+
+
+@kernel_jit
+def _path_is_free(counter: np.ndarray, grid: Grid, path: np.ndarray, work: Work, k: int) -> bool:
+    """Whether the path beside segment k is."""
+    last = work.points[k]
+    for i in range(work.leg[k] + 1, work.leg[k + 1] + 1):
+        if not segment_free(counter, grid, last, path[i]):
+            return False
+        last = path[i]
+    return segment_free(counter, grid, last, work.points[k + 1])
+
+
+@kernel_jit
+def split(counter: np.ndarray, grid: Grid, path: np.ndarray, count: int, work: Work, n: int, added: np.ndarray) -> int:
+    """What is to be added where the curve leaves free space although the path beside it does not.
+
+    Args:
+        counter: > 0 = blocked. Shape (grid.size,).
+        grid: Geometry.
+        path: Vertices (m). Shape (>= count, 3).
+        count: Number of vertices.
+        work: A solved curve.
+        n: Number of stations.
+        added: Result: new stations, halfway on the legs beside each such segment (m). Shape (KNOT_LIMIT,).
+
+    Returns:
+        Number of new stations; 0 = the curve is free.
+    """
+    new = 0
+    for k in range(n - 1):
+        if new > added.shape[0] - 3:
+            break
+        if _segment_is_free(counter, grid, work, k) or not _path_is_free(counter, grid, path, work, k):
+            continue
+        a, b = work.stations[k], work.stations[k + 1]
+        corner = work.leg[k] + 1
+        inside = corner < count and work.corners[corner] < b - 1e-6
+        if inside and b - a > 4.0 * NEAR:
+            added[new] = 0.5 * (a + work.corners[corner])
+            added[new + 1] = 0.5 * (b + work.corners[corner])
+            new += 2
+        else:
+            added[new] = work.corners[corner] if inside else 0.5 * (a + b)
+            new += 1
+    return new
+
+
+@kernel_jit
+def _timed(velocity: np.ndarray, acceleration: np.ndarray, law: Law, work: Work, n: int) -> bool:
+    """Lay a curve within the limits through the stations; whether there is one."""
+    entry = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
+    if not entry < _ABSURD:
+        return False
+    for _ in range(_TRIALS):
+        _trapezoid(entry, law, work, n)
+        if not minimum_snap.solve(work.points, work.times, n, velocity, acceleration, work.elimination, work.ends):
+            return False
+        if _within_limits(entry, law, work, n):
+            return True
+    return False
+
+
+@kernel_jit
+def fit(
+    narrow: np.ndarray, wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, velocity: np.ndarray,
+    acceleration: np.ndarray, law: Law, work: Work,
+) -> int:  # fmt: skip
+    """Minimum-snap curve along a path, within the limits and, where the path is, in free space.
+
+    Args:
+        narrow: > 0 = blocked. Shape (grid.size,).
+        wide: > 0 = too near to an obstacle for full speed. Shape (grid.size,).
+        grid: Geometry.
+        path: Vertices, no two the same in a row (m). Shape (>= count, 3).
+        count: Number of vertices, at least 2.
+        velocity: At the start (m/s). Shape (3,).
+        acceleration: At the start (m/s^2). Shape (3,).
+        law: Limits.
+        work: Holds the result.
+
+    Returns:
+        Number of stations of the curve; 0 = none was found.
+    """
+    if count < 2 or count > VERTEX_LIMIT:
+        return 0
+    n = first_stations(path, count, law, work)
+    if n < 2:
+        return 0
+    added = np.empty(work.stations.shape[0])
+    for _ in range(ROUNDS):
+        place(path, count, work, n)
+        _room_speeds(wide, grid, path, count, law, work, n)
+        if not _timed(velocity, acceleration, law, work, n):
+            return 0
+        new = split(narrow, grid, path, count, work, n, added)
+        if new == 0:
+            return n
+        before = n
+        for k in range(new):
+            n = insert(work, n, added[k])
+        if n == before:
+            return 0
+    return 0

@@ -1,0 +1,179 @@
+"""Where a smooth curve is tied to a path: before and after its corners, which it may cut, and every few metres."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mavfi.kernels.planning import minimum_snap
+from mavfi.kernels.planning.path import distance
+from mavfi.kernels.planning.travel import turn
+from mavfi.numerics.jit import kernel_jit
+
+VERTEX_LIMIT = 400
+BEND = 0.4
+"""Turns up to this one are passed through, larger ones are cut (rad)."""
+NEAR = 0.05
+"""Stations are not nearer to each other (m)."""
+_APART = 0.3
+"""Nor at first (m)."""
+_PASSED = 0.5
+"""Gentle bends nearer to the last station than this share of the spacing are not passed exactly."""
+
+
+class Law(NamedTuple):
+    """What the vehicle may do, and how close to the path it stays.
+
+    Attributes:
+        speed: Limit everywhere (m/s).
+        acceleration: Same (m/s^2).
+        tight_speed: Planned where the wide counter is blocked (m/s).
+        lateral: Planned acceleration in corners (m/s^2).
+        tangential: Planned acceleration along the path (m/s^2).
+        braking: Same, when entering too fast (m/s^2).
+        reach: Longest distance between a corner and where the curve leaves the path for it (m).
+        spacing: Longest distance of stations on a straight leg (m).
+    """
+
+    speed: float
+    acceleration: float
+    tight_speed: float
+    lateral: float
+    tangential: float
+    braking: float
+    reach: float
+    spacing: float
+
+
+class Work(NamedTuple):
+    """Arrays that `fit` works on; its result is in `points`, `times` and `ends`.
+
+    Attributes:
+        corners: Arc length of each vertex (m). Shape (VERTEX_LIMIT,).
+        stations: Arc length of each station (m). Shape (KNOT_LIMIT,).
+        leg: Leg of the path on which each station lies. Shape (KNOT_LIMIT,), int64.
+        points: Their positions (m). Shape (KNOT_LIMIT, 3).
+        lengths: Of the segment that begins there, about (m). Shape (KNOT_LIMIT,).
+        shares: How much of it is tight. Shape (KNOT_LIMIT,).
+        caps: Largest speed that corners and narrow places allow there (m/s). Shape (KNOT_LIMIT,).
+        push: Acceleration on the segment / what the law plans with. Shape (KNOT_LIMIT,).
+        speeds: Planned there (m/s). Shape (KNOT_LIMIT,).
+        times: Duration of the segment that begins there (s). Shape (KNOT_LIMIT,).
+        excess: By how much it is too fast. Shape (KNOT_LIMIT,).
+        ends: Derivatives there, as from `minimum_snap.solve`. Shape (KNOT_LIMIT, 4, 3).
+        elimination: Shape (KNOT_LIMIT, 3, 6).
+    """
+
+    corners: np.ndarray
+    stations: np.ndarray
+    leg: np.ndarray
+    points: np.ndarray
+    lengths: np.ndarray
+    shares: np.ndarray
+    caps: np.ndarray
+    push: np.ndarray
+    speeds: np.ndarray
+    times: np.ndarray
+    excess: np.ndarray
+    ends: np.ndarray
+    elimination: np.ndarray
+
+
+def new_work() -> Work:
+    """Arrays for `fit`."""
+    n = minimum_snap.KNOT_LIMIT
+    return Work(
+        np.zeros(VERTEX_LIMIT), np.zeros(n), np.zeros(n, np.int64), np.zeros((n, 3)), np.zeros(n), np.zeros(n),
+        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, 4, 3)), np.zeros((n, 3, 6)),
+    )  # fmt: skip
+
+
+@kernel_jit
+def _add(work: Work, n: int, station: float) -> int:
+    """Append a station unless it is too near to the last one; returns their number."""
+    if n >= work.stations.shape[0] - 1 or (n > 0 and not station - work.stations[n - 1] > _APART):
+        return n
+    work.stations[n] = station
+    return n + 1
+
+
+@kernel_jit
+def _add_leg(work: Work, n: int, station: float, spacing: float) -> int:
+    """Append stations on a straight leg, evenly, up to `station`; returns their number."""
+    first = work.stations[n - 1]
+    gap = station - first
+    if gap > spacing:
+        steps = int(min(gap / spacing, 1e6)) + 1
+        for k in range(1, min(steps, work.stations.shape[0])):
+            n = _add(work, n, first + gap * k / steps)
+    return _add(work, n, station)
+
+
+@kernel_jit
+def first_stations(path: np.ndarray, count: int, law: Law, work: Work) -> int:
+    """Stations before and after corners, and between them.
+
+    Args:
+        path: Vertices, no two the same in a row (m). Shape (>= count, 3).
+        count: Number of vertices, 2 to `VERTEX_LIMIT`.
+        law: Gives reach and spacing.
+        work: `corners` and `stations` are set.
+
+    Returns:
+        Number of stations; 0 if there is no room for them or a vertex is absurd.
+    """
+    work.corners[0] = 0.0
+    for i in range(1, count):
+        work.corners[i] = work.corners[i - 1] + distance(path[i - 1], path[i])
+    length = work.corners[count - 1]
+    if not NEAR < length < law.spacing * (work.stations.shape[0] - 2.0 * count - 2.0):
+        return 0
+    work.stations[0] = 0.0
+    n = 1
+    for i in range(1, count - 1):
+        before = work.corners[i] - work.corners[i - 1]
+        after = work.corners[i + 1] - work.corners[i]
+        if turn(path[i - 1], path[i], path[i + 1]) < BEND:
+            if work.corners[i] - work.stations[n - 1] > _PASSED * law.spacing:
+                n = _add_leg(work, n, work.corners[i], law.spacing)
+            continue
+        # the first leg is nobody else's: its corner may take most of it
+        reach = min(law.reach, min((0.9 if i == 1 else 0.5) * before, 0.5 * after))
+        n = _add_leg(work, n, work.corners[i] - reach, law.spacing)
+        n = _add(work, n, work.corners[i] + reach)
+    if n > 1 and not length - work.stations[n - 1] > _APART:
+        n -= 1
+    n = _add_leg(work, n, length, law.spacing)
+    if n == 1:
+        n = 2
+    work.stations[n - 1] = length
+    return n
+
+
+@kernel_jit
+def place(path: np.ndarray, count: int, work: Work, n: int) -> None:
+    """Set the position and the leg of each of the n stations; arguments as in `first_stations`."""
+    leg = 0
+    for k in range(n):
+        while leg < count - 2 and work.corners[leg + 1] <= work.stations[k]:
+            leg += 1
+        length = work.corners[leg + 1] - work.corners[leg]
+        share = min(1.0, (work.stations[k] - work.corners[leg]) / length) if length > 0.0 else 0.0
+        work.leg[k] = leg
+        for axis in range(3):
+            work.points[k, axis] = path[leg, axis] + (path[leg + 1, axis] - path[leg, axis]) * share
+
+
+@kernel_jit
+def insert(work: Work, n: int, station: float) -> int:
+    """Add a station in its place unless one is near; returns their number."""
+    if n >= work.stations.shape[0]:
+        return n
+    k = n
+    while k > 0 and work.stations[k - 1] > station:
+        k -= 1
+    if k in (0, n) or station - work.stations[k - 1] < 0.5 * NEAR or work.stations[k] - station < 0.5 * NEAR:
+        return n
+    for j in range(n, k, -1):
+        work.stations[j] = work.stations[j - 1]
+    work.stations[k] = station
+    return n + 1

@@ -1,0 +1,163 @@
+"""A flight as messages in ROS standard types: what was flown, where, and what happened.
+
+Frames after REP-103 and REP-105: `map` is the world (ENU, z up), `base_link` the vehicle (x forward, y left, z up).
+"""
+
+import heapq
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mavfi.flight_log import FlightLog
+from mavfi.numerics.rotations import rotation_matrix
+from mavfi.sim.environments.world import World
+
+MAP, VEHICLE = "map", "base_link"
+FIRST_STAMP_NS = 1_000_000_000
+"""Stamp of the start of the mission: a stamp of 0 means "not set" in ROS."""
+INFO, WARN, ERROR = "info", "warn", "error"
+_OBSTACLE = {"r": 0.55, "g": 0.57, "b": 0.62, "a": 0.9}
+_GOAL = {"r": 0.0, "g": 0.45, "b": 0.7, "a": 0.9}
+_CUBE, _SPHERE, _CUBE_LIST = 1, 2, 6
+_GOAL_SIZE = 1.0
+_POSES = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """One message, not yet of any ROS version.
+
+    Attributes:
+        topic: Its topic.
+        kind: ROS type, "package/Name"; "Log" = the version's own type for log lines.
+        time_ns: When (ns).
+        fields: Its fields by name; those left out are zero or empty.
+    """
+
+    topic: str
+    kind: str
+    time_ns: int
+    fields: dict[str, Any]
+
+
+def stamp_ns(time_s: float) -> int:
+    """Stamp of an instant of the flight (ns)."""
+    return FIRST_STAMP_NS + round(1e9 * time_s)
+
+
+def _header(time_ns: int, frame: str) -> dict[str, Any]:
+    return {"stamp": _time(time_ns), "frame_id": frame}
+
+
+def _time(time_ns: int) -> dict[str, int]:
+    seconds, rest = divmod(time_ns, 1_000_000_000)
+    return {"sec": seconds, "nanosec": rest}
+
+
+def _xyz(values: np.ndarray) -> dict[str, float]:
+    return dict(zip("xyz", map(float, values), strict=True))
+
+
+def _orientation(wxyz: np.ndarray) -> dict[str, float]:
+    return dict(zip("wxyz", map(float, wxyz), strict=True))
+
+
+def timeline(log: FlightLog, world: World) -> Iterator[Message]:
+    """All messages of a flight, in order of time.
+
+    Args:
+        log: The flight.
+        world: Its world: obstacles become markers.
+
+    Yields:
+        `/tf`, `/odometry`, `/command` and `/reference` at each control tick; `/obstacles`, `/goal` and `/flown` once;
+        `/log` with events, alarms, injections, and the mission's end.
+    """
+    yield from _scenery(log, world)
+    ticks = (message for row in log.rows for message in _tick(row))
+    yield from heapq.merge(ticks, _lines(log), key=lambda message: message.time_ns)
+
+
+def _tick(row: np.ndarray) -> Iterator[Message]:
+    time_ns = stamp_ns(row[0])
+    position, orientation = _xyz(row[1:4]), _orientation(row[7:11])
+    to_map = np.empty((3, 3))
+    rotation_matrix(row[7:11], to_map)
+    in_map = _header(time_ns, MAP)
+    transform = {"translation": position, "rotation": orientation}
+    yield Message("/tf", "tf2_msgs/TFMessage", time_ns, {
+        "transforms": [{"header": in_map, "child_frame_id": VEHICLE, "transform": transform}],
+    })  # fmt: skip
+    yield Message("/odometry", "nav_msgs/Odometry", time_ns, {
+        "header": in_map, "child_frame_id": VEHICLE,
+        "pose": {"pose": {"position": position, "orientation": orientation}},
+        "twist": {"twist": {"linear": _xyz(row[4:7] @ to_map), "angular": _xyz(row[11:14])}},
+    })  # fmt: skip
+    yield Message("/command", "geometry_msgs/TwistStamped", time_ns, {
+        "header": in_map, "twist": {"linear": _xyz(row[14:17]), "angular": {"z": float(row[17])}},
+    })  # fmt: skip
+    yield Message("/reference", "geometry_msgs/PointStamped", time_ns, {"header": in_map, "point": _xyz(row[18:21])})
+
+
+def _scenery(log: FlightLog, world: World) -> Iterator[Message]:
+    time_ns = FIRST_STAMP_NS
+    in_map = _header(time_ns, MAP)
+    markers = list(_boxes(world, in_map)) if not world.is_voxels else [_voxels(world, in_map)]
+    yield Message("/obstacles", "visualization_msgs/MarkerArray", time_ns, {"markers": markers})
+    yield Message("/goal", "visualization_msgs/Marker", time_ns, {
+        "header": in_map, "ns": "goal", "type": _SPHERE, "pose": _at(world.goal), "color": _GOAL,
+        "scale": {"x": _GOAL_SIZE, "y": _GOAL_SIZE, "z": _GOAL_SIZE},
+    })  # fmt: skip
+    poses = [
+        {"header": in_map, "pose": {"position": _xyz(row[1:4]), "orientation": _orientation(row[7:11])}}
+        for row in log.rows[:: max(1, len(log.rows) // _POSES)]
+    ]
+    yield Message("/flown", "nav_msgs/Path", time_ns, {"header": in_map, "poses": poses})
+
+
+def _at(position: np.ndarray) -> dict[str, Any]:
+    return {"position": _xyz(position), "orientation": {"w": 1.0}}
+
+
+def _boxes(world: World, header: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    for number, (lower, upper) in enumerate(zip(world.lower, world.upper, strict=True)):
+        yield {
+            "header": header, "ns": "obstacles", "id": number, "type": _CUBE, "pose": _at((lower + upper) / 2),
+            "scale": _xyz(upper - lower), "color": _OBSTACLE,
+        }  # fmt: skip
+
+
+def _voxels(world: World, header: dict[str, Any]) -> dict[str, Any]:
+    """All solid voxels that have a free neighbour, as one marker: those inside of walls are not seen."""
+    solid = np.pad(world.occupied, 1, constant_values=True)
+    inner = solid[1:-1, 1:-1, 1:-1].copy()
+    for axis in range(3):
+        for shift in (-1, 1):
+            inner &= np.roll(solid, shift, axis)[1:-1, 1:-1, 1:-1]
+    centres = world.origin + (np.argwhere(world.occupied & ~inner) + 0.5) * world.resolution
+    edge = world.resolution
+    return {
+        "header": header, "ns": "obstacles", "type": _CUBE_LIST, "pose": _at(np.zeros(3)), "color": _OBSTACLE,
+        "scale": {"x": edge, "y": edge, "z": edge}, "points": [_xyz(centre) for centre in centres],
+    }  # fmt: skip
+
+
+def _lines(log: FlightLog) -> Iterator[Message]:
+    """Events, alarms, injections and the end, as log lines, in order of time."""
+    lines = [(event.time_us / 1e6, INFO, "event", f"{event.kind} {_pairs(event.data)}") for event in log.events]
+    lines += [(alarm["time_s"], WARN, "alarm", _pairs(alarm)) for alarm in log.alarms]
+    lines += [(hit["time_s"], ERROR, "injection", _pairs(hit)) for hit in log.injections]
+    lines.append((float(log.column("time")[-1]), INFO, "mission", f"{log.status.label}: {log.status.value}"))
+    for time_s, level, name, text in sorted(lines, key=lambda line: line[0]):
+        if not math.isfinite(time_s):
+            continue
+        time_ns = stamp_ns(time_s)
+        fields = {"time": _time(time_ns), "level": level, "name": name, "msg": text.strip()}
+        yield Message("/log", "Log", time_ns, fields)
+
+
+def _pairs(data: dict[str, Any]) -> str:
+    return " ".join(f"{key}={value}" for key, value in data.items() if key != "time_s")

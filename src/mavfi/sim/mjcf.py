@@ -1,0 +1,170 @@
+"""A user's own vehicle: a YAML file that names an MJCF body, from which mass, inertia and looks are taken."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from mavfi.config import VehicleConfig, parse, read_yaml, shipped
+from mavfi.errors import BadInputError
+from mavfi.sim.engine import keep_quiet
+
+_TOLERANCE = 0.01
+"""Share by which a mass or an inertia in the YAML file may differ from the model's, as rounding does."""
+_OPTIONS = [name for name in dir(mujoco.MjOption) if not name.startswith("_")]
+
+
+@dataclass(frozen=True, slots=True)
+class RigidBody:
+    """What a model weighs.
+
+    Attributes:
+        mass: kg.
+        inertia: About the centre of mass, diagonal in the axes of its free body (kg m^2).
+        centre: Centre of mass in these axes, from the body's origin (m). Shape (3,).
+        reach: Distance from the centre of mass within which all geoms lie (m).
+    """
+
+    mass: float
+    inertia: tuple[float, float, float]
+    centre: np.ndarray
+    reach: float
+
+
+def find_vehicle(name: str) -> VehicleConfig:
+    """A shipped vehicle by name, or a user's YAML file.
+
+    Where the file has the key `mjcf`, a path relative to the file, mass and inertia are those of that model; if they
+    are written down as well, they must agree with it within 1 %.
+
+    Raises:
+        BadInputError: There is no such vehicle, or file, key or model is not as it must be.
+    """
+    if not name.endswith((".yaml", ".yml")):
+        return shipped("vehicles", VehicleConfig, name)
+    data = read_yaml(Path(name))
+    if not isinstance(data.get("mjcf"), str):
+        return parse(VehicleConfig, data, name)
+    path = Path(name).parent / data["mjcf"]
+    try:
+        body = measure(path)
+    except BadInputError as error:
+        raise BadInputError(f"{name}: key 'mjcf': {error}") from None
+    vehicle = parse(VehicleConfig, {"mass": body.mass, "inertia": body.inertia} | data | {"mjcf": str(path)}, name)
+    _check(name, vehicle, body)
+    return vehicle.model_copy(update={"mass": body.mass, "inertia": body.inertia})
+
+
+def _check(source: str, vehicle: VehicleConfig, body: RigidBody) -> None:
+    ours, theirs = (vehicle.mass, *vehicle.inertia), (body.mass, *body.inertia)
+    for key, given, found in zip(("mass", *["inertia"] * 3), ours, theirs, strict=True):
+        if not abs(given - found) <= _TOLERANCE * found:
+            raise BadInputError(
+                f"{source}: key {key!r}: {given:g}: the model {vehicle.mjcf} has {found:.4g}; allowed: within "
+                f"{100 * _TOLERANCE:g} % of it, or no such key"
+            )
+    if not vehicle.hull_radius >= body.reach:
+        raise BadInputError(
+            f"{source}: key 'hull_radius': {vehicle.hull_radius:g}: the model {vehicle.mjcf} reaches {body.reach:.3f} "
+            "m from its centre of mass; allowed: at least that"
+        )
+
+
+def measure(path: Path) -> RigidBody:
+    """Mass, inertia, centre of mass and reach of a model's one free body with everything that is fixed to it.
+
+    Args:
+        path: MJCF file.
+
+    Raises:
+        BadInputError: It cannot be read, or is not one rigid free body.
+    """
+    spec = _read(path)
+    free = _free_body(spec, path)
+    model = _compile(spec, path)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    root = model.body(free.name).id if free.name else next(i for i in range(model.nbody) if model.body_dofnum[i])
+    parts = [i for i in range(model.nbody) if model.body_rootid[i] == model.body_rootid[root] and i >= root]
+    axes, origin, middle = data.xmat[root].reshape(3, 3), data.xpos[root], data.subtree_com[root]
+    tensor = np.zeros((3, 3))
+    for i in parts:  # parallel axes (Huygens-Steiner)
+        principal, arm = data.ximat[i].reshape(3, 3), data.xipos[i] - middle
+        tensor += principal @ np.diag(model.body_inertia[i]) @ principal.T
+        tensor += model.body_mass[i] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in parts]
+    reach = max((float(np.linalg.norm(data.geom_xpos[g] - middle) + model.geom_rbound[g]) for g in geoms), default=0.0)
+    x, y, z = (float(value) for value in np.diag(axes.T @ tensor @ axes))
+    return RigidBody(float(model.body_subtreemass[root]), (x, y, z), axes.T @ (middle - origin), reach)
+
+
+def attach(vehicle: VehicleConfig, scene: Any, holder: Any) -> None:
+    """Fix a vehicle's model to the body that flies, its centre of mass at that body's origin.
+
+    Its geoms are for the eye: only the hull collides.  Its actuators, sensors, key frames and options are left out;
+    rotors, drag and controller are those of the YAML file.
+
+    Args:
+        vehicle: One with `mjcf`.
+        scene: Model to be (MjSpec).
+        holder: Body without mass of its own (MjsBody).
+
+    Raises:
+        BadInputError: The file is not what it was when the vehicle was read.
+    """
+    path = Path(str(vehicle.mjcf))
+    body = measure(path)
+    if (body.mass, body.inertia) != (vehicle.mass, vehicle.inertia):
+        raise BadInputError(
+            f"{path}: weighs {body.mass:g} kg and not {vehicle.mass:g} kg as before; allowed: no change"
+        )
+    spec = _read(path)
+    free = _free_body(spec, path)
+    for elements in (spec.actuators, spec.sensors, spec.keys):
+        for element in list(elements):
+            spec.delete(element)
+    spec.delete(free.joints[0])
+    free.pos, free.quat = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+    free.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    for geom in spec.geoms:
+        geom.contype = geom.conaffinity = 0
+    for name in _OPTIONS:  # MuJoCo warns where they differ, and keeps the scene's
+        setattr(spec.option, name, getattr(scene.option, name))
+    holder.add_frame(pos=-body.centre).attach_body(free, "model/", "")
+
+
+def _read(path: Path) -> Any:
+    if not path.is_file():
+        raise BadInputError(f"{path}: there is no such file")
+    keep_quiet()
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except (ValueError, OSError) as error:
+        raise BadInputError(f"{path}: not an MJCF file ({_line(error)})") from None
+
+
+def _free_body(spec: Any, path: Path) -> Any:
+    """The body with a free joint; no other joint may be there."""
+    free = [joint.parent for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
+    if len(free) != 1:
+        names = f" ({', '.join(body.name or 'without a name' for body in free)})" if free else ""
+        raise BadInputError(f"{path}: {len(free)} bodies with a free joint{names}; allowed: 1")
+    others = [joint.name or "without a name" for joint in spec.joints if joint.type != mujoco.mjtJoint.mjJNT_FREE]
+    if others:
+        raise BadInputError(f"{path}: joint {others[0]}: allowed: no joint but the free one, the vehicle is rigid")
+    return free[0]
+
+
+def _compile(spec: Any, path: Path) -> Any:
+    try:
+        return spec.compile()
+    except ValueError as error:
+        reason = _line(error)
+        allowed = "; allowed: a mass and an inertia above 0" if "mass and inertia" in reason else ""
+        raise BadInputError(f"{path}: cannot be compiled ({reason}){allowed}") from None
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())

@@ -1,0 +1,94 @@
+"""Wind: a constant mean and gusts of the form "1 - cosine" (MIL-F-8785C, section 3.7.1.3), a function of seed and time.
+
+The specification's gust rises along a distance flown; a multirotor that hovers flies none, so lengths are seconds here.
+It rises by half a cosine and falls by the other half, as one that is flown through in full.  Between two gusts lies a
+calm of random length; so two never overlap, and their amplitude is never exceeded.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from mavfi.config import WindConfig
+from mavfi.numerics.jit import kernel_jit
+
+GUST_WIDTH = 5
+"""Length of a gust's record: onset (s), duration (s), and peak velocity x y z (m/s), world frame."""
+
+_SHORTEST_SHARE, _LONGEST_SHARE = 0.5, 1.5
+_STEEPEST = 0.2
+_AT_A_TIME = 32
+
+
+class Wind(NamedTuple):
+    """What compiled code needs of the wind.
+
+    Attributes:
+        mean: World frame (m/s). Shape (3,).
+        gusts: In the order of their onsets. Shape (n, GUST_WIDTH).
+    """
+
+    mean: np.ndarray
+    gusts: np.ndarray
+
+
+@kernel_jit
+def wind_at(wind: Wind, time: float, velocity: np.ndarray) -> None:
+    """Velocity of the air.
+
+    Args:
+        wind: Mean and gusts.
+        time: Since the start of the flight (s).
+        velocity: Result, world frame (m/s). Shape (3,).
+    """
+    velocity[0], velocity[1], velocity[2] = wind.mean[0], wind.mean[1], wind.mean[2]
+    for n in range(len(wind.gusts)):
+        since = time - wind.gusts[n, 0]
+        if not since > 0.0:
+            return  # this one and all later ones are still to come
+        duration = wind.gusts[n, 1]
+        if since < duration:
+            share = 0.5 * (1.0 - math.cos(2.0 * math.pi * since / duration))
+            for axis in range(3):
+                velocity[axis] += share * wind.gusts[n, 2 + axis]
+
+
+class Weather:
+    """The wind of one flight: gusts are drawn in their order, as far as time has come, so it needs no end."""
+
+    def __init__(self, config: WindConfig, seed: np.random.SeedSequence) -> None:
+        """Nothing is drawn yet.
+
+        Args:
+            config: Amplitude, mean, calm and length.
+            seed: Stream that the gusts come from.
+        """
+        self._config = config
+        self._random = np.random.default_rng(seed)
+        self._end = 0.0
+        self._wind = Wind(np.array(config.mean, float), np.zeros((0, GUST_WIDTH)))
+
+    def until(self, time: float) -> Wind:
+        """The wind up to an instant at least.
+
+        Args:
+            time: Since the start of the flight (s).
+        """
+        while self._config.gust > 0.0 and self._end <= time:
+            drawn = [self._draw() for _ in range(_AT_A_TIME)]
+            self._wind = Wind(self._wind.mean, np.concatenate([self._wind.gusts, drawn]))
+        return self._wind
+
+    def _draw(self) -> tuple[float, ...]:
+        calm, share, direction, rise = self._random.random(4)
+        onset = self._end - self._config.interval * math.log1p(-calm)
+        duration = self._config.length * (_SHORTEST_SHARE + (_LONGEST_SHARE - _SHORTEST_SHARE) * share)
+        slope = math.asin(_STEEPEST * (2.0 * rise - 1.0))
+        level = self._config.gust * math.cos(slope)
+        angle = 2.0 * math.pi * direction
+        self._end = onset + duration
+        return (
+            onset, duration,
+            level * math.cos(angle), level * math.sin(angle), self._config.gust * math.sin(slope),
+        )  # fmt: skip

@@ -1,0 +1,87 @@
+"""The page for users' own parts: its blocks, written to an empty folder, fly by its commands."""
+
+import json
+import re
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+
+from mavfi.cli import run
+
+PAGE = Path(__file__).parents[2] / "docs" / "extending.md"
+BLOCK = re.compile(r"^```(?:python|yaml|xml)\n(?:# |<!-- )(\S+)(?: -->)?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+COMMAND = re.compile(r"^    mavfi (.+)$", re.MULTILINE)
+
+
+def page():
+    return PAGE.read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """An empty working directory with the page's files in it."""
+    for name, content in BLOCK.findall(page()):
+        (tmp_path / name).write_text(content, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry] + [str(tmp_path)])
+    before = set(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        if name.startswith("my_"):
+            del sys.modules[name]
+
+
+def test_every_block_names_its_file():
+    assert page().count("\n```python\n") + page().count("\n```yaml\n") + page().count("\n```xml\n") == len(
+        BLOCK.findall(page())
+    )
+
+
+@pytest.mark.parametrize("command", [c for c in COMMAND.findall(page()) if c.startswith("fly")])
+def test_the_commands_of_the_page_fly(folder, capsys, command):
+    assert run([*shlex.split(command), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["status"] == "success"
+    words = shlex.split(command)
+    for option in ("planner", "stack", "vehicle", "environment"):
+        if f"--{option}" in words and (given := words[words.index(f"--{option}") + 1]).endswith(".yaml"):
+            name = re.search(r"^name: (\w+)", (folder / given).read_text(encoding="utf-8"), re.MULTILINE)[1]
+            assert data[option] == name
+    if "--detector" in words:
+        assert [alarm["source"] for alarm in data["alarms"]] == ["altitude"]
+
+
+@pytest.mark.slow
+def test_a_campaign_takes_all_of_it(folder, capsys):
+    (command,) = (c for c in COMMAND.findall(page()) if c.startswith("campaign"))
+    assert run([*shlex.split(command), "--workers", "1"]) == 0
+    capsys.readouterr()
+    assert run(["campaign", "status", "mine", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["complete"] and data["settings"]["golden"]["succeeded"] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--map", "my_map:Careless"], "map 'my_map:Careless': cannot be imported"),
+        (["--map", "my_world:pillars"], "map 'my_world:pillars': cannot be built"),
+        (["--map", "grid"], "map 'grid': not known; allowed: dense, octree, or package:object"),
+        (["--vehicle", "none.yaml"], "none.yaml: cannot be read"),
+        (["--vehicle", "glider"], "vehicle 'glider': not known; allowed: airsim_quad, small_quad, or a path"),
+        (["--planner", "my_world:pillars"], "planner 'my_world:pillars': cannot be built"),
+        (["--stack", "my_planner.yaml"], "my_planner.yaml: key 'sampling': is required"),
+    ],
+)
+def test_what_does_not_fit_is_one_line(folder, capsys, arguments, message):
+    assert run(["fly", "--environment", "sparse", "--seed", "7", *arguments]) == 2
+    told = capsys.readouterr().err
+    assert message in told and told.count("\n") == 1
+
+
+def test_a_model_that_is_absent_is_one_line(folder, capsys):
+    (folder / "my_quad.xml").unlink()
+    assert run(["fly", "--vehicle", "my_quad.yaml"]) == 2
+    assert capsys.readouterr().err == "mavfi: my_quad.yaml: key 'mjcf': my_quad.xml: there is no such file\n"

@@ -1,0 +1,132 @@
+"""Children: every way to end is told apart, and nothing is left behind."""
+
+import ctypes
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from mavfi.faults.instruction import ForkPoint, run_in_child
+from mavfi.faults.instruction.runtime import HANG_EXIT
+
+
+def open_files():
+    return len(os.listdir("/proc/self/fd"))
+
+
+def no_child_left():
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
+    return True
+
+
+def crash():
+    ctypes.string_at(0)
+    return b""
+
+
+def fail():
+    raise ValueError("on purpose")
+
+
+def test_a_report_comes_back_however_long_it_is():
+    report = bytes(range(256)) * 40_000
+    assert run_in_child(lambda: report).payload == report
+    assert run_in_child(lambda: b"").how == "done"
+
+
+@pytest.mark.parametrize(
+    ("work", "how", "detail"),
+    [
+        (crash, "crash", "SIGSEGV"),
+        (lambda: os.kill(os.getpid(), signal.SIGFPE), "crash", "SIGFPE"),
+        (lambda: os._exit(HANG_EXIT), "hang", "instruction budget"),
+        (fail, "exception", "ValueError: on purpose"),
+        (lambda: os._exit(3), "exception", "ended with status 3 without a report"),
+        (lambda: os._exit(0), "exception", "ended with status 0 without a report"),
+    ],
+)
+def test_ends_are_told_apart(work, how, detail, capfd):
+    ended = run_in_child(work)
+    assert (ended.how, ended.payload, ended.detail) == (how, b"", detail)
+    assert capfd.readouterr().err == ""  # no trace of a crash that was meant
+    assert no_child_left()
+
+
+def test_the_wall_clock_ends_a_child_that_does_not_end():
+    start = time.monotonic()
+    ended = run_in_child(lambda: time.sleep(60), timeout=0.2)
+    assert (ended.how, ended.detail) == ("hang", "wall clock")
+    assert time.monotonic() - start < 5
+    assert no_child_left()
+
+
+def test_what_a_child_changes_stays_with_it():
+    notes = []
+    ended = run_in_child(lambda: notes.append(1) or str(len(notes)).encode())
+    assert (ended.payload, notes) == (b"1", [])
+
+
+def test_no_file_and_no_child_is_left_after_many():
+    run_in_child(lambda: b"")
+    before = open_files()
+    for i in range(30):
+        run_in_child((crash, fail, lambda: b"done")[i % 3])
+    assert open_files() == before
+    assert no_child_left()
+
+
+def test_an_interrupted_parent_ends_its_child():
+    before = open_files()
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, 0.3)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            run_in_child(lambda: time.sleep(60))
+    finally:
+        signal.signal(signal.SIGALRM, previous)
+    assert open_files() == before
+    assert no_child_left()
+
+
+def test_a_child_ends_with_its_parent():
+    def parent():
+        reading, writing = os.pipe()
+        child = os.fork()
+        if child == 0:
+            run_in_child(lambda: os.write(writing, str(os.getpid()).encode()) and time.sleep(60))
+        grandchild = os.read(reading, 32)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        return grandchild
+
+    grandchild = int(run_in_child(parent).payload)
+    deadline = time.monotonic() + 5
+    while os.path.exists(f"/proc/{grandchild}/stat") and time.monotonic() < deadline:
+        if " Z " in Path(f"/proc/{grandchild}/stat").read_text():
+            break  # ended; whoever adopted it has not looked yet
+        time.sleep(0.01)
+    else:
+        assert not os.path.exists(f"/proc/{grandchild}/stat")
+
+
+def test_a_process_can_split_in_the_middle_of_its_work():
+    point = ForkPoint()
+    values = [1]
+    with point.guard():
+        ended = point.split()
+        values.append(2 if point.in_child else 3)
+        if ended is None:
+            point.finish(bytes(values))
+    assert (ended.payload, values, point.in_child) == (b"\1\2", [1, 3], False)
+
+
+def test_exceptions_of_the_parent_are_not_caught():
+    with pytest.raises(ZeroDivisionError), ForkPoint().guard():
+        raise ZeroDivisionError

@@ -1,0 +1,143 @@
+"""Without a fault an instrumented kernel is as the kernel, bit for bit; and kernels are as without line tables."""
+
+import re
+
+import llvmlite.binding as llvm
+import numba
+import numpy as np
+import pytest
+
+from mavfi.faults.instruction import Counting, histogram, resolve
+from mavfi.faults.instruction.api import digest
+from mavfi.faults.instruction.instrument import instrument
+from mavfi.faults.instruction.ir import width
+from mavfi.faults.instruction.variant import variant_for
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.inprocess import fly
+from mavfi.kernels.control import pid
+from mavfi.numerics.jit import uncached_copy
+from mavfi.pipeline.functions import PLAIN, STRUCK
+from tests.unit.kernels.cases import CASES
+
+COMPILED = {name: case for name, case in CASES.items() if hasattr(case.function, "py_func")}
+QUICK = ("back_project", "time_to_collision", "track", "shortcut_greedy", "voxel_of", "steer")
+
+
+COMPILED_LONG = [pytest.param(name, marks=pytest.mark.slow) for name in ("insert_scan", "rrt_connect")]
+NAMES = [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in COMPILED]
+
+
+def signature(args):
+    return tuple(numba.typeof(argument) for argument in args)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_results_and_arguments_are_the_same_bits(name):
+    case = COMPILED[name]
+    plain, counted, profiled, traced, resolved = (case.arguments() for _ in range(5))
+    result = case.function(*plain)
+    variant = variant_for(case.function, tuple(counted))
+    again, total = variant.count(*counted)
+    assert digest((again, counted)) == digest((result, plain))
+    executed = histogram(case.function, *profiled)
+    assert sum(times for _, times in executed) == total
+    _, _, blocks = variant.profile(*traced, room=total)
+    trace = [site for block in blocks for site in variant.table.blocks[block]]
+    some = [*np.random.default_rng(0).integers(total, size=300).tolist(), 0, total - 1]
+    assert len(trace) == total
+    assert resolve(case.function, [*some, total], *resolved) == [*(trace[index] for index in some), None]
+    assert len({digest(args) for args in (plain, counted, profiled, traced, resolved)}) == 1
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name in QUICK] + COMPILED_LONG)
+def test_the_table_has_the_types_that_llvm_has(name):
+    """LLVM's own reading of the text is the oracle of ours."""
+    case = COMPILED[name]
+    signature_ = signature(case.arguments())
+    copy = uncached_copy(case.function)
+    copy.compile(signature_)
+    text = copy.inspect_llvm(signature_)
+    own = [(site.opcode, site.kind, site.width) for block in instrument(text, name).table.blocks for site in block]
+    assert own == [(op, kind, width(kind)) for op, kind in llvm_reads(text)]
+    assert own == [
+        (site.opcode, site.kind, site.width)
+        for block in variant_for(case.function, tuple(case.arguments())).table.blocks for site in block
+    ]  # fmt: skip
+
+
+def llvm_reads(text):
+    outside = re.compile(r"_ZN7cpython|cfunc\.|NRT_|numba_|\.dtor|__excinfo")
+    dropped = re.compile(r"@llvm\.(lifetime|assume|experimental\.noalias)")
+    for function in llvm.parse_assembly(text).functions:
+        if function.is_declaration or outside.match(function.name):
+            continue
+        for block in function.blocks:
+            for instruction in block.instructions:
+                kind = str(instruction.type)
+                if kind != "void" and instruction.opcode != "alloca" and not dropped.search(str(instruction)):
+                    yield instruction.opcode, kind
+
+
+def assembly(dispatcher, signature_):
+    """Instructions and labels, without what only tells debuggers something."""
+    dispatcher.compile(signature_)
+    text = dispatcher.inspect_asm(signature_)
+    body = text[text.index(".type\t_ZN5mavfi7kernels") : text.index("_ZN7cpython5mavfi7kernels")]
+    lines = [line.split("#")[0].rstrip() for line in body.split("\n")]
+    labels = {}
+    kept = [line for line in lines if re.match(r"\t[a-z]", line)]
+    return [re.sub(r"\.L\w+|_ZN\S+", lambda m: labels.setdefault(m[0], f"L{len(labels)}"), line) for line in kept]
+
+
+def test_machine_code_is_as_without_line_tables():
+    flags = {name: value for name, value in pid.track.targetoptions.items() if name != "nopython"}
+    plain = numba.njit(**flags)(pid.track.py_func)
+    signature_ = signature(COMPILED["track"].arguments())
+    with_tables = assembly(uncached_copy(pid.track), signature_)
+    assert len(with_tables) > 100
+    assert with_tables == assembly(plain, signature_)
+
+
+# ---- whole flights --------------------------------------------------------------------------------------------------
+def counted_flight(scenario, names):
+    twins = {}
+
+    def twin(name, function):
+        twins[name] = Counting(function)
+        return twins[name]
+
+    return fly(scenario, functions=PLAIN.with_twins(names, twin)), twins
+
+
+def test_the_table_that_is_handed_in_holds_the_kernels_themselves():
+    assert PLAIN.track is pid.track
+    assert {name for names in STRUCK.values() for name in names} == set(PLAIN.__dataclass_fields__)
+    assert PLAIN.with_twins((), lambda name, function: None) == PLAIN
+
+
+def short(planner="rrt_connect", stack="hardened", map_kind="dense"):
+    return make_scenario(
+        "sparse", 7, stack=stack, planner=planner, map_kind=map_kind, goal=(9.0, 0.0, 3.0), start=(2.0, 0.0, 3.0)
+    )  # fmt: skip
+
+
+def test_a_counted_flight_is_the_golden_one():
+    golden, (flight, twins) = fly(short()), counted_flight(short(), STRUCK["pid"] + STRUCK["point_cloud"])
+    assert flight.log.digest() == golden.log.digest()
+    assert all(twin.counts and min(twin.counts) > 0 for twin in twins.values())
+    assert all(len(set(twin.digests)) == 1 for twin in twins.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("planner", "stack", "map_kind"),
+    [("rrt_connect", "hardened", "octree"), ("rrt", "published", "dense"), ("rrt_star", "hardened", "dense")],
+)
+def test_every_kernel_counted_in_a_flight_changes_nothing(planner, stack, map_kind):
+    scenario = short(planner, stack, map_kind)
+    others = {"rrt", "rrt_connect", "rrt_star"} - {planner}
+    names = tuple({name for kernel, names in STRUCK.items() if kernel not in others for name in names})
+    flight, twins = counted_flight(scenario, names)
+    assert flight.log.digest() == fly(scenario).log.digest()
+    called = {name for name, twin in twins.items() if twin.counts}
+    assert all(called & set(names) for kernel, names in STRUCK.items() if kernel not in others)

@@ -1,0 +1,249 @@
+"""Strikes on real processes, and each trap of ptrace."""
+
+import ctypes
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from mavfi.cli.commands import run
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.faults.register import Request, inject
+
+
+def tracer_of(pid):
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("TracerPid"))
+
+
+def wait_until(condition, seconds=10.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "did not happen in time"
+        time.sleep(0.01)
+
+
+def has_avx():
+    return " avx2 " in Path("/proc/cpuinfo").read_text()
+
+
+def only(pid, **wanted):
+    return inject(Request(pid=pid, **wanted))[0]
+
+
+def test_a_strike_is_seen_by_the_target_as_it_is_recorded(targets):
+    for seed in range(6):
+        target, _ = targets.start("hold")
+        struck = only(target.pid, seed=seed, registers="general", access="read")
+        assert struck.hit and struck.before ^ struck.after == 1 << struck.bit
+        if struck.register == "rflags":
+            continue  # the branch takes it: nothing is left in rbx or r12
+        changed = int(target.communicate(timeout=10)[0], 16)
+        assert struck.register in ("rbx", "r12") and changed == 1 << struck.bit
+
+
+@pytest.mark.slow
+def test_a_strike_of_a_vector_register_is_seen_by_the_target(targets):
+    if not has_avx():
+        pytest.skip("this processor has no AVX")
+    seen = set()
+    for seed in range(8):
+        target, _ = targets.start("hold", "-DVECTOR")
+        struck = only(target.pid, seed=seed, registers="fp", access="read")
+        assert struck.hit and struck.width == 256
+        changed = int(target.communicate(timeout=10)[0], 16)
+        assert changed == 1 << struck.bit
+        seen.add(struck.bit >= 128)
+    assert seen == {False, True}
+
+
+def test_a_null_strike_changes_nothing_and_says_so(spin):
+    for struck in inject(Request(pid=spin.pid, null=True), count=20):
+        assert struck.hit and struck.before == struck.after
+    assert spin.poll() is None
+
+
+def test_all_but_the_instant_comes_from_the_seed(spin):
+    first, again = (inject(Request(pid=spin.pid, seed=5, null=True, symbol="work"), count=3) for _ in range(2))
+    same = ("address", "instruction", "register", "bit", "walked", "symbol")
+    for one, other in zip(first, again, strict=True):
+        assert [getattr(one, name) for name in same] == [getattr(other, name) for name in same]
+    assert len({struck.walked for struck in first}) > 1
+
+
+def test_where_it_struck_is_named(spin):
+    struck = only(spin.pid, null=True)
+    assert struck.library.endswith("/spin") and struck.symbol.startswith("work+0x")
+    assert struck.offset < Path(struck.library).stat().st_size
+
+
+def test_registers_and_access_are_those_asked_for(spin):
+    for registers, access in (("fp", "read"), ("general", "write")):
+        for struck in inject(Request(pid=spin.pid, null=True, registers=registers, access=access), count=10):
+            assert struck.access == access
+            assert struck.register.startswith(("xmm", "ymm")) == (registers == "fp")
+
+
+@pytest.mark.slow
+def test_a_walk_cures_the_skid_of_stops(spin):
+    """Stops come at few instructions; after a walk all of the loop are struck."""
+    there = Request(pid=spin.pid, null=True, walk=1)
+    walked = Request(pid=spin.pid, null=True, walk=64)
+    stood = Counter(struck.address for struck in inject(there, count=80))
+    spread = Counter(struck.address for struck in inject(walked, count=80))
+    assert len(spread) >= 6
+    assert len(stood) < len(spread)
+    assert spread.most_common(1)[0][1] < 0.5 * 80 < stood.most_common(1)[0][1]
+
+
+def test_a_target_in_a_system_call_is_left_alone(targets):
+    target, _ = targets.start("reader")
+    with pytest.raises(MavfiError, match="outside of system calls"):
+        only(target.pid, timeout=0.5)
+    out, _ = target.communicate("abc", timeout=10)
+    assert out == "3 0 abc"  # not interrupted: no EINTR
+
+
+def test_the_thread_that_computes_is_struck_and_waited_for(targets):
+    """It is not the first one: without __WALL, waitpid would not report it."""
+    target, worker = targets.start("threads")
+    time.sleep(0.3)
+    struck = only(target.pid, null=True)
+    assert struck.thread == int(worker) != target.pid
+
+
+def test_a_symbol_is_watched_in_threads_that_come_up_later(targets):
+    target, worker = targets.start("threads")
+    struck = only(target.pid, null=True, symbol="brief", walk=1)
+    assert struck.symbol.startswith("brief") and struck.thread not in (target.pid, int(worker))
+    assert target.poll() is None
+
+
+@pytest.mark.slow
+def test_no_signal_is_lost(targets):
+    target, _ = targets.start("signals")
+    count = 0
+    while target.poll() is None and count < 300:
+        try:
+            inject(Request(pid=target.pid, seed=count, null=True), count=5)
+            count += 5
+        except MavfiError:
+            break  # it has ended meanwhile
+    assert count
+    assert target.communicate(timeout=60)[0].strip() == "0"
+
+
+def test_the_target_survives_the_death_of_the_tool_with_a_breakpoint_set(spin):
+    command = [sys.executable, "-m", "mavfi", "inject", "--pid", str(spin.pid), "--symbol", "never"]
+    tool = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    wait_until(lambda: tracer_of(spin.pid) != 0)
+    tool.kill()
+    tool.wait()
+    wait_until(lambda: tracer_of(spin.pid) == 0)
+    spin.send_signal(signal.SIGUSR2)  # it now calls the function: a breakpoint left behind would kill it
+    assert spin.stdout.readline() == "never\n"
+    assert spin.poll() is None
+
+
+def test_a_symbol_that_is_not_called_is_given_up(spin):
+    with pytest.raises(MavfiError, match="did not call 'never' within 0.3 s"):
+        only(spin.pid, symbol="never", timeout=0.3)
+    assert tracer_of(spin.pid) == 0 and spin.poll() is None
+
+
+@pytest.mark.parametrize("symbol", ["no_such_function", "mem"])
+def test_a_symbol_that_is_unknown_or_ambiguous_is_refused(spin, symbol):
+    with pytest.raises(BadInputError, match=f"symbol '{symbol}'"):
+        only(spin.pid, symbol=symbol)
+
+
+def test_a_target_that_ends_while_it_is_watched(spin):
+    command = [sys.executable, "-m", "mavfi", "inject", "--pid", str(spin.pid), "--symbol", "never"]
+    tool = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    wait_until(lambda: tracer_of(spin.pid) != 0)
+    spin.kill()
+    assert tool.wait(10) == 1
+    assert "ended" in tool.stderr.read()
+    tool.stderr.close()
+
+
+class TestRefusals:
+    def test_no_such_process(self):
+        with pytest.raises(BadInputError, match="there is no such process"):
+            only(4_194_000)
+
+    def test_itself(self):
+        with pytest.raises(BadInputError, match="is mavfi itself"):
+            only(os.getpid())
+
+    def test_one_that_has_ended(self, spin):
+        spin.kill()
+        wait_until(lambda: "Z" in Path(f"/proc/{spin.pid}/stat").read_text().rsplit(")", 1)[1].split()[0])
+        with pytest.raises(BadInputError, match="has ended"):
+            only(spin.pid)
+
+    def test_one_that_is_stopped(self, spin):
+        spin.send_signal(signal.SIGSTOP)
+        wait_until(lambda: "T" in Path(f"/proc/{spin.pid}/stat").read_text().rsplit(")", 1)[1].split()[0])
+        with pytest.raises(BadInputError, match="kill -CONT"):
+            only(spin.pid)
+
+    def test_one_that_is_traced(self, spin):
+        ctypes.CDLL(None).ptrace(0x4206, spin.pid, 0, 0)  # PTRACE_SEIZE
+        try:
+            with pytest.raises(BadInputError, match=f"traced already, by process {os.getpid()}"):
+                only(spin.pid)
+        finally:
+            spin.kill()
+
+    def test_one_of_another_user(self):
+        if os.geteuid() != 0:
+            pytest.skip("only root can start a process as another user")
+        other = subprocess.Popen(["sleep", "60"], user=65534)
+        try:
+            with pytest.raises(BadInputError, match="belongs to user 65534"):
+                only(other.pid)
+        finally:
+            other.kill()
+            other.wait()
+
+    def test_a_thread_in_place_of_a_process(self, targets):
+        _, worker = targets.start("threads")
+        with pytest.raises(BadInputError, match="is a thread of process"):
+            only(int(worker))
+
+    def test_a_thread_of_another_process(self, spin):
+        with pytest.raises(BadInputError, match="thread 1: not one of process"):
+            only(spin.pid, thread=1)
+
+    @pytest.mark.parametrize(
+        ("name", "value"), [("registers", "mmx"), ("access", "execute"), ("walk", 0), ("timeout", 0.0), ("pid", -1)]
+    )
+    def test_a_request_that_makes_no_sense(self, name, value):
+        with pytest.raises(BadInputError, match=f"{name}: .*allowed:"):
+            Request(**{"pid": 1, name: value})
+
+    def test_another_machine(self, monkeypatch):
+        monkeypatch.setattr("platform.machine", lambda: "aarch64")
+        with pytest.raises(BadInputError, match="x86-64 Linux"):
+            only(1)
+
+
+def test_the_command_tells_what_it_struck(spin, capsys):
+    assert run(["inject", "--pid", str(spin.pid), "--null", "--count", "2", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert len(told["injections"]) == 2
+    assert {"address", "symbol", "instruction", "register", "bit", "before", "after"} <= set(told["injections"][0])
+    assert run(["inject", "--pid", str(spin.pid), "--null"]) == 0
+    assert "struck" in capsys.readouterr().out
+
+
+def test_the_command_refuses_in_one_line(capsys):
+    assert run(["inject", "--pid", "4194000"]) == 2
+    assert capsys.readouterr().err == "mavfi: pid 4194000: there is no such process\n"

@@ -1,0 +1,158 @@
+"""Exported files hold the flight; independent readers say so."""
+
+import csv
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from mavfi.cli.commands import run
+from mavfi.flight_log import COLUMNS, FlightLog
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.inprocess import fly
+from mavfi.reports.export.bags import write_bag, write_mcap
+from mavfi.reports.export.table import write_csv
+from mavfi.reports.export.timeline import FIRST_STAMP_NS, timeline
+
+TOPICS = {"/tf", "/odometry", "/command", "/reference", "/obstacles", "/goal", "/flown", "/log"}
+
+
+@pytest.fixture(scope="module")
+def flight():
+    return fly(make_scenario("sparse", 3))
+
+
+@pytest.fixture(scope="module")
+def bag(flight, tmp_path_factory):
+    path = tmp_path_factory.mktemp("bag") / "flight.bag"
+    return path, write_bag(timeline(flight.log, flight.world), path)
+
+
+@pytest.fixture(scope="module")
+def mcap(flight, tmp_path_factory):
+    path = tmp_path_factory.mktemp("mcap") / "flight.mcap"
+    return path, write_mcap(timeline(flight.log, flight.world), path)
+
+
+def read_bag(path):
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", "tf2_msgs/msg/TFMessage"))
+    with AnyReader([path], default_typestore=store) as reader:
+        return [(c.topic, time, reader.deserialize(raw, c.msgtype)) for c, time, raw in reader.messages()]
+
+
+def read_mcap(path):
+    reading = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support is not installed")
+    return [(m.channel.topic, m.log_time_ns, m.ros_msg) for m in reading.read_ros2_messages(str(path))]
+
+
+@pytest.fixture(params=["bag", "mcap"])
+def messages(request):
+    path, written = request.getfixturevalue(request.param)
+    found = read_bag(path) if request.param == "bag" else read_mcap(path)
+    assert len(found) == written
+    return found
+
+
+def of(messages, topic):
+    return [message for name, _, message in messages if name == topic]
+
+
+def test_every_topic_is_there(messages):
+    assert {topic for topic, _, _ in messages} == TOPICS
+
+
+def test_stamps_are_the_flight_s_and_do_not_go_back(flight, messages):
+    times = [time for _, time, _ in messages]
+    assert times == sorted(times)
+    stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in of(messages, "/odometry")]
+    np.testing.assert_allclose(stamps, flight.log.column("time") + 1e-9 * FIRST_STAMP_NS, atol=1e-9)
+
+
+def test_the_vehicle_is_where_it_was_to_the_bit(flight, messages):
+    flown = flight.log.columns("x", "y", "z", "qw", "qx", "qy", "qz", "wx", "wy", "wz")
+    poses = [(m.pose.pose.position, m.pose.pose.orientation, m.twist.twist.angular) for m in of(messages, "/odometry")]
+    read = [(p.x, p.y, p.z, q.w, q.x, q.y, q.z, w.x, w.y, w.z) for p, q, w in poses]
+    assert np.array_equal(flown, np.array(read))
+    transforms = [m.transforms[0].transform.translation for m in of(messages, "/tf")]
+    assert np.array_equal(flown[:, :3], np.array([(t.x, t.y, t.z) for t in transforms]))
+
+
+def test_velocity_is_in_the_frame_of_the_vehicle(flight, messages):
+    """REP-103 and nav_msgs/Odometry: the twist is in the child frame; flying ahead is x."""
+    twists = [m.twist.twist.linear for m in of(messages, "/odometry")]
+    velocity = np.array([(v.x, v.y, v.z) for v in twists])
+    np.testing.assert_allclose(
+        np.linalg.norm(velocity, axis=1), np.linalg.norm(flight.log.columns("vx", "vy", "vz"), axis=1), atol=1e-12
+    )
+    assert np.median(velocity[:, 0]) > 0.9 * np.median(np.linalg.norm(velocity, axis=1))
+
+
+def test_commands_and_reference(flight, messages):
+    commands = [(m.twist.linear, m.twist.angular.z) for m in of(messages, "/command")]
+    read = np.array([(v.x, v.y, v.z, yaw_rate) for v, yaw_rate in commands])
+    wanted = flight.log.columns("command_vx", "command_vy", "command_vz", "command_yaw_rate")
+    assert np.array_equal(wanted, read)
+    points = np.array([(m.point.x, m.point.y, m.point.z) for m in of(messages, "/reference")])
+    assert np.array_equal(flight.log.columns("reference_x", "reference_y", "reference_z"), points)
+
+
+def test_obstacles_are_boxes_where_they_stand(flight, messages):
+    (markers,) = of(messages, "/obstacles")
+    assert len(markers.markers) == len(flight.world.lower)
+    first = markers.markers[0]
+    centre = (flight.world.lower[0] + flight.world.upper[0]) / 2
+    assert np.array_equal(centre, [first.pose.position.x, first.pose.position.y, first.pose.position.z])
+    assert first.header.frame_id == "map"
+
+
+def test_the_log_tells_the_end(flight, messages):
+    last = of(messages, "/log")[-1]
+    assert last.name == "mission" and flight.log.status.label in last.msg
+
+
+def test_a_table_gives_the_same_bits_back(flight, tmp_path):
+    path = tmp_path / "flight.csv"
+    assert write_csv(flight.log, path) == len(flight.log.rows)
+    with path.open(newline="") as file:
+        head, *rows = csv.reader(file)
+    assert tuple(head) == COLUMNS
+    assert np.array_equal(np.array(rows, float), flight.log.rows)
+
+
+@pytest.mark.parametrize("ending", ["bag", "mcap", "csv"])
+def test_the_command_writes_what_the_ending_says(flight, tmp_path, ending, capsys):
+    saved = tmp_path / "flight.npz"
+    flight.log.save(saved)
+    to = tmp_path / f"out.{ending}"
+    assert run(["export", str(saved), "--to", str(to)]) == 0
+    assert to.stat().st_size > 10_000
+    assert str(to) in capsys.readouterr().out.replace("\n", "")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["flight.npz", to.name]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["{}/flight.npz", "--to", "x.txt"], "--to: x.txt: allowed"),
+        (["{}", "--to", "{}/x.bag"], "name the run"),
+        (["{}/flight.npz", "some-run", "--to", "{}/x.bag"], "not the folder of a campaign"),
+        (["{}/absent.npz", "--to", "{}/x.bag"], "is not a flight log"),
+        (["{}/flight.npz", "--to", "{}/absent/x.bag"], "cannot be written"),
+    ],
+)
+def test_bad_input_is_one_line(flight, tmp_path, arguments, told, capsys):
+    flight.log.save(tmp_path / "flight.npz")
+    assert run(["export", *(text.format(tmp_path) for text in arguments)]) == 2
+    err = capsys.readouterr().err
+    assert told in err and err.count("\n") == 1
+
+
+def test_a_saved_flight_gives_the_same_file_as_the_flight(flight, tmp_path):
+    flight.log.save(tmp_path / "flight.npz")
+    again = FlightLog.load(tmp_path / "flight.npz")
+    one, other = tmp_path / "one.csv", tmp_path / "other.csv"
+    write_csv(flight.log, one)
+    write_csv(again, other)
+    assert one.read_bytes() == other.read_bytes()
