@@ -87,6 +87,6 @@ def quality_of_flight(log: FlightLog) -> QoF:
     interval = np.diff(time)
     acceleration = np.diff(velocity, axis=0) / interval[:, None]
     watts = power(0.5 * (velocity[1:] + velocity[:-1]), acceleration)
-    energy = float(watts @ interval)
+    energy = float((watts * interval).sum())
     distance = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
     return QoF(float(time[-1] - time[0]), energy, distance, energy / BATTERY_ENERGY)

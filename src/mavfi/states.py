@@ -228,7 +228,7 @@ _TABLE = (
         "planning.path", "planner", Stage.PLANNING, "per plan",
         header=(
             Field("entry_speed", "f8", "m/s"), Field("future_collision_seq", "i4", "-"),
-            Field("junction", "i4", "-", _HARDENED), Field("tight", "?", "-", _HARDENED),
+            Field("junction", "i4", "-", _HARDENED),
         ),
         elements=_XYZ, element="vertex",
     ),

@@ -87,6 +87,28 @@ def test_only_sim_imports_mujoco_and_only_the_ros_host_imports_ros():
     assert found == []
 
 
+def test_flights_do_without_blas():
+    """Its libraries round differently on each generation of CPUs; `numerics.vectors` adds in a fixed order."""
+    homes = ("kernels/", "pipeline/", "sim/", "numerics/", "detectors/", "hosts/inprocess.py", "hosts/sensing.py")
+    products = ("dot", "vdot", "inner", "matmul", "einsum", "tensordot")
+
+    def is_product(node: ast.AST) -> bool:
+        if isinstance(node, ast.BinOp):
+            return isinstance(node.op, ast.MatMult)
+        if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
+            return False
+        along_an_axis = any(keyword.arg == "axis" for keyword in node.keywords)
+        return node.func.attr in products or (ast.unparse(node.func).startswith("np.linalg.") and not along_an_axis)
+
+    found = [
+        f"{name}:{node.lineno}"
+        for name, tree in modules().items()
+        for node in ast.walk(tree)
+        if name.startswith(homes) and is_product(node)
+    ]
+    assert found == []
+
+
 def test_files_can_be_read_in_one_sitting():
     lengths = {name: len((PACKAGE / name).read_text(encoding="utf-8").splitlines()) for name in modules()}
     assert {name: lines for name, lines in lengths.items() if lines > LONGEST_FILE} == {}

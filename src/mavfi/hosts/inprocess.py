@@ -120,7 +120,7 @@ class Host:
         self.command = np.zeros(4)
         self.reference = self.sim.odometry[:3].copy()
         self.status: MissionStatus | None = None
-        self.course = float(np.linalg.norm(self.world.goal - self.world.start))
+        self.course = self.world.course
         self.goal: list[float] = self.world.goal.tolist()
         self.arena: tuple[list[float], list[float]] = self.world.arena_lower.tolist(), self.world.arena_upper.tolist()
         self.limit_us = int(1e6 * time_limit(self.course, scenario.v_max, scenario.platform))

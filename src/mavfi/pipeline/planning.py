@@ -12,6 +12,7 @@ import numpy as np
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import trajectory as timing
 from mavfi.kernels.planning import waypoint as handover
+from mavfi.numerics.vectors import length
 from mavfi.numerics.voxels import segment_free
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.routes import PLANNING_ACCELERATION, Routes
@@ -194,27 +195,26 @@ class MotionPlanner:
         path.header["future_collision_seq"] = memory.acted_seq
         return [path]
 
-    def _path(self, vertices: np.ndarray, entry_speed: float, junction: int = -1, tight: bool = False) -> State:
+    def _path(self, vertices: np.ndarray, entry_speed: float, junction: int = -1) -> State:
         path = new_state("planning.path", len(vertices))
         floats(path.elements, 3).reshape(-1, 3)[:] = vertices
         path.header["entry_speed"] = entry_speed
         path.header["junction"] = junction
-        path.header["tight"] = tight
         return path
 
     def _plan_from_rest(self) -> State | None:
         """From where the vehicle will stand; where there is no room for the planner's radius, with the checker's."""
         position, velocity = self._odometry[:3], self._odometry[3:6]
-        speed = float(np.linalg.norm(velocity))
+        speed = length(velocity)
         stop = position + velocity * self._config.velocity_lag if speed < 2.0 * self._config.v_max else position.copy()
         found = self.routes.first_found(stop)
-        return None if found is None else self._path(found[0], 0.0, tight=found[1])
+        return None if found is None else self._path(found, 0.0)
 
     def _plan_in_flight(self, alarm: float) -> State | None:
         """Replace the trajectory without a stop, if the collision is far enough away."""
         stack = self._config.stack
         velocity = self._odometry[3:6]
-        speed = float(np.linalg.norm(velocity))
+        speed = length(velocity)
         if not alarm > stack.grace + _EMERGENCY_STOP_TIME or self._idle() or not speed < 2.0 * self._config.v_max:
             return None
         start = self._odometry[:3] + velocity * self._config.plan_latency
@@ -238,7 +238,7 @@ class MotionPlanner:
             velocity = np.zeros(3)
         else:
             waypoint = floats(self._waypoint.header, timing.POINT_WIDTH)  # type: ignore[union-attr]
-            speed = float(np.linalg.norm(waypoint[4:7]))
+            speed = length(waypoint[4:7])
             distance = along
             if speed > 0.1:
                 distance += 1.5 * speed * config.plan_latency + speed**2 / (2.0 * PLANNING_ACCELERATION) + 0.2
@@ -250,7 +250,7 @@ class MotionPlanner:
             point = points.reshape(-1, timing.POINT_WIDTH)[junction]
             start, velocity = point[:3].copy(), point[4:7].copy()
         found = self.routes.fastest(start, velocity)
-        return None if found is None else self._path(found[0], speed, junction, found[1])
+        return None if found is None else self._path(found, speed, junction)
 
     def _standing_point(self) -> np.ndarray:
         """Reference position while nothing is flown."""
@@ -263,15 +263,15 @@ class MotionPlanner:
         failures = self._memory.failures
         if not self._every_map or failures % _BACKTRACK_AFTER or failures > _BACKTRACK_UNTIL:
             return None
-        vertices, length = [self._standing_point()], 0.0
+        vertices, flown = [self._standing_point()], 0.0
         for crumb in reversed(self._crumbs):
             step = paths.distance(vertices[-1], crumb)
             if step < _CRUMB:
                 continue
             vertices.append(crumb)
-            length += step
-            if length > _BACKTRACK_LENGTH:
-                return self._path(np.array(vertices), 0.0, tight=True)
+            flown += step
+            if flown > _BACKTRACK_LENGTH:
+                return self._path(np.array(vertices), 0.0)
         return None
 
     # ---- recomputation ----------------------------------------------------------------------------------------------

@@ -78,16 +78,16 @@ class Routes:
             np.equal(self.room.cells, OCCUPIED, out=self._occupied, casting="unsafe")
         return self._occupied
 
-    def first_found(self, start: np.ndarray) -> tuple[np.ndarray, bool] | None:
-        """A path with the planner's radius or, if there is none, with the checker's; and whether it is a tight one."""
-        for counter, tight in ((self.room.wide, False), (self.room.narrow, True)):
+    def first_found(self, start: np.ndarray) -> np.ndarray | None:
+        """A path with the planner's radius or, if there is none, with the checker's."""
+        for counter in (self.room.wide, self.room.narrow):
             found = self.between(start, counter)
             if found is not None:
-                return _from(start, found), tight
+                return _from(start, found)
         return None
 
-    def fastest(self, start: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, bool] | None:
-        """The quickest path that a number of searches find, and whether parts of it are tight.
+    def fastest(self, start: np.ndarray, velocity: np.ndarray) -> np.ndarray | None:
+        """The quickest path that a number of searches find, through narrow places only if it must.
 
         Args:
             start: World frame (m). Shape (3,).
@@ -105,7 +105,7 @@ class Routes:
                 found = self._quickened(self._widened(found) if tight else found, velocity, counter)
                 time = self._time(found, velocity)
                 if time < least:
-                    best, least = (found, tight), time
+                    best, least = found, time
                 if least <= enough:
                     return best
         return best

@@ -9,6 +9,7 @@ from mavfi.kernels.planning import course, minimum_snap, stations
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import trajectory as timing
 from mavfi.kernels.planning import waypoint as handover
+from mavfi.numerics.vectors import length
 from mavfi.pipeline.control import MAX_YAW_RATE
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.room import Room
@@ -125,12 +126,11 @@ class TrajectoryGenerator:
 
     def _limits(self) -> timing.Limits:
         config = self._config
-        tight = self._splices and bool(self._path.header["tight"][0])
         # held points are tracked a little late: a reserve of speed keeps the vehicle from falling behind
         top = config.v_max if self._splices else 0.97 * config.v_max
         slow = min(1.0, config.v_max / NOMINAL_SPEED)  # lengths go with speed
         return timing.Limits(
-            top, min(TIGHT_SPEED, top) if tight else top, LATERAL_SHARE * config.a_max, PLANNING_ACCELERATION,
+            top, min(TIGHT_SPEED, top) if self._splices else top, LATERAL_SHARE * config.a_max, PLANNING_ACCELERATION,
             BRAKING, self._blend * slow, _LOOK * slow,
         )  # fmt: skip
 
@@ -182,7 +182,7 @@ class TrajectoryGenerator:
         arc = np.empty(len(points))
         handover.arc_lengths(points, arc)
         waypoint = floats(self._waypoint.header, timing.POINT_WIDTH)
-        speed = float(np.linalg.norm(waypoint[4:7]))
+        speed = length(waypoint[4:7])
         stand = int(np.searchsorted(arc, arc[index] + speed**2 / (2.0 * BRAKING)))
         tail = vertices
         if stand > junction and speed > _STANDING:

@@ -11,6 +11,7 @@ import numpy as np
 from mavfi.kernels.planning import waypoint as handover
 from mavfi.kernels.planning.trajectory import POINT_WIDTH
 from mavfi.numerics.rotations import yaw_of
+from mavfi.numerics.vectors import length
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.routes import PLANNING_ACCELERATION
 from mavfi.states import Stage, State, floats, new_state
@@ -173,7 +174,7 @@ class WaypointHandOver:
         if limit <= 0.0 or self._memory.trajectory is None or self._published is None:
             return
         reference = floats(self._published.header, POINT_WIDTH)[:3]
-        if not float(np.linalg.norm(reference - self._odometry[:3])) < limit:
+        if not length(reference - self._odometry[:3]) < limit:
             self._set(stop_us=time_us)
 
     def _sane(self, state: State) -> bool:
@@ -206,10 +207,10 @@ class WaypointHandOver:
         """Whether a trajectory may be taken over at the present speed."""
         if self._governed or len(waiting.elements) == 0:
             return True
-        speed = float(np.linalg.norm(self._odometry[3:6]))
+        speed = length(self._odometry[3:6])
         if self._memory.stopping:
             return not speed > _STANDING
-        first = float(np.linalg.norm(floats(waiting.elements, POINT_WIDTH).reshape(-1, POINT_WIDTH)[0, 4:7]))
+        first = length(floats(waiting.elements, POINT_WIDTH).reshape(-1, POINT_WIDTH)[0, 4:7])
         return not speed > first + _SPEED_STEP
 
     def _brake(self) -> State:

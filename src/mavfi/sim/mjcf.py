@@ -9,6 +9,7 @@ import numpy as np
 
 from mavfi.config import VehicleConfig, parse, read_yaml, shipped
 from mavfi.errors import BadInputError
+from mavfi.numerics.vectors import length, product
 from mavfi.sim.engine import keep_quiet
 
 _TOLERANCE = 0.01
@@ -92,12 +93,14 @@ def measure(path: Path) -> RigidBody:
     tensor = np.zeros((3, 3))
     for i in parts:  # parallel axes (Huygens-Steiner)
         principal, arm = data.ximat[i].reshape(3, 3), data.xipos[i] - middle
-        tensor += principal @ np.diag(model.body_inertia[i]) @ principal.T
-        tensor += model.body_mass[i] * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+        tensor += product(principal * model.body_inertia[i], principal.T)
+        tensor += model.body_mass[i] * (length(arm) ** 2 * np.eye(3) - np.outer(arm, arm))
     geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in parts]
-    reach = max((float(np.linalg.norm(data.geom_xpos[g] - middle) + model.geom_rbound[g]) for g in geoms), default=0.0)
-    x, y, z = (float(value) for value in np.diag(axes.T @ tensor @ axes))
-    return RigidBody(float(model.body_subtreemass[root]), (x, y, z), axes.T @ (middle - origin), reach)
+    reach = max((length(data.geom_xpos[g] - middle) + float(model.geom_rbound[g]) for g in geoms), default=0.0)
+    x, y, z = (float(value) for value in np.diag(product(product(axes.T, tensor), axes)))
+    return RigidBody(
+        float(model.body_subtreemass[root]), (x, y, z), product(axes.T, (middle - origin)[:, None])[:, 0], reach
+    )
 
 
 def attach(vehicle: VehicleConfig, scene: Any, holder: Any) -> None:

@@ -95,10 +95,10 @@ def generator(stack="published"):
     return TrajectoryGenerator(kernel_config, kernel.room)
 
 
-def path(*vertices, tight=False, entry=0.0):
+def path(*vertices, entry=0.0):
     state = new_state("planning.path", len(vertices))
     floats(state.elements, 3).reshape(-1, 3)[:] = vertices
-    state.header["junction"], state.header["tight"], state.header["entry_speed"] = -1, tight, entry
+    state.header["junction"], state.header["entry_speed"] = -1, entry
     return state
 
 
@@ -118,12 +118,12 @@ def test_a_repeated_trajectory_has_the_same_bits_and_number(stack):
 
 
 @pytest.mark.parametrize(("stack", "slower"), [("published", False), ("hardened", True)])
-def test_the_tight_flag_slows_hardened_flights_only(stack, slower):
+def test_narrow_places_slow_hardened_flights_only(stack, slower):
     kernel = generator(stack)
-    kernel._room.wide[:] = 1
     durations = []
-    for tight in (False, True):
-        kernel.receive(path(*LEGS, tight=tight), 0)
+    for narrow in (0, 1):
+        kernel._room.wide[:] = narrow
+        kernel.receive(path(*LEGS), 0)
         durations.append(kernel.step(0)[0].elements["duration"].sum())
     assert (durations[1] > 1.2 * durations[0]) == slower
 

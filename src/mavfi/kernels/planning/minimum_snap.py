@@ -14,6 +14,7 @@ import numpy as np
 from mavfi.kernels.planning.path import distance
 from mavfi.kernels.planning.trajectory import POINT_WIDTH
 from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.vectors import product
 
 KNOT_LIMIT = 1500
 """Most points of one curve."""
@@ -43,8 +44,7 @@ def _snap_costs() -> np.ndarray:
     factor = np.array([math.perm(k + 4, 4) for k in range(4)], float)
     snap = BASIS[:, 4:] * factor
     powers = 1.0 / (np.arange(4)[:, None] + np.arange(4)[None, :] + 1.0)
-    costs: np.ndarray = snap @ powers @ snap.T
-    return costs
+    return product(product(snap, powers), snap.T)
 
 
 def _velocity_pieces() -> np.ndarray:

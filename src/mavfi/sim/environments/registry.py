@@ -62,11 +62,10 @@ def build_world(
     radius = _hull_radius(environment.vehicle)
     for key, point in (("start", world.start), ("goal", world.goal)):
         _check_end(source, key, point, world, radius)
-    course = float(np.linalg.norm(world.goal - world.start))
-    if course < ARRIVAL_RADIUS:
+    if world.course < ARRIVAL_RADIUS:
         raise BadInputError(
-            f"{source}: goal {_text(world.goal)}: {course:.2f} m from the start, where it counts as reached; allowed: "
-            f"{ARRIVAL_RADIUS:g} m or more"
+            f"{source}: goal {_text(world.goal)}: {world.course:.2f} m from the start, where it counts as reached; "
+            f"allowed: {ARRIVAL_RADIUS:g} m or more"
         )
     return world
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.vectors import length
 
 
 class Voxels(NamedTuple):
@@ -57,6 +58,11 @@ class World:
     occupied: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0), np.bool_))
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     resolution: float = 1.0
+
+    @property
+    def course(self) -> float:
+        """Distance from start to goal (m)."""
+        return length(self.goal - self.start)
 
     def __post_init__(self) -> None:
         for attribute in fields(self):
