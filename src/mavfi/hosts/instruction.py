@@ -29,7 +29,7 @@ from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.ppc import PERIODIC, build_pipeline
-from mavfi.states import State
+from mavfi.states import STATES, State
 
 TIMEOUT = 60.0
 """Wall-clock limit of a struck flight (s): for what the budget of instructions does not see."""
@@ -190,6 +190,9 @@ class StrikingHost(Host):
         self._down.update(names)
         for name in names:
             self.busy[name] = None
+        for state in list(self.redo):
+            if STATES[state].writer in names:
+                del self.redo[state]  # the recomputation died with the node: what it publishes next is judged anew
         self.at(now + restart_us, "restarted", kernel)
 
     def restarted(self, now: int, kernel: str) -> None:
@@ -211,6 +214,8 @@ class StrikingHost(Host):
             messages = self._updates if name == "perception.map_update" else [self._latest.get(name)]
             for state in messages:
                 due = (state is not None and kernel.receive(state, now)) or due
+        if self.marks:
+            kernel.mark()  # what it was sent is not taken back by a recomputation of the step under way
         if due and kernel.name not in PERIODIC:
             self.start(kernel, now)
 
