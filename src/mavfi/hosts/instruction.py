@@ -4,6 +4,10 @@ The golden flight runs plain kernels.  At a struck call it waits while a forked 
 finishes the flight.  Where the child dies (crash, hang, exception), a second child goes on from the same instant as a
 ROS graph would: the node's result is lost, and after the restart latency it is there again with fresh memory.  Then the
 golden flight itself goes on, to the next struck call.
+
+A detector's false alarm before the fault makes kernels run again, and so shifts the calls: the call that was drawn may
+then be shorter than the instruction's index.  In flights with a detector the fault strikes the first call from there on
+that executes so many instructions, as faults in states strike the first publication at or after an instant.
 """
 
 import math
@@ -17,7 +21,7 @@ import numpy as np
 from mavfi.detectors.detector import Detector
 from mavfi.errors import MavfiError
 from mavfi.faults.fault import Fault
-from mavfi.faults.instruction import Ended, ForkPoint, InstructionFault, Strike
+from mavfi.faults.instruction import Ended, ForkPoint, InstructionFault, MismatchError, Strike
 from mavfi.faults.instruction.api import check_fault, digest
 from mavfi.faults.instruction.fault import strike_of
 from mavfi.faults.instruction.variant import variant_for
@@ -46,6 +50,7 @@ class _Case:
     planned: InstructionFault
     restart_us: int
     kernel: str
+    call: int
     time_us: int = 0
     strike: Strike | None = None
     how: str = "not_reached"
@@ -62,11 +67,13 @@ class _Report:
         log: Its record; None where nothing differed at the end of the struck call.
         output: Of the struck step; None where the kernel made none.
         call_same: Whether result and arguments of the struck call are bit for bit the golden ones.
+        missed: Whether the call ended before the instruction came.
     """
 
     log: FlightLog | None
     output: Output | None
     call_same: bool
+    missed: bool = False
 
 
 @dataclass(slots=True)
@@ -89,7 +96,7 @@ class _Twin:
     def __call__(self, *args: Any) -> Any:
         call, self._calls = self._calls, self._calls + 1
         for case in self._host.cases:
-            if case.planned.call == call and case.fault.site.field == self._name and self._host.child is None:
+            if case.call == call and case.fault.site.field == self._name and self._host.child is None:
                 struck, result = self._host.strike(case, self._function, args)
                 if struck:
                     return result
@@ -129,7 +136,13 @@ class StrikingHost(Host):
             In the golden flight False; in a child True, and the result of the call.
         """
         variant = variant_for(function, args)
-        check_fault(case.planned, variant, function)
+        try:
+            check_fault(case.planned, variant, function)
+        except MismatchError:
+            if self.detector is None:
+                raise
+            case.call += 1  # calls have shifted: this one has arguments of other types
+            return False, None
         variant.own_report()
         case.time_us = self.now
         point = ForkPoint()
@@ -140,7 +153,11 @@ class StrikingHost(Host):
         case.strike = strike_of(case.planned, variant.report())
         case.how, case.detail = ended.how, ended.detail
         if ended.how == "done":
-            case.report = pickle.loads(ended.payload)
+            report: _Report = pickle.loads(ended.payload)
+            if report.missed:
+                case.call, case.how = case.call + 1, "not_reached"
+                return False, None
+            case.report = report
         else:
             point = ForkPoint()
             ended = point.split(TIMEOUT)
@@ -160,6 +177,8 @@ class StrikingHost(Host):
         result = variant.inject(planned.index, *planned.masks, planned.budget, *args)
         child.call_same = digest(_plain_parts((result, args))) == golden
         report = variant.report()
+        if report is None and self.detector is not None:
+            child.point.finish(pickle.dumps(_Report(None, None, call_same=True, missed=True)))
         if child.call_same and report is not None and report.site.value_class in _DATA:
             child.point.finish(pickle.dumps(_Report(None, None, call_same=True)))
         return result
@@ -291,9 +310,9 @@ def _case(fault: Fault, scenario: Scenario) -> _Case:
     check_kernel(kernel, scenario.planner.name)
     node = "planner" if kernel in PLANNERS else kernel
     if not fault.has_site:
-        return _Case(fault, InstructionFault("", "", 0, call=-1), 0, node)
+        return _Case(fault, InstructionFault("", "", 0, call=-1), 0, node, -1)
     planned, restart_s = planned_of(fault)
-    return _Case(fault, planned, round(1e6 * restart_s), node)
+    return _Case(fault, planned, round(1e6 * restart_s), node, planned.call)
 
 
 def _restarted(ended: Ended) -> _Report:
@@ -332,7 +351,7 @@ def _injection(case: _Case) -> dict[str, Any]:
     site = strike.site
     return data | {
         "before": _number(strike.number(strike.before)), "after": _number(strike.number(strike.after)),
-        "call": planned.call, "index": planned.index, "opcode": site.opcode, "type": site.kind, "width": site.width,
+        "call": case.call, "index": planned.index, "opcode": site.opcode, "type": site.kind, "width": site.width,
         "value_class": site.value_class, "file": site.file, "line": site.line,
         "inlined": [f"{file}:{line}" for file, line in site.frames[1:]],
         "variable": site.variable or "", "ir_sha256": planned.ir_sha256, "bits": list(planned.bits),

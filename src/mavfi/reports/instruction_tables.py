@@ -76,7 +76,7 @@ def _missed(entries: Iterable[Mapping[str, Any]]) -> list[str]:
         if entry["policy"] == RESTART:
             counts.setdefault(entry["setting"], []).append(entry["not_hit"])
     told = ", ".join(f"{setting} {sum(own)}" for setting, own in counts.items())
-    missed = [f"faults that were not hit, kept in every rate (recomputations after false alarms shift calls): {told}"]
+    missed = [f"faults that found no such call or did not hit, kept in every rate: {told}"]
     unknown = sum(entry["unknown"] for entry in entries if entry["policy"] != END)
     return missed + ([f"{unknown} flights could not be judged (unknown) and are left out"] if unknown else [])
 
