@@ -6,8 +6,9 @@ ROS graph would: the node's result is lost, and after the restart latency it is 
 golden flight itself goes on, to the next struck call.
 
 A detector's false alarm before the fault makes kernels run again, and so shifts the calls: the call that was drawn may
-then be shorter than the instruction's index.  In flights with a detector the fault strikes the first call from there on
-that executes so many instructions, as faults in states strike the first publication at or after an instant.
+then be shorter than the instruction's index, or have a narrower value there.  In flights with a detector the fault
+strikes the first call from there on that has such a bit, as faults in states strike the first publication at or after
+an instant.
 """
 
 import math
@@ -67,7 +68,7 @@ class _Report:
         log: Its record; None where nothing differed at the end of the struck call.
         output: Of the struck step; None where the kernel made none.
         call_same: Whether result and arguments of the struck call are bit for bit the golden ones.
-        missed: Whether the call ended before the instruction came.
+        missed: Whether the call ended before the instruction came, or that instruction's value has no such bit.
     """
 
     log: FlightLog | None
@@ -177,7 +178,7 @@ class StrikingHost(Host):
         result = variant.inject(planned.index, *planned.masks, planned.budget, *args)
         child.call_same = digest(_plain_parts((result, args))) == golden
         report = variant.report()
-        if report is None and self.detector is not None:
+        if self.detector is not None and _missed(strike_of(planned, report)):
             child.point.finish(pickle.dumps(_Report(None, None, call_same=True, missed=True)))
         if child.call_same and report is not None and report.site.value_class in _DATA:
             child.point.finish(pickle.dumps(_Report(None, None, call_same=True)))
@@ -313,6 +314,13 @@ def _case(fault: Fault, scenario: Scenario) -> _Case:
         return _Case(fault, InstructionFault("", "", 0, call=-1), 0, node, -1)
     planned, restart_s = planned_of(fault)
     return _Case(fault, planned, round(1e6 * restart_s), node, planned.call)
+
+
+def _missed(strike: Strike) -> bool:
+    """Whether nothing was there to be changed."""
+    if strike.site is None or strike.before is None or strike.after is None:
+        return True
+    return not strike.hit and not (strike.before ^ strike.after) & ((1 << strike.site.width) - 1)
 
 
 def _restarted(ended: Ended) -> _Report:

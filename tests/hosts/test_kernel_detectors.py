@@ -1,0 +1,88 @@
+"""Faults in instructions while a detector watches: it never sees them, and what it asks for heals what it can."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mavfi.faults.instruction import Counting
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.inprocess import fly
+from mavfi.hosts.instruction import fly_struck
+from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults
+from mavfi.pipeline.functions import PLAIN
+from tests.hosts.missions import Scripted
+
+
+def scenario():
+    return make_scenario("sparse", 7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0))
+
+
+@pytest.fixture(scope="module")
+def faults():
+    return draw_kernel_faults(scenario(), Wish({"pid": 6, "point_cloud": 2}, which="data"), seed=3).faults
+
+
+def outcomes(flights):
+    return [(flight.log.digest(), flight.log.meta["kernel_outcome"], flight.log.injections) for flight in flights]
+
+
+def test_a_detector_that_never_alarms_changes_nothing(faults):
+    both = [*faults["pid"], *faults["point_cloud"]]
+    detector = Scripted("control.command", n=10**9)
+    assert outcomes(fly_struck(scenario(), both, detector).flights) == outcomes(fly_struck(scenario(), both).flights)
+
+
+def test_what_is_computed_again_is_without_the_fault(faults):
+    """Every command is computed twice: flights with faults in the tracker become the golden one of this detector."""
+    alone = fly_struck(scenario(), faults["pid"])
+    assert any(flight.log.digest() != alone.golden.log.digest() for flight in alone.flights), "else there is no proof"
+    first = min(fault.instruction["call"] for fault in faults["pid"])
+    healed = fly_struck(scenario(), faults["pid"], Scripted("control.command", n=first + 1, times=10**9))
+    assert all(flight.log.injections[0]["hit"] for flight in healed.flights)
+    # the tracker has no memory but the state that a recomputation begins with, so nothing of a fault is left
+    assert {flight.log.digest() for flight in healed.flights} == {healed.golden.log.digest()}
+
+
+@pytest.fixture(scope="module")
+def counts():
+    twin = Counting(PLAIN.back_project)
+    fly(scenario(), functions=replace(PLAIN, back_project=twin))
+    return twin.counts
+
+
+def test_a_call_that_is_too_short_is_passed_by_where_a_detector_may_have_shifted_calls(faults, counts):
+    later = next(call for call in range(1, len(counts)) if counts[call] > max(counts[:call]))
+    index = max(counts[:later])
+    fault = faults["point_cloud"][0]
+    shifted = replace(fault, bit=0, instruction={**fault.instruction, "call": 0, "index": index, "bits": [0]})
+    (watched,) = fly_struck(scenario(), [shifted], Scripted()).flights
+    (record,) = watched.log.injections
+    assert (record["hit"], record["call"]) == (True, later)
+    (alone,) = fly_struck(scenario(), [shifted]).flights
+    assert not alone.log.injections[0]["hit"]
+    assert alone.log.meta["kernel_outcome"]["outcome"] == "masked"
+
+
+def test_an_instruction_that_never_comes_is_not_hit(faults, counts):
+    fault = faults["point_cloud"][0]
+    beyond = {**fault.instruction, "call": len(counts) - 3, "index": 2 * max(counts)}
+    flown = fly_struck(scenario(), [replace(fault, instruction=beyond)], Scripted())
+    (flight,) = flown.flights
+    assert not flight.log.injections[0]["hit"]
+    assert flight.log.meta["kernel_outcome"]["outcome"] == "not_reached"
+    assert flight.log.digest() == flown.golden.log.digest()
+
+
+@pytest.mark.parametrize("kernel", ["octomap", "collision_check"])
+def test_a_node_that_is_there_again_can_be_asked_to_compute_again(kernel):
+    wish = Wish({kernel: 2}, which="opcode:getelementptr", restart_s=0.2)
+    drawn = draw_kernel_faults(scenario(), wish, seed=1).faults[kernel]
+    struck = [replace(fault, bit=46, instruction={**fault.instruction, "bits": [46]}) for fault in drawn]
+    flown = fly_struck(scenario(), struck, Scripted("perception.collision_status", 1, "perception", times=10**9))
+    died = [flight.log for flight in flown.flights if "due_end" in flight.log.meta]
+    assert died, "else nothing was started again"
+    for log in died:
+        times = np.array([alarm["time_s"] for alarm in log.alarms])
+        assert (times > log.injections[0]["time_s"] + 0.2).any(), "no alarm after the restart"
+        assert log.status.label == "success"
