@@ -8,7 +8,7 @@ import pytest
 from mavfi.faults.instruction import Counting
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import fly
-from mavfi.hosts.instruction import fly_struck
+from mavfi.hosts.instruction import StrikingHost, fly_struck
 from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults
 from mavfi.pipeline.functions import PLAIN
 from tests.hosts.missions import Scripted
@@ -95,3 +95,15 @@ def test_a_node_that_is_there_again_can_be_asked_to_compute_again(kernel):
         times = np.array([alarm["time_s"] for alarm in log.alarms])
         assert (times > log.injections[0]["time_s"] + 0.2).any(), "no alarm after the restart"
         assert log.status.label == "success"
+
+
+def test_a_recomputation_does_not_take_back_what_a_node_was_sent_when_it_started_again():
+    host = StrikingHost(scenario(), [], Scripted())
+    host.begin()
+    host.run(until=150)
+    host.restarted(host.now, "collision_check")
+    kernel = host.kernels["collision_check"]
+    cells = kernel.room.cells.copy()
+    assert len(np.unique(cells)) > 1, "it knows the map"
+    kernel.rollback()
+    assert np.array_equal(kernel.room.cells, cells)
