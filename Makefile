@@ -90,7 +90,7 @@ train: setup  ## train the detectors that are shipped
 	@$(BIN)/mavfi train --flights 100 --out src/mavfi/data/models
 
 readme: setup  ## put the tables that `make reproduce` printed into README.md
-	@$(BIN)/python docs/build_readme.py $(OUT)
+	@$(BIN)/python -m docs.build_readme $(OUT)
 
 pictures: setup  ## draw the pictures of docs/kernels anew from flights and kernel runs
 	@for script in docs/draw_*.py; do echo "$$script"; $(BIN)/python -m docs.$$(basename $$script .py) || exit 1; done

@@ -1,16 +1,16 @@
 """Put the tables that `mavfi reproduce` printed, of both levels, between the markers of README.md.
 
-    python docs/build_readme.py out/reproduce
+    python -m docs.build_readme out/reproduce
 
-The reports write `readme_block.md` and, if they drew one, `flight.png` into their folders; the blocks and the picture of
-the state level are copied as they are, so no figure in the README is ever typed.
+The reports write `readme_block.md` and, if they drew one, `flight.png` into their folders; the blocks, and the picture
+of the state level, are copied as they are, so no figure in the README is ever typed.
 """
 
 import shutil
 import sys
 from pathlib import Path
 
-from build_pages import between
+from docs.build_pages import between
 
 ROOT = Path(__file__).parents[1]
 BLOCKS = {"table": "readme_block.md", "instruction_table": "instructions/readme_block.md"}

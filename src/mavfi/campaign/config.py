@@ -64,8 +64,9 @@ class Campaign(Config):
     """A campaign as a user writes it.
 
     `flights` missions per environment, from `first_seed` on.  `faults` faults per environment for each stage (law
-    `stage_balanced`), each group (law `groups`) or each kernel or stage (law `kernels`, as its key `share` says); fault i
-    strikes in mission i modulo `flights`.  `strata` are the shares of these faults by bit stratum; in kernels bits are drawn uniformly.
+    `stage_balanced`), each group (law `groups`) or each kernel or stage (law `kernels`, as its key `share` says); fault
+    i strikes in mission i modulo `flights`.  `strata` are the shares of these faults by bit stratum; in kernels bits
+    are drawn uniformly.
     """
 
     name: str

@@ -21,7 +21,9 @@ INSTRUCTIONS_FOLDER = "instructions"
 
 
 def reproduce(
-    scale: Annotated[str, typer.Option(help="quick: 30 missions per environment (instruction level: 13); paper: 100.")] = "quick",
+    scale: Annotated[
+        str, typer.Option(help="quick: 30 missions per environment (instruction level: 13); paper: 100.")
+    ] = "quick",
     out: Annotated[Path, typer.Option(help="Folder of everything that is written.")] = Path("out/reproduce"),
     workers: Annotated[int, typer.Option(help="Processes; the result does not depend on them.")] = 2,
     as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,

@@ -107,7 +107,14 @@ def _by_stage(analysis: Analysis) -> Table:
             key = entry["environment"], entry["stage"], entry["setting"]
             rates = (text.rate(by_policy.get((*key, policy))) for policy in POLICIES)
             rows.append((*key, *rates, str(entry["died"]), str(entry["not_hit"])))
-    columns = ("environment", "stage", "setting", *(LABELS[p].removeprefix("here, ") for p in POLICIES), "died", "no hit")
+    columns = (
+        "environment",
+        "stage",
+        "setting",
+        *(LABELS[p].removeprefix("here, ") for p in POLICIES),
+        "died",
+        "no hit",
+    )
     notes = (_RATES, "died: kernels that crashed, hung or raised")
     return Table("Instruction level: success by stage of the fault", columns, rows, notes)
 

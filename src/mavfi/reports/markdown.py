@@ -40,8 +40,8 @@ def readme_block(analysis: Analysis, date: str) -> str:
     head = (
         f"Generated on {date} by mavfi {c['versions']['mavfi']} ({versions}): campaign `{c['name']}`, stack "
         f"`{c['stack']}`, platform `{c['platform']}`, planner `{c['planner']}`, {c['flights']} missions "
-        f"per environment (seeds {c['seeds'][0]} to {c['seeds'][1]}), {c['faults']} faults per {each(analysis)}, {c['done']} "
-        f"flights, digest `{c['digest'][:16]}`."
+        f"per environment (seeds {c['seeds'][0]} to {c['seeds'][1]}), {c['faults']} faults per {each(analysis)}, "
+        f"{c['done']} flights, digest `{c['digest'][:16]}`."
     )
     parts = [f"**{table.title}**", head, _grid(table), _notes(table)]
     return "\n\n".join(parts + ([null_line(analysis)] if analysis["null_check"]["n"] else [])) + "\n"
