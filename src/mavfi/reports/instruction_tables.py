@@ -30,9 +30,7 @@ def instruction_tables(analysis: Analysis) -> list[Table]:
     """Tables of a campaign whose stages have equal numbers of faults in instructions; else none."""
     if analysis["campaign"]["kernels"]["share"] != "stage":
         return []
-    stack = f"stack {analysis['campaign']['stack']}"
-    found = (_as_in_the_paper(analysis), _by_stage(analysis), _alarms(analysis))
-    return [Table(t.title, t.columns, t.rows, (*t.notes, stack), t.detail) for t in found if t.rows]
+    return [_as_in_the_paper(analysis), _by_stage(analysis), _alarms(analysis)]
 
 
 def _as_in_the_paper(analysis: Analysis) -> Table:

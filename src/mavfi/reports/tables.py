@@ -37,26 +37,27 @@ INTERVALS = (
 
 def tables(analysis: Analysis) -> list[Table]:
     """All tables that have rows, most important first; each says which stack flew."""
-    if analysis["campaign"]["law"] == "kernels":
-        return [*instruction_tables(analysis), *kernel_tables(analysis), *_of_detectors(analysis)]
+    of_kernels = analysis["campaign"]["law"] == "kernels"
     makers: tuple[Callable[[Analysis], Iterable[Table]], ...] = (
         as_in_the_paper, success, recovery, faults_by, outcomes, endings, flight_times, false_alarms, detections,
         overheads, sites,
     )  # fmt: skip
+    if of_kernels:
+        makers = (recovery, false_alarms, overheads) if analysis["campaign"]["detectors"] else ()
+    found = _finished(analysis, (table for maker in makers for table in maker(analysis)))
+    if not of_kernels:
+        return found
+    return [*_finished(analysis, instruction_tables(analysis)), *kernel_tables(analysis), *found]
+
+
+def _finished(analysis: Analysis, found: Iterable[Table]) -> list[Table]:
+    """Tables that have rows, with the stack and its deviations below."""
     stack = analysis["campaign"]["stack"]
     flew = {"published": DEVIATIONS, "hardened": NOT_THE_PAPERS}.get(stack, "")
     below = f"stack {stack}" + (f"; {flew}" if flew else "")
-    found = [table for maker in makers for table in maker(analysis) if table.rows]
-    return [Table(t.title, t.columns, _together(t.rows), (*t.notes, below), t.detail) for t in found]
-
-
-def _of_detectors(analysis: Analysis) -> list[Table]:
-    """Tables of a campaign of kernels that are there for its detectors."""
-    if not analysis["campaign"]["detectors"]:
-        return []
-    stack = f"stack {analysis['campaign']['stack']}"
-    found = (table for maker in (recovery, false_alarms, overheads) for table in maker(analysis) if table.rows)
-    return [Table(t.title, t.columns, _together(t.rows), (*t.notes, stack), t.detail) for t in found]
+    return [
+        Table(t.title, t.columns, _together(t.rows), (*t.notes, below), t.detail) for t in found if t.rows
+    ]  # fmt: skip
 
 
 def _together(rows: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:

@@ -52,7 +52,7 @@ def check_readme(out, root, titles, monkeypatch):
     assert build_readme.main(out) == 0
     first, second = (root / "README.md").read_text(encoding="utf-8").split("<!-- table:end -->")
     assert titles[0] in first and titles[1] not in first
-    assert titles[1] in second and "campaign `table1_instructions`" in second and "old" not in first + second
+    assert titles[1] in second and "campaign `table1_instructions`" in second and "\nold\n" not in first + second
 
 
 def test_a_readme_without_tables_is_left_alone(capsys, tmp_path):
