@@ -31,7 +31,7 @@ $(STAMP): requirements.lock pyproject.toml
 	@$(BIN)/python -m pip install -qq --no-deps --no-build-isolation --editable .
 	@touch $@
 
-reproduce: setup  ## train, fly, print the success table, write $(OUT) (SCALE=quick|paper)
+reproduce: setup  ## train, fly, print the success table at both levels, write $(OUT) (SCALE=quick|paper)
 	@$(BIN)/mavfi reproduce --scale $(SCALE) --out $(OUT)
 
 test: setup  ## run all tests
@@ -89,8 +89,8 @@ ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a
 train: setup  ## train the detectors that are shipped
 	@$(BIN)/mavfi train --flights 100 --out src/mavfi/data/models
 
-readme: setup  ## put the table that `make reproduce` printed into README.md
-	@$(BIN)/python docs/build_readme.py $(OUT)
+readme: setup  ## put the tables that `make reproduce` printed into README.md
+	@$(BIN)/python -m docs.build_readme $(OUT)
 
 pictures: setup  ## draw the pictures of docs/kernels anew from flights and kernel runs
 	@for script in docs/draw_*.py; do echo "$$script"; $(BIN)/python -m docs.$$(basename $$script .py) || exit 1; done

@@ -28,6 +28,17 @@ class Stage(StrEnum):
 
 PPC_STAGES = (Stage.PERCEPTION, Stage.PLANNING, Stage.CONTROL)
 
+KERNEL_STAGES = {
+    "point_cloud": Stage.PERCEPTION,
+    "octomap": Stage.PERCEPTION,
+    "collision_check": Stage.PERCEPTION,
+    "rrt": Stage.PLANNING,
+    "rrt_connect": Stage.PLANNING,
+    "rrt_star": Stage.PLANNING,
+    "pid": Stage.CONTROL,
+}
+"""Kernels whose instructions can be struck, and the stage that each belongs to, as in the paper's Fig. 3."""
+
 
 @dataclass(frozen=True, slots=True)
 class Field:

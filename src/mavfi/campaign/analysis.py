@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from mavfi.campaign import detection, effects, kernel_analysis, paper, success
+from mavfi.campaign import detection, effects, kernel_analysis, kernel_success, paper, success
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.flights import read_rows
 from mavfi.campaign.plan import count_runs
@@ -29,8 +29,9 @@ def analyse(directory: Path) -> dict[str, Any]:
     Returns:
         Plain data: `campaign` (what was flown), `remarks`, and lists of entries: `success`, `by_stage`, `by_target`,
         `by_state`, `by_field`, `by_bits`, `recovery`, `golden_against_faults`, `separable`, `outcomes`, `endings`,
-        `golden`, `flight_times`, `unmonitored_failures`, `acted_on`, `false_alarms`, `detections`, `overheads`; and
-        `null_check`, and `kernels` (see `kernel_analysis`; None where no instructions were struck).
+        `golden`, `flight_times`, `unmonitored_failures`, `acted_on`, `false_alarms`, `detections`, `overheads`,
+        `success_by_policy` (see `kernel_success`; of faults in instructions only); and `null_check`, and `kernels`
+        (see `kernel_analysis`, with `stages`: struck kernels by stage; None where no instructions were struck).
 
     Raises:
         BadInputError: There is no ledger.
@@ -61,8 +62,15 @@ def analyse(directory: Path) -> dict[str, Any]:
             "false_alarms": detection.false_alarms(rows),
             "detections": detection.detections(rows, watched),
             "overheads": detection.overheads(rows),
-            "kernels": kernel_analysis.analyse_kernels(store) if campaign.kernels is not None else None,
+            "success_by_policy": kernel_success.success_by_policy(rows) if campaign.kernels is not None else [],
+            "kernels": _kernels(campaign, store),
         }
+
+
+def _kernels(campaign: Campaign, store: Store) -> dict[str, Any] | None:
+    if campaign.kernels is None:
+        return None
+    return {**kernel_analysis.analyse_kernels(store), "stages": kernel_success.stages_of(campaign)}
 
 
 def describe(campaign: Campaign, store: Store, done: int) -> dict[str, Any]:

@@ -14,11 +14,11 @@ from mavfi.config import Config, config_root, load, read_yaml
 from mavfi.errors import BadInputError
 from mavfi.faults.sampling import group_target, stage_target
 from mavfi.faults.strata import STRATA
-from mavfi.states import MONITORED_SETS, PPC_STAGES
+from mavfi.states import KERNEL_STAGES, MONITORED_SETS, PPC_STAGES
 
 DESIGN_SEEDS = range(10_000)
 """Seeds that the stacks were tuned on."""
-KERNELS = ("point_cloud", "octomap", "collision_check", "rrt", "rrt_connect", "rrt_star", "pid")
+KERNELS = tuple(KERNEL_STAGES)
 """Kernels that can be struck at instruction level."""
 PLANNER_KERNELS = ("rrt", "rrt_connect", "rrt_star")
 """Those of which a mission flies one."""
@@ -45,6 +45,9 @@ class KernelFaults(Config):
     """Faults in the instructions of kernels (law `kernels`)."""
 
     names: tuple[str, ...] = Field(min_length=1, description="as in mavfi.pipeline.functions.STRUCK")
+    share: Literal["kernel", "stage"] = Field(
+        "kernel", description="what `faults` counts: each kernel, or each stage, whose kernels share them equally"
+    )
     which: str = Field("all", description="class of instructions, e.g. floating_point")
     model: Literal["one_bit", "bits", "random", "zero"] = "one_bit"
     restart_s: float = Field(0.57, ge=0, le=60, description="until a node that died answers again (s)")
@@ -61,8 +64,9 @@ class Campaign(Config):
     """A campaign as a user writes it.
 
     `flights` missions per environment, from `first_seed` on.  `faults` faults per environment for each stage (law
-    `stage_balanced`), each group (law `groups`) or each kernel (law `kernels`); fault i strikes in mission i modulo
-    `flights`.  `strata` are the shares of these faults by bit stratum; in kernels bits are drawn uniformly.
+    `stage_balanced`), each group (law `groups`) or each kernel or stage (law `kernels`, as its key `share` says); fault
+    i strikes in mission i modulo `flights`.  `strata` are the shares of these faults by bit stratum; in kernels bits
+    are drawn uniformly.
     """
 
     name: str
@@ -150,8 +154,12 @@ def _check_kernels(campaign: Campaign) -> None:
     if unknown:
         raise ValueError(f"kernels: {unknown[0]!r}: not known; allowed: {', '.join(KERNELS)}")
     _check_distinct("kernels", campaign.kernels.names)
-    if campaign.detectors:
-        raise ValueError("detectors: given; allowed: none where law is 'kernels'")
+    others = [name for name in campaign.kernels.names if name in PLANNER_KERNELS and name != campaign.planner]
+    if campaign.detectors and others:
+        raise ValueError(
+            f"kernels: {others[0]!r}: detectors are trained with one planner; allowed with detectors: kernels of "
+            f"missions with planner {campaign.planner!r}"
+        )
     if campaign.null_runs:
         raise ValueError(f"null_runs: {campaign.null_runs}; allowed: 0 where law is 'kernels' (nothing is drawn there)")
 

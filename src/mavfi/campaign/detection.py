@@ -62,7 +62,7 @@ def detections(rows: list[Row], monitored_set: str) -> list[dict[str, Any]]:
     table = []
     struck = [row for row in rows if is_injected(row) and row.spec.arm and row.site_fate == "hit" and row.judged]
     groups = group(
-        struck, lambda row: (row.spec.environment, row.spec.setting, row.stratum, row.watched(monitored_set))
+        struck, lambda row: (row.spec.environment, row.spec.setting, row.population, row.watched(monitored_set))
     )
     for (environment, setting, stratum, watched), own in groups.items():
         worlds = [row.world for row in own]

@@ -13,6 +13,9 @@ from mavfi.states import MONITORED_SETS, STATES
 
 _Row = TypeVar("_Row")
 
+ALL_BITS = "all_bits"
+"""Population of faults in instructions: their bits are drawn uniformly, so no stratum of them is apart."""
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
@@ -59,6 +62,16 @@ class Row:
     def stratum(self) -> str:
         """Bit stratum of the draw."""
         return "" if self.spec.fault is None else self.spec.fault.stratum
+
+    @property
+    def population(self) -> str:
+        """Which faults one rate is given of: the bit stratum, or `ALL_BITS` of a fault in an instruction."""
+        return self.stratum if self.instruction is None else ALL_BITS
+
+    @property
+    def success_if_ended(self) -> bool:
+        """The same where the mission ends with the death of a kernel, instead of a restart of its node."""
+        return self.success and bool(self.record.get("due_end", {}).get("success", True))
 
     @property
     def weight(self) -> float:

@@ -6,6 +6,7 @@ from typing import Any
 
 from mavfi.campaign.flights import Row, read_rows
 from mavfi.campaign.kernel_profiles import read_kernel_profiles
+from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Store
 
 DUE = ("crash", "hang", "exception")
@@ -85,15 +86,15 @@ class KernelRun:
 
 
 def read_kernel_runs(store: Store) -> list[KernelRun]:
-    """All flights of a ledger that have a fault in an instruction and are done, in the order of the plan.
+    """All flights of a ledger that have a fault in an instruction, no detector, and are done, in the plan's order.
 
     Runs that ended for a reason of ours (`unknown`), and those whose golden twin did, are left out.
     """
     return [
         _kernel_run(row, row.record, row.twin)
         for row in read_rows(store)
-        if row.instruction is not None and "kernel_outcome" in row.record and row.twin is not None
-        and "digest" in row.twin
+        if row.instruction is not None and row.spec.setting == FI and "kernel_outcome" in row.record
+        and row.twin is not None and "digest" in row.twin
     ]  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from mavfi.campaign.kernel_plan import DRAWN
 from mavfi.campaign.kernel_profiles import KEY
 from mavfi.campaign.plan import RunSpec
-from mavfi.campaign.worker import RunResult, Task, plain, record_of, run_guarded, run_task
+from mavfi.campaign.worker import RunResult, Task, detector_of, plain, record_of, run_guarded, run_task
 
 _flown: dict[str, RunResult] = {}
 """Runs that were flown with one that was asked for, and are not asked for yet."""
@@ -31,14 +31,14 @@ def is_struck(spec: RunSpec) -> bool:
 
 
 def with_siblings(tasks: list[Task]) -> list[Task]:
-    """Runs of one mission that are flown from one golden flight, told of each other."""
+    """Runs of one mission that are flown from one golden flight, told of each other, and one after the other."""
     arms: dict[str, list[RunSpec]] = {}
     for task in tasks:
         if is_struck(task.spec):
             arms.setdefault(task.spec.arm, []).append(task.spec)
-    return [
-        replace(task, siblings=tuple(arms[task.spec.arm])) if is_struck(task.spec) else task for task in tasks
-    ]  # fmt: skip
+    order = list(arms)
+    told = [replace(task, siblings=tuple(arms[task.spec.arm])) if is_struck(task.spec) else task for task in tasks]
+    return sorted(told, key=lambda task: order.index(task.spec.arm) if is_struck(task.spec) else -1)
 
 
 def _counted(task: Task) -> RunResult:
@@ -59,7 +59,8 @@ def _struck(task: Task) -> RunResult:
         _flown.clear()
         started = time.perf_counter()
         specs = task.siblings or (task.spec,)
-        flights = task.tools.strike(task.scenario, [spec.fault for spec in specs if spec.fault is not None])
+        faults = [spec.fault for spec in specs if spec.fault is not None]
+        flights = task.tools.strike(task.scenario, faults, detector_of(task))
         wall_s = (time.perf_counter() - started) / len(specs)
         for spec, flight in zip(specs, flights, strict=True):
             _flown[spec.run_id] = RunResult(record_of(flight.log), wall_s=wall_s)

@@ -2,7 +2,8 @@
 
 Source: Hsiao, Wan, Jia, Ghosal, Mahmoud, Raychowdhury, Brooks, Wei, Reddi, "MAVFI: An End-to-End Fault Analysis
 Framework with Anomaly Detection and Recovery for Micro Aerial Vehicles".  Its faults are at the instruction level
-(100 per stage), ours here at the state level: "state-level variant of the paper's Table I".
+(100 per stage); ours are at the state level (`NOTE`) or, like the paper's, at the instruction level
+(`INSTRUCTION_NOTE`), and every table says which.
 """
 
 SUCCESS: dict[str, dict[str, float]] = {
@@ -60,4 +61,5 @@ KERNELS: dict[str, str] = {
 KERNELS_WORST_TIME, KERNELS_SUCCESS_LOSS = 0.573, 0.08
 """Section III-B: flight time of planning and control kernels "by up to", and loss of success rate "by up to"."""
 
-NOTE = "state-level variant of the paper's Table I (instruction level follows)"
+NOTE = "state-level variant of the paper's Table I, which is at instruction level"
+INSTRUCTION_NOTE = "instruction level: the paper's Table I"

@@ -12,12 +12,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from mavfi.campaign.config import PLANNER_KERNELS, Campaign, DetectorArm
+from mavfi.campaign.config import PLANNER_KERNELS, Campaign, DetectorArm, KernelFaults
 from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import Target, draw, group_target, stage_target, stream
 from mavfi.faults.strata import HEADLINE
 from mavfi.flight_log import Profile
-from mavfi.states import PPC_STAGES
+from mavfi.states import KERNEL_STAGES, PPC_STAGES
 
 GOLDEN, FI, NULL, RECOVERY = "golden", "fi", "null", "dr"
 PHASE_GOLDEN, PHASE_INJECTED = 1, 2
@@ -242,9 +242,16 @@ def is_null(spec: RunSpec) -> bool:
 
 def _injected_runs(campaign: Campaign) -> int:
     """Runs of phase 2 in each environment."""
-    if campaign.kernels is not None:
-        return campaign.faults * len(campaign.kernels.names)
-    return (1 + len(campaign.detectors)) * campaign.faults * len(_targets(campaign)) + campaign.null_runs
+    rows = len(_targets(campaign) if campaign.kernels is None else kernel_groups(campaign.kernels))
+    return (1 + len(campaign.detectors)) * campaign.faults * rows + campaign.null_runs
+
+
+def kernel_groups(kernels: KernelFaults) -> list[tuple[str, ...]]:
+    """Kernels that share one number of faults: each alone, or those of each stage."""
+    if kernels.share == "kernel":
+        return [(name,) for name in kernels.names]
+    stages = [tuple(name for name in kernels.names if KERNEL_STAGES[name] is stage) for stage in PPC_STAGES]
+    return [row for row in stages if row]
 
 
 def count_runs(campaign: Campaign) -> int:

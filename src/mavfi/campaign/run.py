@@ -139,7 +139,7 @@ class _Sitting:
             specs = plan_world(campaign, keys, self.arms, world, self.store.profile(*world))
         else:
             golden = (run.record or {} for run in self.store.runs(PHASE_GOLDEN, done=True, world=world))
-            specs = plan_kernel_world(campaign, keys, world, golden)
+            specs = plan_kernel_world(campaign, keys, self.arms, world, golden)
         self.store.plan_part(PHASE_INJECTED, specs)
         for spec in specs.values():
             planned, done, success = self.counts.get(spec.setting, (0, 0, 0))

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from typing import Any
 
 from mavfi.campaign import paper
-from mavfi.campaign.flights import Row, group, is_golden, is_injected, settings_of
+from mavfi.campaign.flights import ALL_BITS, Row, group, is_golden, is_injected, settings_of
 from mavfi.campaign.pairs import mcnemar, recovery
 from mavfi.campaign.plan import FI, GOLDEN, RECOVERY
 from mavfi.campaign.statistics import Rate, clustered_rate, smallest_difference, weighted_rate, wilson
@@ -16,6 +16,8 @@ PARTITIONS = ({"sign_exponent", "mantissa"}, {"sign", "exponent", "mantissa"})
 """Sets of strata that together make up whole words."""
 SLOWER = 0.05
 """Flight time over the golden twin's from which a success counts as slower."""
+_LEADING = (HEADLINE, ALL_BITS)
+"""Populations that the success table leads with."""
 
 
 def populations(rows: Iterable[Row], test: Callable[[Row], bool]) -> dict[str, Rate]:
@@ -29,7 +31,7 @@ def populations(rows: Iterable[Row], test: Callable[[Row], bool]) -> dict[str, R
         Rate by the name of the stratum, or `WHOLE_WORD`.
     """
     judged = [row for row in rows if row.judged]
-    by_stratum = group(judged, lambda row: row.stratum)
+    by_stratum = group(judged, lambda row: row.population)
     rates = {
         name: clustered_rate([test(row) for row in part], [row.world for row in part])
         for name, part in by_stratum.items()
@@ -108,7 +110,7 @@ def fails_or_slower(row: Row) -> bool:
 
 
 def _worst(rows: Iterable[Row], population: str) -> float | None:
-    inside = (row.inflation for row in rows if population in (WHOLE_WORD, row.stratum))
+    inside = (row.inflation for row in rows if population in (WHOLE_WORD, row.population))
     return max((inflation for inflation in inside if inflation is not None), default=None)
 
 
@@ -122,7 +124,7 @@ def recoveries(rows: list[Row]) -> list[dict[str, Any]]:
     table = []
     injected = [row for row in rows if is_injected(row) and row.judged]
     for environment, part in _with_all(injected).items():
-        for stratum, own in group(part, lambda row: row.stratum).items():
+        for stratum, own in group(part, lambda row: row.population).items():
             by_setting = {
                 setting: {row.pair: row for row in rows_of}
                 for setting, rows_of in group(own, lambda row: row.spec.setting).items()
@@ -154,7 +156,7 @@ def golden_against_faults(rows: list[Row]) -> list[dict[str, Any]]:
     table = []
     faulty = [row for row in rows if row.spec.setting == FI and row.judged and row.golden_success is not None]
     for environment, part in _with_all(faulty).items():
-        for stratum, own in group(part, lambda row: row.stratum).items():
+        for stratum, own in group(part, lambda row: row.population).items():
             first = [bool(row.golden_success) for row in own]
             test = mcnemar(first, [row.success for row in own])
             table.append({"environment": environment, "population": stratum, **asdict(test)})
@@ -166,7 +168,7 @@ def separable(rows: list[Row]) -> list[dict[str, Any]]:
     table = []
     for environment, part in group(rows, lambda row: row.spec.environment).items():
         golden = [row for row in part if row.spec.setting == GOLDEN and row.judged]
-        faulty = [row for row in part if row.spec.setting == FI and row.judged and row.stratum == HEADLINE]
+        faulty = [row for row in part if row.spec.setting == FI and row.judged and row.population in _LEADING]
         rate = sum(row.success for row in faulty) / len(faulty) if faulty else 1.0
         table.append(
             {

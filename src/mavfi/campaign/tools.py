@@ -37,10 +37,10 @@ def _draw(
     return draw_kernel_faults(scenario, wish, environment, seed=seed)
 
 
-def _strike(scenario: Scenario, faults: Sequence[Fault]) -> Sequence[Flight]:
+def _strike(scenario: Scenario, faults: Sequence[Fault], detector: Detector | None) -> Sequence[Flight]:
     from mavfi.hosts.instruction import fly_struck
 
-    return fly_struck(scenario, faults).flights
+    return fly_struck(scenario, faults, detector).flights
 
 
 def _make_family(scenario: Scenario) -> Family:

@@ -126,8 +126,8 @@ class DrawKernels(Protocol):
 class StrikeKernels(Protocol):
     """Flies one mission with each of some faults in instructions."""
 
-    def __call__(self, scenario: Scenario, faults: Sequence[Fault]) -> Sequence[Flight]:
-        """Fly; one flight for each fault."""
+    def __call__(self, scenario: Scenario, faults: Sequence[Fault], detector: Detector | None) -> Sequence[Flight]:
+        """Fly; one flight for each fault, all under the same detector."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,11 +203,15 @@ def fly_task(task: Task) -> Flight:
         SpecMismatchError: The detector's model is not the one that the run was planned with.
     """
     spec = task.spec
-    return task.tools.fly(task.scenario, spec.fault, _detector(task), want_profile=wants_profile(spec))
+    return task.tools.fly(task.scenario, spec.fault, detector_of(task), want_profile=wants_profile(spec))
 
 
-def _detector(task: Task) -> Detector | None:
-    """The detector of a run's arm."""
+def detector_of(task: Task) -> Detector | None:
+    """The detector of a run's arm; None = nothing watches.
+
+    Raises:
+        SpecMismatchError: The detector's model is not the one that the run was planned with.
+    """
     spec = task.spec
     if not spec.detector:
         return None
@@ -256,7 +260,7 @@ def fly_forked(task: Task) -> Flight:
     try:
         known = _families.pop(key, None) or _Known(make(task.scenario))
         if spec.arm not in known.detectors:
-            known.detectors[spec.arm] = _detector(task)
+            known.detectors[spec.arm] = detector_of(task)
         flight = known.family.fly(spec.fault, known.detectors[spec.arm], spec.arm)
     except Exception:  # the family is not kept; the long way says what is to be recorded
         return fly_task(task)

@@ -1,11 +1,12 @@
-"""`mavfi reproduce`: train the detectors, fly the paper's table, print and write the report."""
+"""`mavfi reproduce`: train the detectors, fly the paper's table at both levels, print and write the reports."""
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mavfi.cli import launching
 from mavfi.cli.console import JSON_HELP, check_folder, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
@@ -14,16 +15,23 @@ if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
 
 TRAINING_FLIGHTS = 100
-_CAMPAIGN = "table1"
+_STATES, _INSTRUCTIONS = "table1", "table1_instructions"
+INSTRUCTIONS_FOLDER = "instructions"
+"""Where in the folder the instruction level is; the state level is in the folder itself."""
 
 
 def reproduce(
-    scale: Annotated[str, typer.Option(help="quick: 30 missions per environment; paper: 100.")] = "quick",
+    scale: Annotated[
+        str, typer.Option(help="quick: 30 missions per environment (instruction level: 13); paper: 100.")
+    ] = "quick",
     out: Annotated[Path, typer.Option(help="Folder of everything that is written.")] = Path("out/reproduce"),
     workers: Annotated[int, typer.Option(help="Processes; the result does not depend on them.")] = 2,
     as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
 ) -> None:
-    """Train the detectors, fly the paper's success table, print it, write the report.
+    """Train the detectors, fly the paper's success table, print it, write the reports.
+
+    It is flown twice: with faults in the values between kernels (state level), and with faults in executed
+    instructions (instruction level, as the paper did).
 
     Ctrl-C stops (exit code 130); the same command goes on where it stopped.
 
@@ -34,17 +42,23 @@ def reproduce(
     from mavfi.cli.progress import import_host
 
     begun = time.perf_counter()
-    campaign = load_campaign(_CAMPAIGN).at_scale(scale)
+    campaigns = {
+        out: load_campaign(_STATES).at_scale(scale),
+        out / INSTRUCTIONS_FOLDER: load_campaign(_INSTRUCTIONS).at_scale(scale),
+    }
     LocalPool(workers)  # refuses a number that is none
-    _check_ledger(campaign, out)
+    for folder, campaign in campaigns.items():
+        _check_ledger(campaign, folder)
     check_folder(out)
-    trained = _trained(campaign, out / "models")
+    launching.fix_addresses()
+    trained = all(_trained(campaign, out / "models") for campaign in campaigns.values())
     import_host(training=not trained)
     with stoppable(f"Stopped. What is done is kept in {out}; the same command goes on."):
         if not trained:
-            _train(campaign, out / "models", workers)
-        _fly(campaign, out, workers)
-    _report(out, begun, as_json)
+            _train(campaigns[out], out / "models", workers)
+        for folder, campaign in campaigns.items():
+            _fly(campaign, folder, out / "models", workers)
+    _report(list(campaigns), begun, as_json)
 
 
 def _check_ledger(campaign: "Campaign", out: Path) -> None:
@@ -105,29 +119,29 @@ def _trained(campaign: "Campaign", folder: Path) -> bool:
     return all((arm.detector, arm.profile) in held for arm in campaign.detectors.values())
 
 
-def _fly(campaign: "Campaign", out: Path, workers: int) -> None:
+def _fly(campaign: "Campaign", folder: Path, models: Path, workers: int) -> None:
     from mavfi.campaign.run import run_campaign
     from mavfi.cli.progress import Bar
 
     with Bar(f"{campaign.name}, {campaign.flights} missions per environment") as bar:
-        run_campaign(campaign, out, workers=workers, models_dir=out / "models", progress=bar.show_campaign)
+        run_campaign(campaign, folder, workers=workers, models_dir=models, progress=bar.show_campaign)
 
 
-def _report(out: Path, begun: float, as_json: bool) -> None:
+def _report(folders: list[Path], begun: float, as_json: bool) -> None:
+    """Write the report of each level, print them one after the other; as JSON the second is inside the first."""
     from mavfi.cli.progress import duration
     from mavfi.reports.campaign_report import write_report
     from mavfi.reports.terminal import show
 
     text = console()
-
-    def tell(analysis: dict[str, Any]) -> None:
-        if as_json:
-            write_json(analysis)
-        else:
-            show(analysis, text)
-
-    written = write_report(out, shown=tell)
+    written = []
+    for folder in folders:
+        written.append(write_report(folder, shown=None if as_json else lambda analysis: show(analysis, text)))
+    states, instructions = written
     if as_json:
+        write_json({**states.analysis, INSTRUCTIONS_FOLDER: instructions.analysis})
         return
-    text.print(f"\n[bold]{out}[/bold] holds the ledger, the models, and: {', '.join(p.name for p in written.files)}")
-    text.print(f"It took {duration(time.perf_counter() - begun)}.")
+    text.print()
+    for folder, report in zip(folders, written, strict=True):
+        text.print(f"[bold]{folder}[/bold] holds the ledger, and: {', '.join(path.name for path in report.files)}")
+    text.print(f"The models are in {folders[0] / 'models'}. It took {duration(time.perf_counter() - begun)}.")

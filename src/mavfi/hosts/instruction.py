@@ -4,6 +4,11 @@ The golden flight runs plain kernels.  At a struck call it waits while a forked 
 finishes the flight.  Where the child dies (crash, hang, exception), a second child goes on from the same instant as a
 ROS graph would: the node's result is lost, and after the restart latency it is there again with fresh memory.  Then the
 golden flight itself goes on, to the next struck call.
+
+A detector's false alarm before the fault makes kernels run again, and so shifts the calls: the call that was drawn may
+then be shorter than the instruction's index, or have a narrower value there.  In flights with a detector the fault
+strikes the first call from there on that has such a bit, as faults in states strike the first publication at or after
+an instant.
 """
 
 import math
@@ -17,7 +22,7 @@ import numpy as np
 from mavfi.detectors.detector import Detector
 from mavfi.errors import MavfiError
 from mavfi.faults.fault import Fault
-from mavfi.faults.instruction import Ended, ForkPoint, InstructionFault, Strike
+from mavfi.faults.instruction import Ended, ForkPoint, InstructionFault, MismatchError, Strike
 from mavfi.faults.instruction.api import check_fault, digest
 from mavfi.faults.instruction.fault import strike_of
 from mavfi.faults.instruction.variant import variant_for
@@ -29,7 +34,7 @@ from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.ppc import PERIODIC, build_pipeline
-from mavfi.states import State
+from mavfi.states import STATES, State
 
 TIMEOUT = 60.0
 """Wall-clock limit of a struck flight (s): for what the budget of instructions does not see."""
@@ -46,6 +51,7 @@ class _Case:
     planned: InstructionFault
     restart_us: int
     kernel: str
+    call: int
     time_us: int = 0
     strike: Strike | None = None
     how: str = "not_reached"
@@ -62,11 +68,13 @@ class _Report:
         log: Its record; None where nothing differed at the end of the struck call.
         output: Of the struck step; None where the kernel made none.
         call_same: Whether result and arguments of the struck call are bit for bit the golden ones.
+        missed: Whether the call ended before the instruction came, or that instruction's value has no such bit.
     """
 
     log: FlightLog | None
     output: Output | None
     call_same: bool
+    missed: bool = False
 
 
 @dataclass(slots=True)
@@ -89,7 +97,7 @@ class _Twin:
     def __call__(self, *args: Any) -> Any:
         call, self._calls = self._calls, self._calls + 1
         for case in self._host.cases:
-            if case.planned.call == call and case.fault.site.field == self._name and self._host.child is None:
+            if case.call == call and case.fault.site.field == self._name and self._host.child is None:
                 struck, result = self._host.strike(case, self._function, args)
                 if struck:
                     return result
@@ -129,7 +137,13 @@ class StrikingHost(Host):
             In the golden flight False; in a child True, and the result of the call.
         """
         variant = variant_for(function, args)
-        check_fault(case.planned, variant, function)
+        try:
+            check_fault(case.planned, variant, function)
+        except MismatchError:
+            if self.detector is None:
+                raise
+            case.call += 1  # calls have shifted: this one has arguments of other types
+            return False, None
         variant.own_report()
         case.time_us = self.now
         point = ForkPoint()
@@ -140,7 +154,11 @@ class StrikingHost(Host):
         case.strike = strike_of(case.planned, variant.report())
         case.how, case.detail = ended.how, ended.detail
         if ended.how == "done":
-            case.report = pickle.loads(ended.payload)
+            report: _Report = pickle.loads(ended.payload)
+            if report.missed:
+                case.call, case.how = case.call + 1, "not_reached"
+                return False, None
+            case.report = report
         else:
             point = ForkPoint()
             ended = point.split(TIMEOUT)
@@ -160,6 +178,8 @@ class StrikingHost(Host):
         result = variant.inject(planned.index, *planned.masks, planned.budget, *args)
         child.call_same = digest(_plain_parts((result, args))) == golden
         report = variant.report()
+        if self.detector is not None and _missed(strike_of(planned, report)):
+            child.point.finish(pickle.dumps(_Report(None, None, call_same=True, missed=True)))
         if child.call_same and report is not None and report.site.value_class in _DATA:
             child.point.finish(pickle.dumps(_Report(None, None, call_same=True)))
         return result
@@ -190,6 +210,9 @@ class StrikingHost(Host):
         self._down.update(names)
         for name in names:
             self.busy[name] = None
+        for state in list(self.redo):
+            if STATES[state].writer in names:
+                del self.redo[state]  # the recomputation died with the node: what it publishes next is judged anew
         self.at(now + restart_us, "restarted", kernel)
 
     def restarted(self, now: int, kernel: str) -> None:
@@ -211,6 +234,8 @@ class StrikingHost(Host):
             messages = self._updates if name == "perception.map_update" else [self._latest.get(name)]
             for state in messages:
                 due = (state is not None and kernel.receive(state, now)) or due
+        if self.marks:
+            kernel.mark()  # what it was sent is not taken back by a recomputation of the step under way
         if due and kernel.name not in PERIODIC:
             self.start(kernel, now)
 
@@ -286,9 +311,16 @@ def _case(fault: Fault, scenario: Scenario) -> _Case:
     check_kernel(kernel, scenario.planner.name)
     node = "planner" if kernel in PLANNERS else kernel
     if not fault.has_site:
-        return _Case(fault, InstructionFault("", "", 0, call=-1), 0, node)
+        return _Case(fault, InstructionFault("", "", 0, call=-1), 0, node, -1)
     planned, restart_s = planned_of(fault)
-    return _Case(fault, planned, round(1e6 * restart_s), node)
+    return _Case(fault, planned, round(1e6 * restart_s), node, planned.call)
+
+
+def _missed(strike: Strike) -> bool:
+    """Whether nothing was there to be changed."""
+    if strike.site is None or strike.before is None or strike.after is None:
+        return True
+    return not strike.hit and not (strike.before ^ strike.after) & ((1 << strike.site.width) - 1)
 
 
 def _restarted(ended: Ended) -> _Report:
@@ -327,7 +359,7 @@ def _injection(case: _Case) -> dict[str, Any]:
     site = strike.site
     return data | {
         "before": _number(strike.number(strike.before)), "after": _number(strike.number(strike.after)),
-        "call": planned.call, "index": planned.index, "opcode": site.opcode, "type": site.kind, "width": site.width,
+        "call": case.call, "index": planned.index, "opcode": site.opcode, "type": site.kind, "width": site.width,
         "value_class": site.value_class, "file": site.file, "line": site.line,
         "inlined": [f"{file}:{line}" for file, line in site.frames[1:]],
         "variable": site.variable or "", "ir_sha256": planned.ir_sha256, "bits": list(planned.bits),

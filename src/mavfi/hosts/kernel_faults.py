@@ -23,13 +23,12 @@ from mavfi.faults.sampling import stream
 from mavfi.hosts.inprocess import Flight, fly
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, STRUCK, KernelFunctions
-from mavfi.states import Stage
+from mavfi.states import KERNEL_STAGES
 
 RESTART_S = 0.57
 """Time until a node that died answers again: a ROS 1 node that was killed and started again by roslaunch, measured."""
 PLANNERS = ("rrt", "rrt_connect", "rrt_star")
 """Kernels that are flown only where the mission names them as its planner."""
-_STAGES = {"pid": Stage.CONTROL, **dict.fromkeys(PLANNERS, Stage.PLANNING)}
 _LAYOUTS = {"double": (63, 52), "float": (31, 23), "half": (15, 10)}
 """Sign bit and lowest exponent bit."""
 _ROUNDS, _SPARE = 6, 40
@@ -232,7 +231,7 @@ def planned_of(fault: Fault) -> tuple[InstructionFault, float]:
 
 
 def _stage(kernel: str) -> str:
-    return _STAGES.get(kernel, Stage.PERCEPTION).value
+    return KERNEL_STAGES[kernel].value
 
 
 def _profile(twins: Sequence[Profiling]) -> dict[str, Any]:

@@ -2,7 +2,13 @@
 
 from typing import Any
 
-_BESIDE = {"success": "paper", "recovery": "paper", "flight_times": "paper_worst", "overheads": "paper"}
+_BESIDE = {
+    "success": "paper",
+    "success_by_policy": "paper",
+    "recovery": "paper",
+    "flight_times": "paper_worst",
+    "overheads": "paper",
+}
 """Tables of an analysis, and where their entries hold the paper's figure."""
 PAPERS_STACK, PAPERS_PROFILE = "published", "paper"
 

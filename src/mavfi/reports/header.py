@@ -3,8 +3,13 @@
 from mavfi.reports import text
 from mavfi.reports.tables import Analysis
 
-EACH = {"stage_balanced": "stage", "groups": "group", "kernels": "kernel"}
-"""What each number of faults is drawn for, by law."""
+_EACH = {"stage_balanced": "stage", "groups": "group"}
+
+
+def each(analysis: Analysis) -> str:
+    """What a number of faults is drawn for: a stage, a group or a kernel."""
+    c = analysis["campaign"]
+    return str(c["kernels"]["share"] if c["law"] == "kernels" else _EACH[c["law"]])
 
 
 def null_line(analysis: Analysis) -> str:
@@ -29,11 +34,10 @@ def header(analysis: Analysis) -> list[str]:
     if c["law"] == "kernels":
         drawn = f"instructions: {c['kernels']['which']}, model {c['kernels']['model']}"
     versions = sorted(c["versions"].items(), key=lambda item: item[0] != "mavfi")
-    each = EACH[c["law"]]
     speed = "" if c["v_max"] is None else f" · {c['v_max']:g} m/s"
     lines = [
         f"campaign {c['name']} · stack {c['stack']} · {c['platform']} · {c['planner']}{speed}",
-        f"{c['flights']} missions per environment ({seeds}), {c['faults']} faults per {each}, {drawn}",
+        f"{c['flights']} missions per environment ({seeds}), {c['faults']} faults per {each(analysis)}, {drawn}",
         f"{c['done']} of {c['total']} flights done · digest {c['digest'][:16]}…",
         " · ".join(f"{name} {version}" for name, version in versions),
     ]

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 
-from mavfi.reports.header import EACH, header, null_line
+from mavfi.reports.header import each, header, null_line
 from mavfi.reports.table import Table
 from mavfi.reports.tables import Analysis, tables
 
@@ -37,14 +37,14 @@ def readme_block(analysis: Analysis, date: str) -> str:
     c = analysis["campaign"]
     table = tables(analysis)[0]
     versions = ", ".join(f"{name} {version}" for name, version in sorted(c["versions"].items()) if name != "mavfi")
-    each = EACH[c["law"]]
     head = (
         f"Generated on {date} by mavfi {c['versions']['mavfi']} ({versions}): campaign `{c['name']}`, stack "
         f"`{c['stack']}`, platform `{c['platform']}`, planner `{c['planner']}`, {c['flights']} missions "
-        f"per environment (seeds {c['seeds'][0]} to {c['seeds'][1]}), {c['faults']} faults per {each}, {c['done']} "
-        f"flights, digest `{c['digest'][:16]}`."
+        f"per environment (seeds {c['seeds'][0]} to {c['seeds'][1]}), {c['faults']} faults per {each(analysis)}, "
+        f"{c['done']} flights, digest `{c['digest'][:16]}`."
     )
-    return "\n\n".join([head, _grid(table), _notes(table), null_line(analysis)]) + "\n"
+    parts = [f"**{table.title}**", head, _grid(table), _notes(table)]
+    return "\n\n".join(parts + ([null_line(analysis)] if analysis["null_check"]["n"] else [])) + "\n"
 
 
 def markdown_table(table: Table) -> str:

@@ -3,8 +3,11 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+from mavfi.campaign import paper
+from mavfi.campaign.flights import ALL_BITS
 from mavfi.faults.strata import HEADLINE
 from mavfi.reports import text
+from mavfi.reports.instruction_tables import PAPER_NAMES, instruction_tables, separable
 from mavfi.reports.kernel_tables import kernel_tables
 from mavfi.reports.table import Table
 
@@ -18,7 +21,12 @@ DEVIATIONS = (
 NOT_THE_PAPERS = "not the paper's: what a careful team would fly"
 ONE_FAULT = "rates are conditional on one fault per mission"
 HEALS = "a one-shot state fault heals on any recompute: recovery equals detection by construction"
-VARIANT = "state-level variant of the paper's Table I (instruction level follows)"
+HEALS_WITH_MEMORY = (
+    "a recomputation begins with the memory that the stage had before its step: it heals what the step corrupted, not "
+    "a map or a path that an earlier one did, nor a kernel that died"
+)
+VARIANT = paper.NOTE
+STATE_LEVEL = "State level: success rates, one fault per mission"
 SETTINGS = (
     "golden = no fault; fi = one fault; dr_X = the same faults with detector X on; golden_X = no fault, detector X on"
 )
@@ -27,28 +35,29 @@ INTERVALS = (
 )
 
 
-_PAPER_NAMES = {
-    "golden": "Golden run",
-    "fi": "Injection run",
-    "dr_gaussian": "Gaussian-based",
-    "dr_autoencoder": "Autoencoder-based",
-}
-"""Rows of the paper's Table I."""
-
-
 def tables(analysis: Analysis) -> list[Table]:
     """All tables that have rows, most important first; each says which stack flew."""
-    if analysis["campaign"]["law"] == "kernels":
-        return kernel_tables(analysis)
+    of_kernels = analysis["campaign"]["law"] == "kernels"
     makers: tuple[Callable[[Analysis], Iterable[Table]], ...] = (
         as_in_the_paper, success, recovery, faults_by, outcomes, endings, flight_times, false_alarms, detections,
         overheads, sites,
     )  # fmt: skip
+    if of_kernels:
+        makers = (recovery, false_alarms, overheads) if analysis["campaign"]["detectors"] else ()
+    found = _finished(analysis, (table for maker in makers for table in maker(analysis)))
+    if not of_kernels:
+        return found
+    return [*_finished(analysis, instruction_tables(analysis)), *kernel_tables(analysis), *found]
+
+
+def _finished(analysis: Analysis, found: Iterable[Table]) -> list[Table]:
+    """Tables that have rows, with the stack and its deviations below."""
     stack = analysis["campaign"]["stack"]
     flew = {"published": DEVIATIONS, "hardened": NOT_THE_PAPERS}.get(stack, "")
     below = f"stack {stack}" + (f"; {flew}" if flew else "")
-    found = [table for maker in makers for table in maker(analysis) if table.rows]
-    return [Table(t.title, t.columns, _together(t.rows), (*t.notes, below), t.detail) for t in found]
+    return [
+        Table(t.title, t.columns, _together(t.rows), (*t.notes, below), t.detail) for t in found if t.rows
+    ]  # fmt: skip
 
 
 def _together(rows: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
@@ -85,7 +94,7 @@ def as_in_the_paper(analysis: Analysis) -> Iterable[Table]:
     rows = []
     for setting in settings:
         entries = [chosen.get((environment, setting)) for environment in environments]
-        label = _PAPER_NAMES.get(setting, setting)
+        label = PAPER_NAMES.get(setting, setting)
         rows.append((label, "here", *map(text.rate, entries)))
         papers = [entry["paper"] if entry else None for entry in entries]
         if any(paper is not None for paper in papers):
@@ -94,7 +103,7 @@ def as_in_the_paper(analysis: Analysis) -> Iterable[Table]:
         VARIANT, ONE_FAULT, "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds], "
         "successes / n; faults in sign and exponent bits",
     )  # fmt: skip
-    yield Table("Success rates, one fault per mission", ("", "", *environments), rows, (*notes, *_separable(analysis)))
+    yield Table(STATE_LEVEL, ("", "", *environments), rows, (*notes, *separable(analysis)))
 
 
 def success(analysis: Analysis) -> Iterable[Table]:
@@ -116,22 +125,6 @@ def success(analysis: Analysis) -> Iterable[Table]:
     yield Table("Success of missions", columns, rows, tuple(notes))
 
 
-def _separable(analysis: Analysis) -> list[str]:
-    told = [
-        f"{entry['environment']} {_points(entry['golden_fi'])} / {_points(entry['fi_dr'])}"
-        for entry in analysis["separable"]
-    ]
-    if not told:
-        return []
-    return [
-        "smaller differences, in points, are not told apart (golden – fi / fi – dr, power 80 %): " + "; ".join(told)
-    ]
-
-
-def _points(share: float | None) -> str:
-    return text.ABSENT if share is None else f"{100 * share:.0f}"
-
-
 def recovery(analysis: Analysis) -> Iterable[Table]:
     """Recovery rate and McNemar's test of each arm; the cost of the faults themselves."""
     rows = []
@@ -148,7 +141,7 @@ def recovery(analysis: Analysis) -> Iterable[Table]:
         )  # fmt: skip
         rows.append((
             entry["environment"], entry["setting"], text.population(entry["population"]), told,
-            text.percent(entry["paper"]) if entry["population"] == HEADLINE else "", loss, str(test["n"]),
+            text.percent(entry["paper"]) if entry["population"] in (HEADLINE, ALL_BITS) else "", loss, str(test["n"]),
             f"{test['first_only']} / {test['second_only']}", f"{test['p_value']:.3g}",
         ))  # fmt: skip
     columns = (
@@ -156,7 +149,8 @@ def recovery(analysis: Analysis) -> Iterable[Table]:
     )  # fmt: skip
     notes = (
         "recovery = (dr – fi) / (golden – fi), [exact binomial interval], regained / lost missions; undefined while "
-        "the interval of golden – fi contains 0", HEALS,
+        "the interval of golden – fi contains 0",
+        HEALS_WITH_MEMORY if analysis["campaign"]["law"] == "kernels" else HEALS,
         "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds",
         "fi / dr only: pairs in which only that one succeeds; p: McNemar's exact test", ONE_FAULT,
     )  # fmt: skip

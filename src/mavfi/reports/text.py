@@ -6,7 +6,7 @@ from typing import Any
 ABSENT = "—"
 POPULATIONS = {
     "all": "all", "sign_exponent": "sign + exponent", "mantissa": "mantissa", "whole_word": "whole word",
-    "sign": "sign", "exponent": "exponent",
+    "sign": "sign", "exponent": "exponent", "all_bits": "all bits",
 }  # fmt: skip
 
 

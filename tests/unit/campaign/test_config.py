@@ -5,12 +5,13 @@ from mavfi.campaign.plan import count_runs
 from mavfi.config import parse
 from mavfi.errors import BadInputError
 from mavfi.pipeline.functions import STRUCK
+from mavfi.states import KERNEL_STAGES, PPC_STAGES
 
 BASE = {"name": "c", "environments": ["sparse"]}
 GROUP = {"name": "g", "sites": ["planning.waypoint.x"]}
 
 
-@pytest.mark.parametrize("name", ["table1", "states", "bits", "smoke", "kernels"])
+@pytest.mark.parametrize("name", ["table1", "states", "bits", "smoke", "kernels", "table1_instructions"])
 def test_shipped_campaigns_are_valid_and_fly_evaluation_seeds(name):
     campaign = load_campaign(name)
     assert campaign.name == name
@@ -46,6 +47,16 @@ def test_table1_has_the_size_of_the_paper():
         ({"kernels": {"names": ["pid"]}}, "kernels are given where, and only where, law is 'kernels'"),
         ({"law": "kernels", "kernels": {"names": ["lidar"]}}, "kernels: 'lidar': not known; allowed: point_cloud"),
         ({"law": "kernels", "kernels": {"names": ["pid", "pid"]}}, "kernels: 'pid': named 2 times; allowed: once"),
+        (
+            {
+                "law": "kernels",
+                "null_runs": 0,
+                "kernels": {"names": ["pid", "rrt"]},
+                "detectors": {"gaussian": {"detector": "gaussian"}},
+            },
+            "kernels: 'rrt': detectors are trained with one planner; allowed with detectors: kernels of missions with "
+            "planner 'rrt_connect'",
+        ),
         ({"law": "kernels", "kernels": {"names": ["pid"]}}, "null_runs: 3; allowed: 0 where law is 'kernels'"),
         ({"first_seed": 999_990}, "seeds from 1000000 on are for training"),
         (
@@ -77,6 +88,14 @@ def test_the_kernels_campaign_has_the_size_of_the_papers_study():
     campaign = load_campaign("kernels").at_scale("paper")
     assert count_runs(campaign) == 7 * 100 + 3 * 100, "100 per kernel, and a golden flight for each planner"
     assert set(campaign.kernels.names) == set(STRUCK) == set(KERNELS)
+
+
+def test_the_instruction_level_has_the_size_of_the_papers_table():
+    quick, paper = (load_campaign("table1_instructions").at_scale(scale) for scale in ("quick", "paper"))
+    assert count_runs(paper) == 4 * (3 * 100 + 3 * 300), "golden with and without each detector, and three settings"
+    assert {stage for name in quick.kernels.names for stage in [KERNEL_STAGES[name]]} == set(PPC_STAGES)
+    assert quick.environments == load_campaign("table1").environments
+    assert quick.detectors == load_campaign("table1").detectors
 
 
 def test_campaigns_without_kernels_keep_their_keys():

@@ -2,6 +2,7 @@ import json
 
 import pytest
 
+from docs import build_readme
 from mavfi.campaign.config import Campaign
 from mavfi.cli import reproduce, run
 from mavfi.cli.progress import Bar
@@ -9,12 +10,13 @@ from mavfi.cli.progress import Bar
 
 @pytest.fixture
 def small(monkeypatch):
-    """A table of one environment and one mission instead of the paper's; the training flights are three."""
-    campaign = Campaign.model_validate(
-        {"name": "table1", "environments": ["sparse"], "flights": 1, "faults": 1, "null_runs": 1,
-         "strata": {"sign_exponent": 1}, "detectors": {"gaussian": {"detector": "gaussian"}}}
-    )  # fmt: skip
-    monkeypatch.setattr("mavfi.campaign.config.load_campaign", lambda name: campaign)
+    """Tables of one environment and one mission instead of the paper's; the training flights are three."""
+    both = {"environments": ["sparse"], "flights": 1, "faults": 1, "detectors": {"gaussian": {"detector": "gaussian"}}}
+    states = {"name": "table1", "null_runs": 1, "strata": {"sign_exponent": 1}}
+    instructions = {"name": "table1_instructions", "null_runs": 0, "law": "kernels",
+                    "kernels": {"names": ["rrt_connect", "pid"], "share": "stage", "which": "data"}}  # fmt: skip
+    campaigns = {own["name"]: Campaign.model_validate({**both, **own}) for own in (states, instructions)}
+    monkeypatch.setattr("mavfi.campaign.config.load_campaign", campaigns.__getitem__)
     monkeypatch.setattr(reproduce, "TRAINING_FLIGHTS", 3)
 
 
@@ -24,15 +26,38 @@ def test_it_trains_flies_prints_and_writes_and_goes_on_where_it_stopped(capsys, 
     assert run(arguments) == 0
     text = capsys.readouterr().out
     assert "Success of missions" in text and "It took" in text
+    titles = ("State level: success rates", "Instruction level, the paper's Table I: success rates")
+    assert 0 <= text.index(titles[0]) < text.index(titles[1])
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"campaign.sqlite", "models", "report.md", "readme_block.md", "summary.json", "success.png"} <= names
+
+    check_readme(tmp_path / "out", tmp_path, titles, monkeypatch)
 
     def never(*_, **__):
         raise AssertionError("trained again")
 
     monkeypatch.setattr("mavfi.campaign.training.train", never)
     assert run([*arguments, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["campaign"]["name"] == "table1"
+    told = json.loads(capsys.readouterr().out)
+    assert told["campaign"]["name"] == "table1"
+    assert told["instructions"]["campaign"]["name"] == "table1_instructions"
+
+
+def check_readme(out, root, titles, monkeypatch):
+    """The page gets both tables, each in its place."""
+    (root / "docs" / "images").mkdir(parents=True)
+    page = "<!-- {0}:begin -->\nold\n<!-- {0}:end -->\n"
+    (root / "README.md").write_text(page.format("table") + page.format("instruction_table"), encoding="utf-8")
+    monkeypatch.setattr(build_readme, "ROOT", root)
+    assert build_readme.main(out) == 0
+    first, second = (root / "README.md").read_text(encoding="utf-8").split("<!-- table:end -->")
+    assert titles[0] in first and titles[1] not in first
+    assert titles[1] in second and "campaign `table1_instructions`" in second and "\nold\n" not in first + second
+
+
+def test_a_readme_without_tables_is_left_alone(capsys, tmp_path):
+    assert build_readme.main(tmp_path) == 2
+    assert "run `make reproduce` first" in capsys.readouterr().err
 
 
 @pytest.mark.slow

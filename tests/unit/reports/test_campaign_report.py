@@ -43,7 +43,7 @@ def test_markdown_tables_are_rectangular(written):
 
 def test_readme_block_is_the_success_table_with_its_origin(written):
     text = next(path for path in written.files if path.name == "readme_block.md").read_text(encoding="utf-8")
-    assert text.startswith("Generated on ")
+    assert text.startswith("**State level: success rates, one fault per mission**\n\nGenerated on ")
     for part in (
         "campaign `tiny`",
         "stack `published`",
