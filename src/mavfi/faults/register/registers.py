@@ -12,6 +12,8 @@ from mavfi.faults.register.ptrace import Tracee
 _FLAGS = {"CF": 0, "PF": 2, "AF": 4, "ZF": 6, "SF": 7, "OF": 11}
 _VECTOR = re.compile(r"([xy])mm(\d+)$")
 _LAST_VECTOR = 15
+_COMPARES = ("vucomis", "vcomis")
+"""Comparisons of which the decoder does not say that they set flags: all six (Intel SDM, vol. 2, UCOMISD)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +112,7 @@ def decode(code: bytes, address: int) -> Instruction | None:
         text,
         found.mnemonic in ("syscall", "sysenter", "int"),
         _registers(found, read, _FLAGS_READ),
-        _registers(found, written, _FLAGS_WRITTEN),
+        _registers(found, written, _FLAGS_WRITTEN) + (_ALL_FLAGS if found.mnemonic.startswith(_COMPARES) else ()),
     )
 
 
@@ -125,6 +127,9 @@ def _flag_masks(*verbs: str) -> dict[str, int]:
 
 _FLAGS_READ = _flag_masks("TEST")
 _FLAGS_WRITTEN = _flag_masks("MODIFY", "SET", "RESET")
+
+
+_ALL_FLAGS = (Register("rflags", "rflags", 0, 0, tuple(_FLAGS.values())),)
 
 
 def _registers(found: capstone.CsInsn, numbers: list[int], flags: dict[str, int]) -> tuple[Register, ...]:
