@@ -8,6 +8,7 @@ A call takes place in a forked child of this process, which traces it.  From one
 addresses, so the number of an instruction means the same in all of them.
 """
 
+import contextlib
 import ctypes
 import os
 import signal
@@ -264,11 +265,11 @@ def _arrive(tracee: Tracee, entry: int) -> int:
 
 
 def _kill(child: int) -> None:
-    os.kill(child, signal.SIGKILL)
-    while True:
-        _, status = os.waitpid(child, 0)
-        if not os.WIFSTOPPED(status):
-            return
+    """End a child that may have ended, and wait for it."""
+    with contextlib.suppress(ProcessLookupError, ChildProcessError):
+        os.kill(child, signal.SIGKILL)
+        while os.WIFSTOPPED(os.waitpid(child, 0)[1]):
+            pass
 
 
 def _unnamed_code() -> list[tuple[int, int]]:
