@@ -46,6 +46,7 @@ class Passes:
         wanted: Passes of each wanted block in order, each list ended by -1. Shape (m,).
         cursors: Of each block, the place of its next wanted pass in `wanted`. Shape (blocks,).
         starts: Dynamic index, in its call, at which a wanted pass begins; -1 = not yet come. Shape (m,).
+        calls: That call, from 0; -1 = not yet come. Shape (m,).
     """
 
     def __init__(self, blocks: int, wanted: Iterable[tuple[int, int]]) -> None:
@@ -66,11 +67,19 @@ class Passes:
             self._places.update({(block, number): len(passes) + i for i, number in enumerate(numbers)})
             passes += [*numbers, -1]
         self.wanted = np.array(passes, np.int64)
-        self.starts = np.full(len(passes), -1, np.int64)
+        self.starts, self.calls = (np.full(len(passes), -1, np.int64) for _ in range(2))
+
+    def close_call(self, call: int) -> None:
+        """Note in which call the passes were that have come since the last one."""
+        self.calls[(self.starts >= 0) & (self.calls < 0)] = call
 
     def start(self, block: int, number: int) -> int:
         """Dynamic index at which a wanted pass began; -1 = it has not come."""
         return int(self.starts[self._places[block, number]])
+
+    def call(self, block: int, number: int) -> int:
+        """In which call a wanted pass was; -1 = it has not come."""
+        return int(self.calls[self._places[block, number]])
 
 
 class Variant:
