@@ -164,17 +164,17 @@ def table(studies: list[Study]) -> str:
     )
     lines = [
         f"Measured by `make machine-level`: {date.today()} · {processor()} · {versions}. Arguments of the call "
-        f"in the middle of a golden flight ({ENVIRONMENT}, {STACK}, seed {SEED}), of the point cloud {RAYS} rays. Percent, with Wilson's 95 % "
-        "intervals; differences in points, with Newcombe's.",
+        f"in the middle of a golden flight ({ENVIRONMENT}, {STACK}, seed {SEED}), of the point cloud {RAYS} rays. "
+        "Percent, with Wilson's 95 % intervals; differences in points, with Newcombe's.",
         "",
         f"| kernel | level | n | {' | '.join(OUTCOMES)} |",
         f"|---|---|---|{'---|' * len(OUTCOMES)}",
         *rows(studies),
         "",
         *(
-            f"- {made.kernel} (`{made.function}`): {made.ir_values} values at IR level; {made.own} machine instructions "
-            f"in its own code, {made.struck} of them with a destination that was struck, {made.out_of_reach} with one "
-            "out of reach."
+            f"- {made.kernel} (`{made.function}`): {made.ir_values} values at IR level; {made.own} machine "
+            f"instructions in its own code, {made.struck} of them with a destination that was struck, "
+            f"{made.out_of_reach} with one out of reach."
             for made in studies
         ),
     ]
@@ -197,9 +197,7 @@ def main() -> None:
     try:
         n = wanted_faults(os.environ.get("N") or "400")
         args = recorded()
-        studies = [
-            study(name, function, args[function], n, tell) for name, function in KERNELS.items()
-        ]
+        studies = [study(name, function, args[function], n, tell) for name, function in KERNELS.items()]
     except BadInputError as error:
         sys.stderr.write(f"{error}\n")
         sys.exit(2)

@@ -1,4 +1,4 @@
-"""Faults in a mission drawn by value class and source line: exact places, weights that lead back, a campaign of them."""
+"""Faults in a mission drawn by value class and source line: exact places, weights that lead back, a campaign."""
 
 from collections import Counter
 

@@ -85,8 +85,8 @@ def clustered_rate(
 ) -> Rate:  # fmt: skip
     """Rate with Wilson's interval for the effective number of flights.
 
-    With weights it is the ratio estimate, sum of weight x success over sum of weights, whose bias falls as 1 / n; uneven
-    weights make flights tell less, which the effective number takes into account (Kish 1965).
+    With weights it is the ratio estimate, sum of weight x success over sum of weights, whose bias falls as 1 / n.
+    Uneven weights make flights tell less, which the effective number takes into account (Kish 1965).
 
     Args:
         success: Whether a flight counts.

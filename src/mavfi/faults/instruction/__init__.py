@@ -10,7 +10,7 @@ from mavfi.faults.instruction.table import Site
 
 __all__ = [
     "BuildError", "Counting", "Ended", "Estimate", "ForkPoint", "Injecting", "InstructionFault", "Locating",
-    "MismatchError", "Outcome", "Profiling", "RefusedError", "Resolving", "Site", "Stratum", "Strike", "budget_for", "choose", "count",
-    "draw", "draw_stratified", "estimate", "histogram", "inject", "plan_flight", "resolve", "run_forked",
-    "run_in_child",
+    "MismatchError", "Outcome", "Profiling", "RefusedError", "Resolving", "Site", "Stratum", "Strike", "budget_for",
+    "choose", "count", "draw", "draw_stratified", "estimate", "histogram", "inject", "plan_flight", "resolve",
+    "run_forked", "run_in_child",
 ]  # fmt: skip

@@ -102,7 +102,9 @@ class SteppedCall:
         self._run: list[int] = []
         ended = self._stepped(self._record)
         if ended.how != "done" or ended.payload != self._golden:
-            raise MavfiError(f"single steps without a fault: ended with {ended.how} ({ended.detail}), not as a free run")
+            raise MavfiError(
+                f"single steps without a fault: ended with {ended.how} ({ended.detail}), not as a free run"
+            )
         self.own = sum(made is not None for made in self._instructions)
 
     @property
@@ -133,7 +135,7 @@ class SteppedCall:
 
     @cached_property
     def out_of_reach(self) -> int:
-        """Dynamic instructions with a destination that cannot be struck: mask registers, vector registers from 16 on."""
+        """Dynamic instructions whose destination cannot be struck: mask registers, vector registers from 16 on."""
         return sum(made is not None and is_out_of_reach(made) for made in self._instructions)
 
     def text(self, step: int) -> str:
@@ -176,7 +178,7 @@ class SteppedCall:
             how = ended.how
         return MachineOutcome(how, fault, self.text(fault.step), seen[0], seen[1], ended.detail)
 
-    # ---- the traced child ---------------------------------------------------------------------------------------------
+    # ---- the traced child -------------------------------------------------------------------------------------------
     def _free(self) -> bytes:
         ended = run_in_child(self._call)
         if ended.how != "done":

@@ -9,7 +9,6 @@ from mavfi.faults.instruction.stratified import REST, StratumKey, allocate, key_
 from mavfi.faults.instruction.variant import Passes, variant_for
 from tests.unit.faults.instruction.kernels import LOOP, MASKING, fill, loop, masking
 
-
 N = 40
 SEEDS = 120
 """Draws of which the mean is held against the truth."""
@@ -81,7 +80,9 @@ def test_within_a_stratum_all_dynamic_instructions_come_up_alike():
     strata = draw_stratified(loop, 6000, *LOOP, seed=1)
     sites = resolve(loop, range(count(loop, *LOOP)), *LOOP)
     for stratum in strata:
-        places = {index: place for place, index in enumerate(i for i, s in enumerate(sites) if key_of(s) == stratum.key)}
+        places = {
+            index: place for place, index in enumerate(i for i, s in enumerate(sites) if key_of(s) == stratum.key)
+        }
         hits = np.zeros(len(places))
         for fault in stratum.faults:
             hits[places[fault.index]] += 1  # a place outside of the stratum is a KeyError

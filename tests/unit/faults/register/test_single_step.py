@@ -174,7 +174,9 @@ def run_of(*codes):
 
 
 def names(registers):
-    return [(register.name, register.bits if register.name == "rflags" else len(register.bits)) for register in registers]
+    return [
+        (register.name, register.bits if register.name == "rflags" else len(register.bits)) for register in registers
+    ]
 
 
 CMP, JA, JE, ADD, MOV, CALL = "4839d8", "7702", "7402", "4801d8", "4889d8", "e800000000"
