@@ -25,7 +25,7 @@ from mavfi.faults.instruction.forked import Ended, judge_status, run_in_child
 from mavfi.faults.register.destinations import destinations, is_out_of_reach
 from mavfi.faults.register.ptrace import TargetGoneError, Tracee, TracerTimeoutError
 from mavfi.faults.register.registers import Instruction, Register, decode, flip, value_of
-from mavfi.faults.register.target import not_permitted
+from mavfi.faults.register.target import check_machine, not_permitted
 
 _LIMIT = 10.0
 """Longest wait for a stop (s)."""
@@ -92,9 +92,10 @@ class SteppedCall:
             entry: Address of the code's first instruction.
 
         Raises:
-            BadInputError: Processes cannot be traced here.
+            BadInputError: Not x86-64 Linux, or processes cannot be traced here.
             MavfiError: The call did not come to `entry`, or ended badly without a fault.
         """
+        check_machine()
         self._call = call
         self._entry = entry
         for _ in range(_WARM_UP):  # what is loaded or bound at the first call must not count

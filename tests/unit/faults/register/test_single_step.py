@@ -1,6 +1,7 @@
 """The reference at machine level: what is executed is the same each time, strikes are seen, outcomes are told apart."""
 
 import os
+import signal
 from collections import Counter
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ from mavfi.faults.register.destinations import destinations, is_out_of_reach
 from mavfi.faults.register.ptrace import Tracee
 from mavfi.faults.register.registers import decode
 from mavfi.faults.register.single_step import MachineFault, SteppedCall
+from mavfi.faults.register.target import check_machine, not_permitted
 from mavfi.numerics.jit import kernel_jit
 from tests.unit.faults.instruction.kernels import LOOP, counted_down, fill, loop, raising
 
@@ -22,23 +24,22 @@ SEED = 11
 
 @pytest.fixture(scope="module", autouse=True)
 def _traceable():
-    """Skip where a child must not be traced."""
-    import platform
-    import sys
-
-    if not sys.platform.startswith("linux") or platform.machine() != "x86_64":
-        pytest.skip("machine code is stepped through on x86-64 Linux")
+    """Skip where a child must not be traced, and say why."""
+    try:
+        check_machine()
+    except BadInputError as reason:
+        pytest.skip(str(reason))
     child = os.fork()
     if child == 0:
-        os.read(os.pipe()[0], 1)
+        signal.pause()
         os._exit(0)
     try:
         Tracee(child).detach()
     except PermissionError:
-        pytest.skip("the system does not let a process trace its children")
+        pytest.skip(f"a process may not trace its children: {not_permitted()}")
     finally:
-        os.kill(child, 9)
-        while not os.WIFSIGNALED(os.waitpid(child, 0)[1]):
+        os.kill(child, signal.SIGKILL)
+        while os.WIFSTOPPED(os.waitpid(child, 0)[1]):
             pass
 
 
@@ -82,6 +83,12 @@ def test_the_same_instructions_are_executed_each_time(call):
 def test_work_of_more_rounds_takes_more_instructions():
     few, many = (stepped(loop, LOOP[0], n).own for n in (5, 25))
     assert many > few + 3 * 20
+
+
+def test_other_machines_are_refused(monkeypatch):
+    monkeypatch.setattr("platform.machine", lambda: "aarch64")
+    with pytest.raises(BadInputError, match="x86-64 Linux; this is .* on aarch64"):
+        SteppedCall(bytes, 0)
 
 
 def test_code_that_is_not_called_is_said_so():
