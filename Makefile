@@ -16,7 +16,7 @@ export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test lint check check-nojit robust tune format bench coupling forking golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test lint check check-nojit robust tune format bench coupling machine-level forking golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -64,6 +64,9 @@ forking: setup  ## fly runs of table1 the long way and forked, compare every byt
 
 coupling: setup  ## what the delay of an observer costs, against a gate; writes the table in docs/ros.md (N=...)
 	@$(BIN)/python -m benchmarks.coupling
+
+machine-level: setup  ## faults in instructions at machine and at IR level; writes the table in docs/fault-model.md (N=400)
+	@$(BIN)/python -m benchmarks.machine_level
 
 golden-rates: setup  ## fly golden missions in every setting, write docs/golden-rates.md (N=300 HARD_N=100 ONLY=word RESUME=1)
 	@$(BIN)/python -m benchmarks.golden_rates

@@ -51,6 +51,9 @@ class KernelFaults(Config):
     which: str = Field("all", description="class of instructions, e.g. floating_point")
     model: Literal["one_bit", "bits", "random", "zero"] = "one_bit"
     restart_s: float = Field(0.57, ge=0, le=60, description="until a node that died answers again (s)")
+    sampling: Literal["uniform", "stratified"] = Field(
+        "uniform", description="over dynamic instructions, or by value class and source line with weights"
+    )
 
 
 class Scale(Config):
@@ -137,10 +140,12 @@ class Campaign(Config):
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; `kernels` is in it only where they are struck."""
+        """Plain data; `kernels` is in it only where they are struck, and how they are sampled where not uniformly."""
         data = self.model_dump(mode="json")
         if self.kernels is None:
             del data["kernels"]
+        elif self.kernels.sampling == "uniform":
+            del data["kernels"]["sampling"]
         return data
 
 

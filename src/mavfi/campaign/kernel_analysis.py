@@ -34,7 +34,8 @@ def analyse_kernels(store: Store) -> dict[str, Any]:
     Returns:
         Plain data: `table` (by environment and kernel), `by_value_class` and `by_stratum` (by kernel), `errors` (by
         kernel, state and field that first differed), `instructions` (of golden flights, by kernel), `replayable`
-        (runs that should give the same bytes again, and all) and `fixed_addresses`.
+        (runs that should give the same bytes again, and all), `fixed_addresses`, and `weighted`: whether rates are
+        weighted means, since strata were drawn; counts, times and sizes of errors are of flights as they were drawn.
     """
     runs = read_kernel_runs(store)
     fixed = bool(store.meta(FIXED_ADDRESSES))
@@ -59,6 +60,7 @@ def analyse_kernels(store: Store) -> dict[str, Any]:
         },
         "replayable": [len(runs) if fixed else data, len(runs)],
         "fixed_addresses": fixed,
+        "weighted": any(run.weight != 1.0 for run in runs),
     }  # fmt: skip
 
 
@@ -96,7 +98,7 @@ def _entry(own: Sequence[KernelRun]) -> dict[str, Any]:
 
 
 def _rate(own: Sequence[KernelRun], test: Callable[[KernelRun], bool]) -> dict[str, Any]:
-    rate: Rate = clustered_rate([test(run) for run in own], [run.world for run in own])
+    rate: Rate = clustered_rate([test(run) for run in own], [run.world for run in own], [run.weight for run in own])
     return asdict(rate)
 
 

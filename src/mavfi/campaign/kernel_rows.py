@@ -41,6 +41,7 @@ class KernelRun:
         run_id: For `mavfi replay`.
         environment: Of the mission.
         seed: Of the mission.
+        weight: Of the fault, where strata were drawn: rates are weighted means.
     """
 
     kernel: str
@@ -66,6 +67,7 @@ class KernelRun:
     run_id: str
     environment: str
     seed: int
+    weight: float = 1.0
 
     @property
     def due(self) -> bool:
@@ -108,7 +110,7 @@ def _kernel_run(row: Row, record: dict[str, Any], twin: dict[str, Any]) -> Kerne
         struck.get("variable", ""), outcome["outcome"], outcome["detail"], outcome["first_difference"], success,
         success if ended is None else bool(ended["success"]), bool(twin["success"]),
         record["digest"] == twin["digest"], row.status, record["flight_time_s"], twin["flight_time_s"],
-        row.spec.run_id, row.spec.environment, row.spec.seed,
+        row.spec.run_id, row.spec.environment, row.spec.seed, row.weight,
     )  # fmt: skip
 
 

@@ -80,20 +80,28 @@ def score_bounds(rate: float, n: float) -> tuple[float, float]:
     return 0.0 if rate <= 0 else max(0.0, centre - half), 1.0 if rate >= 1 else min(1.0, centre + half)
 
 
-def clustered_rate(success: Sequence[bool], world: Sequence[object]) -> Rate:
+def clustered_rate(
+    success: Sequence[bool], world: Sequence[object], weight: Sequence[float] | None = None
+) -> Rate:  # fmt: skip
     """Rate with Wilson's interval for the effective number of flights.
+
+    With weights it is the ratio estimate, sum of weight x success over sum of weights, whose bias falls as 1 / n.
+    Uneven weights make flights tell less, which the effective number takes into account (Kish 1965).
 
     Args:
         success: Whether a flight counts.
         world: By flight; flights of one world are alike.  With one flight per world the interval is `wilson`'s.
+        weight: By flight, above 0; None = all alike.
     """
     if not success:
         return wilson(0, 0)
     y = np.asarray(success, np.float64)
     plain = wilson(int(y.sum()), len(y))
-    part = Part.of(y, np.ones(len(y)), world)
+    part = Part.of(y, np.ones(len(y)) if weight is None else np.asarray(weight, np.float64), world)
     low, high = score_bounds(part.rate, part.effective)
-    return replace(plain, low=low, high=high)
+    if weight is None or len(set(weight)) == 1:
+        return replace(plain, low=low, high=high)
+    return Rate(len(y), part.rate, low, high)
 
 
 @dataclass(frozen=True, slots=True)

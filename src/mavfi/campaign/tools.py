@@ -33,7 +33,7 @@ def _draw(
 ) -> DrawnFaults:
     from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults
 
-    wish = Wish(draws, kernels.which, kernels.model, kernels.restart_s)
+    wish = Wish(draws, kernels.which, kernels.model, kernels.restart_s, sampling=kernels.sampling)
     return draw_kernel_faults(scenario, wish, environment, seed=seed)
 
 

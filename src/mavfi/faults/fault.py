@@ -34,7 +34,8 @@ class Fault:
         lifetime: "once".
         operation: "flip".
         stratum: Stratum of the draw, e.g. "sign_exponent" (see faults/strata.py), "" where named by hand.
-        weight: Probability that a bit drawn from the whole word falls in the stratum, for whole-word rates.
+        weight: Probability that a bit drawn from the whole word falls in the stratum, for whole-word rates. Of the
+            level "instruction": how much likelier a uniform draw comes to its value class and line; 1 = as likely.
         stage: PPC stage that was drawn.
         seed: Seed of the draw.
         instruction: Of the level "instruction": the planned `InstructionFault` as plain data; the site is then kernel

@@ -8,19 +8,20 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import NO_SITE, Fault, FaultSite
-from mavfi.faults.instruction import InstructionFault, Profiling, Resolving, Site, budget_for, choose
+from mavfi.faults.instruction import InstructionFault, Locating, Profiling, Resolving, Site, budget_for, choose
 from mavfi.faults.instruction.build import name_of
 from mavfi.faults.instruction.fault import plan
 from mavfi.faults.instruction.selection import parse_selection
 from mavfi.faults.sampling import stream
 from mavfi.hosts.inprocess import Flight, fly
+from mavfi.hosts.kernel_strata import Pick, pick
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, STRUCK, KernelFunctions
 from mavfi.states import KERNEL_STAGES
@@ -44,6 +45,7 @@ class Wish:
         model: What becomes of the value.
         restart_s: After which time a node that died answers again (s).
         lines: Whether to count by source line too.
+        sampling: "uniform" over dynamic instructions, or "stratified" by value class and source line, with weights.
     """
 
     kernels: Mapping[str, int]
@@ -51,6 +53,7 @@ class Wish:
     model: Any = "one_bit"
     restart_s: float = RESTART_S
     lines: bool = True
+    sampling: Literal["uniform", "stratified"] = "uniform"
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +132,9 @@ def draw_kernel_faults(
         kernel: _Draw(kernel, wish, counted, number, stream(seed, "instruction", kernel, *address), seed)
         for kernel, number in wish.kernels.items()
     }
-    for _ in range(_ROUNDS):
+    if wish.sampling == "stratified":
+        _draw_strata(scenario, detector, draws, golden)
+    for _ in range(_ROUNDS if wish.sampling == "uniform" else 0):
         places = {kernel: draw.places() for kernel, draw in draws.items() if not draw.done}
         if not any(places.values()):
             break
@@ -155,11 +160,40 @@ def _resolve(
     for name, call, index in places:
         wanted.setdefault(name, {}).setdefault(call, []).append(index)
     twins = {name: Resolving(getattr(PLAIN, name), calls) for name, calls in wanted.items()}
+    _fly_again(scenario, detector, twins, golden)
+    return {(name, *place): site for name, twin in twins.items() for place, site in twin.sites.items()}
+
+
+def _draw_strata(
+    scenario: Scenario, detector: Detector | None, draws: "Mapping[str, _Draw]", golden: Flight
+) -> None:  # fmt: skip
+    """Draw by stratum; one more golden flight tells in which calls the drawn instructions are."""
+    picks = {kernel: draw.picks() for kernel, draw in draws.items()}
+    wanted: dict[str, dict[str, list[tuple[int, int]]]] = {}
+    for chosen in [chosen for own in picks.values() for chosen in own]:
+        by_digest = wanted.setdefault(chosen.function, {})
+        by_digest.setdefault(chosen.digest, []).append((chosen.site.block, chosen.number))
+    if not wanted:
+        return
+    twins = {name: Locating(getattr(PLAIN, name), blocks) for name, blocks in wanted.items()}
+    _fly_again(scenario, detector, twins, golden)
+    for kernel, own in picks.items():
+        for chosen in own:
+            call, start = twins[chosen.function].place(chosen.digest, chosen.site.block, chosen.number)
+            place = chosen.function, call, start + chosen.site.offset
+            draws[kernel].add(place, chosen.site, chosen.weight)
+
+
+def _fly_again(scenario: Scenario, detector: Detector | None, twins: Mapping[str, Any], golden: Flight) -> None:
+    """Fly the golden flight with twins of functions.
+
+    Raises:
+        MavfiError: It was another flight.
+    """
     functions: KernelFunctions = PLAIN.with_twins(tuple(twins), lambda name, _: twins[name])
     again = fly(scenario, None, detector, functions=functions)
     if again.log.digest() != golden.log.digest():
         raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
-    return {(name, *place): site for name, twin in twins.items() for place, site in twin.sites.items()}
 
 
 class _Draw:
@@ -192,6 +226,14 @@ class _Draw:
             site = sites[place]
             if site is not None and site in selection and len(self._found) < self._number:
                 self._found.append(self._fault(place, site))
+
+    def picks(self) -> list[Pick]:
+        """Dynamic instructions of the mission, drawn by stratum."""
+        return pick(self._random, self._counted, parse_selection(self._wish.which), self._number)
+
+    def add(self, place: _Place, site: Site, weight: float) -> None:
+        """Plan a fault for an instruction that was drawn by stratum."""
+        self._found.append(replace(self._fault(place, site), weight=weight))
 
     def _fault(self, place: _Place, site: Site) -> Fault:
         name, call, index = place

@@ -33,6 +33,8 @@ def header(analysis: Analysis) -> list[str]:
     drawn = f"drawn {strata}, fields: {c['sites']}"
     if c["law"] == "kernels":
         drawn = f"instructions: {c['kernels']['which']}, model {c['kernels']['model']}"
+        if c["kernels"].get("sampling") == "stratified":
+            drawn += ", drawn by value class and source line"
     versions = sorted(c["versions"].items(), key=lambda item: item[0] != "mavfi")
     speed = "" if c["v_max"] is None else f" · {c['v_max']:g} m/s"
     lines = [

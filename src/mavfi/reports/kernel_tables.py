@@ -13,6 +13,10 @@ POLICIES = (
     "after a crash, hang or exception: restart = the node is there again after the restart latency with fresh memory; "
     "end = the mission has failed"
 )
+WEIGHTED = (
+    "drawn by value class and source line: rates are weighted back to uniform dynamic instructions; counts, times and "
+    "sizes of errors are of flights as drawn"
+)
 OUTCOMES = (
     "masked: what the kernel publishes and remembers is bit for bit the golden; sdc: it is not; intervals: 95 %, "
     "Wilson, n reduced by the design effect of worlds"
@@ -30,7 +34,8 @@ def kernel_tables(analysis: Mapping[str, Any]) -> list[Table]:
         note += ": addresses could not be fixed, so those struck in addresses and bounds are not among them"
     stack = f"stack {analysis['campaign']['stack']}"
     found = (_outcomes(kernels, note), _missions(kernels), *_splits(kernels), _errors(kernels))
-    return [Table(t.title, t.columns, t.rows, (*t.notes, stack), t.detail) for t in found if t.rows]
+    weights = (WEIGHTED,) if kernels.get("weighted") else ()
+    return [Table(t.title, t.columns, t.rows, (*t.notes, *weights, stack), t.detail) for t in found if t.rows]
 
 
 def _outcomes(kernels: Entry, note: str) -> Table:

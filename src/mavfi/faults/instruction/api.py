@@ -97,13 +97,13 @@ def draw(
     variant = variant_for(kernel, args)
     selection = parse_selection(which)
     random = np.random.default_rng(seed)
-    total = int(_apart(lambda: variant.count(*args)[1]))
+    total = int(apart(lambda: variant.count(*args)[1]))
     if total == 0:
         raise BadInputError(f"{name_of(kernel)}: it writes no value that could be struck")
     found: list[InstructionFault] = []
     for _ in range(_ROUNDS):
         indices = random.integers(total, size=max(_BATCH, n)).tolist()
-        sites: list[Site] = _apart(partial(_sites, variant, indices, args))
+        sites: list[Site] = apart(partial(_sites, variant, indices, args))
         for index, site in zip(indices, sites, strict=True):
             if site in selection and len(found) < n:
                 drawn = plan(random, name_of(kernel), variant.ir_sha256, site, index, model, bits)
@@ -139,7 +139,7 @@ def inject(kernel: Any, fault: InstructionFault, *args: Any) -> tuple[Any, Strik
     """
     variant = variant_for(kernel, args)
     check_fault(fault, variant, kernel)
-    budget = fault.budget or budget_for(int(_apart(lambda: variant.count(*args)[1])))
+    budget = fault.budget or budget_for(int(apart(lambda: variant.count(*args)[1])))
     result = variant.inject(fault.index, *fault.masks, budget, *args)
     return result, strike_of(fault, variant.report())
 
@@ -159,7 +159,7 @@ def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float 
     variant = variant_for(kernel, args)
     check_fault(fault, variant, kernel)
     variant.own_report()
-    golden, total = _apart(lambda: _digest_and_count(variant, args))
+    golden, total = apart(lambda: _digest_and_count(variant, args))
     armed = replace(fault, budget=fault.budget or budget_for(total))
 
     def struck() -> bytes:
@@ -224,7 +224,7 @@ def _digest_and_count(variant: Variant, args: tuple[Any, ...]) -> tuple[bytes, i
     return digest((result, args)), total
 
 
-def _apart(work: Callable[[], Any]) -> Any:
+def apart(work: Callable[[], Any]) -> Any:
     """The result of a sound run in a forked child, so that arguments stay as they are.
 
     Raises:

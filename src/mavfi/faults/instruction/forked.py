@@ -42,6 +42,10 @@ class Ended:
     detail: str = ""
 
 
+Attend = Callable[[int], Ended | None]
+"""What a parent does with its child meanwhile."""
+
+
 class ForkPoint:
     """One process becomes two, once: the child goes on, the parent waits for its end."""
 
@@ -53,11 +57,13 @@ class ForkPoint:
         """Whether this is the child."""
         return self._pipe >= 0
 
-    def split(self, timeout: float = 60.0) -> Ended | None:
+    def split(self, timeout: float = 60.0, attend: Attend | None = None) -> Ended | None:
         """Fork.
 
         Args:
             timeout: Wall-clock limit of the child (s).
+            attend: Called in the parent with the child's number before its report is waited for, e.g. to trace it.
+                What it answers, other than None, is how the child ended, and then it has waited for that end itself.
 
         Returns:
             None in the child, at once; in the parent how the child ended.
@@ -72,7 +78,8 @@ class ForkPoint:
             return None
         os.close(writing)
         try:
-            return _wait(pid, reading, timeout)
+            ended = None if attend is None else attend(pid)
+            return _wait(pid, reading, timeout) if ended is None else ended
         finally:
             os.close(reading)
 
@@ -99,16 +106,17 @@ class ForkPoint:
             os._exit(status)
 
 
-def run_in_child(work: Callable[[], bytes], timeout: float = 60.0) -> Ended:
+def run_in_child(work: Callable[[], bytes], timeout: float = 60.0, attend: Attend | None = None) -> Ended:
     """Do something in a forked child.
 
     Args:
         work: Gives the report.
         timeout: Wall-clock limit (s).
+        attend: See `ForkPoint.split`.
     """
     point = ForkPoint()
     with point.guard():
-        ended = point.split(timeout)
+        ended = point.split(timeout, attend)
         if ended is None:
             point.finish(work())
     return ended
@@ -150,14 +158,20 @@ def _wait(pid: int, pipe: int, timeout: float) -> Ended:
             signal.pidfd_send_signal(handle, signal.SIGKILL)
         _, status = os.waitpid(pid, 0)
         os.close(handle)
-    return Ended("hang", detail="wall clock") if late else _judge(status, bytes(data))
+    return Ended("hang", detail="wall clock") if late else judge_status(status, bytes(data))
 
 
 def _has_ended(handle: int) -> bool:
     return bool(select.select([handle], [], [], 0.0)[0])
 
 
-def _judge(status: int, data: bytes) -> Ended:
+def judge_status(status: int, data: bytes = b"") -> Ended:
+    """How a child ended.
+
+    Args:
+        status: As of waitpid.
+        data: What it wrote to its pipe.
+    """
     if os.WIFSIGNALED(status):
         return Ended("crash", detail=_SIGNALS.get(os.WTERMSIG(status), f"signal {os.WTERMSIG(status)}"))
     code = os.WEXITSTATUS(status)

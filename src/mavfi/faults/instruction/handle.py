@@ -17,7 +17,7 @@ from mavfi.faults.instruction.build import name_of
 from mavfi.faults.instruction.fault import InstructionFault, Model, Strike, plan, strike_of
 from mavfi.faults.instruction.selection import parse_selection
 from mavfi.faults.instruction.table import Site, Table
-from mavfi.faults.instruction.variant import variant_for
+from mavfi.faults.instruction.variant import Passes, variant_for
 
 
 class Counting:
@@ -59,6 +59,10 @@ class Profiling(Counting):
         total += times
         return result
 
+    def blocks(self) -> dict[str, tuple[Table, np.ndarray]]:
+        """By digest of the IR that was run: its sites, and how often each block was executed in all calls."""
+        return dict(self._times)
+
     def sites(self) -> list[tuple[Site, int]]:
         """All static instructions that were executed, and how often."""
         return [
@@ -68,6 +72,40 @@ class Profiling(Counting):
             if times
             for site in block
         ]
+
+
+class Locating:
+    """Finds out in which call, and at which index in it, the drawn passes through blocks begin."""
+
+    def __init__(self, kernel: Any, wanted: Mapping[str, Sequence[tuple[int, int]]]) -> None:
+        """A twin that locates.
+
+        Args:
+            kernel: The compiled function.
+            wanted: By digest of the IR: block, and which of its executions in all calls, from 0.
+        """
+        self._kernel = kernel
+        self._wanted = wanted
+        self._passes: dict[str, Passes] = {}
+        self._calls = 0
+
+    def __call__(self, *args: Any) -> Any:
+        """As the kernel, bit for bit."""
+        call, self._calls = self._calls, self._calls + 1
+        variant = variant_for(self._kernel, args)
+        digest = variant.ir_sha256
+        if digest not in self._wanted:
+            return self._kernel(*args)
+        if digest not in self._passes:
+            self._passes[digest] = Passes(len(variant.table.blocks), self._wanted[digest])
+        result = variant.locate(self._passes[digest], *args)
+        self._passes[digest].close_call(call)
+        return result
+
+    def place(self, digest: str, block: int, number: int) -> tuple[int, int]:
+        """Call, and dynamic index in it at which a wanted pass begins."""
+        passes = self._passes[digest]
+        return passes.call(block, number), passes.start(block, number)
 
 
 class Resolving:

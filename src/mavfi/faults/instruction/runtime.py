@@ -35,6 +35,7 @@ class Mode(IntEnum):
     INJECT = 0
     PROFILE = 1
     RESOLVE = 2
+    LOCATE = 3
 
 
 WORDS = 32
@@ -73,7 +74,8 @@ entry:
   %base = sub i64 %after, %n
 {_load("mode", Control.MODE)}
   switch i64 %mode, label %inject [ i64 {Mode.PROFILE:d}, label %profile
-                                    i64 {Mode.RESOLVE:d}, label %resolve ]
+                                    i64 {Mode.RESOLVE:d}, label %resolve
+                                    i64 {Mode.LOCATE:d}, label %locate ]
 inject:
 {_load("done", Control.STRUCK)}
   %over = icmp ne i64 %done, 0
@@ -146,6 +148,29 @@ later:
 finished:
 {_store("%i", Control.NEXT_EVENT)}
 {_store(str(NEVER), Control.THRESHOLD)}
+  ret i64 -1
+locate:
+{_load("passed", Control.HISTOGRAM, "ptr")}
+  %pass.address = getelementptr i64, ptr %passed, i64 %block
+  %pass = load i64, ptr %pass.address
+  %next.pass = add i64 %pass, 1
+  store i64 %next.pass, ptr %pass.address
+{_load("cursors", Control.EVENT_BLOCKS, "ptr")}
+  %cursor.address = getelementptr i64, ptr %cursors, i64 %block
+  %cursor = load i64, ptr %cursor.address
+{_load("passes", Control.EVENTS, "ptr")}
+  %wanted.address = getelementptr i64, ptr %passes, i64 %cursor
+  %wanted = load i64, ptr %wanted.address
+  %now.wanted = icmp eq i64 %pass, %wanted
+  br i1 %now.wanted, label %found, label %located
+found:
+{_load("starts", Control.EVENT_OFFSETS, "ptr")}
+  %start.address = getelementptr i64, ptr %starts, i64 %cursor
+  store i64 %base, ptr %start.address
+  %next.cursor = add i64 %cursor, 1
+  store i64 %next.cursor, ptr %cursor.address
+  br label %located
+located:
   ret i64 -1
 }}
 """

@@ -7,7 +7,7 @@ import ctypes
 import mmap
 import os
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +36,50 @@ class Report:
     site: Site
     before: int
     after: int
+
+
+class Passes:
+    """Wanted passes through blocks: of a block its k-th execution, in one call or over several.
+
+    Attributes:
+        passed: How often each block was executed so far. Shape (blocks,).
+        wanted: Passes of each wanted block in order, each list ended by -1. Shape (m,).
+        cursors: Of each block, the place of its next wanted pass in `wanted`. Shape (blocks,).
+        starts: Dynamic index, in its call, at which a wanted pass begins; -1 = not yet come. Shape (m,).
+        calls: That call, from 0; -1 = not yet come. Shape (m,).
+    """
+
+    def __init__(self, blocks: int, wanted: Iterable[tuple[int, int]]) -> None:
+        """Note what is wanted.
+
+        Args:
+            blocks: How many blocks the kernel has.
+            wanted: Block, and which of its executions, from 0.
+        """
+        ordered: dict[int, list[int]] = {}
+        for block, number in sorted(set(wanted)):
+            ordered.setdefault(block, []).append(number)
+        self.passed = np.zeros(blocks, np.int64)
+        self.cursors = np.zeros(blocks, np.int64)
+        passes, self._places = [-1], {}
+        for block, numbers in ordered.items():
+            self.cursors[block] = len(passes)
+            self._places.update({(block, number): len(passes) + i for i, number in enumerate(numbers)})
+            passes += [*numbers, -1]
+        self.wanted = np.array(passes, np.int64)
+        self.starts, self.calls = (np.full(len(passes), -1, np.int64) for _ in range(2))
+
+    def close_call(self, call: int) -> None:
+        """Note in which call the passes were that have come since the last one."""
+        self.calls[(self.starts >= 0) & (self.calls < 0)] = call
+
+    def start(self, block: int, number: int) -> int:
+        """Dynamic index at which a wanted pass began; -1 = it has not come."""
+        return int(self.starts[self._places[block, number]])
+
+    def call(self, block: int, number: int) -> int:
+        """In which call a wanted pass was; -1 = it has not come."""
+        return int(self.calls[self._places[block, number]])
 
 
 class Variant:
@@ -146,6 +190,24 @@ class Variant:
             for index, block, offset in zip(wanted, blocks, offsets, strict=True)
         }
         return result, [sites[index] for index in indices]
+
+    def locate(self, passes: Passes, *args: Any) -> Any:
+        """Run without a fault, and note at which dynamic index the wanted passes through blocks begin.
+
+        Args:
+            passes: What is wanted; goes on where the last call left it.
+            *args: Of the kernel; they are changed as by a call.
+        """
+        control = self._control
+        control[Control.HISTOGRAM], control[Control.EVENTS] = passes.passed.ctypes.data, passes.wanted.ctypes.data
+        control[Control.EVENT_BLOCKS], control[Control.EVENT_OFFSETS] = (
+            passes.cursors.ctypes.data, passes.starts.ctypes.data,
+        )  # fmt: skip
+        self._set(Mode.LOCATE, 0)
+        try:
+            return self(*args)
+        finally:
+            self._set(Mode.INJECT, NEVER)
 
     def inject(self, index: int, keep: int, flip: int, budget: int, *args: Any) -> Any:
         """Run and strike once: the value with dynamic index `index` becomes (value & keep) ^ flip.

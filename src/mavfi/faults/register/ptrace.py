@@ -41,7 +41,15 @@ GENERAL = (
 
 
 class TargetGoneError(MavfiError):
-    """The target ended while it was traced."""
+    """The target ended while it was traced.
+
+    Attributes:
+        status: As of waitpid; 0 where somebody else waited.
+    """
+
+    def __init__(self, text: str, status: int = 0) -> None:
+        super().__init__(text)
+        self.status = status
 
 
 class TracerTimeoutError(MavfiError):
@@ -189,7 +197,7 @@ class Tracee:
         if not os.WIFSTOPPED(status):
             self.stopped, self.ended = False, True
             how = f"by signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else f"with {os.WEXITSTATUS(status)}"
-            raise TargetGoneError(f"the target ended {how}")
+            raise TargetGoneError(f"the target ended {how}", status)
         self.stopped = True
         event, number = status >> 16, os.WSTOPSIG(status)
         if event == _EVENT_STOP:

@@ -12,6 +12,10 @@ from mavfi.faults.register.ptrace import Tracee
 _FLAGS = {"CF": 0, "PF": 2, "AF": 4, "ZF": 6, "SF": 7, "OF": 11}
 _VECTOR = re.compile(r"([xy])mm(\d+)$")
 _LAST_VECTOR = 15
+_COMPARES = ("vucomis", "vcomis")
+"""Comparisons of which the decoder does not say that they set flags: all six (Intel SDM, vol. 2, UCOMISD)."""
+_MASKED = re.compile(r"[xy]mm\d+(?= \{k[1-7]\})")
+"""A first operand under a mask: the decoder does not say that it is written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,12 +110,15 @@ def decode(code: bytes, address: int) -> Instruction | None:
         return None
     read, written = found.regs_access()
     text = f"{found.mnemonic} {found.op_str}".rstrip()
+    writes = _registers(found, written, _FLAGS_WRITTEN)
+    if found.mnemonic.startswith(_COMPARES):
+        writes += _ALL_FLAGS
+    masked = _MASKED.match(found.op_str)
+    if masked and all(register.name != masked[0] for register in writes):
+        writes += _vector(masked[0], found.mnemonic)
     return Instruction(
-        text,
-        found.mnemonic in ("syscall", "sysenter", "int"),
-        _registers(found, read, _FLAGS_READ),
-        _registers(found, written, _FLAGS_WRITTEN),
-    )
+        text, found.mnemonic in ("syscall", "sysenter", "int"), _registers(found, read, _FLAGS_READ), writes
+    )  # fmt: skip
 
 
 def _flag_masks(*verbs: str) -> dict[str, int]:
@@ -127,20 +134,29 @@ _FLAGS_READ = _flag_masks("TEST")
 _FLAGS_WRITTEN = _flag_masks("MODIFY", "SET", "RESET")
 
 
+_ALL_FLAGS = (Register("rflags", "rflags", 0, 0, tuple(_FLAGS.values())),)
+
+
 def _registers(found: capstone.CsInsn, numbers: list[int], flags: dict[str, int]) -> tuple[Register, ...]:
     chosen = []
     for number in numbers:
         name = found.reg_name(number)
-        vector = _VECTOR.match(name)
         if name in _GENERAL:
             chosen.append(_GENERAL[name])
         elif name == "rflags":  # only flags that the instruction tests or sets: the others would all be masked
             bits = tuple(place for flag, place in _FLAGS.items() if found.eflags & flags[flag])
             chosen += [Register("rflags", "rflags", 0, 0, bits)] if bits else []
-        elif vector and int(vector[2]) <= _LAST_VECTOR:
-            bits = tuple(range(_used_bits(found.mnemonic, vector[1])))
-            chosen.append(Register(name, "", int(vector[2]), 0, bits))
+        else:
+            chosen += _vector(name, found.mnemonic)
     return tuple(chosen)
+
+
+def _vector(name: str, mnemonic: str) -> tuple[Register, ...]:
+    """A vector register that can be struck; nothing if the name is not of one."""
+    found = _VECTOR.match(name)
+    if found is None or int(found[2]) > _LAST_VECTOR:
+        return ()
+    return (Register(name, "", int(found[2]), 0, tuple(range(_used_bits(mnemonic, found[1])))),)
 
 
 def _used_bits(mnemonic: str, kind: str) -> int:

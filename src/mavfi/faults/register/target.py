@@ -11,6 +11,16 @@ _CLOCK_FIELDS = slice(11, 13)  # utime and stime, counted from the state, in /pr
 _ELF_64 = b"\x7fELF\x02"
 
 
+def check_machine() -> None:
+    """Refuse machines whose registers are not known.
+
+    Raises:
+        BadInputError: It is not x86-64 Linux.
+    """
+    if not sys.platform.startswith("linux") or platform.machine() != "x86_64":
+        raise BadInputError(f"registers are struck on x86-64 Linux; this is {sys.platform} on {platform.machine()}")
+
+
 def check_target(pid: int, tool: int) -> None:
     """Refuse a process that cannot or must not be struck.
 
@@ -21,8 +31,7 @@ def check_target(pid: int, tool: int) -> None:
     Raises:
         BadInputError: One line that says why.
     """
-    if not sys.platform.startswith("linux") or platform.machine() != "x86_64":
-        raise BadInputError(f"registers are struck on x86-64 Linux; this is {sys.platform} on {platform.machine()}")
+    check_machine()
     if pid in (os.getpid(), tool):
         raise BadInputError(f"pid {pid}: is mavfi itself")
     status = _status(pid)

@@ -1,0 +1,215 @@
+"""Faults in instructions at machine level beside those at IR level, on two small kernels; writes docs/fault-model.md.
+
+    N=400 python -m benchmarks.machine_level
+
+N: faults per kernel and level (400).  Arguments are those of a golden flight's call, of the point cloud the first rays:
+single steps are slow.  At machine level the plain code of the call is executed instruction by instruction, and one bit
+of one destination register is flipped; at IR level the same call is struck as in campaigns.  Both are judged alike: by
+result and arguments, bit for bit.
+"""
+
+import copy
+import os
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from datetime import date
+from math import hypot
+from pathlib import Path
+from typing import Any
+
+import capstone
+import llvmlite
+import numba
+import numpy as np
+
+from benchmarks.run import processor
+from docs.build_pages import between
+from mavfi.campaign.statistics import Rate, wilson
+from mavfi.errors import BadInputError
+from mavfi.faults.instruction import count, draw, run_forked
+from mavfi.faults.instruction.api import digest
+from mavfi.faults.instruction.variant import signature_of
+from mavfi.faults.register.single_step import SteppedCall
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.inprocess import fly
+from mavfi.pipeline.functions import PLAIN
+
+PAGE = Path(__file__).parents[1] / "docs" / "fault-model.md"
+ENVIRONMENT, STACK, SEED = "sparse", "published", 10_000
+RAYS = 24
+KERNELS = {"pid": "track", "point_cloud": "back_project"}
+OUTCOMES = ("masked", "sdc", "crash", "hang", "exception")
+LEVELS = ("machine", "IR")
+
+
+class Recorder:
+    """Passes calls on, counts them, and keeps the arguments of one as they were before it."""
+
+    def __init__(self, function: Any, wanted: int = -1) -> None:
+        self._function = function
+        self._wanted = wanted
+        self.calls = 0
+        self.args: tuple[Any, ...] = ()
+
+    def __call__(self, *args: Any) -> Any:
+        """As the function."""
+        if self.calls == self._wanted:
+            self.args = copy.deepcopy(args)
+        self.calls += 1
+        return self._function(*args)
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """One kernel at both levels.
+
+    Attributes:
+        kernel: Name.
+        function: What was called.
+        outcomes: By level, how often which outcome came.
+        ir_values: Values that the call writes at IR level.
+        own: Instructions of the call's own code.
+        struck: Those of them with a destination that can be struck.
+        out_of_reach: Those whose destination cannot be.
+    """
+
+    kernel: str
+    function: str
+    outcomes: dict[str, Counter[str]]
+    ir_values: int
+    own: int
+    struck: int
+    out_of_reach: int
+
+
+def recorded() -> dict[str, tuple[Any, ...]]:
+    """Arguments of the call in the middle of a golden flight, by function; of the point cloud the first rays."""
+    scenario = make_scenario(ENVIRONMENT, SEED, stack=STACK)
+    counters = {name: Recorder(getattr(PLAIN, name)) for name in KERNELS.values()}
+    fly(scenario, functions=replace(PLAIN, **counters))
+    keepers = {name: Recorder(getattr(PLAIN, name), counter.calls // 2) for name, counter in counters.items()}
+    fly(scenario, functions=replace(PLAIN, **keepers))
+    ranges, directions, rotation, origin, max_range, points = keepers["back_project"].args
+    fewer = ranges[:RAYS].copy(), directions[:RAYS].copy(), rotation, origin, max_range, points[:RAYS].copy()
+    return {"track": keepers["track"].args, "back_project": fewer}
+
+
+def entry_of(kernel: Any, args: tuple[Any, ...]) -> int:
+    """Address of a kernel's plain machine code, without what Numba wraps around it."""
+    signature = signature_of(args)
+    kernel.compile(signature)
+    compiled = kernel.overloads[signature]
+    return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_func_name))
+
+
+def study(name: str, function: str, args: tuple[Any, ...], n: int, tell: Callable[[str], None]) -> Study:
+    """Strike one call n times at each level."""
+    kernel = getattr(PLAIN, function)
+    call = SteppedCall(lambda: digest((kernel(*args), args)), entry_of(kernel, args))
+    machine: Counter[str] = Counter()
+    for fault in call.draw(np.random.default_rng(SEED), n):
+        outcome = call.strike(fault)
+        assert outcome.hit  # a strike that did not take place must not count as masked
+        machine[outcome.how] += 1
+        tell(f"{name}, machine level: {machine.total()} of {n}")
+    ir: Counter[str] = Counter()
+    for fault in draw(kernel, n, *args, seed=SEED):
+        struck = run_forked(kernel, fault, *args)
+        assert struck.strike.hit
+        ir[struck.how] += 1
+        tell(f"{name}, IR level: {ir.total()} of {n}")
+    values = count(kernel, *copy.deepcopy(args))
+    outcomes = {"machine": machine, "IR": ir}
+    return Study(name, function, outcomes, values, call.own, len(call.sites), call.out_of_reach)
+
+
+def rate_text(rate: Rate) -> str:
+    """Rate and interval in percent."""
+    assert rate.rate is not None and rate.low is not None and rate.high is not None  # n > 0
+    return f"{100 * rate.rate:.1f} [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
+
+
+def difference(first: Rate, second: Rate) -> tuple[float, float, float]:
+    """Difference of two independent rates and its interval, from their score intervals (Newcombe 1998, method 10)."""
+    assert first.rate is not None and first.low is not None and first.high is not None
+    assert second.rate is not None and second.low is not None and second.high is not None
+    apart = first.rate - second.rate
+    below = hypot(first.rate - first.low, second.high - second.rate)
+    above = hypot(first.high - first.rate, second.rate - second.low)
+    return apart, apart - below, apart + above
+
+
+def rows(studies: list[Study]) -> Iterator[str]:
+    """Rows of the table: both levels of each kernel, and by how much they differ."""
+    for made in studies:
+        rates = {
+            level: [wilson(made.outcomes[level][how], made.outcomes[level].total()) for how in OUTCOMES]
+            for level in LEVELS
+        }
+        for level in LEVELS:
+            cells = " | ".join(map(rate_text, rates[level]))
+            yield f"| {made.kernel} | {level} | {made.outcomes[level].total()} | {cells} |"
+        apart = [difference(*pair) for pair in zip(rates["IR"], rates["machine"], strict=True)]
+        cells = " | ".join(f"{100 * a:+.1f} [{100 * low:+.1f}, {100 * high:+.1f}]" for a, low, high in apart)
+        yield f"| {made.kernel} | IR − machine | | {cells} |"
+
+
+def table(studies: list[Study]) -> str:
+    """What is written into the page."""
+    versions = (
+        f"Python {sys.version.split()[0]}, numba {numba.__version__}, llvmlite {llvmlite.__version__}, "
+        f"numpy {np.__version__}, capstone {capstone.__version__}"
+    )
+    lines = [
+        f"Measured by `make machine-level`: {date.today()} · {processor()} · {versions}. Arguments of the call "
+        f"in the middle of a golden flight ({ENVIRONMENT}, {STACK}, seed {SEED}), of the point cloud {RAYS} rays. "
+        "Percent, with Wilson's 95 % intervals; differences in points, with Newcombe's.",
+        "",
+        f"| kernel | level | n | {' | '.join(OUTCOMES)} |",
+        f"|---|---|---|{'---|' * len(OUTCOMES)}",
+        *rows(studies),
+        "",
+        *(
+            f"- {made.kernel} (`{made.function}`): {made.ir_values} values at IR level; {made.own} machine "
+            f"instructions in its own code, {made.struck} of them with a destination that was struck, "
+            f"{made.out_of_reach} with one out of reach."
+            for made in studies
+        ),
+    ]
+    return "\n".join(lines)
+
+
+def wanted_faults(text: str) -> int:
+    """Number of faults per kernel and level.
+
+    Raises:
+        BadInputError: It is none.
+    """
+    if not (text.isdigit() and int(text) > 0):
+        raise BadInputError(f"N: {text!r}: allowed: a whole number, 1 or more")
+    return int(text)
+
+
+def main() -> None:
+    """Strike, and write the table."""
+    try:
+        n = wanted_faults(os.environ.get("N") or "400")
+        args = recorded()
+        studies = [study(name, function, args[function], n, tell) for name, function in KERNELS.items()]
+    except BadInputError as error:
+        sys.stderr.write(f"{error}\n")
+        sys.exit(2)
+    block = table(studies)
+    PAGE.write_text(between(PAGE.read_text(encoding="utf-8"), "machine-level", block), encoding="utf-8")
+    sys.stdout.write(f"\n{block}\n")
+
+
+def tell(text: str) -> None:
+    """Say how far it is."""
+    sys.stderr.write(f"\r{text}  ")
+
+
+if __name__ == "__main__":
+    main()

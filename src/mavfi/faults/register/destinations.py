@@ -1,0 +1,74 @@
+"""Of a recorded run of machine code: which register each executed instruction leaves its result in.
+
+This is the fault space of the reference at machine level, as that of PINFI (Wei et al., DSN 2014): destination
+registers.  The decoder's list of written registers is more than that, so:
+
+- an instruction with a general or vector register as destination has this one, not the flags that it sets besides;
+- one that only sets flags (comparisons) has those flags that the next instruction to test any of them tests: others are
+  overwritten unread;
+- the stack pointer of push, pop, call, ret and leave is not a destination, that of `sub rsp, 48` is;
+- stores, jumps, calls and what only clears registers between functions (vzeroupper) have none;
+- mask registers (k0 to k7) and vector registers from 16 on cannot be reached by `registers.py`: they are counted apart.
+"""
+
+import re
+from collections.abc import Sequence
+
+from mavfi.faults.register.registers import Instruction, Register
+
+_STACK = ("push", "pop", "call", "ret", "leave", "enter")
+_CLEAR = ("vzeroupper", "vzeroall")
+_ENDS_FLAGS = ("call", "ret", "syscall")
+_UNREACHED = re.compile(r"(k[0-7]|zmm\d+|[xy]mm(1[6-9]|2\d|3[01]))\b")
+_NO_RESULT = ("cmp", "test", "bt", "ucomis", "comis", "vucomis", "vcomis", "vptest", "vtestp", "ktest", "kortest")
+
+
+def destinations(run: Sequence[Instruction | None]) -> list[tuple[Register, ...]]:
+    """Destination registers of each executed instruction, in the order of execution.
+
+    Args:
+        run: Instructions as executed; None where one is not the kernel's own, and nothing is struck.
+
+    Returns:
+        For each instruction the registers that may be struck after it; none where it has no destination.
+    """
+    return [() if made is None else _of(made, run, place) for place, made in enumerate(run)]
+
+
+def is_out_of_reach(instruction: Instruction) -> bool:
+    """Whether its destination is a register that cannot be struck: the first operand, where it is not only read."""
+    mnemonic, _, operands = instruction.text.partition(" ")
+    return not mnemonic.startswith(_NO_RESULT) and _UNREACHED.match(operands) is not None
+
+
+def _of(made: Instruction, run: Sequence[Instruction | None], place: int) -> tuple[Register, ...]:
+    mnemonic = made.text.split(" ", 1)[0]
+    if mnemonic in _CLEAR or is_out_of_reach(made):
+        return ()
+    on_stack = mnemonic.startswith(_STACK)
+    named = tuple(
+        register for register in made.writes if register.name != "rflags" and not (on_stack and register.name == "rsp")
+    )
+    if named or on_stack:
+        return named
+    flags = next((register for register in made.writes if register.name == "rflags"), None)
+    return () if flags is None else _tested(flags, run, place)
+
+
+def _tested(flags: Register, run: Sequence[Instruction | None], place: int) -> tuple[Register, ...]:
+    """Those of the flags that the next instruction that tests some of them tests; none where no one does."""
+    alive = set(flags.bits)
+    for later in run[place + 1 :]:
+        if later is None or later.text.startswith(_ENDS_FLAGS):
+            break  # flags do not outlive calls (System V ABI)
+        tested = alive & _flags(later.reads)
+        if tested:
+            return (Register("rflags", "rflags", 0, 0, tuple(sorted(tested))),)
+        alive -= _flags(later.writes)
+        if not alive:
+            break
+    return ()
+
+
+def _flags(registers: tuple[Register, ...]) -> set[int]:
+    return {bit for register in registers if register.name == "rflags" for bit in register.bits}

@@ -1,0 +1,291 @@
+"""The reference at machine level: one call of compiled code, executed instruction by instruction, struck once.
+
+Unlike a stop from outside, single steps make every dynamic instruction equally likely, and the same fault can be
+struck again.  It costs some ten microseconds per instruction, so it is for calls of some thousands of them.  The code
+that runs is the plain one; what it calls in files (libm, Python) is stepped through, and not struck.
+
+A call takes place in a forked child of this process, which traces it.  From one parent all children have the same
+addresses, so the number of an instruction means the same in all of them.
+"""
+
+import contextlib
+import ctypes
+import os
+import signal
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.faults.instruction.forked import Ended, judge_status, run_in_child
+from mavfi.faults.register.destinations import destinations, is_out_of_reach
+from mavfi.faults.register.ptrace import TargetGoneError, Tracee, TracerTimeoutError
+from mavfi.faults.register.registers import Instruction, Register, decode, flip, value_of
+from mavfi.faults.register.target import check_machine, not_permitted
+
+_LIMIT = 10.0
+"""Longest wait for a stop (s)."""
+_LONGEST_INSTRUCTION = 15
+_WORD = 8
+_WARM_UP = 3
+How = Literal["masked", "sdc", "crash", "hang", "exception"]
+
+
+@dataclass(frozen=True, slots=True)
+class MachineFault:
+    """One bit of a destination register.
+
+    Attributes:
+        step: After which executed instruction of the call, from 0.
+        register: Which register.
+        bit: Which bit of it, from its begin.
+    """
+
+    step: int
+    register: Register
+    bit: int
+
+
+@dataclass(frozen=True, slots=True)
+class MachineOutcome:
+    """What became of a struck call.
+
+    Attributes:
+        how: "masked": it reported what the call reports without a fault; "sdc": something else; "crash": a signal;
+            "hang": it executed more instructions than its budget; "exception".
+        fault: What was struck.
+        instruction: Mnemonic and operands.
+        before: What the register held.
+        after: What it held after the strike.
+        detail: Name of the signal, or text of the exception.
+    """
+
+    how: How
+    fault: MachineFault
+    instruction: str
+    before: int
+    after: int
+    detail: str = ""
+
+    @property
+    def hit(self) -> bool:
+        """Whether the register then held what was planned."""
+        return self.after == self.before ^ (1 << self.fault.bit)
+
+
+class SteppedCall:
+    """One call, to be executed instruction by instruction again and again.
+
+    Attributes:
+        own: Dynamic instructions of the code itself, without those of functions in files.
+    """
+
+    def __init__(self, call: Callable[[], bytes], entry: int) -> None:
+        """Run it once as it is and once step by step.
+
+        Args:
+            call: Calls the code, and reports what it left; the same each time.
+            entry: Address of the code's first instruction.
+
+        Raises:
+            BadInputError: Not x86-64 Linux, or processes cannot be traced here.
+            MavfiError: The call did not come to `entry`, or ended badly without a fault.
+        """
+        check_machine()
+        self._call = call
+        self._entry = entry
+        for _ in range(_WARM_UP):  # what is loaded or bound at the first call must not count
+            self._golden = self._free()
+        self._run: list[int] = []
+        ended = self._stepped(self._record)
+        if ended.how != "done" or ended.payload != self._golden:
+            raise MavfiError(
+                f"single steps without a fault: ended with {ended.how} ({ended.detail}), not as a free run"
+            )
+        self.own = sum(made is not None for made in self._instructions)
+
+    @property
+    def steps(self) -> int:
+        """Dynamic instructions from entry to return, those of functions in files included."""
+        return len(self._run)
+
+    @property
+    def budget(self) -> int:
+        """Dynamic instructions after which a call counts as hanging: as at IR level, 3 n + 10,000."""
+        return 3 * self.steps + 10_000
+
+    @cached_property
+    def _instructions(self) -> list[Instruction | None]:
+        """The code's own instructions as executed; None for others."""
+        ranges = _unnamed_code()
+        own: dict[int, Instruction | None] = {}
+        for address in self._run:
+            if address not in own:
+                inside = any(start <= address < end for start, end in ranges)
+                own[address] = _decode_here(address) if inside else None
+        return [own[address] for address in self._run]
+
+    @cached_property
+    def sites(self) -> list[tuple[int, tuple[Register, ...]]]:
+        """Steps that can be struck, and the destination registers of each."""
+        return [(step, found) for step, found in enumerate(destinations(self._instructions)) if found]
+
+    @cached_property
+    def out_of_reach(self) -> int:
+        """Dynamic instructions whose destination cannot be struck: mask registers, vector registers from 16 on."""
+        return sum(made is not None and is_out_of_reach(made) for made in self._instructions)
+
+    def text(self, step: int) -> str:
+        """Mnemonic and operands of an own instruction; "" for others."""
+        made = self._instructions[step]
+        return "" if made is None else made.text
+
+    def draw(self, random: np.random.Generator, n: int) -> list[MachineFault]:
+        """Draw faults: uniform over the dynamic instructions with a destination, its registers, then their bits.
+
+        Args:
+            random: Stream.
+            n: How many.
+        """
+        faults = []
+        for place in random.integers(len(self.sites), size=n).tolist():
+            step, registers = self.sites[place]
+            register = registers[int(random.integers(len(registers)))]
+            faults.append(MachineFault(step, register, register.bits[int(random.integers(len(register.bits)))]))
+        return faults
+
+    def strike(self, fault: MachineFault, *, null: bool = False) -> MachineOutcome:
+        """Execute the call with a fault.
+
+        Args:
+            fault: As drawn from this call.
+            null: Do everything but flip: for proof that striking itself disturbs nothing.
+
+        Raises:
+            MavfiError: The instruction was not the one of the recorded run.
+        """
+        seen: list[int] = []
+        ended = self._stepped(partial(self._strike, fault, null, seen))
+        if len(seen) != 2:
+            raise MavfiError(f"step {fault.step}: not reached as in the recorded run ({ended.how}, {ended.detail})")
+        how: How
+        if ended.how == "done":
+            how = "masked" if ended.payload == self._golden else "sdc"
+        else:
+            how = ended.how
+        return MachineOutcome(how, fault, self.text(fault.step), seen[0], seen[1], ended.detail)
+
+    # ---- the traced child -------------------------------------------------------------------------------------------
+    def _free(self) -> bytes:
+        ended = run_in_child(self._call)
+        if ended.how != "done":
+            raise MavfiError(f"the call without a fault ended with {ended.how} ({ended.detail})")
+        return ended.payload
+
+    def _stepped(self, between: Callable[[Tracee, int], bool]) -> Ended:
+        """Run the call in a child that waits until it is traced; `between` steps from entry to return."""
+        waiting, starting = os.pipe()
+
+        def held() -> bytes:
+            os.read(waiting, 1)
+            return self._call()
+
+        try:
+            return run_in_child(held, attend=lambda child: self._attend(child, starting, between))
+        finally:
+            os.close(waiting)
+            os.close(starting)
+
+    def _attend(self, child: int, starting: int, between: Callable[[Tracee, int], bool]) -> Ended | None:
+        """Trace a child from the entry of the code to its return, and let it go; answers how it ended, if it did."""
+        try:
+            tracee = Tracee(child)
+        except PermissionError:
+            _kill(child)
+            raise BadInputError(f"single steps: may not trace a child of this process ({not_permitted()})") from None
+        try:
+            tracee.interrupt(_LIMIT)
+            tracee.set_breakpoint(self._entry)
+            tracee.resume()
+            os.write(starting, b"\n")
+            home = _arrive(tracee, self._entry)
+            if between(tracee, home):
+                tracee.detach()
+                return None
+        except TargetGoneError as gone:
+            return judge_status(gone.status)
+        except BaseException:
+            _kill(child)
+            raise
+        _kill(child)
+        return Ended("hang", detail="instruction budget")
+
+    def _record(self, tracee: Tracee, home: int) -> bool:
+        """Note every instruction until the code returns."""
+        address = self._entry
+        while address != home:
+            self._run.append(address)
+            tracee.step(_LIMIT)
+            address = tracee.general()["rip"]
+        return True
+
+    def _strike(self, fault: MachineFault, null: bool, seen: list[int], tracee: Tracee, home: int) -> bool:
+        """Step to the fault, strike, and step on until the code returns; False where the budget is used up first."""
+        for _ in range(fault.step):
+            tracee.step(_LIMIT)
+        if tracee.general()["rip"] != self._run[fault.step]:
+            return True
+        tracee.step(_LIMIT)
+        seen.append(value_of(tracee, fault.register))
+        if not null:
+            flip(tracee, fault.register, fault.bit)
+        seen.append(value_of(tracee, fault.register))
+        for _ in range(self.budget - fault.step):
+            if tracee.general()["rip"] == home:
+                return True
+            tracee.step(_LIMIT)
+        return False
+
+
+def _arrive(tracee: Tracee, entry: int) -> int:
+    """Let a child run to the entry of the code; answers the address to which the code will return."""
+    while True:
+        try:
+            stop = tracee.wait(_LIMIT)
+        except (TargetGoneError, TracerTimeoutError):
+            raise MavfiError(f"the call did not come to {entry:#x}: is the code inlined into its caller?") from None
+        registers = tracee.general()
+        if not stop.signal and registers["rip"] == entry:
+            break
+        tracee.resume(stop.signal)
+    tracee.clear_breakpoint()
+    with open(f"/proc/{tracee.thread}/mem", "rb", buffering=0) as memory:
+        return int.from_bytes(os.pread(memory.fileno(), _WORD, registers["rsp"]), "little")
+
+
+def _kill(child: int) -> None:
+    """End a child that may have ended, and wait for it."""
+    with contextlib.suppress(ProcessLookupError, ChildProcessError):
+        os.kill(child, signal.SIGKILL)
+        while os.WIFSTOPPED(os.waitpid(child, 0)[1]):
+            pass
+
+
+def _unnamed_code() -> list[tuple[int, int]]:
+    """Executable memory that is not of a file: what was compiled in this process."""
+    found = []
+    for line in Path("/proc/self/maps").read_text().splitlines():
+        columns = line.split(None, 5)
+        if "x" in columns[1] and len(columns) == 5:
+            start, end = (int(text, 16) for text in columns[0].split("-"))
+            found.append((start, end))
+    return found
+
+
+def _decode_here(address: int) -> Instruction | None:
+    """The instruction at an address of this process, which is that of its children."""
+    return decode(ctypes.string_at(address, _LONGEST_INSTRUCTION), address)
