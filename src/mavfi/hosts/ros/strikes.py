@@ -1,0 +1,79 @@
+"""Strikes at register level during a flight: the world starts the tracer, and goes on while it looks for its instant."""
+
+import subprocess
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from mavfi.errors import MavfiError
+from mavfi.faults.register import RegisterInjection, Request, inject
+from mavfi.hosts.ros.graph import NODELET
+from mavfi.hosts.ros.plan import Strike
+
+STRUCK, FAILED = "register_strike", "register_strike_failed"
+_LAST_WORDS_S = 2.0
+_TIMEOUT_S = 20.0
+_SYMBOLS = {NODELET: "_ZN16depth_image_proc7convertIfEE"}
+"""Part of the mangled name of the function that is struck: `depth_image_proc::convert<float>`, the back-projection."""
+_WALKS = {NODELET: 20_000}
+"""Instructions from its begin within which it is struck; a scan of 64 x 48 pixels has about 50,000."""
+
+
+class Strikes:
+    """The strikes of one flight, in order of time."""
+
+    def __init__(
+        self, planned: Sequence[Strike], pid_of: Callable[[str], int], note: Callable[[str, dict[str, Any]], None]
+    ) -> None:  # fmt: skip
+        """Wait for their instants.
+
+        Args:
+            planned: All.
+            pid_of: Process of a node.
+            note: Writes an event into the flight's record.
+        """
+        self._planned = sorted(planned, key=lambda strike: strike.time_us)
+        self._pid_of, self._note = pid_of, note
+        self._begun: list[tuple[threading.Thread, Strike, list[RegisterInjection | Exception]]] = []
+
+    def strike(self, now: int) -> None:
+        """Begin those that are due, and write down those that are done."""
+        while self._planned and self._planned[0].time_us <= now:
+            self._begin(self._planned.pop(0))
+        for thread, strike, done in list(self._begun):
+            if not thread.is_alive():
+                self._begun.remove((thread, strike, done))
+                self._tell(strike, done)
+
+    def finish(self) -> None:
+        """The flight is over."""
+        for thread, strike, done in self._begun:
+            thread.join(_LAST_WORDS_S)
+            self._tell(strike, done)
+        for strike in self._planned:
+            self._tell(strike, [])
+        self._begun, self._planned = [], []
+
+    def _begin(self, strike: Strike) -> None:
+        done: list[RegisterInjection | Exception] = []
+        request = Request(
+            self._pid_of(strike.node), strike.seed, strike.registers, symbol=_SYMBOLS.get(strike.node, ""),
+            walk=_WALKS.get(strike.node, 64), timeout=_TIMEOUT_S,
+        )  # fmt: skip
+        thread = threading.Thread(target=_run, args=(request, done), daemon=True)
+        thread.start()
+        self._begun.append((thread, strike, done))
+
+    def _tell(self, strike: Strike, done: Sequence[RegisterInjection | Exception]) -> None:
+        if done and isinstance(done[0], RegisterInjection):
+            self._note(STRUCK, {"node": strike.node, **done[0].to_json()})
+            return
+        why = str(done[0]) if done else "the flight was over first"
+        self._note(FAILED, {"node": strike.node, "why": why})
+
+
+def _run(request: Request, done: list[RegisterInjection | Exception]) -> None:
+    try:
+        done.append(inject(request)[0])
+    except (MavfiError, OSError, subprocess.SubprocessError) as error:
+        done.append(error)
