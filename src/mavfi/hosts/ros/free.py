@@ -18,7 +18,7 @@ from mavfi.hosts.ros.plan import Plan
 from mavfi.hosts.ros.ports import Ports, world_listens
 from mavfi.hosts.ros.roll_call import ask_ours, is_alive, wait_for
 from mavfi.hosts.ros.senses import Senses
-from mavfi.hosts.ros.strikes import Strikes
+from mavfi.hosts.ros.strikes import PLANNED, Strikes
 from mavfi.pipeline.ppc import PERIODIC
 from mavfi.states import State
 
@@ -109,13 +109,10 @@ class FreeWorld(Host):
         """Kill those that are to be killed, and see whether they are back."""
         while self.kills and self.kills[0][1] <= now:
             node = self.kills.pop(0)[0]
-            self._note("node_lost", {"node": node, "pid": self.pids[node], "why": "killed as planned"})
+            self._note("node_lost", {"node": node, "pid": self.pids[node], "why": PLANNED})
             os.kill(self.pids[node], signal.SIGKILL)
             self._gone[node] = now
-        for node in self.plan.foreign:
-            if node not in self._gone and not is_alive(self.pids[node]):
-                self._note("node_lost", {"node": node, "pid": self.pids[node], "why": cause(self.pids[node])})
-                self._gone[node] = now
+        self._watch_foreign(now)
         self._strikes.strike(now)
         for node, since in list(self._gone.items()):
             if (now - since) % 200_000 == 0:
@@ -125,12 +122,20 @@ class FreeWorld(Host):
                     self._note("node_back", {"node": node, "pid": answer})
                     del self._gone[node]
 
+    def _watch_foreign(self, now: int) -> None:
+        """Foreign nodes may end at any time; whoever works with them ends them if they hang."""
+        for node in self.plan.foreign:
+            if node not in self._gone and not is_alive(self.pids[node]):
+                self._note("node_lost", {"node": node, "pid": self.pids[node], "why": cause(self.pids[node])})
+                self._gone[node] = now
+
     def _note(self, kind: str, data: dict[str, Any]) -> None:
         self.events.append(Event(self.now, kind, data))
 
     def flight(self) -> Flight:
         """What became of it."""
         self._strikes.finish()
+        self._watch_foreign(self.now)
         return super().flight()
 
 

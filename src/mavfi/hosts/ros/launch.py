@@ -4,8 +4,8 @@ import shlex
 import sys
 from pathlib import Path
 
-from mavfi.hosts.ros.folder import LAUNCH_FILE, own_path
 from mavfi.hosts.ros.attach.nodelets import point_cloud_xyz
+from mavfi.hosts.ros.folder import LAUNCH_FILE, own_path
 from mavfi.hosts.ros.foreign import IMAGE, INFO, POINTS
 from mavfi.hosts.ros.graph import WORLD
 from mavfi.hosts.ros.plan import Plan
@@ -23,7 +23,8 @@ def launch_text(plan: Plan) -> str:
         for node in plan.nodes
     ]
     lines += [
-        f'  <node pkg="{PACKAGE}" type="{node}" name="{node}" respawn="true" respawn_delay="0"/>' for node in plan.foreign
+        f'  <node pkg="{PACKAGE}" type="{node}" name="{node}" respawn="true" respawn_delay="0"/>'
+        for node in plan.foreign
     ]
     return "\n".join([*lines, "</launch>", ""])
 

@@ -24,7 +24,7 @@ from mavfi.hosts.ros.mirrors import OPTICAL, fill_camera_info, ros_type
 from mavfi.hosts.ros.pinhole import Pinhole
 from mavfi.hosts.ros.plan import Plan
 from mavfi.hosts.ros.ports import Ports
-from mavfi.hosts.ros.roll_call import is_alive
+from mavfi.hosts.ros.roll_call import is_alive, is_traced
 from mavfi.pipeline.perception import PointCloud
 from mavfi.states import State
 
@@ -49,7 +49,7 @@ class NodeletCloud(PointCloud):
             plan: The flight.
             ports: Of the node.
         """
-        self.exchange = Exchange(plan.scenario.camera)
+        self.exchange = Exchange(plan.scenario.camera, plan.patience_s)
         ports.also(self.exchange.probe)
         pinhole = Pinhole(plan.scenario.camera, self.exchange.ask)
         functions = replace(plan.config.functions, back_project=pinhole.back_project)
@@ -72,15 +72,17 @@ class Exchange:
         time_us: Instant of the flight, for stamps.
     """
 
-    def __init__(self, camera: CameraConfig) -> None:
+    def __init__(self, camera: CameraConfig, patience_s: float) -> None:
         """Advertise and subscribe.
 
         Args:
             camera: Geometry.
+            patience_s: For how long, all in all, a tracer may hold the nodelet at one image (s).
         """
         import rospy
 
         self.time_us = 0
+        self._patience_s = patience_s / (2 * _ASKS)  # the world, which waits for this node, has more
         self._pid, self._number = 0, 0
         self._inbox = Inbox()
         self._image, self._info = ros_type("sensor_msgs/Image"), ros_type("sensor_msgs/CameraInfo")
@@ -104,16 +106,26 @@ class Exchange:
         key = self._next()
         for _ in range(_ASKS):
             self._send(key, depth)
-            end = time.monotonic() + _ANSWER_S
-            while time.monotonic() < end:
-                with suppress(TimeoutError):
-                    return points_of(self._inbox.take(key, _LOOK_S), depth.size)
-                if not is_alive(self._pid):
-                    raise NoCloudError(f"{NODELET} has ended (pid {self._pid})")
+            cloud = self._await(key)
+            if cloud is not None:
+                return points_of(cloud, depth.size)
         note_hung(self._pid)
         with suppress(ProcessLookupError):
             os.kill(self._pid, signal.SIGKILL)  # a hung node is ended, and started anew
         raise NoCloudError(f"{NODELET} does not answer (pid {self._pid})")
+
+    def _await(self, key: int) -> Any:
+        """The cloud of an image; None if none comes in time.  While a tracer holds the nodelet, it does not hang."""
+        end = time.monotonic() + _ANSWER_S
+        longest = end + self._patience_s
+        while time.monotonic() < end:
+            with suppress(TimeoutError):
+                return self._inbox.take(key, _LOOK_S)
+            if not is_alive(self._pid):
+                raise NoCloudError(f"{NODELET} has ended (pid {self._pid})")
+            if is_traced(self._pid):
+                end = min(longest, time.monotonic() + _ANSWER_S)
+        return None
 
     def probe(self) -> bool:
         """Whether the nodelet answers an image of one pixel."""

@@ -55,3 +55,12 @@ def is_alive(pid: int) -> bool:
             return file.read().rpartition(")")[2].split()[0] not in "ZX"
     except OSError:
         return False
+
+
+def is_traced(pid: int) -> bool:
+    """Whether a tracer holds on to a process."""
+    try:
+        with open(f"/proc/{pid}/status", encoding="ascii") as file:
+            return any(line.startswith("TracerPid:") and line.split()[1] != "0" for line in file)
+    except OSError:
+        return False

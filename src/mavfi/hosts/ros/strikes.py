@@ -1,4 +1,4 @@
-"""Strikes at register level during a flight: the world starts the tracer, and goes on while it looks for its instant."""
+"""Strikes at register level during a flight: the world starts the tracer, and goes on until the node is struck."""
 
 import subprocess
 import threading
@@ -7,16 +7,22 @@ from typing import Any
 
 from mavfi.errors import MavfiError
 from mavfi.faults.register import RegisterInjection, Request, inject
+from mavfi.flight_log import Event
+from mavfi.hosts.ros.foreign import HUNG
 from mavfi.hosts.ros.graph import NODELET
 from mavfi.hosts.ros.plan import Strike
 
 STRUCK, FAILED = "register_strike", "register_strike_failed"
+PLANNED = "killed as planned"
+SILENT = ("does not answer", HUNG)
+"""Why a node was lost, as events say it: killed by `--kill`; ended because it hung.  All else is a crash."""
 _LAST_WORDS_S = 2.0
 _TIMEOUT_S = 20.0
 _SYMBOLS = {NODELET: "_ZN16depth_image_proc7convertIfEE"}
 """Part of the mangled name of the function that is struck: `depth_image_proc::convert<float>`, the back-projection."""
-_WALKS = {NODELET: 20_000}
-"""Instructions from its begin within which it is struck; a scan of 64 x 48 pixels has about 50,000."""
+_WALKS = {NODELET: 2_000}
+"""Instructions from its begin within which it is struck: what it sets up, and the first pixels.  It executes some
+50,000 for 64 x 48 pixels, but each that is walked takes 30 us, and a hundred times as much on a busy machine."""
 
 
 class Strikes:
@@ -77,3 +83,22 @@ def _run(request: Request, done: list[RegisterInjection | Exception]) -> None:
         done.append(inject(request)[0])
     except (MavfiError, OSError, subprocess.SubprocessError) as error:
         done.append(error)
+
+
+def fate(events: Sequence[Event]) -> str | None:
+    """What became of the nodes that were struck.
+
+    Args:
+        events: Of the flight.
+
+    Returns:
+        "crash": one has ended; "hang": one was ended as it did not answer; "alive": neither; None: nothing was struck.
+    """
+    struck = {event.data["node"] for event in events if event.kind == STRUCK and event.data["hit"]}
+    if not struck:
+        return None
+    lost = [event.data for event in events if event.kind == "node_lost" and event.data["node"] in struck]
+    causes = [data["why"] for data in lost if data["why"] != PLANNED]
+    if not causes:
+        return "alive"
+    return "hang" if causes[0] in SILENT else "crash"

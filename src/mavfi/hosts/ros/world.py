@@ -20,7 +20,7 @@ from mavfi.hosts.ros.ports import Ports
 from mavfi.hosts.ros.remote import Counter, Link, NodeLostError, Publication, RemoteKernel, Watchdog
 from mavfi.hosts.ros.roll_call import is_alive, wait_for
 from mavfi.hosts.ros.senses import Senses
-from mavfi.hosts.ros.strikes import Strikes
+from mavfi.hosts.ros.strikes import PLANNED, Strikes
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.states import State
 
@@ -98,9 +98,7 @@ class Conductor(Host):
         """One control period: nodes that are killed or come back, the clock, then as in one process."""
         while self.kills and self.kills[0][1] <= now:
             self._kill(self.kills.pop(0)[0])
-        for link in self.foreign.values():
-            if not link.lost and not is_alive(link.pid):
-                self._lost(link, cause(link.pid))
+        self._watch_foreign()
         self.strikes.strike(now)
         for node in [node for node, then in self.back_us.items() if then <= now]:
             self._rejoin(node)
@@ -125,13 +123,20 @@ class Conductor(Host):
     def flight(self) -> Flight:
         """What became of it; a strike that is still waiting for its node will not come any more."""
         self.strikes.finish()
+        self._watch_foreign()
         return super().flight()
 
     # ---- nodes that die ---------------------------------------------------------------------------------------------
     def _kill(self, node: str) -> None:
         link = self.links[node]
         if not link.lost:
-            self._lost(link, "killed as planned")
+            self._lost(link, PLANNED)
+
+    def _watch_foreign(self) -> None:
+        """Foreign nodes may end at any time; whoever works with them ends them if they hang."""
+        for link in self.foreign.values():
+            if not link.lost and not is_alive(link.pid):
+                self._lost(link, cause(link.pid))
 
     def _lost(self, link: Link, why: str) -> None:
         """A node does not answer, or is to be killed: make sure that it is dead, and expect it back later."""
