@@ -53,7 +53,7 @@ class FreeWorld(Host):
         self._senses = Senses(self.sim)
         self.pids = {node: wait_for(node, plan.patience_s) for node in plan.nodes}
         self.pids.update({node: wait_for(node, plan.patience_s, ask=ask_foreign) for node in plan.foreign})
-        self._strikes = Strikes(plan.strikes, lambda node: self.pids[node], self._note)
+        self._strikes = Strikes(plan.strikes, lambda node: self.pids[node], self._note, hold=False)
         ports.wait_until_connected()
         self.injector = None if plan.fault is None else _Elsewhere(plan.fault)
         self._start = time.monotonic()

@@ -1,7 +1,9 @@
 """Strikes at register level during a flight: the world starts the tracer, and goes on until the node is struck."""
 
+import os
 import subprocess
 import threading
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,13 +13,15 @@ from mavfi.flight_log import Event
 from mavfi.hosts.ros.foreign import HUNG
 from mavfi.hosts.ros.graph import NODELET
 from mavfi.hosts.ros.plan import Strike
+from mavfi.hosts.ros.roll_call import is_traced
 
 STRUCK, FAILED = "register_strike", "register_strike_failed"
 PLANNED = "killed as planned"
 SILENT = ("does not answer", HUNG)
 """Why a node was lost, as events say it: killed by `--kill`; ended because it hung.  All else is a crash."""
 _LAST_WORDS_S = 2.0
-_TIMEOUT_S = 20.0
+_TIMEOUT_S = 30.0
+_POLL_S, _ARMING_S = 0.01, 0.05
 _SYMBOLS = {NODELET: "_ZN16depth_image_proc7convertIfEE"}
 """Part of the mangled name of the function that is struck: `depth_image_proc::convert<float>`, the back-projection."""
 _WALKS = {NODELET: 2_000}
@@ -29,7 +33,8 @@ class Strikes:
     """The strikes of one flight, in order of time."""
 
     def __init__(
-        self, planned: Sequence[Strike], pid_of: Callable[[str], int], note: Callable[[str, dict[str, Any]], None]
+        self, planned: Sequence[Strike], pid_of: Callable[[str], int], note: Callable[[str, dict[str, Any]], None],
+        hold: bool,
     ) -> None:  # fmt: skip
         """Wait for their instants.
 
@@ -37,9 +42,11 @@ class Strikes:
             planned: All.
             pid_of: Process of a node.
             note: Writes an event into the flight's record.
+            hold: Whether the flight may stand still until the tracer is ready, so that the call which is struck is
+                the first one after the instant, whatever time it is on the wall.
         """
         self._planned = sorted(planned, key=lambda strike: strike.time_us)
-        self._pid_of, self._note = pid_of, note
+        self._pid_of, self._note, self._hold = pid_of, note, hold
         self._begun: list[tuple[threading.Thread, Strike, list[RegisterInjection | Exception]]] = []
 
     def strike(self, now: int) -> None:
@@ -69,6 +76,12 @@ class Strikes:
         thread = threading.Thread(target=_run, args=(request, done), daemon=True)
         thread.start()
         self._begun.append((thread, strike, done))
+        end = time.monotonic() + _TIMEOUT_S
+        while self._hold and request.symbol and thread.is_alive() and time.monotonic() < end:
+            if is_armed(request.pid):
+                time.sleep(_ARMING_S)
+                break
+            time.sleep(_POLL_S)
 
     def _tell(self, strike: Strike, done: Sequence[RegisterInjection | Exception]) -> None:
         if done and isinstance(done[0], RegisterInjection):
@@ -83,6 +96,15 @@ def _run(request: Request, done: list[RegisterInjection | Exception]) -> None:
         done.append(inject(request)[0])
     except (MavfiError, OSError, subprocess.SubprocessError) as error:
         done.append(error)
+
+
+def is_armed(pid: int) -> bool:
+    """Whether a tracer holds on to all threads of a process."""
+    try:
+        threads = os.listdir(f"/proc/{pid}/task")
+    except OSError:
+        return False
+    return all(is_traced(int(thread)) for thread in threads)
 
 
 def fate(events: Sequence[Event]) -> str | None:
