@@ -189,7 +189,7 @@ class TestFlights:
 
     def test_the_points_are_those_of_the_nodelet_bit_by_bit(self, in_time):
         """The record of a fault holds one coordinate before it was struck: the nodelet's, not that of our kernel."""
-        scenario, wrong = short(), fault("perception.point_cloud", "x", 0.4, 1, 2900)
+        scenario, wrong = short(), fault("perception.point_cloud", "x", 0.4, 1, 2351)
         flown = plan(wrong)
         log = fly_there(flown).flight.log
         twin = fly_here(scenario, wrong, functions=twin_functions(flown)).log
