@@ -62,24 +62,11 @@ def fly(  # noqa: PLR0913 - one parameter per option
     free_running: Annotated[
         bool, typer.Option("--free-running", help="Time passes as on the wall, for rviz and rosbag.")
     ] = False,
-    kill: Annotated[
-        list[str] | None, typer.Option(metavar="NODE@SECONDS", help="Kill a node; roslaunch starts it anew.")
-    ] = None,
-    point_cloud_node: Annotated[
-        str, typer.Option(help="Who computes the point cloud: mavfi, or depth_image_proc, Debian's C++ nodelet.")
-    ] = "mavfi",
-    strike: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NODE@SECONDS", help="Flip a bit in a register of a node's process, e.g. point_cloud_xyz@5."
-        ),
-    ] = None,
-    strike_registers: Annotated[
-        str | None, typer.Option(help="general (with the flags), fp (XMM, YMM), or all (the default).")
-    ] = None,
-    strike_seed: Annotated[
-        int | None, typer.Option(help="Draws instruction, register and bit of strikes; 0 by default.")
-    ] = None,
+    kill: ros_strike.KillOption = None,
+    point_cloud_node: ros_strike.CloudOption = "mavfi",
+    strike: ros_strike.StrikeOption = None,
+    strike_registers: ros_strike.RegistersOption = None,
+    strike_seed: ros_strike.SeedOption = None,
     allow_bind_all: Annotated[
         bool, typer.Option("--allow-bind-all", help="Fly even where there can be no private network.")
     ] = False,

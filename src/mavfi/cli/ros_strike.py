@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
+
+import typer
 
 from mavfi.cli.console import check_seed
 from mavfi.errors import BadInputError
@@ -13,6 +15,21 @@ if TYPE_CHECKING:
     from mavfi.hosts.ros.plan import CloudNode, Plan, Strike
 
 _LONGEST_S = 1e6
+
+KillOption = Annotated[
+    list[str] | None, typer.Option(metavar="NODE@SECONDS", help="Kill a node; roslaunch starts it anew.")
+]
+CloudOption = Annotated[
+    str, typer.Option(help="Who computes the point cloud: mavfi, or depth_image_proc, Debian's C++ nodelet.")
+]
+StrikeOption = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NODE@SECONDS", help="Flip a bit in a register of a node's process, e.g. point_cloud_xyz@5."),
+]
+RegistersOption = Annotated[
+    str | None, typer.Option(help="Of strikes: general (with the flags), fp (XMM, YMM), or all (the default).")
+]
+SeedOption = Annotated[int | None, typer.Option(help="Draws instruction, register and bit of strikes; 0 by default.")]
 
 
 def cloud_node(text: str) -> CloudNode:
