@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mavfi.cli import ros_attach
+from mavfi.cli import ros_attach, ros_strike
 from mavfi.cli.console import JSON_HELP, check_seed, check_writable, console, write_json
 from mavfi.cli.fly import check_company, load_watcher
 from mavfi.cli.stopping import stoppable
@@ -17,13 +17,11 @@ if TYPE_CHECKING:
     from mavfi.cli.flown import Flown
     from mavfi.faults.fault import Fault
     from mavfi.faults.spec import FaultRequest
-    from mavfi.hosts.inprocess import Flight
     from mavfi.hosts.ros.plan import Coupling, Plan
     from mavfi.hosts.ros.session import RosFlight
     from mavfi.mission import Scenario
 
 _NODE_EVENTS = ("node_lost", "node_back", "node_absent")
-_LONGEST_S = 1e6
 
 app = typer.Typer(
     help="The pipeline as real ROS 1 nodes (Debian's packages: `make ros`), and tools for any ROS application.",
@@ -64,9 +62,11 @@ def fly(  # noqa: PLR0913 - one parameter per option
     free_running: Annotated[
         bool, typer.Option("--free-running", help="Time passes as on the wall, for rviz and rosbag.")
     ] = False,
-    kill: Annotated[
-        list[str] | None, typer.Option(metavar="NODE@SECONDS", help="Kill a node; roslaunch starts it anew.")
-    ] = None,
+    kill: ros_strike.KillOption = None,
+    point_cloud_node: ros_strike.CloudOption = "mavfi",
+    strike: ros_strike.StrikeOption = None,
+    strike_registers: ros_strike.RegistersOption = None,
+    strike_seed: ros_strike.SeedOption = None,
     allow_bind_all: Annotated[
         bool, typer.Option("--allow-bind-all", help="Fly even where there can be no private network.")
     ] = False,
@@ -82,8 +82,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     check_seed("--seed", seed)
     check_company(fault, fault_seed, detector, {"--profile": profile, "--models": models, "--coupling": coupling})
     _check_save(save)
-    request, kills = _request(fault), tuple(_kill(text) for text in kill or ())
-    chosen = _coupling(coupling)
+    request, kills = _request(fault), tuple(ros_strike.instant("--kill", text) for text in kill or ())
+    chosen, cloud = _coupling(coupling), ros_strike.cloud_node(point_cloud_node)
+    strikes = ros_strike.strikes(strike, strike_registers, strike_seed)
 
     from mavfi.hosts.ros import finder
 
@@ -96,8 +97,10 @@ def fly(  # noqa: PLR0913 - one parameter per option
     scenario = make_scenario(environment, seed, stack=stack, platform=platform)
     watching, told = load_watcher(detector, profile, models, scenario)
     drawn = _draw(scenario, request, fault_seed or 0)
-    plan = Plan(scenario, configure(scenario), drawn, watching, chosen, free_running, kills)
-    _check_kills(plan)
+    plan = Plan(
+        scenario, configure(scenario), drawn, watching, chosen, free_running, kills, cloud_node=cloud, strikes=strikes
+    )
+    ros_strike.check(plan)
     _fly_and_show(plan, told, allow_bind_all, as_json, save)
 
 
@@ -134,28 +137,6 @@ def _coupling(text: str | None) -> Coupling:
     raise BadInputError(f"--coupling: {text}: allowed: inline, observer")
 
 
-def _kill(text: str) -> tuple[str, int]:
-    """Node and instant (microseconds) of "octomap@20".
-
-    Raises:
-        BadInputError: It is something else.
-    """
-    node, separator, seconds = text.partition("@")
-    try:
-        instant = float(seconds)
-    except ValueError:
-        separator = ""
-    if not separator or not 0.0 <= instant < _LONGEST_S:
-        raise BadInputError(f"--kill: {text!r}: allowed: NODE@SECONDS, e.g. octomap@20")
-    return node, round(1e6 * instant)
-
-
-def _check_kills(plan: Plan) -> None:
-    for node, _ in plan.kills:
-        if node not in plan.nodes:
-            raise BadInputError(f"--kill: no node {node!r} in this flight; allowed: {', '.join(plan.nodes)}")
-
-
 def _draw(scenario: Scenario, request: FaultRequest | None, seed: int) -> Fault | None:
     """The fault, drawn from the golden flight as every host draws it."""
     from mavfi.hosts.inprocess import fly as fly_here
@@ -173,19 +154,9 @@ def _fly(plan: Plan, told: str, allow_bind_all: bool, *, quiet: bool) -> tuple[F
 
     tell = _invite if plan.free_running and not quiet else None
     flight = fly_there(plan, allow_bind_all=allow_bind_all, tell=tell)
-    twin = None if plan.fault is None or plan.free_running else _golden(plan)
+    twin = None if plan.fault is None or plan.free_running else ros_strike.twin(plan, with_fault=False)
     fault = None if plan.free_running else plan.fault
     return Flown(plan.scenario, flight.flight, twin, fault, told), flight
-
-
-def _golden(plan: Plan) -> Flight:
-    """The error-free twin, flown in this process: the digest is the same."""
-    from mavfi.hosts.inprocess import fly as fly_here
-    from mavfi.hosts.observed import fly_observed
-
-    if plan.observed and plan.detector is not None:
-        return fly_observed(plan.scenario, None, plan.detector)
-    return fly_here(plan.scenario, None, plan.detector)
 
 
 def _invite(folder: Path) -> None:
@@ -204,6 +175,7 @@ def _show(plan: Plan, flown: Flown, flight: RosFlight, as_json: bool, written: P
             "nodes": list(plan.nodes), "coupling": plan.coupling if plan.detector is not None else None,
             "free_running": plan.free_running, "wall_s": flight.times,
             "lives": [{"time_s": 1e-6 * event.time_us, "event": event.kind, **event.data} for event in nodes],
+            **ros_strike.to_json(plan, log),
         }  # fmt: skip
         write_json({**to_json(flown), "ros": ros})
         return
@@ -215,12 +187,14 @@ def _show(plan: Plan, flown: Flown, flight: RosFlight, as_json: bool, written: P
         what = {"node_lost": "lost", "node_back": "back", "node_absent": "still away"}[event.kind]
         detail = event.data.get("why") or f"pid {event.data['pid']}"
         out.print(f"{1e-6 * event.time_us:8.3f} s  node [bold]{event.data['node']}[/bold] {what} [dim]({detail})[/dim]")
+    for line in ros_strike.lines(plan, log):
+        out.print(line, markup=False)
     if plan.free_running:
         for hit in log.injections:
             out.print(
                 f"{hit['time_s']:8.3f} s  fault in {hit['site']} bit {hit['bit']}: {hit['before']} → {hit['after']}"
             )
     spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in flight.times.items())
-    out.print(f"[dim]{1 + len(plan.nodes)} nodes · wall clock: {spent}[/dim]")
+    out.print(f"[dim]{1 + len(plan.nodes) + len(plan.foreign)} nodes · wall clock: {spent}[/dim]")
     if written is not None:
         out.print(f"[dim]wrote[/dim] {written}")

@@ -14,6 +14,7 @@ from mavfi.detectors.detector import Alarm, Detector
 from mavfi.faults.fault import Fault
 from mavfi.hosts.inprocess import Flight, Host, Redo, stage_of
 from mavfi.mission import Scenario
+from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.kernel import Kernel
 from mavfi.platforms.compute import STAGE_KERNELS, stage_latency
 from mavfi.states import Stage, State
@@ -108,16 +109,19 @@ class ObservedHost(Host):
         super().start(kernel, now, charged)
 
 
-def fly_observed(scenario: Scenario, fault: Fault | None, detector: Detector) -> Flight:
+def fly_observed(
+    scenario: Scenario, fault: Fault | None, detector: Detector, functions: KernelFunctions = PLAIN
+) -> Flight:  # fmt: skip
     """Fly one mission with the detector as an observer.
 
     Args:
         scenario: The mission.
         fault: What to inject; None = golden flight.
         detector: What watches.
+        functions: What the kernels call.
 
     Returns:
         The flight; the same arguments give the same bytes.
     """
     with np.errstate(all="ignore"):
-        return ObservedHost(scenario, fault, detector).fly()
+        return ObservedHost(scenario, fault, detector, functions=functions).fly()

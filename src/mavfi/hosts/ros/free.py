@@ -12,11 +12,13 @@ from mavfi.faults.state import StateInjector
 from mavfi.flight_log import Event
 from mavfi.hosts.inprocess import Flight, Host
 from mavfi.hosts.ros.folder import read_strikes
+from mavfi.hosts.ros.foreign import ask_foreign, cause
 from mavfi.hosts.ros.graph import ALARM, WORLD
 from mavfi.hosts.ros.plan import Plan
 from mavfi.hosts.ros.ports import Ports, world_listens
-from mavfi.hosts.ros.roll_call import ask, wait_for
+from mavfi.hosts.ros.roll_call import ask_ours, is_alive, wait_for
 from mavfi.hosts.ros.senses import Senses
+from mavfi.hosts.ros.strikes import PLANNED, Strikes
 from mavfi.pipeline.ppc import PERIODIC
 from mavfi.states import State
 
@@ -50,6 +52,8 @@ class FreeWorld(Host):
             ports.listen(ALARM, "Verdict", self._came.put)
         self._senses = Senses(self.sim)
         self.pids = {node: wait_for(node, plan.patience_s) for node in plan.nodes}
+        self.pids.update({node: wait_for(node, plan.patience_s, ask=ask_foreign) for node in plan.foreign})
+        self._strikes = Strikes(plan.strikes, lambda node: self.pids[node], self._note, hold=False)
         ports.wait_until_connected()
         self.injector = None if plan.fault is None else _Elsewhere(plan.fault)
         self._start = time.monotonic()
@@ -105,18 +109,34 @@ class FreeWorld(Host):
         """Kill those that are to be killed, and see whether they are back."""
         while self.kills and self.kills[0][1] <= now:
             node = self.kills.pop(0)[0]
-            self.events.append(
-                Event(now, "node_lost", {"node": node, "pid": self.pids[node], "why": "killed as planned"})
-            )
+            self._note("node_lost", {"node": node, "pid": self.pids[node], "why": PLANNED})
             os.kill(self.pids[node], signal.SIGKILL)
             self._gone[node] = now
+        self._watch_foreign(now)
+        self._strikes.strike(now)
         for node, since in list(self._gone.items()):
             if (now - since) % 200_000 == 0:
-                answer = ask(node)
+                answer = (ask_foreign if node in self.plan.foreign else ask_ours)(node)
                 if answer is not None and answer != self.pids[node]:
                     self.pids[node] = answer
-                    self.events.append(Event(now, "node_back", {"node": node, "pid": answer}))
+                    self._note("node_back", {"node": node, "pid": answer})
                     del self._gone[node]
+
+    def _watch_foreign(self, now: int) -> None:
+        """Foreign nodes may end at any time; whoever works with them ends them if they hang."""
+        for node in self.plan.foreign:
+            if node not in self._gone and not is_alive(self.pids[node]):
+                self._note("node_lost", {"node": node, "pid": self.pids[node], "why": cause(self.pids[node])})
+                self._gone[node] = now
+
+    def _note(self, kind: str, data: dict[str, Any]) -> None:
+        self.events.append(Event(self.now, kind, data))
+
+    def flight(self) -> Flight:
+        """What became of it."""
+        self._strikes.finish()
+        self._watch_foreign(self.now)
+        return super().flight()
 
 
 class _Elsewhere:

@@ -13,6 +13,8 @@ from mavfi.pipeline.ppc import PERIODIC
 from mavfi.states import STATES, Stage
 
 WORLD, INJECTOR, DETECTOR = "world", "injector", "detector"
+NODELET = "point_cloud_xyz"
+"""Debian's C++ node that computes the point cloud, where it is to; the node `point_cloud` then hands images to it."""
 _TOGETHER = {"trajectory": "planner"}
 PREFIX = "/mavfi"
 VERDICT, ALARM = f"{PREFIX}/verdict", f"{PREFIX}/alarm"

@@ -12,6 +12,7 @@ from mavfi.hosts.ros.ending import fatal
 from mavfi.hosts.ros.generate import message_type
 from mavfi.hosts.ros.graph import RECOMPUTE
 from mavfi.hosts.ros.inbox import Inbox
+from mavfi.hosts.ros.nodelet_cloud import NodeletCloud
 from mavfi.hosts.ros.plan import Plan
 from mavfi.hosts.ros.planning_service import offer_planning
 from mavfi.hosts.ros.ports import Ports
@@ -44,6 +45,8 @@ class KernelNode:
         built = build_pipeline(plan.config)
         self.kernels = {kernel: built[kernel] for kernel in plan.graph.nodes[name]}
         self.ports = Ports(name, plan)
+        if plan.foreign and "point_cloud" in self.kernels:
+            self.kernels["point_cloud"] = NodeletCloud(plan, self.ports)
         self.lock = threading.Lock()
         written = [state for kernel in self.kernels.values() for state in kernel.writes]
         self._outlets = {

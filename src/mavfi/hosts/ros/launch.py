@@ -1,9 +1,12 @@
 """The roslaunch file of a flight, and the package that roslaunch finds its nodes in."""
 
+import shlex
 import sys
 from pathlib import Path
 
+from mavfi.hosts.ros.attach.nodelets import point_cloud_xyz
 from mavfi.hosts.ros.folder import LAUNCH_FILE, own_path
+from mavfi.hosts.ros.foreign import IMAGE, INFO, POINTS
 from mavfi.hosts.ros.graph import WORLD
 from mavfi.hosts.ros.plan import Plan
 
@@ -18,6 +21,10 @@ def launch_text(plan: Plan) -> str:
     lines += [
         f'  <node pkg="{PACKAGE}" type="{_EXECUTABLE}" name="{node}" args="{node}" respawn="true" respawn_delay="0"/>'
         for node in plan.nodes
+    ]
+    lines += [
+        f'  <node pkg="{PACKAGE}" type="{node}" name="{node}" respawn="true" respawn_delay="0"/>'
+        for node in plan.foreign
     ]
     return "\n".join([*lines, "</launch>", ""])
 
@@ -39,6 +46,18 @@ def write_package(plan: Plan, folder: Path) -> Path:
         f'#!/bin/sh\nPYTHONPATH="{own_path()}" exec "{sys.executable}" -m mavfi.hosts.ros.node "$@"\n'
     )
     executable.chmod(0o755)
+    for node in plan.foreign:
+        _write_foreign(package / node, folder)
     path = folder / LAUNCH_FILE
     path.write_text(launch_text(plan))
     return path
+
+
+def _write_foreign(executable: Path, folder: Path) -> None:
+    """Write the script that becomes Debian's nodelet; roslaunch adds its name to the arguments."""
+    command, variables = point_cloud_xyz(
+        folder / "nodelets", {"image_rect": IMAGE, "camera_info": INFO, "points": POINTS}
+    )
+    settings = [f"{name}={value}" for name, value in variables.items()]
+    executable.write_text(f'#!/bin/sh\nexec env {shlex.join([*settings, *command])} "$@"\n')
+    executable.chmod(0o755)

@@ -128,17 +128,18 @@ def _image(message: Any, state: State, camera: CameraConfig) -> None:
     height, width = camera.height, camera.width
     depth = np.zeros(height * width, np.float32)
     ranges = state.elements["range"][: height * width]
-    depth[: len(ranges)] = ranges * _cosines(camera)[: len(ranges)]
+    depth[: len(ranges)] = ranges * cosines(camera)[: len(ranges)]
     message.height, message.width, message.encoding, message.step = height, width, "32FC1", 4 * width
     message.data = depth.tobytes()
 
 
-def _cosines(camera: CameraConfig) -> np.ndarray:
+def cosines(camera: CameraConfig) -> np.ndarray:
+    """Depth along the optical axis over distance along the ray, of each pixel. Shape (height * width,)."""
     focal = focal_length(camera)
     across = (np.arange(camera.width) + 0.5 - 0.5 * camera.width) / focal
     down = (np.arange(camera.height) + 0.5 - 0.5 * camera.height) / focal
-    cosines: np.ndarray = 1.0 / np.sqrt(1.0 + across[None, :] ** 2 + down[:, None] ** 2)
-    return cosines.ravel()
+    ratios: np.ndarray = 1.0 / np.sqrt(1.0 + across[None, :] ** 2 + down[:, None] ** 2)
+    return ratios.ravel()
 
 
 def focal_length(camera: CameraConfig) -> float:
@@ -148,6 +149,11 @@ def focal_length(camera: CameraConfig) -> float:
 
 def _camera_info(message: Any, state: State, camera: CameraConfig) -> None:
     del state
+    fill_camera_info(message, camera)
+
+
+def fill_camera_info(message: Any, camera: CameraConfig) -> None:
+    """Fill in a `sensor_msgs/CameraInfo`, but for its header: a pinhole without distortion."""
     focal, cx, cy = focal_length(camera), 0.5 * camera.width - 0.5, 0.5 * camera.height - 0.5
     message.height, message.width, message.distortion_model = camera.height, camera.width, "plumb_bob"
     message.D = [0.0] * 5

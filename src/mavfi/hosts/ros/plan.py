@@ -8,13 +8,31 @@ from typing import Literal
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import Fault
 from mavfi.hosts.ros.folder import flight_folder
-from mavfi.hosts.ros.graph import DETECTOR, INJECTOR, Graph
+from mavfi.hosts.ros.graph import DETECTOR, INJECTOR, NODELET, Graph
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline
 
 _PLAN = "plan.pickle"
 Coupling = Literal["inline", "observer"]
+CloudNode = Literal["mavfi", "depth_image_proc"]
+
+
+@dataclass(frozen=True, slots=True)
+class Strike:
+    """A bit that is flipped in a register of a node's process.
+
+    Attributes:
+        node: Its name.
+        time_us: From when on (microseconds of the flight).
+        seed: Draws instruction, register and bit among those that the process comes by.
+        registers: "general" (with the flags), "fp" (XMM and YMM), or "all".
+    """
+
+    node: str
+    time_us: int
+    seed: int = 0
+    registers: str = "all"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +49,10 @@ class Plan:
         kills: Nodes that are killed, and when (microseconds).
         restart_us: For how long a node that was lost is away, in simulated time.
         patience_s: How long to wait for a node (s, wall clock).
+        cloud_node: Who computes the point cloud: the project's kernel, or Debian's nodelet.
+        strikes: Bits flipped in registers.
         graph: Nodes and topics.
-        nodes: All nodes but the world's.
+        nodes: All nodes of the project but the world's.
     """
 
     scenario: Scenario
@@ -44,6 +64,8 @@ class Plan:
     kills: tuple[tuple[str, int], ...] = ()
     restart_us: int = 1_000_000
     patience_s: float = 60.0
+    cloud_node: CloudNode = "mavfi"
+    strikes: tuple[Strike, ...] = ()
     graph: Graph = field(init=False)
     nodes: tuple[str, ...] = field(init=False)
 
@@ -52,6 +74,11 @@ class Plan:
         object.__setattr__(self, "graph", Graph(build_pipeline(self.config), struck, self.gated))
         taps = (INJECTOR,) * (self.fault is not None) + (DETECTOR,) * (self.detector is not None)
         object.__setattr__(self, "nodes", (*self.graph.nodes, *taps))
+
+    @property
+    def foreign(self) -> tuple[str, ...]:
+        """Nodes that nobody here wrote."""
+        return () if self.cloud_node == "mavfi" else (NODELET,)
 
     @property
     def gated(self) -> bool:

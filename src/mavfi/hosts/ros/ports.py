@@ -66,6 +66,7 @@ class Ports:
         self._outlets: list[Outlet] = []
         self._subscribers: list[Any] = []
         self._others: list[tuple[Any, int]] = []
+        self._conditions: list[Callable[[], bool]] = []
 
     def outlet(self, way: Way, topic: str) -> Outlet:
         """Publish values of a state on one of the topics of its way."""
@@ -105,6 +106,10 @@ class Ports:
         if awaited:
             self._subscribers.append(subscriber)
 
+    def also(self, condition: Callable[[], bool]) -> None:
+        """What else must hold before this node is connected."""
+        self._conditions.append(condition)
+
     def wait_until_connected(self) -> None:
         """Until every publisher and listener of the flight is connected with this node.
 
@@ -122,6 +127,7 @@ class Ports:
             all(outlet.connected() for outlet in self._outlets)
             and all(subscriber.get_num_connections() >= 1 for subscriber in self._subscribers)
             and all(publisher.get_num_connections() >= awaited for publisher, awaited in self._others)
+            and all(condition() for condition in self._conditions)
         )
 
     def offer_ready(self) -> None:

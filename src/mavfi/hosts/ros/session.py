@@ -17,6 +17,7 @@ from mavfi.flight_log import FlightLog
 from mavfi.hosts.compose import pipeline_config
 from mavfi.hosts.inprocess import Flight
 from mavfi.hosts.ros import finder
+from mavfi.hosts.ros.attach import nodelets
 from mavfi.hosts.ros.folder import (
     FAILURE,
     FLIGHT,
@@ -98,6 +99,8 @@ def fly(
         MavfiError: The flight failed; the text says how, and where the nodes' logs are.
     """
     finder.require()
+    if plan.foreign:
+        nodelets.require()
     command = isolation(allow_bind_all)
     began = time.time()
     folder = Path(tempfile.mkdtemp(prefix="mavfi-ros-"))

@@ -9,16 +9,18 @@ from typing import Any
 import numpy as np
 
 from mavfi.flight_log import Event
-from mavfi.hosts.inprocess import Host
+from mavfi.hosts.inprocess import Flight, Host
 from mavfi.hosts.observed import ObservedHost
 from mavfi.hosts.ros.folder import FLIGHT, TIMES, flight_folder
+from mavfi.hosts.ros.foreign import ForeignLink, ask_foreign, cause
 from mavfi.hosts.ros.graph import WORLD
 from mavfi.hosts.ros.passage import LockStepDetector, Passage
 from mavfi.hosts.ros.plan import Plan
 from mavfi.hosts.ros.ports import Ports
 from mavfi.hosts.ros.remote import Counter, Link, NodeLostError, Publication, RemoteKernel, Watchdog
-from mavfi.hosts.ros.roll_call import wait_for
+from mavfi.hosts.ros.roll_call import is_alive, wait_for
 from mavfi.hosts.ros.senses import Senses
+from mavfi.hosts.ros.strikes import PLANNED, Strikes
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.states import State
 
@@ -63,6 +65,8 @@ class Conductor(Host):
         self.counter = Counter()
         watchdog = Watchdog(plan.patience_s)
         self.links = {node: Link(node, watchdog, self._lost) for node in plan.nodes}
+        self.foreign = {node: ForeignLink(node, watchdog, self._lost) for node in plan.foreign}
+        self.links.update(self.foreign)
         self.back_us: dict[str, int] = {}
         self.losses = 0
         self.kills = sorted(plan.kills, key=lambda kill: kill[1])
@@ -74,7 +78,9 @@ class Conductor(Host):
             self.detector = LockStepDetector(self.passage)
             self.marks = True
         self.senses = Senses(self.sim)
+        self.strikes = Strikes(plan.strikes, lambda node: self.links[node].pid, self.note, hold=True)
         self.pids = {node: wait_for(node, plan.patience_s) for node in plan.nodes}
+        self.pids.update({node: wait_for(node, plan.patience_s, ask=ask_foreign) for node in plan.foreign})
         self.ports.wait_until_connected()
         for node, link in self.links.items():
             link.connect(self.pids[node], self.counter.take(0))
@@ -92,6 +98,8 @@ class Conductor(Host):
         """One control period: nodes that are killed or come back, the clock, then as in one process."""
         while self.kills and self.kills[0][1] <= now:
             self._kill(self.kills.pop(0)[0])
+        self._watch_foreign()
+        self.strikes.strike(now)
         for node in [node for node, then in self.back_us.items() if then <= now]:
             self._rejoin(node)
         self.senses.publish(now)
@@ -103,6 +111,8 @@ class Conductor(Host):
         """A value on its way to its consumers, unless it is lost with its node or in a gate that is away."""
         if isinstance(state, Publication) and state.is_lost:
             return
+        if state.spec.name == "sensor.depth" and any(link.lost for link in self.foreign.values()):
+            return
         if any(self.links[tap].lost for tap in self.passage.taps(state.spec.name)):
             return
         try:
@@ -110,11 +120,23 @@ class Conductor(Host):
         except NodeLostError:
             return  # on its way
 
+    def flight(self) -> Flight:
+        """What became of it; a strike that is still waiting for its node will not come any more."""
+        self.strikes.finish()
+        self._watch_foreign()
+        return super().flight()
+
     # ---- nodes that die ---------------------------------------------------------------------------------------------
     def _kill(self, node: str) -> None:
         link = self.links[node]
         if not link.lost:
-            self._lost(link, "killed as planned")
+            self._lost(link, PLANNED)
+
+    def _watch_foreign(self) -> None:
+        """Foreign nodes may end at any time; whoever works with them ends them if they hang."""
+        for link in self.foreign.values():
+            if not link.lost and not is_alive(link.pid):
+                self._lost(link, cause(link.pid))
 
     def _lost(self, link: Link, why: str) -> None:
         """A node does not answer, or is to be killed: make sure that it is dead, and expect it back later."""
@@ -134,7 +156,9 @@ class Conductor(Host):
         del self.back_us[node]
         link = self.links[node]
         try:
-            pid = wait_for(node, self.plan.patience_s, not_pid=link.pid)
+            pid = wait_for(node, self.plan.patience_s, link.pid, ask_foreign if node in self.foreign else None)
+            if node in self.foreign:
+                wait_for("point_cloud", self.plan.patience_s)  # it is connected when the nodelet answers it
             self.ports.wait_until_connected()
         except Exception as error:  # noqa: BLE001 (whatever it is, the flight goes on without the node)
             self.note("node_absent", {"node": node, "why": str(error)})

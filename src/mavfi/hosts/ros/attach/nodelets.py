@@ -27,6 +27,19 @@ _PACKAGE = """<package format="2"><name>depth_image_proc</name><version>1.17.0</
 """
 
 
+def require() -> None:
+    """Refuse where it is not installed.
+
+    Raises:
+        BadInputError: One line that says what to do.
+    """
+    for name in (NODELET, _LIBRARY):
+        if not find_file(name).exists():
+            raise BadInputError(
+                f"depth_image_proc: /{name} is missing: install the Debian packages {' and '.join(PACKAGES)}"
+            )
+
+
 def point_cloud_xyz(folder: Path, remappings: Mapping[str, str]) -> tuple[list[str], dict[str, str]]:
     """Command and environment variables that run the nodelet.
 
@@ -37,11 +50,7 @@ def point_cloud_xyz(folder: Path, remappings: Mapping[str, str]) -> tuple[list[s
     Raises:
         BadInputError: It is not installed.
     """
-    for name in (NODELET, _LIBRARY):
-        if not find_file(name).exists():
-            raise BadInputError(
-                f"depth_image_proc: /{name} is missing: install the Debian packages {' and '.join(PACKAGES)}"
-            )
+    require()
     share = folder / "share" / "depth_image_proc"
     share.mkdir(parents=True, exist_ok=True)
     (share / "nodelet_plugins.xml").write_text(_PLUGINS)
