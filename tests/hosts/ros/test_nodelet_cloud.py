@@ -34,7 +34,7 @@ from mavfi.sim.camera import pixel_directions
 from tests.hosts.missions import Scripted, fault
 from tests.hosts.ros.needs import ros
 
-LONGEST_S = 58
+LONGEST_S = 240
 NODE = "point_cloud_xyz"
 CAMERA = CameraConfig()
 BOUND_M = 3e-5
