@@ -58,7 +58,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     check_point("--start", start)
     check_point("--goal", goal)
     _check_files(save, picture)
-    request = _request(fault, _known_localization(localization))
+    request = _request(fault, known_localization(localization))
 
     from mavfi.hosts.compose import make_scenario
 
@@ -105,7 +105,12 @@ def _check_files(save: Path | None, picture: Path | None) -> None:
     check_writable(picture)
 
 
-def _known_localization(name: str) -> str:
+def known_localization(name: str) -> str:
+    """The same name.
+
+    Raises:
+        BadInputError: There is no such localization.
+    """
     if name not in ODOMETRY:
         raise BadInputError(f"--localization: {name!r}: allowed: {', '.join(ODOMETRY)}")
     return name

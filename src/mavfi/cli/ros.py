@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mavfi.cli import ros_attach, ros_strike
+from mavfi.cli import options, ros_attach, ros_strike
 from mavfi.cli.console import JSON_HELP, check_seed, check_writable, console, write_json
-from mavfi.cli.fly import check_company, load_watcher
+from mavfi.cli.fly import check_company, known_localization, load_watcher
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 
@@ -45,6 +45,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     platform: Annotated[
         str, typer.Option(help="Computer whose latencies are charged: a name, or a YAML file.")
     ] = "i9-9940x",
+    localization: options.Localization = "truth",
     fault: Annotated[
         str | None, typer.Option(metavar="SPEC", help=r"null, or state:STATE[.FIELD][[ELEMENT]][:bit=N]\[@SECONDS].")
     ] = None,
@@ -82,7 +83,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
     check_seed("--seed", seed)
     check_company(fault, fault_seed, detector, {"--profile": profile, "--models": models, "--coupling": coupling})
     _check_save(save)
-    request, kills = _request(fault), tuple(ros_strike.instant("--kill", text) for text in kill or ())
+    request = _request(fault, known_localization(localization))
+    kills = tuple(ros_strike.instant("--kill", text) for text in kill or ())
     chosen, cloud = _coupling(coupling), ros_strike.cloud_node(point_cloud_node)
     strikes = ros_strike.strikes(strike, strike_registers, strike_seed)
 
@@ -94,7 +96,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     from mavfi.hosts.ros.plan import Plan
     from mavfi.hosts.ros.session import configure
 
-    scenario = make_scenario(environment, seed, stack=stack, platform=platform)
+    scenario = make_scenario(environment, seed, stack=stack, platform=platform, localization=localization)
     watching, told = load_watcher(detector, profile, models, scenario)
     drawn = _draw(scenario, request, fault_seed or 0)
     plan = Plan(
@@ -118,12 +120,12 @@ def _check_save(path: Path | None) -> None:
     check_writable(path)
 
 
-def _request(text: str | None) -> FaultRequest | None:
+def _request(text: str | None, localization: str) -> FaultRequest | None:
     if text is None:
         return None
     from mavfi.faults.spec import FaultRequest, parse
 
-    request = parse(text)
+    request = parse(text, localization)
     if not isinstance(request, FaultRequest):
         raise BadInputError(f"--fault: {text!r}: on ROS faults strike states: null, or state:STATE...")
     return request

@@ -2,7 +2,8 @@
 
 A value has been seen by its consumers when the alarm comes.  So a recomputation takes the memory of the kernel back to
 before the step that was complained about, and the next step gives the value that replaces it: at the next control
-period for planning and control, with the next image's turn for perception.
+period for planning and control, with the next image's turn for perception, with the next sample of the IMU for the
+state estimator.
 """
 
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from mavfi.hosts.inprocess import Flight, Host, Redo, stage_of
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.kernel import Kernel
-from mavfi.platforms.compute import STAGE_KERNELS, stage_latency
+from mavfi.platforms.compute import STAGE_KERNELS, redo_latency, stage_latency
 from mavfi.states import Stage, State
 
 _ON_DEMAND = ("planner", "trajectory")
@@ -64,7 +65,8 @@ class ObservedHost(Host):
             self.requests["waypoint"] = _Request(alarm, Stage.CONTROL)
         elif spec.writer in self.kernels and stage is spec.stage:
             self.redo[spec.name] = Redo(state, len(self.alarms) - 1)
-            self.requests["point_cloud" if stage is Stage.PERCEPTION else spec.writer] = _Request(alarm, stage)
+            again = "point_cloud" if spec.writer in STAGE_KERNELS[Stage.PERCEPTION] else spec.writer
+            self.requests[again] = _Request(alarm, stage)
         else:
             record["outcome"] = "accepted"
             if stage is Stage.CONTROL:
@@ -94,11 +96,12 @@ class ObservedHost(Host):
 
     def start(self, kernel: Kernel, now: int, extra_us: int | None = None) -> None:
         """Run a kernel, from the memory that it had before if that was asked for."""
-        request = None if kernel.stage is Stage.PERCEPTION else self.requests.pop(kernel.name, None)
+        scanning = kernel.name in STAGE_KERNELS[Stage.PERCEPTION]  # asked for at the next image, see `capture`
+        request = None if scanning else self.requests.pop(kernel.name, None)
         if request is None:
             super().start(kernel, now, extra_us)
             return
-        charged = stage_latency(self.scenario.platform, request.stage)
+        charged = redo_latency(self.scenario.platform, kernel.name, request.stage)
         self.recompute_us[request.stage.value] += charged
         waypoint: Any = kernel
         if request.alarm.stop or request.alarm.abandon_waypoint:

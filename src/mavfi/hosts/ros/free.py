@@ -50,7 +50,7 @@ class FreeWorld(Host):
                 ports.read(name, way.final, lambda state, number, time_us: self._came.put(state))
         if plan.detector is not None:
             ports.listen(ALARM, "Verdict", self._came.put)
-        self._senses = Senses(self.sim)
+        self._senses = Senses(self.sim, self.sensors.estimating)
         self.pids = {node: wait_for(node, plan.patience_s) for node in plan.nodes}
         self.pids.update({node: wait_for(node, plan.patience_s, ask=ask_foreign) for node in plan.foreign})
         self._strikes = Strikes(plan.strikes, lambda node: self.pids[node], self._note, hold=False)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.ppc import PERIODIC
-from mavfi.states import STATES, Stage
+from mavfi.states import ODOMETRY, STATES, Stage
 
 WORLD, INJECTOR, DETECTOR = "world", "injector", "detector"
 NODELET = "point_cloud_xyz"
@@ -21,8 +21,10 @@ VERDICT, ALARM = f"{PREFIX}/verdict", f"{PREFIX}/alarm"
 RECOMPUTE, INJECTION = f"{PREFIX}/recompute", f"{PREFIX}/injection"
 JUDGED_BY_WORLD = (
     "control.command", "planning.waypoint", "planning.path", "planning.trajectory", "perception.collision_status",
+    ODOMETRY["estimator"],
 )  # fmt: skip
-"""What the world looks into beside what it publishes: it obeys commands, and writes down what happened."""
+"""What the world looks into beside what it publishes: it obeys commands, stamps images with the estimated pose, and
+writes down what happened."""
 
 
 @dataclass(frozen=True, slots=True)

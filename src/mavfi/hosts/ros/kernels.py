@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mavfi.hosts.compose import CONTROL_PERIOD_US
 from mavfi.hosts.ros.ending import fatal
 from mavfi.hosts.ros.generate import message_type
 from mavfi.hosts.ros.graph import RECOMPUTE
@@ -19,7 +20,7 @@ from mavfi.hosts.ros.ports import Ports
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.ppc import PERIODIC, build_pipeline
 from mavfi.platforms.compute import latency
-from mavfi.states import Stage, State
+from mavfi.states import State
 
 _SCAN_INPUT = {
     "point_cloud": "sensor.depth", "octomap": "perception.point_cloud", "collision_check": "perception.map_update",
@@ -182,11 +183,15 @@ class FreeNode(KernelNode):
             if self._marks and state.spec.name == _SCAN_INPUT.get(kernel.name):
                 kernel.mark()
             due = kernel.receive(state, now)
-            if due if kernel.name not in PERIODIC else state.spec.name == "sensor.odometry":
+            if due if kernel.name not in PERIODIC else self._begins_period(state, now):
                 self._step(kernel, now)
 
+    def _begins_period(self, state: State, now: int) -> bool:
+        """Whether a value says that a control period begins: a position that is known then, not between."""
+        return state.spec.name == self.ports.plan.config.odometry and now % CONTROL_PERIOD_US == 0
+
     def _step(self, kernel: Kernel, now: int) -> None:
-        if self._marks and kernel.stage is not Stage.PERCEPTION:
+        if self._marks and kernel.name not in _SCAN_INPUT:
             kernel.mark()
         self._publish(kernel, lambda: kernel.step(now), now)
 
@@ -203,7 +208,7 @@ class FreeNode(KernelNode):
     def _recompute(self, request: Any, now: int) -> None:
         """A detector's request, if it is for one of these kernels."""
         for kernel in self.kernels.values():
-            if kernel.stage is Stage.PERCEPTION and request.stage == kernel.stage:
+            if kernel.name in _SCAN_INPUT and request.kernel in _SCAN_INPUT:
                 kernel.rollback()
                 if kernel.name == request.kernel:
                     self._step(kernel, now)

@@ -227,11 +227,26 @@ def _command(message: Any, state: State, camera: CameraConfig) -> None:
     message.twist.angular.z = float(values[3])
 
 
+def _imu(message: Any, state: State, camera: CameraConfig) -> None:
+    del camera
+    _measured(message, floats(state.header, 6))
+
+
+def _measured(message: Any, values: np.ndarray) -> None:
+    """Specific force and rates; orientation is not measured."""
+    message.orientation_covariance[0] = -1.0
+    _xyz(message.linear_acceleration, values[:3])
+    _xyz(message.angular_velocity, values[3:])
+
+
 STANDARDS = (
     Standard("sensor.depth", "/camera/depth/image_rect", "sensor_msgs/Image", OPTICAL, _image),
     Standard("sensor.depth", "/camera/depth/camera_info", "sensor_msgs/CameraInfo", OPTICAL, _camera_info),
     Standard("sensor.odometry", "/odometry", "nav_msgs/Odometry", MAP, _odometry),
     Standard("sensor.odometry", "/tf", "tf2_msgs/TFMessage", MAP, _transform),
+    Standard("perception.odometry", "/odometry", "nav_msgs/Odometry", MAP, _odometry),
+    Standard("perception.odometry", "/tf", "tf2_msgs/TFMessage", MAP, _transform),
+    Standard("sensor.imu", "/imu/data", "sensor_msgs/Imu", VEHICLE, _imu),
     Standard("perception.point_cloud", "/points", "sensor_msgs/PointCloud2", MAP, _point_cloud),
     Standard("planning.path", "/path", "nav_msgs/Path", MAP, _path),
     Standard(
@@ -240,7 +255,7 @@ STANDARDS = (
     Standard("planning.waypoint", "/reference", "trajectory_msgs/MultiDOFJointTrajectory", MAP, _waypoint),
     Standard("control.command", "/command", "geometry_msgs/TwistStamped", MAP, _command),
 )  # fmt: skip
-"""Every mirror of a state; the world publishes `/clock`, `/imu/data` and `/tf_static` beside them."""
+"""Every mirror of a state; the world publishes `/clock`, `/tf_static` and, unless it is a state, `/imu/data`."""
 
 
 def camera_transform() -> Any:
@@ -263,7 +278,5 @@ def imu_message(values: np.ndarray, time_us: int) -> Any:
     message = ros_type("sensor_msgs/Imu")()
     to_stamp(message.header.stamp, time_us)
     message.header.frame_id = VEHICLE
-    message.orientation_covariance[0] = -1.0
-    _xyz(message.linear_acceleration, values[:3])
-    _xyz(message.angular_velocity, values[3:])
+    _measured(message, values)
     return message

@@ -12,15 +12,17 @@ CLOCK, IMU, STATIC = "/clock", "/imu/data", "/tf_static"
 class Senses:
     """Publishes at each control period."""
 
-    def __init__(self, sim: Simulator) -> None:
+    def __init__(self, sim: Simulator, estimating: bool) -> None:
         """Advertise.
 
         Args:
             sim: What is measured.
+            estimating: Whether the IMU is one of the loop's sensors: each sample of it is then drawn by the loop alone,
+                and published as the mirror of `sensor.imu`.
         """
         self._sim = sim
         self._clock = _publisher(CLOCK, "rosgraph_msgs/Clock")
-        self._imu = _publisher(IMU, "sensor_msgs/Imu")
+        self._imu = None if estimating else _publisher(IMU, "sensor_msgs/Imu")
         self._static = _publisher(STATIC, "tf2_msgs/TFMessage", latch=True)
         self._static.publish(camera_transform())
         self._kind = ros_type("rosgraph_msgs/Clock")
@@ -30,7 +32,7 @@ class Senses:
         clock = self._kind()
         to_stamp(clock.clock, time_us)
         self._clock.publish(clock)
-        if self._imu.get_num_connections() > 0:
+        if self._imu is not None and self._imu.get_num_connections() > 0:
             self._imu.publish(imu_message(self._sim.imu(), time_us))
 
 

@@ -80,7 +80,8 @@ def asked(alarm: Alarm, spec: StateSpec) -> str:
     if alarm.stop or alarm.abandon_waypoint:
         return "waypoint"
     if withholds(alarm, spec)[0]:
-        return STAGE_KERNELS[Stage.PERCEPTION][0] if spec.stage is Stage.PERCEPTION else spec.writer
+        scanning = STAGE_KERNELS[Stage.PERCEPTION]
+        return scanning[0] if spec.writer in scanning else spec.writer
     return "pid" if alarm.stage == Stage.CONTROL else ""
 
 

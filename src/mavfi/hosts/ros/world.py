@@ -77,7 +77,7 @@ class Conductor(Host):
         if plan.detector is not None:
             self.detector = LockStepDetector(self.passage)
             self.marks = True
-        self.senses = Senses(self.sim)
+        self.senses = Senses(self.sim, self.sensors.estimating)
         self.strikes = Strikes(plan.strikes, lambda node: self.links[node].pid, self.note, hold=True)
         self.pids = {node: wait_for(node, plan.patience_s) for node in plan.nodes}
         self.pids.update({node: wait_for(node, plan.patience_s, ask=ask_foreign) for node in plan.foreign})
