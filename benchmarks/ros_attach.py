@@ -15,6 +15,7 @@ from pathlib import Path
 
 from mavfi.campaign.config import load_any
 from mavfi.faults.register import RegisterInjection, Request, inject
+from mavfi.faults.register.request import DEFAULT_WALK
 from mavfi.hosts.ros.attach.bench import MASTER_URI, Bench
 from mavfi.hosts.ros.attach.message import Composer
 from mavfi.hosts.ros.attach.station import Outlet
@@ -54,9 +55,11 @@ def latencies(outlet: Outlet, message: bytes, reader: subprocess.Popen) -> list[
 
 
 def show(name: str, values: Sequence[float]) -> None:
-    """Median and 99 % quantile."""
+    """Median, quantiles and maximum."""
     ordered = sorted(values)
-    print(f"{name:32} p50 {statistics.median(ordered):7.0f} us   p99 {ordered[int(0.99 * len(ordered))]:7.0f} us")
+    p95, p99 = (ordered[int(share * len(ordered))] for share in (0.95, 0.99))
+    median = statistics.median(ordered)
+    print(f"{name:32} p50 {median:7.0f} us   p95 {p95:7.0f} us   p99 {p99:7.0f} us   max {ordered[-1]:7.0f} us")
 
 
 def wait_for(condition: Callable[[], object]) -> None:
@@ -97,7 +100,7 @@ def measure_stops(bench: Bench) -> None:
     composer = Composer(campaign.inputs.type)
     outlet = bench.station().advertise(campaign.inputs.topic, composer.header)
     message = composer.pack(campaign.inputs.messages[0])
-    for walk in (1, 64):
+    for walk in (1, DEFAULT_WALK):
         request = Request(process.pid, symbol="SubscriptionQueue4call", walk=walk, null=True, timeout=20.0)
         done: list[RegisterInjection] = []
         striking = threading.Thread(target=inject, args=(request, STRIKES, 0.0, done.append))

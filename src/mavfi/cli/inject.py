@@ -8,6 +8,7 @@ import typer
 
 from mavfi.cli.console import JSON_HELP, check_seed, console, write_json
 from mavfi.errors import BadInputError
+from mavfi.faults.register.request import DEFAULT_WALK
 
 if TYPE_CHECKING:
     from mavfi.faults.register import RegisterInjection
@@ -28,7 +29,7 @@ def inject(  # noqa: PLR0913 - one parameter per option
     thread: Annotated[int, typer.Option(help="Its number; 0 = the busiest, or whichever calls the symbol.")] = 0,
     walk: Annotated[
         int, typer.Option(help="From the stop on, fewer than this many instructions are executed before the strike.")
-    ] = 64,
+    ] = DEFAULT_WALK,
     count: Annotated[int, typer.Option(help="How many strikes.")] = 1,
     interval: Annotated[float, typer.Option(help="Between two strikes, s.")] = 0.0,
     timeout: Annotated[float, typer.Option(help="Longest wait for a strike, s.")] = 10.0,

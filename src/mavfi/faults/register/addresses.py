@@ -61,9 +61,9 @@ class _Symbols:
         return None
 
 
-def _mappings(pid: int) -> list[_Mapping]:
+def _mappings(text: str) -> list[_Mapping]:
     found = []
-    for line in Path(f"/proc/{pid}/maps").read_text().splitlines():
+    for line in text.splitlines():
         columns = line.split(None, 5)
         start, end = (int(text, 16) for text in columns[0].split("-"))
         name = columns[5] if len(columns) > 5 else "[anon]"
@@ -99,16 +99,34 @@ def _symbols(path: str, identity: tuple[int, int]) -> _Symbols:
 
 
 class AddressSpace:
-    """The target's memory map, as it is now."""
+    """The target's memory map as it was when it was last read; it can be asked when the target has ended."""
 
     def __init__(self, pid: int) -> None:
+        """Read the map; `close` it in the end.
+
+        Args:
+            pid: The target.
+
+        Raises:
+            OSError: It has ended, or may not be looked into.
+        """
         self._pid = pid
-        self._mappings = _mappings(pid)
+        self._root = os.open(f"/proc/{pid}/root", os.O_PATH | os.O_DIRECTORY)
+        self.read()
+
+    def read(self) -> None:
+        """Read the map anew: text alone, which takes some 0.1 ms; what it says is found out when it is asked."""
+        self._text = Path(f"/proc/{self._pid}/maps").read_text()
+
+    def close(self) -> None:
+        """Let go of the target's files."""
+        os.close(self._root)
 
     def _symbols_of(self, mapping: _Mapping) -> _Symbols | None:
         if not mapping.name.startswith("/"):
             return None
-        path = f"/proc/{self._pid}/root{mapping.name}"  # as the target sees it, which may live in a container
+        # as the target sees it, which may live in a container
+        path = f"/proc/self/fd/{self._root}{mapping.name}"
         try:
             held = os.stat(path)
         except OSError:
@@ -117,7 +135,7 @@ class AddressSpace:
 
     def place(self, address: int) -> Place:
         """Where an address lies."""
-        for mapping in self._mappings:
+        for mapping in _mappings(self._text):
             if not mapping.start <= address < mapping.end:
                 continue
             offset = address - mapping.start + mapping.offset
@@ -148,7 +166,7 @@ class AddressSpace:
 
     def _matches(self, text: str) -> Iterator[tuple[int, str]]:
         """Functions whose names hold a text: where they are loaded, and their names without a version."""
-        for mapping in self._mappings:
+        for mapping in _mappings(self._text):
             symbols = self._symbols_of(mapping) if mapping.executable else None
             if symbols is None:
                 continue

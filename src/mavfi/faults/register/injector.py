@@ -10,12 +10,12 @@ import random
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.register.addresses import AddressSpace
-from mavfi.faults.register.ptrace import WAIT_ALL, TargetGoneError, Tracee, TracerTimeoutError
-from mavfi.faults.register.registers import Instruction, Register, decode, flip, value_of
+from mavfi.faults.register.ptrace import WAIT_ALL, TargetGoneError, Tracee, TracerTimeoutError, await_news
+from mavfi.faults.register.registers import Instruction, Register, decode, enters_kernel, flip, value_of
 from mavfi.faults.register.request import RegisterInjection, Request
 from mavfi.faults.register.target import check_target, choose_thread, not_permitted, threads_of
 
@@ -24,38 +24,62 @@ _REACH = 40
 _PAUSES = (2e-4, 5e-3)
 """Shortest and longest time between two attempts (s)."""
 _STEP_LIMIT = 2.0
-_NAP = 2e-4
+_NAP = 1e-3
 _LONGEST_INSTRUCTION = 15
 _SIGN = 1 << 63
 
 
 @dataclass(slots=True)
 class _Attempt:
-    """The target as it stands."""
+    """The target as it stands.
+
+    Attributes:
+        tracee: The thread.
+        memory: File of the target's memory.
+        since: When it was seen to stand still (s).
+        walked: Instructions executed one by one.
+        done: What was struck.
+        stopped: How long it stood still, once it has been let go (s).
+    """
 
     tracee: Tracee
     memory: int
+    since: float
     walked: int = 0
-    stopped: float = field(default_factory=time.perf_counter)
+    done: "_Done | None" = None
+    stopped: float = 0.0
 
     def in_system_call(self) -> bool:
         """Whether the thread was stopped on its way through the kernel: its registers then belong to the call."""
-        return self.tracee.general()["orig_rax"] < _SIGN
+        return self.tracee.system_call() < _SIGN
 
     def here(self) -> tuple[int, Instruction | None]:
         """Address of the next instruction, and the instruction."""
-        address = self.tracee.general()["rip"]
+        address = self.tracee.instruction_pointer()
         return address, decode(os.pread(self.memory, _LONGEST_INSTRUCTION, address), address)
 
     def walk(self, count: int) -> bool:
         """Execute instructions one by one; False where one would enter the kernel, which may block."""
         for _ in range(count):
-            _, instruction = self.here()
-            if instruction is None or instruction.enters_kernel:
+            code = os.pread(self.memory, _LONGEST_INSTRUCTION, self.tracee.instruction_pointer())
+            if enters_kernel(code):
                 return False
             self.tracee.step(_STEP_LIMIT)
             self.walked += 1
         return True
+
+
+@dataclass(frozen=True, slots=True)
+class _Done:
+    """A strike, before it is known where its address lies."""
+
+    address: int
+    instruction: Instruction
+    access: str
+    register: Register
+    bit: int
+    before: int
+    after: int
 
 
 def strike(request: Request, number: int, tool: int, cancelled: Callable[[], bool] = bool) -> RegisterInjection:
@@ -78,13 +102,19 @@ def strike(request: Request, number: int, tool: int, cancelled: Callable[[], boo
     choices = random.Random(f"{request.seed}/{number}")
     deadline = time.monotonic() + request.timeout
     attempts = 0
+    _warm_up()
     try:
         while True:
             attempts += 1
-            with _stopped(request, choices, deadline, cancelled) as attempt:
-                done = _try(request, choices, attempt, attempts)
-            if done is not None:
-                return done
+            with ExitStack() as after:
+                space = AddressSpace(request.pid)
+                after.callback(space.close)
+                with _stopped(request, space, choices, deadline, cancelled) as attempt:
+                    attempt.done = _try(request, choices, attempt)
+                    if attempt.done is not None:
+                        space.read()
+                if attempt.done is not None:
+                    return _record(request, attempt, attempts, space)
             if time.monotonic() > deadline or cancelled():
                 raise TracerTimeoutError(
                     f"pid {request.pid}: within {request.timeout:g} s and {attempts} stops it was never at an "
@@ -95,11 +125,16 @@ def strike(request: Request, number: int, tool: int, cancelled: Callable[[], boo
         raise MavfiError(f"pid {request.pid}: {error} before it was struck") from None
     except PermissionError:
         raise BadInputError(f"pid {request.pid}: may not be traced ({not_permitted()})") from None
-    except (ProcessLookupError, ChildProcessError):
+    except (ProcessLookupError, ChildProcessError, FileNotFoundError):
         raise MavfiError(f"pid {request.pid}: ended before it was struck") from None
 
 
-def _try(request: Request, choices: random.Random, attempt: _Attempt, attempts: int) -> RegisterInjection | None:
+def _warm_up() -> None:
+    """Build the decoder while the target still runs."""
+    decode(b"\x90", 0)
+
+
+def _try(request: Request, choices: random.Random, attempt: _Attempt) -> _Done | None:
     """Walk, and strike the first instruction that qualifies; None if there is none."""
     if attempt.in_system_call() or not attempt.walk(choices.randrange(request.walk)):
         return None
@@ -112,7 +147,7 @@ def _try(request: Request, choices: random.Random, attempt: _Attempt, attempts: 
         if registers and not (instruction.enters_kernel and access == "write"):
             register = choices.choice(registers)
             bit = choices.choice(register.bits)
-            return _flip(request, attempt, attempts, address, instruction, access, register, bit)
+            return _flip(request, attempt.tracee, address, instruction, access, register, bit)
         if not attempt.walk(1):
             return None
     return None
@@ -124,46 +159,56 @@ def _qualifying(instruction: Instruction, access: str, wanted: str) -> list[Regi
 
 
 def _flip(  # noqa: PLR0913 - all that is known of the strike
-    request: Request, attempt: _Attempt, attempts: int, address: int, instruction: Instruction, access: str,
-    register: Register, bit: int,
-) -> RegisterInjection:  # fmt: skip
-    tracee = attempt.tracee
+    request: Request, tracee: Tracee, address: int, instruction: Instruction, access: str, register: Register, bit: int,
+) -> _Done:  # fmt: skip
     if access == "write":
         tracee.step(_STEP_LIMIT)
     before = value_of(tracee, register)
     if not request.null:
         flip(tracee, register, bit)
-    after = value_of(tracee, register)
-    stopped = time.perf_counter() - attempt.stopped
-    place = AddressSpace(request.pid).place(address)
+    return _Done(address, instruction, access, register, bit, before, value_of(tracee, register))
+
+
+def _record(request: Request, attempt: _Attempt, attempts: int, space: AddressSpace) -> RegisterInjection:
+    """All that is known of a strike; the target runs again."""
+    done = attempt.done
+    assert done is not None
+    place = space.place(done.address)
     return RegisterInjection(
-        request.pid, tracee.thread, address, place.library, place.offset, place.symbol, instruction.text, access,
-        register.name, register.width, bit, before, after, attempts, attempt.walked, round(1e6 * stopped),
-        after == before ^ (0 if request.null else 1 << bit),
+        request.pid, attempt.tracee.thread, done.address, place.library, place.offset, place.symbol,
+        done.instruction.text, done.access, done.register.name, done.register.width, done.bit, done.before, done.after,
+        attempts, attempt.walked, round(1e6 * attempt.stopped),
+        done.after == done.before ^ (0 if request.null else 1 << done.bit),
     )  # fmt: skip
 
 
 @contextmanager
 def _stopped(
-    request: Request, choices: random.Random, deadline: float, cancelled: Callable[[], bool]
+    request: Request, space: AddressSpace, choices: random.Random, deadline: float, cancelled: Callable[[], bool]
 ) -> Iterator[_Attempt]:
     """The thread that is to be struck, standing still; it is let go in any case."""
     with ExitStack() as cleanup:
         memory = os.open(f"/proc/{request.pid}/mem", os.O_RDONLY)
         cleanup.callback(os.close, memory)
         if request.symbol:
-            tracee = _stop_at(request, deadline, cancelled, cleanup)
+            tracee, since = _stop_at(request, space, deadline, cancelled, cleanup)
         else:
             tracee = Tracee(choose_thread(request.pid, request.thread), cancelled=cancelled)
             cleanup.callback(tracee.detach)
             time.sleep(choices.uniform(*_PAUSES))
+            since = time.perf_counter()
             tracee.interrupt(_STEP_LIMIT)
-        yield _Attempt(tracee, memory)
+        attempt = _Attempt(tracee, memory, since)
+        yield attempt
+        tracee.detach()
+        attempt.stopped = time.perf_counter() - since
 
 
-def _stop_at(request: Request, deadline: float, cancelled: Callable[[], bool], cleanup: ExitStack) -> Tracee:
-    """Stop the first thread that calls the function; the others are let go again."""
-    address = AddressSpace(request.pid).find(request.symbol)
+def _stop_at(
+    request: Request, space: AddressSpace, deadline: float, cancelled: Callable[[], bool], cleanup: ExitStack
+) -> tuple[Tracee, float]:
+    """Stop the first thread that calls the function, since when it stands; the others are let go again."""
+    address = space.find(request.symbol)
     held: dict[int, Tracee] = {}
 
     def let_go() -> None:
@@ -179,12 +224,13 @@ def _stop_at(request: Request, deadline: float, cancelled: Callable[[], bool], c
         held[thread].set_breakpoint(address)
         held[thread].resume()
     arrived = _first_at(address, held, request, deadline, cancelled)
+    since = time.perf_counter()
     arrived.clear_breakpoint()
     del held[arrived.thread]
     cleanup.callback(arrived.detach)
     let_go()
     held.clear()
-    return arrived
+    return arrived, since
 
 
 def _first_at(
@@ -198,7 +244,7 @@ def _first_at(
                 raise TracerTimeoutError(
                     f"pid {request.pid}: did not call {request.symbol!r} within {request.timeout:g} s"
                 )
-            time.sleep(_NAP)
+            await_news(_NAP)
             continue
         new = thread not in held
         if new:  # made by one that is watched
@@ -211,7 +257,7 @@ def _first_at(
             continue
         if new:
             tracee.set_breakpoint(address)
-        elif not stop.signal and not stop.interrupted and tracee.general()["rip"] == address:
+        elif not stop.signal and not stop.interrupted and tracee.instruction_pointer() == address:
             return tracee
         tracee.resume(stop.signal)
     raise TargetGoneError("the target ended")

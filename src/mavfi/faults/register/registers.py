@@ -94,6 +94,24 @@ class Instruction:
     writes: tuple[Register, ...]
 
 
+_PREFIXES = frozenset(b"\x66\x67\xf0\xf2\xf3\x2e\x36\x3e\x26\x64\x65") | frozenset(range(0x40, 0x50))
+_TWO_BYTES, _SYSCALL, _SYSENTER, _INT = 0x0F, 0x05, 0x34, 0xCD
+
+
+@lru_cache(maxsize=4096)
+def enters_kernel(code: bytes) -> bool:
+    """Whether an instruction is a system call, as `Instruction.enters_kernel`, without decoding it (Intel SDM, vol. 2).
+
+    Args:
+        code: Its bytes; more may follow.
+    """
+    place = 0
+    while place < len(code) and code[place] in _PREFIXES:
+        place += 1
+    opcode = code[place : place + 2]
+    return opcode[:1] == bytes([_INT]) or opcode in (bytes([_TWO_BYTES, _SYSCALL]), bytes([_TWO_BYTES, _SYSENTER]))
+
+
 @lru_cache(maxsize=4096)
 def decode(code: bytes, address: int) -> Instruction | None:
     """Decode what stands at an address.

@@ -7,6 +7,8 @@ from mavfi.errors import BadInputError
 
 REGISTERS = ("all", "general", "fp")
 ACCESSES = ("either", "read", "write")
+DEFAULT_WALK = 32
+"""Longer than the loops at whose few instructions stops come, and stepped through within a millisecond."""
 LONGEST_WALK = 100_000
 LONGEST_TIMEOUT = 3600.0
 
@@ -36,7 +38,7 @@ class Request:
     access: str = "either"
     symbol: str = ""
     thread: int = 0
-    walk: int = 64
+    walk: int = DEFAULT_WALK
     timeout: float = 10.0
     null: bool = False
 

@@ -49,6 +49,7 @@ def main() -> None:
     """Read one order from stdin, write answers to stdout."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE):
         signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD})  # so that it can be waited for, see `await_news`
     line = b""
     while not line.endswith(b"\n"):  # not through a buffer: what follows is the end of the file, which is waited for
         byte = os.read(sys.stdin.fileno(), 1)

@@ -1,0 +1,64 @@
+"""Measures for how long `mavfi inject` makes a target stand still, by length of walk; `--write` puts it on the page.
+
+The target is a Python program that computes without system calls; ROS is not needed.  Nothing is flipped: a null strike
+does everything else.  Run as `.venv/bin/python -m benchmarks.register_stop [--strikes 300] [--write]`.
+"""
+
+import argparse
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from docs.build_pages import between
+from mavfi.faults.register import Request, inject
+from mavfi.faults.register.request import DEFAULT_WALK
+
+PAGE = Path(__file__).parents[1] / "docs" / "ros-attach.md"
+TARGET = "import math\nprint(flush=True)\nx = 0.0\nwhile True:\n    x = math.sin(x) + 1.0"
+WALKS = (1, DEFAULT_WALK)
+REGISTERS = ("general", "fp")
+
+
+def stops(pid: int, registers: str, walk: int, count: int) -> np.ndarray:
+    """How long the target stood still for each strike (ms). Shape (count,)."""
+    strikes = inject(Request(pid, registers=registers, walk=walk, null=True, timeout=30.0), count)
+    return 1e-3 * np.array([strike.stopped_us for strike in strikes])
+
+
+def measure(count: int) -> str:
+    """The table: median, 95 % quantile and maximum."""
+    lines = ["| registers | `--walk` | p50 (ms) | p95 (ms) | max (ms) |", "|---|---|---|---|---|"]
+    with subprocess.Popen([sys.executable, "-c", TARGET], stdout=subprocess.PIPE) as target:
+        try:
+            assert target.stdout is not None
+            target.stdout.readline()
+            for registers in REGISTERS:
+                for walk in WALKS:
+                    found = stops(target.pid, registers, walk, count)
+                    told = " | ".join(f"{value:.2f}" for value in (*np.quantile(found, (0.5, 0.95)), found.max()))
+                    lines.append(f"| {registers} | {walk} | {told} |")
+        finally:
+            target.kill()
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--strikes", type=int, default=300, help="for each row")
+    parser.add_argument("--write", action="store_true", help="put the table into docs/ros-attach.md")
+    given = parser.parse_args()
+    busy = os.getloadavg()[0]
+    where = f"{given.strikes} strikes each; {os.cpu_count()} cores, load {busy:.1f}, Linux {platform.release()}"
+    block = f"{measure(given.strikes)}\n\n{where}."
+    print(block)
+    if given.write:
+        PAGE.write_text(between(PAGE.read_text(encoding="utf-8"), "stop", block), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
