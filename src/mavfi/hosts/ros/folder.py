@@ -10,7 +10,7 @@ from mavfi.hosts.ros import finder
 
 FOLDER_VARIABLE = "MAVFI_ROS_FLIGHT"
 """Environment variable: folder of the flight that a node belongs to."""
-MESSAGES, LOG, JOIN, PID = "messages", "log", "join", "pid"
+MESSAGES, DEFINITIONS, LOG, JOIN, PID = "messages", "definitions", "log", "join", "pid"
 FLIGHT, FAILURE, TIMES, STRIKES = "flight.npz", "failure.txt", "times.json", "strikes.json"
 LAUNCH_FILE = "flight.launch"
 _PORT_VARIABLE, _USUAL_PORT = "MAVFI_ROS_PORT", "11311"
@@ -64,7 +64,7 @@ def environment(folder: Path) -> dict[str, str]:
     return {
         **os.environ, **given,
         "PYTHONPATH": os.pathsep.join(paths),
-        "ROS_PACKAGE_PATH": f"{folder}:{folder / MESSAGES}:{given['ROS_PACKAGE_PATH']}",
+        "ROS_PACKAGE_PATH": f"{folder}:{folder / MESSAGES}:{folder / DEFINITIONS}:{given['ROS_PACKAGE_PATH']}",
         "ROS_MASTER_URI": f"http://127.0.0.1:{master_port()}", "ROS_IP": "127.0.0.1",
         "ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder / LOG), FOLDER_VARIABLE: str(folder),
         "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1",

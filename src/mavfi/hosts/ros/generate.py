@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mavfi.errors import MavfiError
-from mavfi.hosts.ros import definitions
+from mavfi.hosts.ros import definitions, finder
 from mavfi.hosts.ros.finder import find_file
 from mavfi.states import STATES
 
@@ -34,6 +34,23 @@ def generate(folder: Path) -> None:
     search[definitions.PACKAGE] = [str(sources / "msg")]
     _generate(definitions.PACKAGE, sources, sources, search)
     _generate("nav_msgs", find_file("usr/share/nav_msgs"), folder / "nav_msgs", search)
+
+
+def name_definitions(folder: Path) -> None:
+    """Give Debian's message packages the `package.xml` by which rosmsg finds them; it is in their development packages.
+
+    Args:
+        folder: Where; gets one folder for each package, with links to its definitions.
+    """
+    for root in reversed(finder.roots()):
+        for place in sorted((root / "usr/share").glob("*/msg")):
+            if not (place.parent / "package.xml").exists():
+                package = folder / place.parent.name
+                package.mkdir(parents=True, exist_ok=True)
+                (package / "package.xml").write_text(_package_xml(package.name))
+                for kind in ("msg", "srv"):
+                    (package / kind).unlink(missing_ok=True)
+                    (package / kind).symlink_to(place.parent / kind)
 
 
 def _package_xml(name: str) -> str:

@@ -19,6 +19,7 @@ from mavfi.hosts.inprocess import Flight
 from mavfi.hosts.ros import finder
 from mavfi.hosts.ros.attach import nodelets
 from mavfi.hosts.ros.folder import (
+    DEFINITIONS,
     FAILURE,
     FLIGHT,
     FOLDER_VARIABLE,
@@ -30,7 +31,7 @@ from mavfi.hosts.ros.folder import (
     own_path,
     write_join,
 )
-from mavfi.hosts.ros.generate import generate
+from mavfi.hosts.ros.generate import generate, name_definitions
 from mavfi.hosts.ros.launch import write_package
 from mavfi.hosts.ros.plan import Plan
 from mavfi.mission import Scenario
@@ -123,6 +124,7 @@ def _prepare(plan: Plan, folder: Path, command: list[str]) -> None:
     """Everything that the flight needs, in its folder."""
     finder.enable(folder / MESSAGES)
     generate(folder / MESSAGES)
+    name_definitions(folder / DEFINITIONS)
     plan.save(folder)
     write_package(plan, folder)
     (folder / LOG).mkdir()
