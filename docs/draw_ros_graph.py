@@ -8,6 +8,7 @@ import json
 import signal
 import sys
 import threading
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from subprocess import DEVNULL, PIPE, Popen, run
@@ -20,7 +21,7 @@ from matplotlib.path import Path as Line
 from docs import drawing
 from docs.build_pages import between
 from mavfi.detectors import load_detector
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.spec import FaultRequest, parse
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.ros import finder
@@ -32,6 +33,7 @@ from mavfi.reports import style
 DOCS = Path(__file__).parent
 FAULT = "state:planning.waypoint.x:bit=40@20"
 REPORTS = 2
+PATIENCE_S = 120.0
 SHOWN = (
     ("rosnode", "list"),
     ("rostopic", "hz", "/mavfi/sensor/depth"),
@@ -112,15 +114,21 @@ def watch_flight() -> Seen:
         looking.append(threading.Thread(target=wait_and_look, args=(folder, seen)))
         looking[0].start()
 
-    fly(plan, tell=begin)
+    flown = fly(plan, tell=begin)
     looking[0].join()
+    if set(SHOWN) > set(seen.told) or not seen.publishers:
+        raise MavfiError(f"the flight was over ({flown.flight.log.status.label}) before all had been looked at")
     return seen
 
 
 def wait_and_look(folder: Path, seen: Seen) -> None:
-    """Look as soon as the vehicle flies."""
-    ready = [str(folder / JOIN), "timeout", "120", "rostopic", "echo", "-n", "1"]
-    run([*ready, "/mavfi/control/command"], capture_output=True, check=False)
+    """Look as soon as every node is there."""
+    until = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until:
+        listed = run([str(folder / JOIN), "rosnode", "list"], capture_output=True, text=True, check=False).stdout
+        if {f"/{node}" for node in NODES} <= set(listed.split()):
+            break
+        time.sleep(0.5)
     look(folder, seen)
 
 
@@ -181,7 +189,7 @@ def arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float], colo
 
 
 def draw_lane(axes: Axes, seen: Seen, topic: str, y: float, start: float) -> tuple[float, float]:
-    """The way of one state from its kernel, whose node stands at the height `start`; gives where its last topic ends."""
+    """The way of a state from its kernel, whose node stands at the height `start`; gives where that ends."""
     colour = COLOURS[stage(topic)]
     at = LEFT + NODE, start
     for suffix, x, half in (("/raw", RAW, WRITTEN), ("/injected", INJECTED, WRITTEN), ("", FINAL, READ)):

@@ -1,0 +1,76 @@
+"""Every command of docs/ros.md, run as it stands there."""
+
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from mavfi.hosts.ros import install
+from tests.hosts.ros.needs import ros
+from tests.hosts.ros.pages import DOCS, arguments, commands, environment
+
+pytestmark = [*ros, pytest.mark.slow]
+ALL = commands("ros.md")
+FREE = [command for command in ALL if "--free-running" in command]
+FLIGHTS = [command for command in ALL if command.startswith("mavfi ros fly ") and command not in FREE]
+JOINED = [command for command in ALL if command.startswith("$FLIGHT/join ")]
+SAYS = {
+    "rosnode list": r"/octomap\n(.*\n)*/world",
+    "rostopic hz": r"average rate: \d+\.\d+\n\s+min: ",
+    "rosmsg show": r"float64 x\n",
+    "rostopic echo": r"yaw_rate: ",
+    "rosbag record": r"",
+    "rosservice call": r"(pose:(.*\n)+){2}",
+}
+"""What each tool must say beside a flight."""
+
+
+def test_the_page_has_no_command_that_is_not_run_here():
+    assert set(ALL) == {"make ros", *FLIGHTS, *FREE, *JOINED}
+    assert (len(FLIGHTS), len(FREE)) == (5, 1)
+    assert {" ".join(command.split()[1:3]) for command in JOINED} == set(SAYS)
+
+
+def test_make_ros_says_that_it_is_here(capsys):
+    assert "ros:" in (DOCS.parent / "Makefile").read_text(encoding="utf-8")
+    assert install.main() == 0
+    assert re.match(r"ROS 1 1\.15\.\d+ was here: /", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("command", FLIGHTS)
+def test_a_flight_of_the_page(command, tmp_path):
+    done = subprocess.run(arguments(command, {}), cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "digest" in done.stdout
+
+
+@pytest.fixture(scope="module")
+def flight():
+    """Folder of a flight that goes on."""
+    with subprocess.Popen(
+        arguments(FREE[0], {}), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as flown:
+        assert flown.stderr is not None
+        folder = re.match(r"join the flight: (.*)/join ", flown.stderr.readline())[1]
+        wait = [f"{folder}/join", "timeout", "120", "rostopic", "echo", "-n", "1", "/mavfi/control/command"]
+        subprocess.run(wait, capture_output=True, check=True)
+        yield folder
+        assert flown.poll() is None, "the flight was over before all had looked at it"
+        flown.send_signal(signal.SIGINT)
+
+
+@pytest.mark.parametrize("command", JOINED)
+def test_a_look_into_a_flight(command, flight, tmp_path):
+    join, *rest = arguments(command, {"FLIGHT": flight})
+    endless = ["timeout", "-s", "INT", "12"] if "hz" in rest else []
+    done = subprocess.run([*endless, join, *rest], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert endless or done.returncode == 0, done.stderr
+    assert re.search(SAYS[" ".join(rest[:2])], done.stdout), done.stdout + done.stderr
+    if "record" in rest:
+        told = subprocess.run(
+            [sys.executable, "-c", "import rosbags.rosbag1 as b, sys; print(b.Reader(sys.argv[1]).__enter__().topics)",
+             "flight.bag"], cwd=tmp_path, capture_output=True, text=True, check=True, env=environment(),
+        )  # fmt: skip
+        assert all(topic in told.stdout for topic in ("/odometry", "/tf", "/command"))
