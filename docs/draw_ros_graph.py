@@ -40,6 +40,8 @@ SHOWN = (
     ("rostopic", "hz", "/mavfi/control/command"),
     ("rosmsg", "show", "mavfi_msgs/PlanningWaypoint"),
 )
+COMMANDS, CONTROL_HZ = 2, 50.0
+"""Which of them tells the rate of commands, and what it is if the machine keeps up."""
 MASTER = (
     "import json, os, xmlrpc.client; master = xmlrpc.client.ServerProxy(os.environ['ROS_MASTER_URI']); "
     "print(json.dumps(master.getSystemState('/picture')[2]))"
@@ -118,6 +120,11 @@ def watch_flight() -> Seen:
     looking[0].join()
     if set(SHOWN) > set(seen.told) or not seen.publishers:
         raise MavfiError(f"the flight was over ({flown.flight.log.status.label}) before all had been looked at")
+    measured = float(seen.told[SHOWN[COMMANDS]].split()[2])
+    if not 0.9 < measured / CONTROL_HZ < 1.1:
+        raise MavfiError(
+            f"commands at {measured:g} Hz, not {CONTROL_HZ:g}: the machine is too busy to fly in real time"
+        )
     return seen
 
 

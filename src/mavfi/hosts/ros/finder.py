@@ -17,6 +17,8 @@ from mavfi.errors import BadInputError
 ROOT_VARIABLE = "MAVFI_ROS_ROOT"
 """Environment variable: folder into which Debian's packages were unpacked; without it, they are installed."""
 DIST_PACKAGES = Path("usr/lib/python3/dist-packages")
+WORKSPACE_MARK = Path("usr/.catkin")
+"""File by which catkin knows a folder in which packages are installed."""
 GENERATED = ("mavfi_msgs", "nav_msgs")
 """Packages that are generated for a flight: ours, and one whose Debian package would pull in 144 MB."""
 _ROS = (
@@ -123,6 +125,8 @@ def environment() -> dict[str, str]:
     if len(folders) > 1:
         own = folders[0]
         variables["PYTHONPATH"] = str(own / DIST_PACKAGES)
+        # roslaunch runs rosversion
+        variables["PATH"] = os.pathsep.join([str(own / "usr/bin"), os.environ.get("PATH", os.defpath)])
         variables["LD_LIBRARY_PATH"] = _path(own / name for name in _LIBRARIES)
         variables["CMAKE_PREFIX_PATH"] = _path(root / "usr" for root in folders)
     return variables

@@ -87,6 +87,7 @@ def unpack(folder: Path, status: Path = Path("/var/lib/dpkg/status")) -> int:
     for archive in sorted(archives.glob("*.deb")):
         _run(["dpkg", "-x", str(archive), str(folder)])
         archive.unlink()
+    (folder / finder.WORKSPACE_MARK).touch()  # without it roslaunch looks for executables under /usr alone
     return len(wanted)
 
 
