@@ -104,9 +104,11 @@ def ros_mirrors() -> str:
     """The table of topics in standard types."""
     lines = ["| topic | type | frame | what |", "|---|---|---|---|"]
     for standard in STANDARDS:
-        lines.append(f"| `{standard.topic}` | `{standard.kind}` | `{standard.frame}` | `{standard.state}` |")
+        spec = STATES[standard.state]
+        what = f"`{standard.state}`" + (f", with localization `{spec.only_with}`" if spec.only_with else "")
+        lines.append(f"| `{standard.topic}` | `{standard.kind}` | `{standard.frame}` | {what} |")
     lines += [
-        "| `/imu/data` | `sensor_msgs/Imu` | `base_link` | specific force and rates |",
+        "| `/imu/data` | `sensor_msgs/Imu` | `base_link` | specific force and rates, with localization `truth` |",
         "| `/clock` | `rosgraph_msgs/Clock` | | simulated time; always published |",
         "| `/tf_static` | `tf2_msgs/TFMessage` | `base_link` | where the camera is |",
     ]

@@ -3,7 +3,8 @@
 import pytest
 
 from mavfi.hosts.inprocess import fly
-from mavfi.hosts.observed import fly_observed
+from mavfi.hosts.observed import ObservedHost, fly_observed
+from mavfi.states import ODOMETRY
 from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
 
 
@@ -68,6 +69,35 @@ def test_an_alarm_for_another_stage_has_that_stage_run_again():
     (alarm,) = flight.log.alarms
     assert alarm["outcome"] == "accepted"
     assert flight.log.meta["recompute_us"] == {"perception": 0, "planning": 0, "control": 460}
+
+
+def test_an_alarm_at_the_estimate_has_the_filter_run_again_and_nothing_else():
+    """With the next sample of the IMU; it runs on the flight controller, so nothing is charged."""
+    name, seen = ODOMETRY["estimator"], []
+    detector = Scripted(name, 1275, "perception")
+    scenario = mission("hardened", localization="estimator")
+    host = ObservedHost(scenario, None, detector)
+    rolled = {kernel: count_rollbacks(host.kernels[kernel], seen) for kernel in host.kernels}
+    log = host.fly().log
+    ((alarmed_us, _),) = detector.alarmed
+    assert rolled and seen == ["state_estimation"]
+    assert log.alarms[0]["outcome"] == "repaired"  # the next sample gives another estimate
+    assert log.meta["recompute_us"] == {"perception": 0, "planning": 0, "control": 0}
+    again = [time_us for time_us, state in detector.accepted if state == name and time_us > alarmed_us]
+    assert again[0] == alarmed_us + 4_000
+    assert log.status.label == "success"
+
+
+def count_rollbacks(kernel, seen):
+    """Note the kernel's name at each rollback."""
+    plain = kernel.rollback
+
+    def rollback():
+        seen.append(kernel.name)
+        plain()
+
+    kernel.rollback = rollback
+    return kernel
 
 
 def test_flights_repeat():

@@ -73,6 +73,17 @@ def test_packages_are_named_once_and_leave_the_big_ones_out():
     assert not {"python3-nav-msgs", "python3-tf2-ros"} & set(install.PACKAGES)
 
 
+def test_unpacked_packages_are_found_by_programs_and_by_roslaunch(monkeypatch, tmp_path):
+    monkeypatch.setattr(install, "_run", lambda command, **options: "Inst rosout (1)\n")
+    (tmp_path / "usr" / "bin").mkdir(parents=True)
+    assert install.unpack(tmp_path) == 1
+    assert (tmp_path / "usr" / ".catkin").is_file()
+    monkeypatch.setenv("MAVFI_ROS_ROOT", str(tmp_path))
+    variables = finder.environment()
+    assert variables["PATH"].startswith(f"{tmp_path}/usr/bin:")
+    assert variables["CMAKE_PREFIX_PATH"].startswith(f"{tmp_path}/usr:")
+
+
 def test_without_apt_the_installation_says_so(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setattr(finder, "missing", lambda: ["rospy"])

@@ -94,6 +94,27 @@ def test_a_flight_with_a_fault_and_an_observer():
     assert log.alarms
 
 
+def test_a_flight_with_the_state_estimator():
+    scenario = short(localization="estimator")
+    log = there(scenario)
+    same(log, fly_here(scenario).log)
+    assert log.digest() != fly_here(short()).log.digest()
+    assert log.meta["publications"]["perception.odometry"] > 1000
+
+
+@pytest.mark.parametrize("coupling", ["inline", "observer"])
+def test_a_struck_estimate_and_a_detector_that_wants_it_again(coupling):
+    scenario = short(localization="estimator")
+    wrong = fault("perception.odometry", "x", 3.0, 56)
+
+    def watching():
+        return Scripted("perception.odometry", n=700, stage="perception")
+
+    log = there(scenario, wrong, watching(), coupling=coupling)
+    same(log, (fly_here if coupling == "inline" else fly_observed)(scenario, wrong, watching()).log)
+    assert log.injections[0]["hit"] and [alarm["action"] for alarm in log.alarms] == ["recompute"]
+
+
 def test_every_kind_of_recovery():
     """Of a stage, by hand-over, and of a stage that did not write what raised the alarm."""
 

@@ -7,6 +7,7 @@ from mavfi.hosts.inprocess import Host
 from mavfi.hosts.ros.graph import DETECTOR, INJECTOR, WORLD, Graph, face_of
 from mavfi.hosts.ros.launch import launch_text
 from mavfi.hosts.ros.plan import Plan
+from mavfi.hosts.ros.ports import world_listens
 from mavfi.hosts.ros.session import configure, isolation
 from mavfi.pipeline.ppc import PERIODIC, build_pipeline
 from mavfi.states import STATES, Stage
@@ -35,6 +36,18 @@ def test_without_taps_values_go_straight_to_their_readers():
         assert not way.taps
     assert found["sensor.odometry"].readers == ("collision_check", "planner", "waypoint", "pid")
     assert found["planning.path"].readers == ("planner",)
+
+
+def test_with_an_estimator_its_kernel_is_a_node_and_the_world_reads_what_it_says():
+    plan = Plan(scenario := mission(localization="estimator"), configure(scenario))
+    found = plan.graph.ways
+    assert plan.nodes[0] == "state_estimation" and "sensor.odometry" not in found
+    for sensor in ("sensor.imu", "sensor.position"):
+        assert (found[sensor].writer, found[sensor].readers) == (WORLD, ("state_estimation",))
+    estimate = found["perception.odometry"]
+    assert estimate.writer == "state_estimation"
+    assert estimate.readers == ("collision_check", "planner", "waypoint", "pid")
+    assert world_listens(plan, "perception.odometry")
 
 
 def test_an_injector_sits_at_one_state():
