@@ -37,10 +37,13 @@ def test_the_page_has_no_command_that_is_not_run_here():
     assert len(others) == len(SAYS)
 
 
+def order(command):
+    """As on the page, but the strike at a register, of which the target may die, is the last one."""
+    return "inject" in command, ALL.index(command)
+
+
 def test_the_commands_of_the_page(arm, tmp_path):
-    for command in ALL:
-        if command in CAMPAIGN:
-            continue
+    for command in sorted(set(ALL) - set(CAMPAIGN), key=order):
         process = subprocess.Popen(
             arguments(command, {}), cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
             env=environment(),
