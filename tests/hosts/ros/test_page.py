@@ -4,6 +4,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -46,6 +47,11 @@ def test_a_flight_of_the_page(command, tmp_path):
     assert "digest" in done.stdout
 
 
+def listed(folder):
+    """Nodes of a flight, once its master is there."""
+    return subprocess.run([f"{folder}/join", "rosnode", "list"], capture_output=True, text=True, check=False).stdout
+
+
 @pytest.fixture(scope="module")
 def flight():
     """Folder of a flight that goes on."""
@@ -54,8 +60,9 @@ def flight():
     ) as flown:
         assert flown.stderr is not None
         folder = re.match(r"join the flight: (.*)/join ", flown.stderr.readline())[1]
-        wait = [f"{folder}/join", "timeout", "120", "rostopic", "echo", "-n", "1", "/mavfi/control/command"]
-        subprocess.run(wait, capture_output=True, check=True)
+        until = time.monotonic() + 120
+        while "/pid" not in listed(folder) and time.monotonic() < until:
+            time.sleep(0.5)
         yield folder
         assert flown.poll() is None, "the flight was over before all had looked at it"
         flown.send_signal(signal.SIGINT)
