@@ -37,10 +37,8 @@ def _ros() -> None:
 
 @app.command("fly")
 def fly(  # noqa: PLR0913 - one parameter per option
-    environment: Annotated[
-        str, typer.Option(help="Name, a YAML file, or a scanned map (.bt, .ot of OctoMap).")
-    ] = "sparse",
-    seed: Annotated[int, typer.Option(help="All randomness of the mission comes from it.")] = 0,
+    environment: options.Environment = "sparse",
+    seed: options.Seed = 0,
     stack: Annotated[str, typer.Option(help="published, hardened, or a YAML file.")] = "published",
     platform: Annotated[
         str, typer.Option(help="Computer whose latencies are charged: a name, or a YAML file.")
