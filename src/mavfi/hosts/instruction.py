@@ -11,6 +11,7 @@ strikes the first call from there on that has such a bit, as faults in states st
 an instant.
 """
 
+import json
 import math
 import pickle
 from collections.abc import Callable, Sequence
@@ -28,19 +29,20 @@ from mavfi.faults.instruction.fault import strike_of
 from mavfi.faults.instruction.variant import variant_for
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.inprocess import Flight, Host
-from mavfi.hosts.kernel_faults import PLANNERS, check_kernel, planned_of
+from mavfi.hosts.kernel_faults import DATA, PLANNERS, check_kernel, is_in_data, planned_of
 from mavfi.hosts.kernel_output import Output, first_difference
+from mavfi.hosts.template import template_for
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.ppc import PERIODIC, build_pipeline
 from mavfi.states import STATES, State
 
+_SERVER = "mavfi.hosts.template_server"
 TIMEOUT = 60.0
 """Wall-clock limit of a struck flight (s): for what the budget of instructions does not see."""
 _NODES = {"planner": ("planner", "trajectory")}
 """Kernels that share memory, and so die together."""
-_DATA = ("floating_point", "integer")
 
 
 @dataclass(slots=True)
@@ -180,7 +182,7 @@ class StrikingHost(Host):
         report = variant.report()
         if self.detector is not None and _missed(strike_of(planned, report)):
             child.point.finish(pickle.dumps(_Report(None, None, call_same=True, missed=True)))
-        if child.call_same and report is not None and report.site.value_class in _DATA:
+        if child.call_same and report is not None and report.site.value_class in DATA:
             child.point.finish(pickle.dumps(_Report(None, None, call_same=True)))
         return result
 
@@ -293,6 +295,10 @@ class StruckFlights:
 def fly_struck(scenario: Scenario, faults: Sequence[Fault], detector: Detector | None = None) -> StruckFlights:
     """Fly one mission with each of some faults in instructions.
 
+    Faults in data fork from one golden flight of this process. Others may read or write any memory, so each of these
+    flights is forked from a template, see `mavfi.hosts.template`: it gives the same bytes in every process, if addresses
+    can be fixed; the record says so (`replayable`).
+
     Args:
         scenario: The mission.
         faults: See `mavfi.hosts.kernel_faults`.
@@ -302,8 +308,27 @@ def fly_struck(scenario: Scenario, faults: Sequence[Fault], detector: Detector |
         MismatchError: A fault belongs to other machine code.
         BadInputError: The scenario cannot be flown, or it has no such kernel.
     """
+    own = [fault for fault in faults if is_in_data(fault)]
     with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
-        return StruckFlights(*StrikingHost(scenario, faults, detector).fly_all())
+        golden, flights = StrikingHost(scenario, own, detector).fly_all()
+    flown = iter(flights)
+    return StruckFlights(
+        golden,
+        [next(flown) if is_in_data(fault) else _forked(scenario, fault, detector, golden) for fault in faults],
+    )
+
+
+def _forked(scenario: Scenario, fault: Fault, detector: Detector | None, golden: Flight) -> Flight:
+    """A flight with a fault that may touch any memory: from a process that is the same whatever was flown before."""
+    _case(fault, scenario)  # refuses what cannot be struck
+    kind = scenario.model_copy(update={"seed": 0, "start": None, "goal": None})
+    parts = (json.dumps(part.to_json(), sort_keys=True) for part in (scenario, fault))
+    answer = template_for(_SERVER, json.dumps(kind.to_json(), sort_keys=True)).ask(pickle.dumps((*parts, detector)))
+    digest_of_golden, log = answer.result
+    if digest_of_golden != golden.log.digest():
+        raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
+    log.injections[0]["replayable"] = answer.fixed
+    return Flight(log, None, golden.world, golden.pipeline)
 
 
 def _case(fault: Fault, scenario: Scenario) -> _Case:
@@ -352,7 +377,7 @@ def _injection(case: _Case) -> dict[str, Any]:
     data = {
         "level": "instruction", "site": str(fault.site), "time_s": case.time_us / 1e6, "bit": fault.bit,
         "before": None, "after": None, "hit": strike is not None and strike.hit, "kernel": fault.site.state,
-        "function": fault.site.field, "stratum": fault.stratum,
+        "function": fault.site.field, "stratum": fault.stratum, "replayable": True,
     }  # fmt: skip
     if strike is None or strike.site is None:
         return data

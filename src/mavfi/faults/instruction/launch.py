@@ -7,7 +7,10 @@ random.  Faults in data need none of this.
 import ctypes
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+T = TypeVar("T")
 
 _NO_RANDOMIZE = 0x0040000  # ADDR_NO_RANDOMIZE, personality(2)
 _QUERY = 0xFFFFFFFF
@@ -30,6 +33,20 @@ def start_with_fixed_addresses(command: Sequence[str]) -> None:
     if _personality() & _NO_RANDOMIZE and os.environ.get(_HASH_SEED) != "0":
         os.environ[_HASH_SEED] = "0"
         os.execv(command[0], list(command))
+
+
+def with_fixed_addresses(start: Callable[[], T]) -> T:
+    """Start a program with fixed addresses; where that is not allowed, with random ones.
+
+    Args:
+        start: Starts it from this thread, with the environment variable `PYTHONHASHSEED` set.
+    """
+    before = _personality()
+    _personality(before | _NO_RANDOMIZE)
+    try:
+        return start()
+    finally:
+        _personality(before)
 
 
 def _personality(wanted: int = _QUERY) -> int:
