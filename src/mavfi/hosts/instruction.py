@@ -11,7 +11,6 @@ strikes the first call from there on that has such a bit, as faults in states st
 an instant.
 """
 
-import json
 import math
 import pickle
 from collections.abc import Callable, Sequence
@@ -31,14 +30,13 @@ from mavfi.flight_log import FlightLog
 from mavfi.hosts.inprocess import Flight, Host
 from mavfi.hosts.kernel_faults import DATA, PLANNERS, check_kernel, is_in_data, planned_of
 from mavfi.hosts.kernel_output import Output, first_difference
-from mavfi.hosts.template import template_for
+from mavfi.hosts.template import fly_from_template
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.ppc import PERIODIC, build_pipeline
 from mavfi.states import STATES, State
 
-_SERVER = "mavfi.hosts.template_server"
 TIMEOUT = 60.0
 """Wall-clock limit of a struck flight (s): for what the budget of instructions does not see."""
 _NODES = {"planner": ("planner", "trajectory")}
@@ -319,15 +317,8 @@ def fly_struck(scenario: Scenario, faults: Sequence[Fault], detector: Detector |
 
 
 def _forked(scenario: Scenario, fault: Fault, detector: Detector | None, golden: Flight) -> Flight:
-    """A flight with a fault that may touch any memory: from a process that is the same whatever was flown before."""
     _case(fault, scenario)  # refuses what cannot be struck
-    kind = scenario.model_copy(update={"seed": 0, "start": None, "goal": None})
-    parts = (json.dumps(part.to_json(), sort_keys=True) for part in (scenario, fault))
-    answer = template_for(_SERVER, json.dumps(kind.to_json(), sort_keys=True)).ask(pickle.dumps((*parts, detector)))
-    digest_of_golden, log = answer.result
-    if digest_of_golden != golden.log.digest():
-        raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
-    log.injections[0]["replayable"] = answer.fixed
+    log = fly_from_template(scenario, fault, detector, golden.log.digest())
     return Flight(log, None, golden.world, golden.pipeline)
 
 

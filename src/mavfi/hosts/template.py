@@ -7,6 +7,7 @@ and waits.  Templates of one kind of mission are the same in every command, camp
 """
 
 import atexit
+import json
 import os
 import pickle
 import select
@@ -17,11 +18,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.faults.fault import Fault
 from mavfi.faults.instruction.launch import with_fixed_addresses
 from mavfi.faults.instruction.refusal import MismatchError
+from mavfi.flight_log import FlightLog
+from mavfi.mission import Scenario
 from mavfi.numerics.jit import code_folder
 
+_SERVER = "mavfi.hosts.template_server"
 _KEPT = 4
 """Templates that a process keeps waiting."""
 _PASSED = ("HOME", "LANG", "LD_LIBRARY_PATH", "PATH", "VIRTUAL_ENV", "XDG_CACHE_HOME")
@@ -68,7 +74,7 @@ class Template:
             self._process = with_fixed_addresses(
                 lambda: subprocess.Popen(
                     command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=_environment(), cwd="/", bufsize=0,
-                    start_new_session=True,
+                    stderr=subprocess.DEVNULL, start_new_session=True,
                 )
             )
             if self._receive() == READY:
@@ -154,6 +160,35 @@ def template_for(server: str, kind: str) -> Template:
         _templates[key] = Template(server, kind)
     _templates.move_to_end(key)
     return _templates[key]
+
+
+def fly_from_template(scenario: Scenario, fault: Fault, detector: Detector | None, golden: str) -> FlightLog:
+    """Fly one mission with a fault in an instruction, in a process forked from the template of its kind.
+
+    Args:
+        scenario: The mission.
+        fault: Anywhere in a kernel.
+        detector: What watches; None = nothing.
+        golden: Digest of the flight without the fault.
+
+    Returns:
+        The record; `replayable` in its injection says whether the process had fixed addresses.
+
+    Raises:
+        BadInputError: As for any flight.
+        MismatchError: The fault belongs to other machine code.
+        MavfiError: The golden flight over there is another one, or the process died.
+    """
+    kind = scenario.model_copy(update={"seed": 0, "start": None, "goal": None})
+    parts = (json.dumps(part.to_json(), sort_keys=True) for part in (scenario, fault))
+    template = template_for(_SERVER, json.dumps(kind.to_json(), sort_keys=True))
+    answer = template.ask(pickle.dumps((*parts, detector)))
+    log: FlightLog
+    over_there, log = answer.result
+    if over_there != golden:
+        raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
+    log.injections[0]["replayable"] = answer.fixed
+    return log
 
 
 @atexit.register

@@ -4,6 +4,7 @@ It flies one mission of the kind, with every kernel instrumented, and waits.  Ea
 fork, so that the template itself stays as it is.
 """
 
+import contextlib
 import hashlib
 import json
 import os
@@ -63,7 +64,7 @@ def _answer() -> None:
             return
         try:
             answer = (addresses_are_fixed(), None, fly_one(*pickle.loads(request)))
-        except MavfiError as error:
+        except Exception as error:  # noqa: BLE001 - whoever asked is told, whatever it is
             answer = (addresses_are_fixed(), (type(error).__name__, str(error)), None)
         _write(_framed(pickle.dumps(answer)))
         status = 0
@@ -124,4 +125,5 @@ def _write(data: bytes) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with contextlib.suppress(BrokenPipeError):  # whoever asked is gone
+        main()

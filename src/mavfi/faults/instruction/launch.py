@@ -4,8 +4,10 @@ A corrupted address reads or writes what lies there, which is the same in two pr
 random.  Faults in data need none of this.
 """
 
+import contextlib
 import ctypes
 import os
+import resource
 import sys
 from collections.abc import Callable, Sequence
 from typing import TypeVar
@@ -14,6 +16,7 @@ T = TypeVar("T")
 
 _NO_RANDOMIZE = 0x0040000  # ADDR_NO_RANDOMIZE, personality(2)
 _QUERY = 0xFFFFFFFF
+_STACK = 8 << 20
 _HASH_SEED = "PYTHONHASHSEED"
 
 
@@ -41,11 +44,14 @@ def with_fixed_addresses(start: Callable[[], T]) -> T:
     Args:
         start: Starts it from this thread, with the environment variable `PYTHONHASHSEED` set.
     """
-    before = _personality()
+    before, stack = _personality(), resource.getrlimit(resource.RLIMIT_STACK)
     _personality(before | _NO_RANDOMIZE)
+    with contextlib.suppress(ValueError):  # libraries lie below the room that the stack may take
+        resource.setrlimit(resource.RLIMIT_STACK, (_STACK, stack[1]))
     try:
         return start()
     finally:
+        resource.setrlimit(resource.RLIMIT_STACK, stack)
         _personality(before)
 
 
