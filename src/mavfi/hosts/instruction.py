@@ -39,7 +39,8 @@ from mavfi.states import STATES, State
 
 TIMEOUT = 60.0
 """Wall-clock limit of a struck flight (s): for what the budget of instructions does not see."""
-_NODES = {"planner": ("planner", "trajectory")}
+_PLANNING = ("planner", "trajectory")
+_NODES = {kernel: _PLANNING for kernel in _PLANNING}
 """Kernels that share memory, and so die together."""
 
 
@@ -230,7 +231,10 @@ class StrikingHost(Host):
 
     def _resume(self, kernel: Kernel, now: int) -> None:
         due = False
+        node = _NODES.get(kernel.name, (kernel.name,))
         for name in kernel.reads:
+            if STATES[name].writer in node:
+                continue  # its own outputs, or what passed within the node: a path planned long ago is not flown anew
             messages = self._updates if name == "perception.map_update" else [self._latest.get(name)]
             for state in messages:
                 due = (state is not None and kernel.receive(state, now)) or due
