@@ -88,7 +88,7 @@ def test_the_command_gives_the_same_bytes_in_a_fresh_process(folder, runs, outco
 
 
 def test_explain_names_line_values_and_first_output_that_differed(folder, runs, capsys):
-    for chosen in {run.outcome: run for run in runs}.values():
+    for chosen in {one.outcome: one for one in runs}.values():
         story = dict(lines(explain(folder, chosen.run_id)))
         record = records(folder)[chosen.run_id]["injections"][0]
         assert f"{chosen.file}:{chosen.line}" in story["source line"]

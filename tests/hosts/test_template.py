@@ -1,4 +1,4 @@
-"""Faults in addresses: the same bytes in any process, order and company, since each flight is forked from a template."""
+"""Faults in addresses: the same bytes in any process, order and company, as each flight is forked from a template."""
 
 import json
 import os

@@ -73,8 +73,14 @@ class Template:
         for _ in range(_STARTS):
             self._process = with_fixed_addresses(
                 lambda: subprocess.Popen(
-                    command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=_environment(), cwd="/", bufsize=0,
-                    stderr=subprocess.DEVNULL, start_new_session=True,
+                    command,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    env=_environment(),
+                    cwd="/",
+                    bufsize=0,
+                    stderr=subprocess.DEVNULL,
+                    start_new_session=True,
                 )
             )
             if self._receive() == READY:

@@ -1,4 +1,4 @@
-"""The digest of the fault space: the same in every process, whatever its hashes, its cache and what it compiled first."""
+"""The digest of the fault space: the same in every process, whatever its hashes, cache and order of compilation."""
 
 import json
 import os
