@@ -1,4 +1,4 @@
-"""A campaign that strikes addresses: the same bytes for any workers, after a stop, on replay; its page and its stories."""
+"""A campaign that strikes addresses: the same bytes for any workers, after a stop, on replay; its page, its stories."""
 
 import html
 import json

@@ -298,8 +298,8 @@ def fly_struck(scenario: Scenario, faults: Sequence[Fault], detector: Detector |
     """Fly one mission with each of some faults in instructions.
 
     Faults in data fork from one golden flight of this process. Others may read or write any memory, so each of these
-    flights is forked from a template, see `mavfi.hosts.template`: it gives the same bytes in every process, if addresses
-    can be fixed; the record says so (`replayable`).
+    flights is forked from a template, see `mavfi.hosts.template`: it gives the same bytes in every process, if
+    addresses can be fixed; the record says so (`replayable`).
 
     Args:
         scenario: The mission.
