@@ -29,7 +29,7 @@ from mavfi.faults.instruction.variant import variant_for
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.inprocess import Flight, Host
 from mavfi.hosts.kernel_faults import DATA, PLANNERS, check_kernel, is_in_data, planned_of
-from mavfi.hosts.kernel_output import Output, first_difference
+from mavfi.hosts.kernel_output import Output, copied, first_difference, plain_parts
 from mavfi.hosts.template import fly_from_template
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
@@ -174,10 +174,10 @@ class StrikingHost(Host):
         """The call with the fault; a child whose data came out the same ends here: the rest is the golden flight."""
         child = self._in_child()
         planned = child.case.planned
-        copies = tuple(_copied(argument) for argument in args)
-        golden = digest(_plain_parts((function(*copies), copies)))
+        copies = tuple(copied(argument) for argument in args)
+        golden = digest(plain_parts((function(*copies), copies)))
         result = variant.inject(planned.index, *planned.masks, planned.budget, *args)
-        child.call_same = digest(_plain_parts((result, args))) == golden
+        child.call_same = digest(plain_parts((result, args))) == golden
         report = variant.report()
         if self.detector is not None and _missed(strike_of(planned, report)):
             child.point.finish(pickle.dumps(_Report(None, None, call_same=True, missed=True)))
@@ -380,7 +380,7 @@ def _injection(case: _Case) -> dict[str, Any]:
     return data | {
         "before": _number(strike.number(strike.before)), "after": _number(strike.number(strike.after)),
         "call": case.call, "index": planned.index, "opcode": site.opcode, "type": site.kind, "width": site.width,
-        "value_class": site.value_class, "file": site.file, "line": site.line,
+        "value_class": site.value_class, "replayable": site.value_class in DATA, "file": site.file, "line": site.line,
         "inlined": [f"{file}:{line}" for file, line in site.frames[1:]],
         "variable": site.variable or "", "ir_sha256": planned.ir_sha256, "bits": list(planned.bits),
         "model": planned.model,
@@ -389,18 +389,3 @@ def _injection(case: _Case) -> dict[str, Any]:
 
 def _number(value: float | int | None) -> float | int | str | None:
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _copied(value: Any) -> Any:
-    """A copy of an argument that the call may change."""
-    if isinstance(value, np.ndarray):
-        return value.copy()
-    if isinstance(value, tuple):
-        parts = [_copied(part) for part in value]
-        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
-    return value
-
-
-def _plain_parts(value: Any) -> Any:
-    """Results and arguments in the form that `digest` takes."""
-    return tuple(_plain_parts(part) for part in value) if isinstance(value, tuple) else value
