@@ -16,7 +16,7 @@ export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test lint check check-nojit robust tune format bench coupling machine-level forking golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test lint check check-nojit robust tune format bench coupling machine-level forking many-strikes golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -61,6 +61,9 @@ bench: setup  ## measure speed
 
 forking: setup  ## fly runs of table1 the long way and forked, compare every byte, print the gain (N=... missions)
 	@$(BIN)/python benchmarks/forking.py --missions $(or $(N),3)
+
+many-strikes: setup  ## strike a kernel 100,000 times in forked children, and look for what is left behind (N=...)
+	@$(BIN)/python -m benchmarks.many_strikes $(N)
 
 coupling: setup  ## what the delay of an observer costs, against a gate; writes the table in docs/ros.md (N=...)
 	@$(BIN)/python -m benchmarks.coupling

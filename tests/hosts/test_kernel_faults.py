@@ -16,6 +16,7 @@ from mavfi.hosts.instruction import fly_struck
 from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults, stratum_of
 from mavfi.hosts.kernel_output import Output, first_difference
 from mavfi.hosts.memory import fingerprint
+from mavfi.hosts.template import close_templates
 from mavfi.numerics.jit import kernel_jit
 
 
@@ -98,8 +99,10 @@ def test_masked_means_the_golden_flight_and_sdc_of_a_command_another_one(golden,
 
 def test_a_crash_ends_the_mission_or_restarts_the_node(golden):
     faults = in_addresses("point_cloud", 2)
+    close_templates()
     before = len(os.listdir("/proc/self/fd"))
     flights = fly_struck(scenario(), faults).flights
+    close_templates()
     assert len(os.listdir("/proc/self/fd")) <= before + 1, "a pipe or a process handle was left open"
     with pytest.raises(ChildProcessError):
         os.waitpid(-1, os.WNOHANG)

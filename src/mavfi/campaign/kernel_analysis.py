@@ -10,7 +10,6 @@ import numpy as np
 from mavfi.campaign import paper
 from mavfi.campaign.kernel_profiles import read_kernel_profiles
 from mavfi.campaign.kernel_rows import DUE, KernelRun, read_kernel_runs
-from mavfi.campaign.run import FIXED_ADDRESSES
 from mavfi.campaign.statistics import Rate, clustered_rate
 from mavfi.campaign.store import Store
 
@@ -34,12 +33,10 @@ def analyse_kernels(store: Store) -> dict[str, Any]:
     Returns:
         Plain data: `table` (by environment and kernel), `by_value_class` and `by_stratum` (by kernel), `errors` (by
         kernel, state and field that first differed), `instructions` (of golden flights, by kernel), `replayable`
-        (runs that should give the same bytes again, and all), `fixed_addresses`, and `weighted`: whether rates are
-        weighted means, since strata were drawn; counts, times and sizes of errors are of flights as they were drawn.
+        (runs that give the same bytes again, and all), and `weighted`: whether rates are weighted means, since strata
+        were drawn; counts, times and sizes of errors are of flights as they were drawn.
     """
     runs = read_kernel_runs(store)
-    fixed = bool(store.meta(FIXED_ADDRESSES))
-    data = sum(run.value_class in ("floating_point", "integer") for run in runs)
     return {
         "table": [_entry(own) for own in _groups(runs, lambda run: (run.environment, run.kernel))],
         "by_value_class": [
@@ -58,8 +55,7 @@ def analyse_kernels(store: Store) -> dict[str, Any]:
             }
             for kernel, profiles in read_kernel_profiles(store).items()
         },
-        "replayable": [len(runs) if fixed else data, len(runs)],
-        "fixed_addresses": fixed,
+        "replayable": [sum(run.replayable for run in runs), len(runs)],
         "weighted": any(run.weight != 1.0 for run in runs),
     }  # fmt: skip
 

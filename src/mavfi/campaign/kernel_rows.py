@@ -42,6 +42,8 @@ class KernelRun:
         environment: Of the mission.
         seed: Of the mission.
         weight: Of the fault, where strata were drawn: rates are weighted means.
+        replayable: Whether the same bytes come again: not if an address or a branch was struck in a process whose
+            addresses were random.
     """
 
     kernel: str
@@ -68,6 +70,7 @@ class KernelRun:
     environment: str
     seed: int
     weight: float = 1.0
+    replayable: bool = True
 
     @property
     def due(self) -> bool:
@@ -111,6 +114,7 @@ def _kernel_run(row: Row, record: dict[str, Any], twin: dict[str, Any]) -> Kerne
         success if ended is None else bool(ended["success"]), bool(twin["success"]),
         record["digest"] == twin["digest"], row.status, record["flight_time_s"], twin["flight_time_s"],
         row.spec.run_id, row.spec.environment, row.spec.seed, row.weight,
+        bool(struck.get("replayable")),
     )  # fmt: skip
 
 

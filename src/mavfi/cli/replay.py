@@ -27,6 +27,7 @@ def replay(
         write_json({
             "run_id": spec.run_id, "same": found.same, "digest": found.digest, "stored_digest": record.get("digest"),
             "status": found.flight.log.status.label, "stored_status": record.get("status"),
+            "replayable": all(injection.get("replayable", True) for injection in record.get("injections", ())),
             "flight_time_s": float(found.flight.log.column("time")[-1]),
         })  # fmt: skip
         return
@@ -36,4 +37,7 @@ def replay(
         out.print(f"[green]✓[/green] the same flight, bit for bit: {found.digest}")
         return
     out.print(f"[yellow]✗ another flight:[/yellow] {found.digest}\n  stored:         {record.get('digest', 'none')}")
+    if not all(injection.get("replayable", True) for injection in record.get("injections", ())):
+        out.print("[dim]Not replayable: an address or a branch was struck, and addresses could not be fixed.[/dim]")
+        return
     out.print("[dim]Bits are the same only with the same lock file, on x86-64 Linux.[/dim]")

@@ -28,8 +28,9 @@ from mavfi.faults.instruction.fault import strike_of
 from mavfi.faults.instruction.variant import variant_for
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.inprocess import Flight, Host
-from mavfi.hosts.kernel_faults import PLANNERS, check_kernel, planned_of
-from mavfi.hosts.kernel_output import Output, first_difference
+from mavfi.hosts.kernel_faults import DATA, PLANNERS, check_kernel, is_in_data, planned_of
+from mavfi.hosts.kernel_output import Output, copied, first_difference, plain_parts
+from mavfi.hosts.template import fly_from_template
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
@@ -38,9 +39,9 @@ from mavfi.states import STATES, State
 
 TIMEOUT = 60.0
 """Wall-clock limit of a struck flight (s): for what the budget of instructions does not see."""
-_NODES = {"planner": ("planner", "trajectory")}
+_PLANNING = ("planner", "trajectory")
+_NODES = {kernel: _PLANNING for kernel in _PLANNING}
 """Kernels that share memory, and so die together."""
-_DATA = ("floating_point", "integer")
 
 
 @dataclass(slots=True)
@@ -173,14 +174,14 @@ class StrikingHost(Host):
         """The call with the fault; a child whose data came out the same ends here: the rest is the golden flight."""
         child = self._in_child()
         planned = child.case.planned
-        copies = tuple(_copied(argument) for argument in args)
-        golden = digest(_plain_parts((function(*copies), copies)))
+        copies = tuple(copied(argument) for argument in args)
+        golden = digest(plain_parts((function(*copies), copies)))
         result = variant.inject(planned.index, *planned.masks, planned.budget, *args)
-        child.call_same = digest(_plain_parts((result, args))) == golden
+        child.call_same = digest(plain_parts((result, args))) == golden
         report = variant.report()
         if self.detector is not None and _missed(strike_of(planned, report)):
             child.point.finish(pickle.dumps(_Report(None, None, call_same=True, missed=True)))
-        if child.call_same and report is not None and report.site.value_class in _DATA:
+        if child.call_same and report is not None and report.site.value_class in DATA:
             child.point.finish(pickle.dumps(_Report(None, None, call_same=True)))
         return result
 
@@ -230,7 +231,10 @@ class StrikingHost(Host):
 
     def _resume(self, kernel: Kernel, now: int) -> None:
         due = False
+        node = _NODES.get(kernel.name, (kernel.name,))
         for name in kernel.reads:
+            if STATES[name].writer in node:
+                continue  # its own outputs, or what passed within the node: a path planned long ago is not flown anew
             messages = self._updates if name == "perception.map_update" else [self._latest.get(name)]
             for state in messages:
                 due = (state is not None and kernel.receive(state, now)) or due
@@ -293,6 +297,10 @@ class StruckFlights:
 def fly_struck(scenario: Scenario, faults: Sequence[Fault], detector: Detector | None = None) -> StruckFlights:
     """Fly one mission with each of some faults in instructions.
 
+    Faults in data fork from one golden flight of this process. Others may read or write any memory, so each of these
+    flights is forked from a template, see `mavfi.hosts.template`: it gives the same bytes in every process, if
+    addresses can be fixed; the record says so (`replayable`).
+
     Args:
         scenario: The mission.
         faults: See `mavfi.hosts.kernel_faults`.
@@ -302,8 +310,20 @@ def fly_struck(scenario: Scenario, faults: Sequence[Fault], detector: Detector |
         MismatchError: A fault belongs to other machine code.
         BadInputError: The scenario cannot be flown, or it has no such kernel.
     """
+    own = [fault for fault in faults if is_in_data(fault)]
     with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
-        return StruckFlights(*StrikingHost(scenario, faults, detector).fly_all())
+        golden, flights = StrikingHost(scenario, own, detector).fly_all()
+    flown = iter(flights)
+    return StruckFlights(
+        golden,
+        [next(flown) if is_in_data(fault) else _forked(scenario, fault, detector, golden) for fault in faults],
+    )
+
+
+def _forked(scenario: Scenario, fault: Fault, detector: Detector | None, golden: Flight) -> Flight:
+    _case(fault, scenario)  # refuses what cannot be struck
+    log = fly_from_template(scenario, fault, detector, golden.log.digest())
+    return Flight(log, None, golden.world, golden.pipeline)
 
 
 def _case(fault: Fault, scenario: Scenario) -> _Case:
@@ -352,7 +372,7 @@ def _injection(case: _Case) -> dict[str, Any]:
     data = {
         "level": "instruction", "site": str(fault.site), "time_s": case.time_us / 1e6, "bit": fault.bit,
         "before": None, "after": None, "hit": strike is not None and strike.hit, "kernel": fault.site.state,
-        "function": fault.site.field, "stratum": fault.stratum,
+        "function": fault.site.field, "stratum": fault.stratum, "replayable": True,
     }  # fmt: skip
     if strike is None or strike.site is None:
         return data
@@ -360,7 +380,7 @@ def _injection(case: _Case) -> dict[str, Any]:
     return data | {
         "before": _number(strike.number(strike.before)), "after": _number(strike.number(strike.after)),
         "call": case.call, "index": planned.index, "opcode": site.opcode, "type": site.kind, "width": site.width,
-        "value_class": site.value_class, "file": site.file, "line": site.line,
+        "value_class": site.value_class, "replayable": site.value_class in DATA, "file": site.file, "line": site.line,
         "inlined": [f"{file}:{line}" for file, line in site.frames[1:]],
         "variable": site.variable or "", "ir_sha256": planned.ir_sha256, "bits": list(planned.bits),
         "model": planned.model,
@@ -369,18 +389,3 @@ def _injection(case: _Case) -> dict[str, Any]:
 
 def _number(value: float | int | None) -> float | int | str | None:
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _copied(value: Any) -> Any:
-    """A copy of an argument that the call may change."""
-    if isinstance(value, np.ndarray):
-        return value.copy()
-    if isinstance(value, tuple):
-        parts = [_copied(part) for part in value]
-        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
-    return value
-
-
-def _plain_parts(value: Any) -> Any:
-    """Results and arguments in the form that `digest` takes."""
-    return tuple(_plain_parts(part) for part in value) if isinstance(value, tuple) else value

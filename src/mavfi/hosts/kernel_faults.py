@@ -30,6 +30,8 @@ RESTART_S = 0.57
 """Time until a node that died answers again: a ROS 1 node that was killed and started again by roslaunch, measured."""
 PLANNERS = ("rrt", "rrt_connect", "rrt_star")
 """Kernels that are flown only where the mission names them as its planner."""
+DATA = ("floating_point", "integer")
+"""Value classes from which neither an address nor a branch is computed."""
 _LAYOUTS = {"double": (63, 52), "float": (31, 23), "half": (15, 10)}
 """Sign bit and lowest exponent bit."""
 _ROUNDS, _SPARE = 6, 40
@@ -243,7 +245,8 @@ class _Draw:
         )  # fmt: skip
         planned = replace(planned, call=call, which=self._wish.which, budget=budget_for(twin.counts[call]))
         bit = planned.bits[0] if len(planned.bits) == 1 else None
-        return make_fault(self._kernel, name, planned, stratum_of(site.kind, bit), self._wish.restart_s, self._seed)
+        fault = make_fault(self._kernel, name, planned, stratum_of(site.kind, bit), self._wish.restart_s, self._seed)
+        return replace(fault, instruction={**(fault.instruction or {}), "value_class": site.value_class})
 
     def faults(self) -> list[Fault]:
         """As many as were wanted; those that were not found have no site."""
@@ -269,7 +272,13 @@ def planned_of(fault: Fault) -> tuple[InstructionFault, float]:
     """Inverse of `make_fault`: what is struck, and the restart latency (s)."""
     data = dict(fault.instruction or {})
     restart_s = float(data.pop("restart_s"))
+    data.pop("value_class", None)
     return InstructionFault.from_json(data), restart_s
+
+
+def is_in_data(fault: Fault) -> bool:
+    """Whether neither an address nor a branch depends on what is struck, so that the rest of the process is safe."""
+    return not fault.has_site or (fault.instruction or {}).get("value_class") in DATA
 
 
 def _stage(kernel: str) -> str:

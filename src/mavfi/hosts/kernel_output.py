@@ -79,3 +79,18 @@ def _difference(
         "state": state, "field": field, "element": element, "before": before, "after": after, "elements": elements,
         "largest": largest,
     }  # fmt: skip
+
+
+def copied(value: Any) -> Any:
+    """A copy of an argument that the call may change."""
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if isinstance(value, tuple):
+        parts = [copied(part) for part in value]
+        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+    return value
+
+
+def plain_parts(value: Any) -> Any:
+    """Results and arguments in the form that `digest` takes."""
+    return tuple(plain_parts(part) for part in value) if isinstance(value, tuple) else value

@@ -28,10 +28,11 @@ def kernel_tables(analysis: Mapping[str, Any]) -> list[Table]:
     kernels = analysis["kernels"]
     replayable, all_runs = kernels["replayable"]
     note = f"{replayable} of {all_runs} flights can be replayed bit for bit"
-    if kernels["fixed_addresses"]:
-        note += "; those struck in addresses and bounds only with addresses fixed, as mavfi starts itself"
-    else:
-        note += ": addresses could not be fixed, so those struck in addresses and bounds are not among them"
+    if replayable < all_runs:
+        note += (
+            ": where an address or a branch was struck, only those flown in processes with fixed addresses, which this "
+            "system did not allow"
+        )
     stack = f"stack {analysis['campaign']['stack']}"
     found = (_outcomes(kernels, note), _missions(kernels), *_splits(kernels), _errors(kernels))
     weights = (WEIGHTED,) if kernels.get("weighted") else ()

@@ -22,9 +22,9 @@ from mavfi.faults.instruction.table import Table, make_table
 
 _ENVIRONMENT = re.compile(r'@"?_ZN08NumbaEnv')
 _UNLIKELY = '!0 = !{!"branch_weights", i32 1, i32 100000}'
-_PER_PROCESS = re.compile(r"B\d+v\d+(?!\d)|0x[0-9a-f]{6,}|(?<=picklebuf\.)[0-9a-f]+|\d{9,}")
+_PER_PROCESS = re.compile(r"B\d+v\d+(?!\d)|0x[0-9a-f]{6,}|(?<=picklebuf\.)[0-9a-f]+|-?\d{9,}")
 """Parts of Numba's global names that differ from process to process or from folder to folder: counters of functions,
-addresses, digests of exceptions with the path of their source."""
+addresses, digests of exceptions with the path of their source, hashes of strings, which may be negative."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,13 +4,19 @@ A corrupted address reads or writes what lies there, which is the same in two pr
 random.  Faults in data need none of this.
 """
 
+import contextlib
 import ctypes
 import os
+import resource
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+T = TypeVar("T")
 
 _NO_RANDOMIZE = 0x0040000  # ADDR_NO_RANDOMIZE, personality(2)
 _QUERY = 0xFFFFFFFF
+_STACK = 8 << 20
 _HASH_SEED = "PYTHONHASHSEED"
 
 
@@ -30,6 +36,23 @@ def start_with_fixed_addresses(command: Sequence[str]) -> None:
     if _personality() & _NO_RANDOMIZE and os.environ.get(_HASH_SEED) != "0":
         os.environ[_HASH_SEED] = "0"
         os.execv(command[0], list(command))
+
+
+def with_fixed_addresses(start: Callable[[], T]) -> T:
+    """Start a program with fixed addresses; where that is not allowed, with random ones.
+
+    Args:
+        start: Starts it from this thread, with the environment variable `PYTHONHASHSEED` set.
+    """
+    before, stack = _personality(), resource.getrlimit(resource.RLIMIT_STACK)
+    _personality(before | _NO_RANDOMIZE)
+    with contextlib.suppress(ValueError):  # libraries lie below the room that the stack may take
+        resource.setrlimit(resource.RLIMIT_STACK, (_STACK, stack[1]))
+    try:
+        return start()
+    finally:
+        resource.setrlimit(resource.RLIMIT_STACK, stack)
+        _personality(before)
 
 
 def _personality(wanted: int = _QUERY) -> int:

@@ -1,0 +1,206 @@
+"""Flies faults in addresses from processes that are all alike, so that such flights can be replayed bit for bit.
+
+A corrupted address reads or writes what lies there, and that depends on all that the process has done before: on its
+other flights, on the command line, on what was compiled.  So each of these flights is forked from a *template*: a
+process with fixed addresses and hashing, a fixed environment and a fixed history, which has flown one fixed mission
+and waits.  Templates of one kind of mission are the same in every command, campaign and worker.
+"""
+
+import atexit
+import json
+import os
+import pickle
+import select
+import subprocess
+import sys
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mavfi.detectors.detector import Detector
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.faults.fault import Fault
+from mavfi.faults.instruction.launch import with_fixed_addresses
+from mavfi.faults.instruction.refusal import MismatchError
+from mavfi.flight_log import FlightLog
+from mavfi.mission import Scenario
+from mavfi.numerics.jit import code_folder
+
+_SERVER = "mavfi.hosts.template_server"
+_KEPT = 4
+"""Templates that a process keeps waiting."""
+_PASSED = ("HOME", "LANG", "LD_LIBRARY_PATH", "PATH", "VIRTUAL_ENV", "XDG_CACHE_HOME")
+_FIXED = {
+    "PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1",
+}  # fmt: skip
+_ERRORS = {"BadInputError": BadInputError, "MismatchError": MismatchError}
+LENGTH_BYTES = 8
+_CHUNK = 1 << 16
+ENDED = b"e"
+"""What a template says when a flight's process is gone."""
+READY, AGAIN = b"ready", b"again"
+"""What a template says when it is warm; `AGAIN` if it had to compile for that: the next one will not, and differs."""
+_STARTS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a process forked from a template gives back.
+
+    Attributes:
+        result: Of the work.
+        fixed: Whether its addresses and hashes were fixed.
+    """
+
+    result: Any
+    fixed: bool
+
+
+class Template:
+    """A process that waits to be forked.
+
+    Args:
+        server: Module that is run, see `mavfi.hosts.template_server`.
+        kind: What it warms up with; templates of one kind are alike.
+
+    Raises:
+        MavfiError: It died, or others change the cache of compiled code all the time.
+    """
+
+    def __init__(self, server: str, kind: str) -> None:
+        command = [sys.executable, "-P", "-m", server, kind]
+        for _ in range(_STARTS):
+            self._process = with_fixed_addresses(
+                lambda: subprocess.Popen(
+                    command,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    env=_environment(),
+                    cwd="/",
+                    bufsize=0,
+                    stderr=subprocess.DEVNULL,
+                    start_new_session=True,
+                )
+            )
+            if self._receive() == READY:
+                return
+            self.close()
+        raise MavfiError(f"the cache of compiled code changes all the time: {code_folder()}")
+
+    def ask(self, request: bytes) -> Answer:
+        """Fork the template and let the child work.
+
+        Args:
+            request: What the server's module understands.
+
+        Raises:
+            BadInputError: As in the child.
+            MismatchError: As in the child.
+            MavfiError: The child or the template died.
+        """
+        self._send(request)
+        fixed, failure, result = pickle.loads(self._receive())
+        if failure:
+            raise _ERRORS.get(failure[0], MavfiError)(failure[1])
+        return Answer(result, fixed)
+
+    def close(self) -> None:
+        """End it."""
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+        self._process.wait()
+
+    def _send(self, data: bytes) -> None:
+        assert self._process.stdin is not None  # a pipe
+        left = memoryview(len(data).to_bytes(LENGTH_BYTES, "little") + data)
+        try:
+            while left:
+                left = left[self._process.stdin.write(left) :]
+        except BrokenPipeError:
+            raise MavfiError("the process from which flights are forked has died") from None
+
+    def _receive(self) -> bytes:
+        """What the child wrote, which ends with the template's word that it is gone."""
+        assert self._process.stdout is not None  # a pipe
+        handle = self._process.stdout.fileno()
+        data = bytearray()
+        while True:
+            select.select([handle], [], [])
+            chunk = os.read(handle, _CHUNK)
+            data += chunk
+            if not chunk:
+                raise MavfiError("the process from which flights are forked has died")
+            whole = len(data) - LENGTH_BYTES - len(ENDED)
+            if whole >= 0 and int.from_bytes(data[:LENGTH_BYTES], "little") == whole:
+                return bytes(data[LENGTH_BYTES : LENGTH_BYTES + whole])
+
+
+def _environment() -> dict[str, str]:
+    """The same in every command: what finds the code and its cache, and nothing else."""
+    package = Path(__file__).parents[2]
+    given = [entry for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
+    roots = dict.fromkeys([str(package), *(os.path.abspath(entry) for entry in given)])
+    passed = {name: os.environ[name] for name in _PASSED if name in os.environ}
+    numba = {name: value for name, value in sorted(os.environ.items()) if name.startswith("NUMBA_")}
+    return {**passed, **numba, **_FIXED, "PYTHONPATH": os.pathsep.join(roots)}
+
+
+_templates: OrderedDict[tuple[int, str, str], Template] = OrderedDict()
+
+
+def template_for(server: str, kind: str) -> Template:
+    """The template of a kind; each process has its own, and ends the one that it has not used for longest.
+
+    Args:
+        server: See `Template`.
+        kind: See `Template`.
+    """
+    process = os.getpid()
+    key = (process, server, kind)
+    if key not in _templates:
+        own = [other for other in _templates if other[0] == process]  # others are those of a parent
+        for oldest in own[: len(own) - _KEPT + 1]:
+            _templates.pop(oldest).close()
+        _templates[key] = Template(server, kind)
+    _templates.move_to_end(key)
+    return _templates[key]
+
+
+def fly_from_template(scenario: Scenario, fault: Fault, detector: Detector | None, golden: str) -> FlightLog:
+    """Fly one mission with a fault in an instruction, in a process forked from the template of its kind.
+
+    Args:
+        scenario: The mission.
+        fault: Anywhere in a kernel.
+        detector: What watches; None = nothing.
+        golden: Digest of the flight without the fault.
+
+    Returns:
+        The record; `replayable` in its injection says whether the process had fixed addresses.
+
+    Raises:
+        BadInputError: As for any flight.
+        MismatchError: The fault belongs to other machine code.
+        MavfiError: The golden flight over there is another one, or the process died.
+    """
+    kind = scenario.model_copy(update={"seed": 0, "start": None, "goal": None})
+    parts = (json.dumps(part.to_json(), sort_keys=True) for part in (scenario, fault))
+    template = template_for(_SERVER, json.dumps(kind.to_json(), sort_keys=True))
+    answer = template.ask(pickle.dumps((*parts, detector)))
+    log: FlightLog
+    over_there, log = answer.result
+    if over_there != golden:
+        raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
+    log.injections[0]["replayable"] = answer.fixed
+    return log
+
+
+@atexit.register
+def close_templates() -> None:
+    """End all templates of this process."""
+    while _templates:
+        (process, _, _), template = _templates.popitem()
+        if process == os.getpid():
+            template.close()

@@ -1,0 +1,129 @@
+"""What a template runs: `python -m mavfi.hosts.template_server SCENARIO`, see `mavfi.hosts.template`.
+
+It flies one mission of the kind, with every kernel instrumented, and waits.  Each request is read and answered by a
+fork, so that the template itself stays as it is.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import pickle
+import select
+import sys
+from typing import Any
+
+import numpy as np
+
+from mavfi.config import parse
+from mavfi.errors import MavfiError
+from mavfi.faults.fault import Fault
+from mavfi.faults.instruction import Counting, run_in_child
+from mavfi.faults.instruction.launch import addresses_are_fixed
+from mavfi.hosts.inprocess import fly
+from mavfi.hosts.instruction import StrikingHost
+from mavfi.hosts.template import AGAIN, ENDED, LENGTH_BYTES, READY
+from mavfi.mission import Scenario
+from mavfi.numerics.jit import code_folder
+from mavfi.pipeline.functions import PLAIN
+
+_REQUESTS = 0
+_ANSWERS = os.dup(1)
+_NO_REQUEST = 3
+
+
+def main() -> None:
+    """Warm up, and be forked until nobody asks any more."""
+    os.dup2(2, 1)  # whatever prints does not print into the answers
+    before = _cache()
+    try:
+        scenario = parse(Scenario, json.loads(sys.argv[1]), "template")
+        fly(scenario, functions=PLAIN.with_twins(tuple(PLAIN.__dataclass_fields__), lambda _, kernel: Counting(kernel)))
+    except MavfiError:
+        pass  # there is no such mission; then each fork loads what it needs
+    _write(_framed(READY if _cache() == before else AGAIN) + ENDED)
+    failure = _framed(pickle.dumps((False, ("", "the process of a flight with a fault in an address died"), None)))
+    while True:
+        select.select([_REQUESTS], [], [])
+        child = os.fork()
+        if child == 0:
+            _answer()
+        _, status = os.waitpid(child, 0)
+        if os.waitstatus_to_exitcode(status) == _NO_REQUEST:
+            return
+        _write(ENDED if status == 0 else failure + ENDED)
+
+
+def _answer() -> None:
+    """In the fork: read one request, fly, answer, end."""
+    status = 1
+    try:
+        request = _read()
+        if not request:
+            status = _NO_REQUEST
+            return
+        try:
+            answer: tuple[bool, Any, Any] = (addresses_are_fixed(), None, fly_one(*pickle.loads(request)))
+        except Exception as error:  # noqa: BLE001 - whoever asked is told, whatever it is
+            answer = (addresses_are_fixed(), (type(error).__name__, str(error)), None)
+        _write(_framed(pickle.dumps(answer)))
+        status = 0
+    finally:
+        os._exit(status)
+
+
+def fly_one(scenario: str, fault: str, detector: Any) -> Any:
+    """Fly one mission with a fault.
+
+    Args:
+        scenario: As JSON.
+        fault: As JSON.
+        detector: What watches, or None.
+
+    Returns:
+        Digest of the golden flight, and the record of the one with the fault.
+    """
+    mission = parse(Scenario, json.loads(scenario), "request")
+    with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
+        golden, flights = StrikingHost(mission, [Fault.from_json(json.loads(fault))], detector).fly_all()
+    return golden.log.digest(), flights[0].log
+
+
+def _cache() -> bytes:
+    """Digest of what is compiled; a child looks, since its memory depends on how much there is."""
+
+    def look() -> bytes:
+        found = sorted((str(path), path.stat().st_size) for path in code_folder().rglob("*") if path.is_file())
+        return hashlib.sha256(repr(found).encode()).digest()
+
+    return run_in_child(look).payload
+
+
+def _read() -> bytes:
+    length = _exactly(LENGTH_BYTES)
+    return _exactly(int.from_bytes(length, "little")) if length else b""
+
+
+def _exactly(size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        chunk = os.read(_REQUESTS, size - len(data))
+        if not chunk:
+            return b""
+        data += chunk
+    return data
+
+
+def _framed(data: bytes) -> bytes:
+    return len(data).to_bytes(LENGTH_BYTES, "little") + data
+
+
+def _write(data: bytes) -> None:
+    left = memoryview(data)
+    while left:
+        left = left[os.write(_ANSWERS, left) :]
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(BrokenPipeError):  # whoever asked is gone
+        main()

@@ -1,0 +1,44 @@
+"""Nodes that are started again: what they are sent, and what follows for the mission."""
+
+from dataclasses import replace
+
+import pytest
+
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.instruction import fly_struck
+from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults
+
+SEED = 500
+"""A mission of Sparse in which the planner answers two predicted collisions."""
+
+
+@pytest.fixture(scope="module")
+def died():
+    """Flights whose planner died while it answered a predicted collision."""
+    scenario = make_scenario("sparse", SEED, stack="published")
+    wish = Wish({"rrt_connect": 40}, which="opcode:getelementptr", restart_s=0.57)
+    faults = [
+        replace(fault, bit=46, instruction={**fault.instruction, "bits": [46]})
+        for fault in draw_kernel_faults(scenario, wish, seed=1).faults["rrt_connect"]
+        if fault.instruction["call"] > 0
+    ]
+    logs = [flight.log for flight in fly_struck(scenario, faults[:4]).flights]
+    return [log for log in logs if log.meta["kernel_outcome"]["outcome"] == "crash"]
+
+
+def test_no_old_path_is_flown_anew_after_a_restart(died):
+    """Path and trajectory pass within the node; sent to it again, a path from the start would become a trajectory."""
+    assert died
+    for log in died:
+        published = log.meta["publications"]
+        assert published["planning.trajectory"] <= published["planning.path"]
+
+
+def test_plans_of_a_fresh_planner_have_old_counters_and_are_refused(died):
+    """What costs most of these missions, as in the published code: consumers refuse an epoch below the last one."""
+    hovering = [log for log in died if log.status.label == "timeout"]
+    assert hovering
+    for log in hovering:
+        assert log.count("collision_predicted") > 0
+        plans = [event.time_us for event in log.events if event.kind == "plan"]
+        assert len(plans) > 10, "it plans, again and again, and none of its plans is flown"

@@ -1,0 +1,120 @@
+"""Faults in addresses: the same bytes in any process, order and company, as each flight is forked from a template."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from mavfi.errors import MavfiError
+from mavfi.faults.fault import Fault
+from mavfi.faults.instruction import MismatchError, launch
+from mavfi.hosts import template
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.instruction import fly_struck
+from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults, is_in_data
+
+KERNELS = {"pid": 4, "point_cloud": 5, "octomap": 3}
+SEEDS = (3, 4)
+ELSEWHERE = """
+import json, sys
+sys.path[:0] = {roots!r}
+from mavfi.faults.fault import Fault
+from tests.hosts.test_template import flown
+blocks = [bytearray(size) for size in range(1, 200_000, 977)]
+print(json.dumps(flown([Fault.from_json(data) for data in json.loads(sys.stdin.read())])))
+"""
+
+
+def scenario():
+    return make_scenario("sparse", 7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0))
+
+
+def flown(faults):
+    """All that a flight leaves, as text."""
+    logs = [flight.log for flight in fly_struck(scenario(), faults).flights]
+    told = [(log.digest(), log.injections, log.meta["kernel_outcome"], log.meta.get("due_end")) for log in logs]
+    return json.loads(json.dumps(told))
+
+
+@pytest.fixture(scope="module")
+def faults():
+    drawn = [draw_kernel_faults(scenario(), Wish(KERNELS, which="address"), seed=seed).faults for seed in SEEDS]
+    return [fault for faults in drawn for own in faults.values() for fault in own]
+
+
+@pytest.fixture(scope="module")
+def told(faults):
+    return flown(faults)
+
+
+def test_they_are_faults_in_addresses_that_crash_corrupt_and_are_masked(faults, told):
+    assert not any(is_in_data(fault) for fault in faults)
+    assert {outcome["outcome"] for _, _, outcome, _ in told} >= {"crash", "sdc", "masked"}
+    assert all(record["hit"] and record["value_class"] == "address" for _, (record,), _, _ in told)
+    assert any(record["type"] == "ptr" for _, (record,), _, _ in told)
+
+
+def test_order_and_company_do_not_matter(faults, told):
+    assert flown(faults[::-1]) == told[::-1]
+    crashed = next(i for i, row in enumerate(told) if row[2]["outcome"] == "crash")
+    corrupted = next(i for i, row in enumerate(told) if row[2]["outcome"] == "sdc")
+    for number in (crashed, corrupted):
+        assert flown([faults[number]]) == [told[number]]
+
+
+def test_a_fresh_process_with_another_past_gives_the_same_bytes(faults, told, tmp_path):
+    """Another folder, environment, heap and hash seed; and a template of its own."""
+    roots = [os.getcwd(), *(os.path.abspath(entry) for entry in sys.path if entry)]
+    given = [os.path.abspath(entry) for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
+    environment = os.environ | {
+        "PYTHONHASHSEED": "99", "SOMETHING": "x" * 5_000, "PYTHONPATH": os.pathsep.join(given)
+    }  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-c", ELSEWHERE.format(roots=roots)], env=environment, cwd=tmp_path, capture_output=True,
+        input=json.dumps([fault.to_json() for fault in faults]), text=True, check=True,
+    )  # fmt: skip
+    assert json.loads(done.stdout) == told
+
+
+def test_where_addresses_cannot_be_fixed_the_rows_say_so(faults, told, monkeypatch):
+    """As in a container whose filter of system calls refuses personality(2)."""
+    template.close_templates()
+    monkeypatch.setattr(launch, "_personality", lambda wanted=0: -1)
+    try:
+        rows = flown(faults[:2])
+    finally:
+        template.close_templates()
+    assert [row[1][0]["replayable"] for row in rows] == [False, False]
+    assert all(row[1][0]["replayable"] for row in told)
+
+
+def test_faults_in_data_are_replayable_anywhere():
+    fault = draw_kernel_faults(scenario(), Wish({"pid": 1}, which="data"), seed=3).faults["pid"][0]
+    assert is_in_data(fault)
+    assert flown([fault])[0][1][0]["replayable"]
+
+
+def test_errors_come_back_as_what_they_are(faults):
+    other = Fault.from_json({**faults[0].to_json(), "instruction": {**faults[0].instruction, "ir_sha256": "0" * 64}})
+    with pytest.raises(MismatchError, match="drawn for IR 000000000000"):
+        fly_struck(scenario(), [other])
+
+
+def test_nothing_is_left_of_templates(faults):
+    template.close_templates()
+    before = len(os.listdir("/proc/self/fd"))
+    flown(faults[:1])
+    template.close_templates()
+    assert len(os.listdir("/proc/self/fd")) == before
+    with pytest.raises(ChildProcessError):
+        os.waitpid(-1, os.WNOHANG)
+
+
+def test_a_template_that_dies_is_an_error_and_not_a_wait():
+    broken = template.Template.__new__(template.Template)
+    broken._process = subprocess.Popen(["true"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
+    with pytest.raises(MavfiError, match="has died"):
+        broken.ask(b"anything")
+    broken.close()

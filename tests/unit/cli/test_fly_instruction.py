@@ -1,0 +1,84 @@
+"""`mavfi fly --fault instruction:...`: what its record holds, and what is refused."""
+
+import json
+import re
+
+import pytest
+
+from mavfi.cli import run
+from mavfi.faults.instruction.build import name_of
+from mavfi.pipeline.functions import PLAIN, STRUCK
+
+MISSION = ["fly", "--environment", "sparse", "--seed", "7"]
+
+
+@pytest.fixture(scope="module")
+def told():
+    """What the command of the manual prints."""
+    with pytest.MonkeyPatch.context() as patch:
+        lines = []
+        patch.setattr("mavfi.cli.fly.write_json", lambda data: lines.append(json.dumps(data, allow_nan=False)))
+        assert run([*MISSION, "--fault", "instruction:octomap", "--fault-seed", "3", "--json"]) == 0
+    return json.loads(lines[0])
+
+
+def test_the_record_names_the_instruction_and_its_line(told):
+    (record,) = told["injections"]
+    assert record["hit"] is True
+    assert (record["level"], record["kernel"]) == ("instruction", "octomap")
+    assert record["function"] in STRUCK["octomap"]
+    assert record["file"].startswith("mavfi/") and record["file"].endswith(".py") and record["line"] > 0
+    assert record["opcode"].isalpha() and record["type"]
+    assert record["value_class"] in ("floating_point", "integer", "address", "control")
+    assert isinstance(record["variable"], str)
+    assert re.fullmatch("[0-9a-f]{64}", record["ir_sha256"])
+    assert record["before"] != record["after"]
+    assert record["bit"] in range(record["width"]) and record["bits"] == [record["bit"]]
+    assert isinstance(record["replayable"], bool)
+
+
+def test_the_record_is_of_the_fault_that_was_drawn(told):
+    (record,), fault = told["injections"], told["fault"]["instruction"]
+    assert fault["kernel"] == name_of(getattr(PLAIN, record["function"]))
+    for key in ("ir_sha256", "index", "call", "bits", "value_class"):
+        assert fault[key] == record[key], key
+
+
+def test_the_outcome_of_kernel_and_mission_are_told(told):
+    assert told["kernel_outcome"]["outcome"] in ("masked", "sdc", "crash", "hang", "exception")
+    assert told["golden"]["status"] == "success"
+    if told["kernel_outcome"]["outcome"] == "masked":
+        assert told["digest"] == told["golden"]["digest"]
+
+
+@pytest.mark.parametrize("kernel", ["pid", "octomap"])
+def test_the_same_seed_gives_the_same_record_and_another_one_another(capsys, kernel):
+    short = ["--start", "2", "0", "3", "--goal", "9", "0", "3", "--json", "--fault", f"instruction:{kernel}"]
+    found = []
+    for seed in ("3", "3", "4"):
+        assert run([*MISSION, *short, "--fault-seed", seed]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    same, again, other = found
+    assert same == again
+    assert same["injections"] != other["injections"]
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ("instruction:lidar", "kernel 'lidar': not known; allowed: point_cloud, octomap"),
+        ("instruction:rrt", "the planner of this mission is 'rrt_connect'; allowed: planner rrt"),
+        ("instruction:", "not understood; allowed: "),
+        ("instruction:pid:which=sometimes", "instructions 'sometimes': not understood; allowed: all, floating_point"),
+        ("instruction:pid:which=line:pid.py", "instructions 'line:pid.py': not understood; allowed: all"),
+        ("instruction:pid:model=gamma", "no model 'gamma'; allowed: one_bit, bits, random, zero"),
+        ("instruction:pid:bit=7", "not understood; allowed: "),
+        ("instruction:pid:which=opcode:udiv", "executes no instruction 'opcode:udiv' there; allowed: a class"),
+    ],
+)
+def test_bad_faults_are_one_line_and_exit_code_2(capsys, fault, message):
+    assert run([*MISSION, "--fault", fault, "--json"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("mavfi: ") and captured.err.count("\n") == 1
+    assert message in captured.err

@@ -1,0 +1,73 @@
+"""The digest of the fault space: the same in every process, whatever its hashes, cache and order of compilation."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numba
+import pytest
+
+from mavfi.faults.instruction.instrument import instrument
+from mavfi.numerics.jit import kernel_jit, uncached_copy
+
+COMPILE = """
+import json, sys
+import numba
+from mavfi.faults.instruction.build import prepare
+from tests.unit.kernels.cases import CASES
+
+digests = {}
+for name in sys.argv[1:]:
+    case = CASES[name]
+    signature = tuple(numba.typeof(argument) for argument in case.arguments())
+    digests[name] = prepare(case.function, signature)[0].ir_sha256
+print(json.dumps(digests))
+"""
+SLOW = ("rrt_connect", "track", "time_to_collision")
+
+
+@kernel_jit
+def scolding(x):
+    """A kernel that makes a text while it runs."""
+    text = "a number below zero: "
+    if x < 0.0:
+        text = text + "far "
+    return x * len(text)
+
+
+def text_of(kernel):
+    copy = uncached_copy(kernel)
+    copy.compile((numba.float64,))
+    return copy.inspect_llvm((numba.float64,))
+
+
+def test_the_digest_does_not_depend_on_hashes_of_texts():
+    """Numba names constant texts by their hash, which is another one in each process, and may be negative."""
+    text = text_of(scolding)
+    names = [word for word in text.replace(",", " ").split() if word.startswith("@.bytes.")]
+    assert names
+    digests = set()
+    for number in ("123456789012345678", "-123456789012345678", "-8812345678901234567"):
+        other = text.replace(names[0], f"@.bytes.{number}")
+        assert other != text
+        digests.add(instrument(other, "scolding").ir_sha256)
+    assert digests == {instrument(text, "scolding").ir_sha256}
+    assert instrument(text.replace("fmul double", "fadd double"), "scolding").ir_sha256 not in digests
+
+
+@pytest.mark.slow
+def test_fresh_processes_with_empty_caches_agree_in_any_order(tmp_path):
+    found = []
+    for number, order in enumerate((SLOW, SLOW[::-1], SLOW[1:] + SLOW[:1])):
+        environment = os.environ | {
+            "XDG_CACHE_HOME": str(tmp_path / str(number)), "PYTHONHASHSEED": str(number + 1),
+            "PYTHONPATH": os.pathsep.join([".", *sys.path]),
+        }  # fmt: skip
+        environment.pop("NUMBA_CACHE_DIR", None)
+        done = subprocess.run(
+            [sys.executable, "-c", COMPILE, *order], env=environment, capture_output=True, text=True, check=True
+        )
+        found.append(json.loads(done.stdout))
+    assert set(found[0]) == set(SLOW)
+    assert found[0] == found[1] == found[2]
