@@ -43,6 +43,7 @@ class FreeWorld(Host):
         self._gone: dict[str, int] = {}
         self._came: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._number = 0
+        self._checked = False
         self._ports = ports = Ports(WORLD, plan)
         self._sensors = {name: ports.outlet(way, way.first) for name, way in ports.ways.items() if way.writer == WORLD}
         for name, way in ports.ways.items():
@@ -62,6 +63,21 @@ class FreeWorld(Host):
         """Run until the mission has a status."""
         self.at(_POLL_US, "poll")
         return super().fly()
+
+    def capture(self, now: int) -> None:
+        """Take a depth image."""
+        self._checked = False
+        super().capture(now)
+
+    def publish(self, state: State, now: int) -> None:
+        """Of the map and its check, which come on ways of their own, either may be the first to arrive."""
+        name = state.spec.name
+        if name == "perception.collision_status" and not self.mapped:
+            self._checked = True
+        super().publish(state, now)
+        if name == "perception.map_update" and self._checked:
+            self.mapped = self._checked = False
+            self.at(max(now, self.captured_us + self.scenario.camera.period_us), "capture")
 
     def poll(self, now: int) -> None:
         """Wait until it is that late on the wall, and obey what comes meanwhile."""
