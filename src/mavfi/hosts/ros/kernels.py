@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.hosts.compose import CONTROL_PERIOD_US
+from mavfi.hosts.inprocess import Host
 from mavfi.hosts.ros.ending import fatal
 from mavfi.hosts.ros.generate import message_type
 from mavfi.hosts.ros.graph import RECOMPUTE
@@ -22,6 +23,8 @@ from mavfi.pipeline.ppc import PERIODIC, build_pipeline
 from mavfi.platforms.compute import latency
 from mavfi.states import State
 
+_LOADING_FLIGHT_US = 3_000_000
+"""By then every kernel has worked."""
 _SCAN_INPUT = {
     "point_cloud": "sensor.depth", "octomap": "perception.point_cloud", "collision_check": "perception.map_update",
 }  # fmt: skip
@@ -164,6 +167,7 @@ class FreeNode(KernelNode):
 
     def run(self) -> None:
         """Work until the end."""
+        _load_compiled(self.ports.plan)
         self.listen(lambda state, number, time_us: self._queue.put((state, time_us, None)))
         if self._marks:
             self.ports.listen(RECOMPUTE, "Recompute", lambda request: self._queue.put((None, 0, request)))
@@ -223,3 +227,10 @@ class FreeNode(KernelNode):
         else:
             kernel.rollback()
             self._step(kernel, now)
+
+
+def _load_compiled(plan: Plan) -> None:
+    """Fly the first seconds in this process: functions are loaded at their first use, and the vehicle would wait."""
+    host = Host(plan.scenario)
+    host.limit_us = _LOADING_FLIGHT_US
+    host.fly()
