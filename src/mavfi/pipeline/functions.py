@@ -4,7 +4,9 @@ A twin takes the same arguments and gives the same result, and counts instructio
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from importlib import import_module
+from pickle import PicklingError
 from typing import Any
 
 from mavfi.kernels.control import pid
@@ -40,6 +42,28 @@ class KernelFunctions:
             twin: Gives the twin of a function, from its name and itself.
         """
         return replace(self, **{name: twin(name, getattr(self, name)) for name in names})
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """By name: Numba would send the source, which another process then compiles again, past its cache.
+
+        Raises:
+            PicklingError: A function is not what its module calls by its name.
+        """
+        places = [(function.__module__, function.__qualname__) for function in self._table()]
+        if [_imported(*place) for place in places] != self._table():
+            raise PicklingError("kernel functions with twins stay in their process")
+        return _from_places, (places,)
+
+    def _table(self) -> list[Compiled]:
+        return [getattr(self, field.name) for field in fields(self)]
+
+
+def _imported(module: str, name: str) -> Any:
+    return getattr(import_module(module), name, None)
+
+
+def _from_places(places: list[tuple[str, str]]) -> KernelFunctions:
+    return KernelFunctions(*(_imported(*place) for place in places))
 
 
 PLAIN = KernelFunctions()

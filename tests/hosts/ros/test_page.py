@@ -5,10 +5,13 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 
 import pytest
 
+from mavfi.errors import BadInputError
 from mavfi.hosts.ros import install
+from mavfi.hosts.ros.attach import nodelets
 from tests.hosts.ros.needs import ros
 from tests.hosts.ros.pages import DOCS, arguments, commands, environment
 
@@ -16,7 +19,8 @@ pytestmark = [*ros, pytest.mark.slow]
 ALL = commands("ros.md")
 FREE = [command for command in ALL if "--free-running" in command]
 FLIGHTS = [command for command in ALL if command.startswith("mavfi ros fly ") and command not in FREE]
-JOINED = [command for command in ALL if command.startswith("$FLIGHT/join ")]
+STRIKE = next(command for command in ALL if "mavfi inject" in command)
+JOINED = [command for command in ALL if command.startswith("$FLIGHT/join ") and command != STRIKE]
 SAYS = {
     "rosnode list": r"/octomap\n(.*\n)*/world",
     "rostopic hz": r"average rate: \d+\.\d+\n\s+min: ",
@@ -28,9 +32,17 @@ SAYS = {
 """What each tool must say beside a flight."""
 
 
+def need_nodelets():
+    try:
+        nodelets.require()
+    except BadInputError as error:
+        pytest.skip(str(error))
+
+
 def test_the_page_has_no_command_that_is_not_run_here():
-    assert set(ALL) == {"make ros", *FLIGHTS, *FREE, *JOINED}
-    assert (len(FLIGHTS), len(FREE)) == (6, 1)
+    assert set(ALL) == {"make ros", *FLIGHTS, *FREE, *JOINED, STRIKE}
+    assert (len(FLIGHTS), len(FREE)) == (9, 2)
+    assert ["--point-cloud-node" in command for command in FREE] == [False, True]
     assert {" ".join(command.split()[1:3]) for command in JOINED} == set(SAYS)
 
 
@@ -42,6 +54,8 @@ def test_make_ros_says_that_it_is_here(capsys):
 
 @pytest.mark.parametrize("command", FLIGHTS)
 def test_a_flight_of_the_page(command, tmp_path):
+    if "--point-cloud-node" in command:
+        need_nodelets()
     done = subprocess.run(arguments(command, {}), cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert "digest" in done.stdout
@@ -52,11 +66,11 @@ def listed(folder):
     return subprocess.run([f"{folder}/join", "rosnode", "list"], capture_output=True, text=True, check=False).stdout
 
 
-@pytest.fixture(scope="module")
-def flight():
+@contextmanager
+def going_on(command):
     """Folder of a flight that goes on."""
     with subprocess.Popen(
-        arguments(FREE[0], {}), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        arguments(command, {}), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     ) as flown:
         assert flown.stderr is not None
         folder = re.match(r"join the flight: (.*)/join ", flown.stderr.readline())[1]
@@ -66,6 +80,13 @@ def flight():
         yield folder
         assert flown.poll() is None, "the flight was over before all had looked at it"
         flown.send_signal(signal.SIGINT)
+
+
+@pytest.fixture(scope="module")
+def flight():
+    """Folder of a flight that all look at."""
+    with going_on(FREE[0]) as folder:
+        yield folder
 
 
 @pytest.mark.parametrize("command", JOINED)
@@ -81,3 +102,12 @@ def test_a_look_into_a_flight(command, flight, tmp_path):
              "flight.bag"], cwd=tmp_path, capture_output=True, text=True, check=True, env=environment(),
         )  # fmt: skip
         assert all(topic in told.stdout for topic in ("/odometry", "/tf", "/command"))
+
+
+def test_a_strike_from_a_second_terminal():
+    need_nodelets()
+    with going_on(FREE[1]) as folder:
+        time.sleep(10.0)  # until images come
+        done = subprocess.run(arguments(STRIKE, {"FLIGHT": folder}), capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert "bit" in done.stdout
