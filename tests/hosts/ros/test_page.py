@@ -27,7 +27,7 @@ SAYS = {
     "rosmsg show": r"float64 x\n",
     "rostopic echo": r"yaw_rate: ",
     "rosbag record": r"",
-    "rosservice call": r"(pose:(.*\n)+){2}",
+    "rosservice call": r"pose:[\s\S]*pose:",
 }
 """What each tool must say beside a flight."""
 
