@@ -1,11 +1,13 @@
 """Every command of docs/ros.md, run as it stands there."""
 
+import os
 import re
 import signal
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -82,6 +84,18 @@ def going_on(command):
         flown.send_signal(signal.SIGINT)
 
 
+def test_a_strike_from_a_second_terminal():
+    need_nodelets()
+    with going_on(FREE[1]) as folder:
+        time.sleep(10.0)  # until images come
+        here = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+        done = subprocess.run(
+            arguments(STRIKE, {"FLIGHT": folder}), env=here, capture_output=True, text=True, check=False
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        assert "bit" in done.stdout
+
+
 @pytest.fixture(scope="module")
 def flight():
     """Folder of a flight that all look at."""
@@ -102,12 +116,3 @@ def test_a_look_into_a_flight(command, flight, tmp_path):
              "flight.bag"], cwd=tmp_path, capture_output=True, text=True, check=True, env=environment(),
         )  # fmt: skip
         assert all(topic in told.stdout for topic in ("/odometry", "/tf", "/command"))
-
-
-def test_a_strike_from_a_second_terminal():
-    need_nodelets()
-    with going_on(FREE[1]) as folder:
-        time.sleep(10.0)  # until images come
-        done = subprocess.run(arguments(STRIKE, {"FLIGHT": folder}), capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        assert "bit" in done.stdout
