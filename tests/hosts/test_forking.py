@@ -139,7 +139,7 @@ def test_a_detector_of_which_no_copy_can_be_made_flies_the_long_way(monkeypatch)
         Family(mission()).fly(None, Streaming(), "streaming")
     campaign = load_campaign("smoke")
     tools = host_tools()
-    monkeypatch.setattr("mavfi.campaign.worker._detector", lambda task: Streaming())
+    monkeypatch.setattr("mavfi.campaign.worker.detector_of", lambda task: Streaming())
     spec = plan_golden(campaign, dict.fromkeys(campaign.environments, "key"), [*arms_of(campaign, {})][-1:])[0]
     task = Task(spec, mission(), tools)
     long, forked = run_task(task), run_task(Task(spec, mission(), tools, forking=True))

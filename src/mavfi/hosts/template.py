@@ -10,6 +10,7 @@ import atexit
 import json
 import os
 import pickle
+import re
 import select
 import subprocess
 import sys
@@ -147,6 +148,8 @@ def _environment() -> dict[str, str]:
     return {**passed, **numba, **_FIXED, "PYTHONPATH": os.pathsep.join(roots)}
 
 
+_PLUGGED = re.compile(r'"[A-Za-z_][\w.]*:[A-Za-z_]\w*"')
+"""How a user's own planner or map is named."""
 _templates: OrderedDict[tuple[int, str, str], Template] = OrderedDict()
 
 
@@ -188,13 +191,20 @@ def fly_from_template(scenario: Scenario, fault: Fault, detector: Detector | Non
     kind = scenario.model_copy(update={"seed": 0, "start": None, "goal": None})
     parts = (json.dumps(part.to_json(), sort_keys=True) for part in (scenario, fault))
     template = template_for(_SERVER, json.dumps(kind.to_json(), sort_keys=True))
-    answer = template.ask(pickle.dumps((*parts, detector)))
+    paths = sys.path if _has_parts_of_a_user(kind, detector) else []  # the mission computer's memory holds them too
+    answer = template.ask(pickle.dumps((paths, pickle.dumps((*parts, detector)))))
     log: FlightLog
     over_there, log = answer.result
     if over_there != golden:
         raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
     log.injections[0]["replayable"] = answer.fixed
     return log
+
+
+def _has_parts_of_a_user(kind: Scenario, detector: Detector | None) -> bool:
+    """Whether a flight needs modules that are found from here only."""
+    plugged = _PLUGGED.search(json.dumps(kind.to_json())) is not None
+    return plugged or (detector is not None and not type(detector).__module__.startswith("mavfi."))
 
 
 @atexit.register

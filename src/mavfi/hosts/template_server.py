@@ -63,7 +63,9 @@ def _answer() -> None:
             status = _NO_REQUEST
             return
         try:
-            answer: tuple[bool, Any, Any] = (addresses_are_fixed(), None, fly_one(*pickle.loads(request)))
+            paths, work = pickle.loads(request)
+            sys.path[:] = paths or sys.path
+            answer: tuple[bool, Any, Any] = (addresses_are_fixed(), None, fly_one(*pickle.loads(work)))
         except Exception as error:  # noqa: BLE001 - whoever asked is told, whatever it is
             answer = (addresses_are_fixed(), (type(error).__name__, str(error)), None)
         _write(_framed(pickle.dumps(answer)))
