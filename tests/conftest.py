@@ -1,11 +1,13 @@
 """What all tests share: one thread per process, and property tests that are the same on every machine."""
 
 import os
+import sys
 
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")  # before numpy is loaded: sums keep their order
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+import pytest
 from hypothesis import settings
 
 # The first call of a compiled function takes seconds, so there is no deadline; `--hypothesis-profile=search` looks
@@ -17,3 +19,12 @@ settings.load_profile("repeatable")
 
 def pytest_addoption(parser):
     parser.addoption("--update-goldens", action="store_true", help="store the digests of the golden flights anew")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _no_templates_are_left():
+    """Processes from which struck flights are forked wait for more; the next module may count its children."""
+    yield
+    template = sys.modules.get("mavfi.hosts.template")
+    if template is not None:
+        template.close_templates()
