@@ -16,7 +16,7 @@ export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test lint check check-nojit robust tune format bench coupling machine-level forking many-strikes golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all lint check check-nojit robust tune format bench coupling machine-level forking many-strikes golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -34,8 +34,11 @@ $(STAMP): requirements.lock pyproject.toml
 reproduce: setup  ## train, fly, print the success table at both levels, write $(OUT) (SCALE=quick|paper)
 	@$(BIN)/mavfi reproduce --scale $(SCALE) --out $(OUT)
 
-test: setup  ## run all tests
+test: setup  ## run the tests
 	@$(BIN)/python -m pytest
+
+test-all: setup  ## run all tests, those too that repeat others in more settings
+	@$(BIN)/python -m pytest -m ""
 
 lint: setup  ## formatting, lint, types, import contracts
 	@$(BIN)/ruff format --check $(CODE)

@@ -159,7 +159,8 @@ def table1(stack):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("environment", "stack"),
-    [(name, "published") for name in ("factory", "farm", "sparse", "dense")] + [("factory", "hardened")],
+    [("dense", "published"), ("factory", "hardened")]
+    + [pytest.param(name, "published", marks=pytest.mark.long) for name in ("factory", "farm", "sparse")],
 )
 def test_a_mission_of_the_table_leaves_the_same_records(environment, stack):
     """All arms, all stages, both strata and a null fault; `benchmarks/forking.py` compares hundreds of runs."""

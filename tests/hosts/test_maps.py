@@ -42,7 +42,9 @@ def test_a_struck_cloud_ends_the_same_with_both_maps():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("stack", STACKS)
-@pytest.mark.parametrize("environment", ["sparse", "dense", "factory", "farm"])
+@pytest.mark.parametrize(
+    "environment", ["dense", "factory", *(pytest.param(name, marks=pytest.mark.long) for name in ("sparse", "farm"))]
+)
 def test_whole_missions_have_the_same_digest_with_both_maps(environment, stack):
     for seed, resolution in ((0, 0.5), (1, 0.5), (2, 0.4)):
         scenario = make_scenario(environment, seed, stack=stack)

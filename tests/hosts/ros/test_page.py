@@ -21,6 +21,13 @@ pytestmark = [*ros, pytest.mark.slow]
 ALL = commands("ros.md")
 FREE = [command for command in ALL if "--free-running" in command]
 FLIGHTS = [command for command in ALL if command.startswith("mavfi ros fly ") and command not in FREE]
+OTHERWISE = (
+    "--coupling observer",
+    "--kill",
+    "--json",
+    "--point-cloud-node depth_image_proc --strike point_cloud_xyz@5 ",
+)
+"""Other tests fly these too, in shorter missions."""
 STRIKE = next(command for command in ALL if "mavfi inject" in command)
 JOINED = [command for command in ALL if command.startswith("$FLIGHT/join ") and command != STRIKE]
 SAYS = {
@@ -54,7 +61,13 @@ def test_make_ros_says_that_it_is_here(capsys):
     assert re.match(r"ROS 1 1\.15\.\d+ was here: /", capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("command", FLIGHTS)
+@pytest.mark.parametrize(
+    "command",
+    [
+        pytest.param(command, marks=[pytest.mark.long] if any(word in command for word in OTHERWISE) else [])
+        for command in FLIGHTS
+    ],
+)
 def test_a_flight_of_the_page(command, tmp_path):
     if "--point-cloud-node" in command:
         need_nodelets()

@@ -13,8 +13,8 @@ NOTHING = Look(0, 6, 0, 100_000, 3)
 @pytest.mark.slow
 def test_hundreds_of_strikes_of_all_kinds_leave_nothing_behind(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    outcomes, seen = strike_often(500, looks=5)
-    assert outcomes.total() == seen[-1].strikes == 500
+    outcomes, seen = strike_often(200, looks=5)
+    assert outcomes.total() == seen[-1].strikes == 200
     assert outcomes["crash"] > 0 and outcomes["sdc"] > 0 and outcomes["masked"] > 0
     assert len(seen) == 6
     assert leaks(seen) == []
