@@ -217,12 +217,17 @@ def _stop_at(
 
     cleanup.callback(let_go)
     for thread in [choose_thread(request.pid, request.thread)] if request.thread else threads_of(request.pid):
-        held[thread] = Tracee(thread, cancelled=cancelled)
-        held[thread].interrupt(_STEP_LIMIT)
-        if not request.thread:
-            held[thread].follow_threads()
-        held[thread].set_breakpoint(address)
-        held[thread].resume()
+        try:
+            held[thread] = Tracee(thread, cancelled=cancelled)
+            held[thread].interrupt(_STEP_LIMIT)
+            if not request.thread:
+                held[thread].follow_threads()
+            held[thread].set_breakpoint(address)
+            held[thread].resume()
+        except (ProcessLookupError, TargetGoneError):
+            if thread in (request.pid, request.thread):
+                raise
+            held.pop(thread, None)  # a thread that came to its end since it was listed
     arrived = _first_at(address, held, request, deadline, cancelled)
     since = time.perf_counter()
     arrived.clear_breakpoint()
