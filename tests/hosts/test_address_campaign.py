@@ -20,12 +20,9 @@ from mavfi.faults.instruction import launch
 from mavfi.hosts import template
 from mavfi.reports.change import change
 from mavfi.reports.explain import explain, lines
+from tests.hosts.missions import run_in_two_sittings
 
 pytestmark = pytest.mark.slow
-
-
-class EnoughError(Exception):
-    """The campaign has flown long enough."""
 
 
 def campaign(which="address", faults=8):
@@ -61,13 +58,7 @@ def test_there_are_crashes_and_corruptions_and_all_can_be_replayed(runs):
 
 
 def test_workers_and_stops_do_not_matter(folder, tmp_path):
-    def stop(progress):
-        if progress.flown == 9:
-            raise EnoughError
-
-    with pytest.raises(EnoughError):
-        run_campaign(campaign(), tmp_path, workers=2, progress=stop)
-    assert run_campaign(campaign(), tmp_path, workers=2).complete
+    run_in_two_sittings(campaign(), tmp_path, flown=9)
     assert records(tmp_path) == records(folder)
 
 

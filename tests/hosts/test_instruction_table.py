@@ -11,12 +11,9 @@ from mavfi.reports.campaign_report import write_report
 from mavfi.reports.explain import explain, lines
 from mavfi.reports.instruction_tables import INSTRUCTION_LEVEL
 from mavfi.reports.tables import tables
+from tests.hosts.missions import run_in_two_sittings
 
 pytestmark = pytest.mark.slow
-
-
-class EnoughError(Exception):
-    """The campaign has flown long enough."""
 
 
 def campaign():
@@ -40,13 +37,7 @@ def runs_of(directory):
 
 
 def test_workers_and_stops_do_not_matter(folder, tmp_path):
-    def stop(progress):
-        if progress.flown == 9:
-            raise EnoughError
-
-    with pytest.raises(EnoughError):
-        run_campaign(campaign(), tmp_path, workers=2, progress=stop)
-    assert run_campaign(campaign(), tmp_path, workers=2).complete
+    run_in_two_sittings(campaign(), tmp_path, flown=9)
     with Store.open(tmp_path) as again, Store.open(folder) as store:
         assert again.digest() == store.digest()
 

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from mavfi.campaign.nodes.config import KIND, NodeCampaign
+from mavfi.campaign.scales import at_scale
 from mavfi.config import Config, config_root, load, read_yaml
 from mavfi.errors import BadInputError
 from mavfi.faults.sampling import group_target, stage_target
@@ -113,17 +114,8 @@ class Campaign(Config):
         return self
 
     def at_scale(self, name: str) -> "Campaign":
-        """The campaign at another size; "quick" is the one written at its top level.
-
-        Raises:
-            BadInputError: It has no such size.
-        """
-        if name == "quick":
-            return self
-        if name not in self.scales:
-            allowed = ", ".join(["quick", *self.scales])
-            raise BadInputError(f"campaign {self.name}: scale {name!r}: not known; allowed: {allowed}")
-        return self.model_copy(update=self.scales[name].model_dump())
+        """The campaign at another size; see `mavfi.campaign.scales`."""
+        return at_scale(self, self.name, self.scales, name)
 
     @property
     def seeds(self) -> range:

@@ -37,8 +37,6 @@ from mavfi.campaign.worker import End, RunResult, Task, Tools, forget_families
 from mavfi.errors import BadInputError
 from mavfi.mission import Scenario
 
-FIXED_ADDRESSES = "fixed_addresses"
-"""Where the ledger says whether addresses and hashes were the same in all its processes."""
 _PACKAGES = ("numpy", "numba", "llvmlite", "mujoco-core", "scikit-learn")
 
 
@@ -261,8 +259,6 @@ def run_campaign(  # noqa: PLR0913 - everything after the directory has a defaul
     with Store.create(directory, identity) as store:
         check_versions(store)
         store.write_meta({"models_dir": None if models_dir is None else str(models_dir.absolute())})
-        if campaign.kernels is not None:
-            _note_addresses(store)
         forks = (forking and tools.make_family is not None) or campaign.kernels is not None
         sitting = _Sitting(campaign, store, scenarios, models_dir, tools, pool, progress or _silent, arms, forks)
         sitting.plan_golden()
@@ -368,13 +364,6 @@ def check_versions(store: Store) -> None:
         raise BadInputError(
             f"{store.directory}: was begun with {name} {held.get(name)}, here is {here[name]}; runs cannot be mixed"
         )
-
-
-def _note_addresses(store: Store) -> None:
-    """Note whether every sitting had fixed addresses: faults in addresses can be replayed only then."""
-    from mavfi.faults.instruction.launch import addresses_are_fixed
-
-    store.write_meta({FIXED_ADDRESSES: addresses_are_fixed() and store.meta(FIXED_ADDRESSES) is not False})
 
 
 def _lost(lost: Lost) -> RunResult:

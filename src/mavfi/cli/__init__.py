@@ -6,7 +6,7 @@ Nothing is imported here but what catches Ctrl-C: from then on no moment of a st
 import sys
 from collections.abc import Sequence
 
-from mavfi.cli import launching, stopping
+from mavfi.cli import stopping
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -20,7 +20,6 @@ def main() -> None:
     """The program `mavfi`."""
     try:
         stopping.leave_on_ctrl_c()
-        launching.as_program()
         code = run(sys.argv[1:])
     except KeyboardInterrupt:
         code = stopping.EXIT_STOPPED

@@ -6,7 +6,6 @@ from typing import Annotated
 
 import typer
 
-from mavfi.cli import launching
 from mavfi.cli.console import JSON_HELP, console, write_json
 from mavfi.cli.stopping import stoppable
 
@@ -54,8 +53,6 @@ def run(
         with stoppable(told), Bar(f"campaign {campaign.name}", "trials") as bar:
             run_node_campaign(campaign, ledger, workers=workers, progress=bar.show_campaign)
     else:
-        if campaign.kernels is not None:
-            launching.fix_addresses()
         import_host()
         with stoppable(told), Bar(f"campaign {campaign.name}") as bar:
             run_campaign(

@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from mavfi.cli import launching
 from mavfi.cli.console import JSON_HELP, console, write_json
 
 
@@ -22,7 +21,6 @@ def explain(
     from mavfi.reports.explain import explain as explain_run
     from mavfi.reports.explain import lines, to_json
 
-    launching.fix_addresses_for(directory)
     found = explain_run(directory, run_id)
     if as_json:
         write_json(to_json(found))

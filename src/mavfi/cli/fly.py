@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mavfi.cli import launching, options
+from mavfi.cli import options
 from mavfi.cli.console import check_number, check_point, check_seed, check_writable, console, write_json
 from mavfi.config import STRONGEST_WIND
 from mavfi.errors import BadInputError
@@ -119,12 +119,9 @@ def known_localization(name: str) -> str:
 def _request(text: str | None, localization: str) -> FaultRequest | KernelRequest | None:
     if text is None:
         return None
-    from mavfi.faults.spec import KernelRequest, parse
+    from mavfi.faults.spec import parse
 
-    request = parse(text, localization)
-    if isinstance(request, KernelRequest):
-        launching.fix_addresses()
-    return request
+    return parse(text, localization)
 
 
 def load_watcher(

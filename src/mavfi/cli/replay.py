@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from mavfi.cli import launching
 from mavfi.cli.console import JSON_HELP, console, write_json
 
 
@@ -20,7 +19,6 @@ def replay(
     """
     from mavfi.campaign.replay import replay as fly_again
 
-    launching.fix_addresses_for(directory)
     found = fly_again(directory, run_id)
     spec, record = found.run.spec, found.run.record or {}
     if as_json:

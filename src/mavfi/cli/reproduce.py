@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mavfi.cli import launching
 from mavfi.cli.console import JSON_HELP, check_folder, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
@@ -50,7 +49,6 @@ def reproduce(
     for folder, campaign in campaigns.items():
         _check_ledger(campaign, folder)
     check_folder(out)
-    launching.fix_addresses()
     trained = all(_trained(campaign, out / "models") for campaign in campaigns.values())
     import_host(training=not trained)
     with stoppable(f"Stopped. What is done is kept in {out}; the same command goes on."):

@@ -6,8 +6,8 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
+from mavfi.campaign.scales import at_scale
 from mavfi.config import Config
-from mavfi.errors import BadInputError
 from mavfi.faults.register.request import ACCESSES, LONGEST_WALK
 
 KIND = "ros_node"
@@ -69,17 +69,8 @@ class NodeCampaign(Config):
         return self
 
     def at_scale(self, name: str) -> "NodeCampaign":
-        """The campaign at another size; "quick" is the one written at its top level.
-
-        Raises:
-            BadInputError: It has no such size.
-        """
-        if name == "quick":
-            return self
-        if name not in self.scales:
-            allowed = ", ".join(["quick", *self.scales])
-            raise BadInputError(f"campaign {self.name}: scale {name!r}: not known; allowed: {allowed}")
-        return self.model_copy(update=self.scales[name].model_dump())
+        """The campaign at another size; see `mavfi.campaign.scales`."""
+        return at_scale(self, self.name, self.scales, name)
 
     @property
     def count(self) -> int:

@@ -1,4 +1,4 @@
-"""Starts a program again with fixed addresses and hashing, so that faults in addresses can be replayed too.
+"""Starts a program with fixed addresses, so that faults in addresses can be replayed too.
 
 A corrupted address reads or writes what lies there, which is the same in two processes only if nothing is placed at
 random.  Faults in data need none of this.
@@ -6,10 +6,9 @@ random.  Faults in data need none of this.
 
 import contextlib
 import ctypes
-import os
 import resource
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -17,25 +16,11 @@ T = TypeVar("T")
 _NO_RANDOMIZE = 0x0040000  # ADDR_NO_RANDOMIZE, personality(2)
 _QUERY = 0xFFFFFFFF
 _STACK = 8 << 20
-_HASH_SEED = "PYTHONHASHSEED"
 
 
 def addresses_are_fixed() -> bool:
     """Whether neither addresses nor hashes of this process are random."""
     return _personality() & _NO_RANDOMIZE != 0 and not sys.flags.hash_randomization
-
-
-def start_with_fixed_addresses(command: Sequence[str]) -> None:
-    """Replace this process by the same program with fixed addresses; nothing happens where that is not allowed.
-
-    Args:
-        command: Program and arguments.
-    """
-    if addresses_are_fixed() or _personality(_personality() | _NO_RANDOMIZE) < 0:
-        return
-    if _personality() & _NO_RANDOMIZE and os.environ.get(_HASH_SEED) != "0":
-        os.environ[_HASH_SEED] = "0"
-        os.execv(command[0], list(command))
 
 
 def with_fixed_addresses(start: Callable[[], T]) -> T:
