@@ -1,16 +1,18 @@
 """Faults in addresses: the same bytes in any process, order and company, as each flight is forked from a template."""
 
+import importlib.util
 import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from mavfi.errors import MavfiError
 from mavfi.faults.fault import Fault
 from mavfi.faults.instruction import MismatchError, launch
-from mavfi.hosts import template
+from mavfi.hosts import beginning, template
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.instruction import fly_struck
 from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults, is_in_data
@@ -76,6 +78,26 @@ def test_a_fresh_process_with_another_past_gives_the_same_bytes(faults, told, tm
         input=json.dumps([fault.to_json() for fault in faults]), text=True, check=True,
     )  # fmt: skip
     assert json.loads(done.stdout) == told
+
+
+def test_a_template_that_had_to_compile_modules_is_not_the_one_that_is_forked(faults, told, monkeypatch):
+    """The first process after an update compiles them to bytecode, all later ones load it: their memory differs."""
+    compiled = Path(importlib.util.cache_from_source(beginning.__file__))
+    said = []
+    receive = template.Template._receive
+
+    def listen(self):
+        said.append(receive(self))
+        return said[-1]
+
+    template.close_templates()
+    monkeypatch.setattr(template.Template, "_receive", listen)
+    compiled.unlink(missing_ok=True)
+    try:
+        assert flown(faults[:1]) == told[:1]
+    finally:
+        template.close_templates()
+    assert said[:2] == [template.AGAIN, template.READY]
 
 
 def test_where_addresses_cannot_be_fixed_the_rows_say_so(faults, told, monkeypatch):

@@ -3,14 +3,20 @@
 They are imported when they are first wanted: reading a ledger needs no simulator.
 """
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from mavfi.campaign.config import KernelFaults
 from mavfi.campaign.worker import DrawnFaults, Family, Flight, Tools
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import Fault
 from mavfi.mission import Scenario
+
+_DRAWN_KEPT = 8
+_drawn: dict[str, Any] = {}
+"""Golden flights for which this process has drawn, by mission: those with the faults are most often flown next."""
 
 
 def host_tools() -> Tools:
@@ -34,13 +40,22 @@ def _draw(
     from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults
 
     wish = Wish(draws, kernels.which, kernels.model, kernels.restart_s, sampling=kernels.sampling)
-    return draw_kernel_faults(scenario, wish, environment, seed=seed)
+    drawn = draw_kernel_faults(scenario, wish, environment, seed=seed)
+    while len(_drawn) >= _DRAWN_KEPT:
+        del _drawn[next(iter(_drawn))]
+    _drawn[_key(scenario)] = drawn.golden
+    return drawn
+
+
+def _key(scenario: Scenario) -> str:
+    return json.dumps(scenario.to_json(), sort_keys=True)
 
 
 def _strike(scenario: Scenario, faults: Sequence[Fault], detector: Detector | None) -> Sequence[Flight]:
     from mavfi.hosts.instruction import fly_struck
 
-    return fly_struck(scenario, faults, detector).flights
+    golden = None if detector is not None else _drawn.get(_key(scenario))
+    return fly_struck(scenario, faults, detector, golden).flights
 
 
 def _make_family(scenario: Scenario) -> Family:

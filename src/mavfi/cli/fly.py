@@ -173,13 +173,14 @@ def _strike(
     from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults
 
     wish = Wish({request.kernel: 1}, request.which, request.model)
-    fault = draw_kernel_faults(scenario, wish, seed=fault_seed).faults[request.kernel][0]
+    drawn = draw_kernel_faults(scenario, wish, seed=fault_seed)
+    fault = drawn.faults[request.kernel][0]
     if not fault.has_site:
         raise BadInputError(
             f"--fault: instruction:{request.kernel}: this mission executes no instruction {request.which!r} there; "
             "allowed: a class that it executes"
         )
-    struck = fly_struck(scenario, [fault], detector)
+    struck = fly_struck(scenario, [fault], detector, drawn.golden if detector is None else None)
     return Flown(scenario, struck.flights[0], struck.golden, fault, watching)
 
 

@@ -11,9 +11,8 @@ strikes the first call from there on that has such a bit, as faults in states st
 an instant.
 """
 
-import math
 import pickle
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,14 +21,15 @@ import numpy as np
 from mavfi.detectors.detector import Detector
 from mavfi.errors import MavfiError
 from mavfi.faults.fault import Fault
-from mavfi.faults.instruction import Ended, ForkPoint, InstructionFault, MismatchError, Strike
+from mavfi.faults.instruction import Ended, ForkPoint, MismatchError, Strike
 from mavfi.faults.instruction.api import check_fault, digest
 from mavfi.faults.instruction.fault import strike_of
 from mavfi.faults.instruction.variant import variant_for
-from mavfi.flight_log import FlightLog
+from mavfi.hosts.beginning import Beginning, beginning_of, fly_until
 from mavfi.hosts.inprocess import Flight, Host
-from mavfi.hosts.kernel_faults import DATA, PLANNERS, check_kernel, is_in_data, planned_of
-from mavfi.hosts.kernel_output import Output, copied, first_difference, plain_parts
+from mavfi.hosts.kernel_faults import DATA, is_in_data
+from mavfi.hosts.kernel_output import Output, copied, plain_parts
+from mavfi.hosts.struck import WAITING, Case, Report, case_of, flight_of
 from mavfi.hosts.template import fly_from_template
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
@@ -45,45 +45,11 @@ _NODES = {kernel: _PLANNING for kernel in _PLANNING}
 
 
 @dataclass(slots=True)
-class _Case:
-    """One fault on its way."""
-
-    fault: Fault
-    planned: InstructionFault
-    restart_us: int
-    kernel: str
-    call: int
-    time_us: int = 0
-    strike: Strike | None = None
-    how: str = "not_reached"
-    detail: str = ""
-    report: "_Report | None" = None
-    golden: Output | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class _Report:
-    """What a child leaves.
-
-    Attributes:
-        log: Its record; None where nothing differed at the end of the struck call.
-        output: Of the struck step; None where the kernel made none.
-        call_same: Whether result and arguments of the struck call are bit for bit the golden ones.
-        missed: Whether the call ended before the instruction came, or that instruction's value has no such bit.
-    """
-
-    log: FlightLog | None
-    output: Output | None
-    call_same: bool
-    missed: bool = False
-
-
-@dataclass(slots=True)
 class _Child:
     """What a forked process is there for."""
 
     point: ForkPoint
-    case: _Case
+    case: Case
     dead: bool
     call_same: bool = False
     output: Output | None = None
@@ -115,9 +81,9 @@ class StrikingHost(Host):
     """
 
     def __init__(self, scenario: Scenario, faults: Sequence[Fault], detector: Detector | None = None) -> None:
-        self.cases = [_case(fault, scenario) for fault in faults]
+        self.cases = [case_of(fault, scenario) for fault in faults]
         self.child: _Child | None = None
-        self._awaited: dict[str, list[_Case]] = {}
+        self._awaited: dict[str, list[Case]] = {}
         self._down: set[str] = set()
         self._latest: dict[str, State] = {}
         self._updates: list[State] = []
@@ -126,7 +92,7 @@ class StrikingHost(Host):
         super().__init__(scenario, None, detector, functions=functions)
 
     # ---- striking ---------------------------------------------------------------------------------------------------
-    def strike(self, case: _Case, function: Any, args: tuple[Any, ...]) -> tuple[bool, Any]:
+    def strike(self, case: Case, function: Any, args: tuple[Any, ...]) -> tuple[bool, Any]:
         """Fork at a struck call.
 
         Args:
@@ -155,9 +121,9 @@ class StrikingHost(Host):
         case.strike = strike_of(case.planned, variant.report())
         case.how, case.detail = ended.how, ended.detail
         if ended.how == "done":
-            report: _Report = pickle.loads(ended.payload)
+            report: Report = pickle.loads(ended.payload)
             if report.missed:
-                case.call, case.how = case.call + 1, "not_reached"
+                case.call, case.how = case.call + 1, WAITING
                 return False, None
             case.report = report
         else:
@@ -180,9 +146,9 @@ class StrikingHost(Host):
         child.call_same = digest(plain_parts((result, args))) == golden
         report = variant.report()
         if self.detector is not None and _missed(strike_of(planned, report)):
-            child.point.finish(pickle.dumps(_Report(None, None, call_same=True, missed=True)))
+            child.point.finish(pickle.dumps(Report(None, None, call_same=True, missed=True)))
         if child.call_same and report is not None and report.site.value_class in DATA:
-            child.point.finish(pickle.dumps(_Report(None, None, call_same=True)))
+            child.point.finish(pickle.dumps(Report(None, None, call_same=True)))
         return result
 
     def _in_child(self) -> _Child:
@@ -258,26 +224,32 @@ class StrikingHost(Host):
     # ---- ends -------------------------------------------------------------------------------------------------------
     def fly_all(self) -> tuple[Flight, list[Flight]]:
         """The golden flight, and the flights with the faults, in their order; children do not come back."""
+        golden = self._fly(lambda: False)
+        assert golden is not None  # it was not stopped
+        return golden, [flight_of(case, golden) for case in self.cases]
+
+    def fly_to_strikes(self) -> tuple[Beginning, list[Case]]:
+        """Fly until all has happened that there is to know of the faults; children do not come back."""
+        self._fly(self._all_known)
+        return beginning_of(self), self.cases
+
+    def _all_known(self) -> bool:
+        return self.child is None and not self._awaited and all(case.how != WAITING for case in self.cases)
+
+    def _fly(self, enough: Callable[[], bool]) -> Flight | None:
+        """Fly to the end, or until it is enough; a child reports, and ends."""
         try:
-            golden = self.fly()
+            golden = fly_until(self, enough)
         except BaseException:
             if self.child is None:
                 raise
             with self.child.point.guard():
                 raise
         if self.child is not None:
-            report = _Report(golden.log, self.child.output, self.child.call_same)
+            assert golden is not None  # for a child it is never enough
+            report = Report(golden.log, self.child.output, self.child.call_same)
             self.child.point.finish(pickle.dumps(report))
-        return golden, [self._flight(case, golden) for case in self.cases]
-
-    def _flight(self, case: _Case, golden: Flight) -> Flight:
-        log = golden.log if case.report is None or case.report.log is None else case.report.log
-        outcome = _outcome(case, golden.log)
-        meta = log.meta | {"kernel_outcome": outcome}
-        if case.how in ("crash", "hang", "exception"):
-            meta["due_end"] = {"status": "due", "success": False}
-        log = FlightLog(log.rows, log.status, log.events, [_injection(case)], log.alarms, meta)
-        return Flight(log, None, golden.world, golden.pipeline)
+        return golden
 
 
 @dataclass(frozen=True, slots=True)
@@ -294,7 +266,9 @@ class StruckFlights:
     flights: list[Flight] = field(default_factory=list)
 
 
-def fly_struck(scenario: Scenario, faults: Sequence[Fault], detector: Detector | None = None) -> StruckFlights:
+def fly_struck(
+    scenario: Scenario, faults: Sequence[Fault], detector: Detector | None = None, golden: Flight | None = None
+) -> StruckFlights:
     """Fly one mission with each of some faults in instructions.
 
     Faults in data fork from one golden flight of this process. Others may read or write any memory, so each of these
@@ -305,35 +279,41 @@ def fly_struck(scenario: Scenario, faults: Sequence[Fault], detector: Detector |
         scenario: The mission.
         faults: See `mavfi.hosts.kernel_faults`.
         detector: What watches; None = nothing.
+        golden: The flight of this mission without a fault, with this detector, if it has been flown: then golden
+            flights go on only until all faults have struck.
 
     Raises:
         MismatchError: A fault belongs to other machine code.
         BadInputError: The scenario cannot be flown, or it has no such kernel.
+        MavfiError: The golden flight is another one.
     """
     own = [fault for fault in faults if is_in_data(fault)]
-    with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
-        golden, flights = StrikingHost(scenario, own, detector).fly_all()
-    flown = iter(flights)
+    in_data: Iterator[Flight] = iter(())
+    if golden is None or own:
+        with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
+            golden, flights = _fork(StrikingHost(scenario, own, detector), golden)
+        in_data = iter(flights)
     return StruckFlights(
         golden,
-        [next(flown) if is_in_data(fault) else _forked(scenario, fault, detector, golden) for fault in faults],
+        [next(in_data) if is_in_data(fault) else _forked(scenario, fault, detector, golden) for fault in faults],
     )
 
 
+def _fork(host: StrikingHost, golden: Flight | None) -> tuple[Flight, list[Flight]]:
+    if golden is None:
+        return host.fly_all()
+    beginning, cases = host.fly_to_strikes()
+    beginning.check(golden.log)
+    return golden, [flight_of(case, golden) for case in cases]
+
+
 def _forked(scenario: Scenario, fault: Fault, detector: Detector | None, golden: Flight) -> Flight:
-    _case(fault, scenario)  # refuses what cannot be struck
-    log = fly_from_template(scenario, fault, detector, golden.log.digest())
-    return Flight(log, None, golden.world, golden.pipeline)
-
-
-def _case(fault: Fault, scenario: Scenario) -> _Case:
-    kernel = fault.site.state
-    check_kernel(kernel, scenario.planner.name)
-    node = "planner" if kernel in PLANNERS else kernel
-    if not fault.has_site:
-        return _Case(fault, InstructionFault("", "", 0, call=-1), 0, node, -1)
-    planned, restart_s = planned_of(fault)
-    return _Case(fault, planned, round(1e6 * restart_s), node, planned.call)
+    case_of(fault, scenario)  # refuses what cannot be struck
+    beginning, case, replayable = fly_from_template(scenario, fault, detector)
+    beginning.check(golden.log)
+    flight = flight_of(case, golden)
+    flight.log.injections[0]["replayable"] = replayable
+    return flight
 
 
 def _missed(strike: Strike) -> bool:
@@ -343,49 +323,8 @@ def _missed(strike: Strike) -> bool:
     return not strike.hit and not (strike.before ^ strike.after) & ((1 << strike.site.width) - 1)
 
 
-def _restarted(ended: Ended) -> _Report:
+def _restarted(ended: Ended) -> Report:
     if ended.how != "done":
         raise MavfiError(f"the flight with a restarted node ended with {ended.how} ({ended.detail})")
-    report: _Report = pickle.loads(ended.payload)
+    report: Report = pickle.loads(ended.payload)
     return report
-
-
-def _outcome(case: _Case, golden: FlightLog) -> dict[str, Any]:
-    """What the kernel did: against its own golden output where both made a step, else against the whole flight."""
-    report, difference = case.report, None
-    how = case.how
-    if how == "done" and report is not None:
-        output = report.output
-        if report.log is None:
-            same = True
-        elif output is not None and case.golden is not None:
-            same, difference = output.same(case.golden), first_difference(case.golden, output)
-        else:
-            same = report.call_same and report.log.digest() == golden.digest()
-        how = "masked" if same else "sdc"
-    return {"outcome": how, "detail": case.detail, "first_difference": difference}
-
-
-def _injection(case: _Case) -> dict[str, Any]:
-    """The record of a strike."""
-    fault, planned, strike = case.fault, case.planned, case.strike
-    data = {
-        "level": "instruction", "site": str(fault.site), "time_s": case.time_us / 1e6, "bit": fault.bit,
-        "before": None, "after": None, "hit": strike is not None and strike.hit, "kernel": fault.site.state,
-        "function": fault.site.field, "stratum": fault.stratum, "replayable": True,
-    }  # fmt: skip
-    if strike is None or strike.site is None:
-        return data
-    site = strike.site
-    return data | {
-        "before": _number(strike.number(strike.before)), "after": _number(strike.number(strike.after)),
-        "call": case.call, "index": planned.index, "opcode": site.opcode, "type": site.kind, "width": site.width,
-        "value_class": site.value_class, "replayable": site.value_class in DATA, "file": site.file, "line": site.line,
-        "inlined": [f"{file}:{line}" for file, line in site.frames[1:]],
-        "variable": site.variable or "", "ir_sha256": planned.ir_sha256, "bits": list(planned.bits),
-        "model": planned.model,
-    }  # fmt: skip
-
-
-def _number(value: float | int | None) -> float | int | str | None:
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -24,7 +24,8 @@ from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import Fault
 from mavfi.faults.instruction.launch import with_fixed_addresses
 from mavfi.faults.instruction.refusal import MismatchError
-from mavfi.flight_log import FlightLog
+from mavfi.hosts.beginning import Beginning
+from mavfi.hosts.struck import Case
 from mavfi.mission import Scenario
 from mavfi.numerics.jit import code_folder
 
@@ -164,41 +165,37 @@ def template_for(server: str, kind: str) -> Template:
     key = (process, server, kind)
     if key not in _templates:
         own = [other for other in _templates if other[0] == process]  # others are those of a parent
-        for oldest in own[: len(own) - _KEPT + 1]:
+        for oldest in own[: max(0, len(own) - _KEPT + 1)]:
             _templates.pop(oldest).close()
         _templates[key] = Template(server, kind)
     _templates.move_to_end(key)
     return _templates[key]
 
 
-def fly_from_template(scenario: Scenario, fault: Fault, detector: Detector | None, golden: str) -> FlightLog:
+def fly_from_template(scenario: Scenario, fault: Fault, detector: Detector | None) -> tuple[Beginning, Case, bool]:
     """Fly one mission with a fault in an instruction, in a process forked from the template of its kind.
 
     Args:
         scenario: The mission.
         fault: Anywhere in a kernel.
         detector: What watches; None = nothing.
-        golden: Digest of the flight without the fault.
 
     Returns:
-        The record; `replayable` in its injection says whether the process had fixed addresses.
+        How the golden flight began over there, what became of the fault, and whether the process had fixed addresses,
+        so that it can be replayed.
 
     Raises:
         BadInputError: As for any flight.
         MismatchError: The fault belongs to other machine code.
-        MavfiError: The golden flight over there is another one, or the process died.
+        MavfiError: The process died.
     """
     kind = scenario.model_copy(update={"seed": 0, "start": None, "goal": None})
     parts = (json.dumps(part.to_json(), sort_keys=True) for part in (scenario, fault))
     template = template_for(_SERVER, json.dumps(kind.to_json(), sort_keys=True))
     paths = sys.path if _has_parts_of_a_user(kind, detector) else []  # the mission computer's memory holds them too
     answer = template.ask(pickle.dumps((paths, pickle.dumps((*parts, detector)))))
-    log: FlightLog
-    over_there, log = answer.result
-    if over_there != golden:
-        raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
-    log.injections[0]["replayable"] = answer.fixed
-    return log
+    beginning, (case,) = answer.result
+    return beginning, case, answer.fixed
 
 
 def _has_parts_of_a_user(kind: Scenario, detector: Detector | None) -> bool:

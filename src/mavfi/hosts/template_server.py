@@ -11,6 +11,7 @@ import os
 import pickle
 import select
 import sys
+import time
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,10 @@ from mavfi.errors import MavfiError
 from mavfi.faults.fault import Fault
 from mavfi.faults.instruction import Counting, run_in_child
 from mavfi.faults.instruction.launch import addresses_are_fixed
+from mavfi.hosts.beginning import Beginning
 from mavfi.hosts.inprocess import fly
 from mavfi.hosts.instruction import StrikingHost
+from mavfi.hosts.struck import Case
 from mavfi.hosts.template import AGAIN, ENDED, LENGTH_BYTES, READY
 from mavfi.mission import Scenario
 from mavfi.numerics.jit import code_folder
@@ -41,7 +44,7 @@ def main() -> None:
         fly(scenario, functions=PLAIN.with_twins(tuple(PLAIN.__dataclass_fields__), lambda _, kernel: Counting(kernel)))
     except MavfiError:
         pass  # there is no such mission; then each fork loads what it needs
-    _write(_framed(READY if _cache() == before else AGAIN) + ENDED)
+    _write(_framed(READY if _cache() == before and not _wrote_bytecode() else AGAIN) + ENDED)
     failure = _framed(pickle.dumps((False, ("", "the process of a flight with a fault in an address died"), None)))
     while True:
         select.select([_REQUESTS], [], [])
@@ -74,7 +77,7 @@ def _answer() -> None:
         os._exit(status)
 
 
-def fly_one(scenario: str, fault: str, detector: Any) -> Any:
+def fly_one(scenario: str, fault: str, detector: Any) -> tuple[Beginning, list[Case]]:
     """Fly one mission with a fault.
 
     Args:
@@ -83,12 +86,11 @@ def fly_one(scenario: str, fault: str, detector: Any) -> Any:
         detector: What watches, or None.
 
     Returns:
-        Digest of the golden flight, and the record of the one with the fault.
+        How the golden flight began, and what became of the fault.
     """
     mission = parse(Scenario, json.loads(scenario), "request")
     with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
-        golden, flights = StrikingHost(mission, [Fault.from_json(json.loads(fault))], detector).fly_all()
-    return golden.log.digest(), flights[0].log
+        return StrikingHost(mission, [Fault.from_json(json.loads(fault))], detector).fly_to_strikes()
 
 
 def _cache() -> bytes:
@@ -99,6 +101,21 @@ def _cache() -> bytes:
         return hashlib.sha256(repr(found).encode()).digest()
 
     return run_in_child(look).payload
+
+
+def _wrote_bytecode() -> bool:
+    """Whether modules were compiled to bytecode since this process began: then the next one will load them."""
+    template = os.getpid()
+
+    def look() -> bytes:
+        with open(f"/proc/{template}/stat", encoding="ascii") as file:
+            ticks = int(file.read().rpartition(")")[2].split()[19])  # its begin since the machine's, proc(5)
+        age = time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
+        files = [getattr(module, "__cached__", None) for module in list(sys.modules.values())]
+        written = [os.stat(file).st_mtime for file in files if file is not None and os.path.exists(file)]
+        return b"1" if max(written, default=0.0) >= time.time() - age else b""
+
+    return bool(run_in_child(look).payload)
 
 
 def _read() -> bytes:

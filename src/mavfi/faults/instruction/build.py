@@ -8,6 +8,7 @@ from typing import Any
 import llvmlite.binding as llvm
 
 from mavfi.faults.instruction.forked import run_in_child
+from mavfi.faults.instruction.fresh import run_fresh
 from mavfi.faults.instruction.instrument import Instrumented, instrument
 from mavfi.faults.instruction.refusal import BuildError, RefusedError
 from mavfi.faults.instruction.table import Table
@@ -81,19 +82,20 @@ def build(kernel: Any, signature: tuple[Any, ...]) -> Built:
         BuildError: The compiler did not survive it.
     """
     check(kernel)
-
-    def work() -> bytes:
-        try:
-            return b"B" + assemble(*prepare(kernel, signature)).pack()
-        except RefusedError as error:
-            return b"R" + error.construct.encode()
-
-    ended = run_in_child(work, _PATIENCE)
+    ended = run_fresh(kernel, signature, _PATIENCE) or run_in_child(lambda: make(kernel, signature), _PATIENCE)
     if ended.how != "done":
         raise BuildError(f"{name_of(kernel)}: the compiler ended with {ended.detail}")
     if ended.payload[:1] == b"R":
         raise RefusedError(name_of(kernel), ended.payload[1:].decode())
     return Built.unpack(ended.payload[1:])
+
+
+def make(kernel: Any, signature: tuple[Any, ...]) -> bytes:
+    """What `build` has done in another process, since LLVM aborts on a malformed module."""
+    try:
+        return b"B" + assemble(*prepare(kernel, signature)).pack()
+    except RefusedError as error:
+        return b"R" + error.construct.encode()
 
 
 def prepare(kernel: Any, signature: tuple[Any, ...]) -> tuple[Instrumented, str, str]:

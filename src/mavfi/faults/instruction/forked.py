@@ -99,11 +99,16 @@ class ForkPoint:
 
     def _end(self, payload: bytes, status: int) -> NoReturn:
         try:
-            data = memoryview(len(payload).to_bytes(_LENGTH_BYTES, "little") + payload)
+            data = memoryview(framed(payload))
             while data:
                 data = data[os.write(self._pipe, data) :]
         finally:
             os._exit(status)
+
+
+def framed(payload: bytes) -> bytes:
+    """As a child writes its report: `judge_status` sees whether it is whole."""
+    return len(payload).to_bytes(_LENGTH_BYTES, "little") + payload
 
 
 def run_in_child(work: Callable[[], bytes], timeout: float = 60.0, attend: Attend | None = None) -> Ended:

@@ -121,6 +121,11 @@ class Resolving:
         self._calls = 0
         self.sites: dict[tuple[int, int], Site | None] = {}
 
+    @property
+    def done(self) -> bool:
+        """Whether the last call of which something is wanted has been made."""
+        return self._calls > max(self._wanted, default=-1)
+
     def __call__(self, *args: Any) -> Any:
         """As the kernel, bit for bit."""
         call, self._calls = self._calls, self._calls + 1

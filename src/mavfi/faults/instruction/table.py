@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +74,12 @@ class Site:
 
 def short_path(path: str) -> str:
     """A path without the folder on Python's path in which it lies, so that records do not depend on the machine."""
-    roots = [entry for entry in sys.path if entry and path.startswith(f"{entry.rstrip('/')}/")]
+    return _relative_to_longest(path, tuple(sys.path))
+
+
+@lru_cache(maxsize=1024)
+def _relative_to_longest(path: str, folders: tuple[str, ...]) -> str:
+    roots = [entry for entry in folders if entry and path.startswith(f"{entry.rstrip('/')}/")]
     longest = max(roots, key=len, default="")
     return str(Path(path).relative_to(longest)) if longest else path
 

@@ -8,8 +8,14 @@ import sys
 import numba
 import pytest
 
+from mavfi.faults.instruction import RefusedError
+from mavfi.faults.instruction import build as building
+from mavfi.faults.instruction.build import build, prepare
 from mavfi.faults.instruction.instrument import instrument
+from mavfi.faults.instruction.refusal import BuildError
 from mavfi.numerics.jit import kernel_jit, uncached_copy
+from tests.unit.faults.instruction.test_refusals import calling
+from tests.unit.kernels.cases import CASES
 
 COMPILE = """
 import json, sys
@@ -54,6 +60,39 @@ def test_the_digest_does_not_depend_on_hashes_of_texts():
         digests.add(instrument(other, "scolding").ir_sha256)
     assert digests == {instrument(text, "scolding").ir_sha256}
     assert instrument(text.replace("fmul double", "fadd double"), "scolding").ir_sha256 not in digests
+
+
+def test_a_kernel_that_calls_others_is_prepared_where_nothing_was_compiled_before(monkeypatch):
+    """What LLVM inlines depends on what a process did before: compiled a callee, or loaded it."""
+
+    def fail(*_arguments):
+        raise AssertionError("prepared in a fork of this process")
+
+    monkeypatch.setattr(building, "make", fail)
+    case = CASES["time_to_collision"]
+    signature = tuple(numba.typeof(argument) for argument in case.arguments())
+    built = build(case.function, signature)
+    assert built.ir_sha256 == prepare(case.function, signature)[0].ir_sha256
+    with pytest.raises(BuildError, match="prepared in a fork"):
+        build(scolding, (numba.float64,))  # calls nothing
+
+
+def test_a_kernel_that_another_process_would_not_find_is_prepared_in_a_fork():
+    @kernel_jit
+    def twice(x):
+        return doubled(x) + doubled(x + 1.0)
+
+    assert build(twice, (numba.float64,)).table.sizes()
+
+
+@kernel_jit
+def doubled(x):
+    return 2.0 * x
+
+
+def test_a_kernel_is_refused_from_a_fresh_process_as_from_a_fork():
+    with pytest.raises(RefusedError, match=r"calling: cannot be instrumented: fast math \('fast'"):
+        build(calling, (numba.float64,))
 
 
 @pytest.mark.slow

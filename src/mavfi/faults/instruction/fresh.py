@@ -1,0 +1,101 @@
+"""Prepares a kernel that calls other compiled functions in a process that has compiled nothing before.
+
+What LLVM inlines depends on how a callee came to be: compiled just now, or loaded from a cache.  So the IR of such a
+kernel, and with it the digest of its faults, is that of a fresh process with an empty cache: it then follows from the
+source, the versions and the CPU alone.
+"""
+
+import contextlib
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from functools import reduce
+from importlib import import_module
+from typing import Any
+
+from mavfi.faults.instruction.forked import Ended, framed, judge_status
+
+_FIXED = {"PYTHONHASHSEED": "0", "PYTHONDONTWRITEBYTECODE": "1"}
+_NOT_HERE = b"N"
+"""It was loaded from a file that is on no path, or Numba compiles it only where it has been compiled (recursion)."""
+
+
+def run_fresh(kernel: Any, signature: tuple[Any, ...], timeout: float) -> Ended | None:
+    """What `build.make` writes for a kernel in a fresh process.
+
+    Args:
+        kernel: Numba dispatcher.
+        signature: Numba types of the arguments.
+        timeout: Wall-clock limit (s).
+
+    Returns:
+        How the process ended; None if the kernel calls no compiled function, or cannot be prepared there.
+    """
+    function = kernel.py_func
+    address = function.__module__, function.__qualname__
+    if not _calls_compiled(function) or _find(*address, loaded=sys.modules) is not kernel:
+        return None
+    try:
+        request = pickle.dumps((sys.path, *address, signature))
+    except Exception:  # noqa: BLE001 - types of a user may refuse in any way
+        return None
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        cache = {"NUMBA_CACHE_DIR": os.path.join(folder, "code"), "TMPDIR": folder}
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", __name__],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            env=os.environ | _FIXED | cache | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        )  # fmt: skip
+        try:
+            data, _ = process.communicate(request, timeout)
+        except subprocess.TimeoutExpired:
+            return Ended("hang", detail="wall clock")
+        finally:
+            process.kill()
+            process.wait()
+    ended = judge_status(_status(process.returncode), data)
+    return None if ended.payload == _NOT_HERE else ended
+
+
+def _status(code: int) -> int:
+    """As waitpid gives it."""
+    return -code if code < 0 else code << 8
+
+
+def _calls_compiled(function: Any) -> bool:
+    cells = [cell.cell_contents for cell in function.__closure__ or ()]
+    named = [function.__globals__.get(name) for name in function.__code__.co_names]
+    return any(hasattr(value, "py_func") for value in (*cells, *named))
+
+
+def _find(module: str, name: str, loaded: Mapping[str, Any]) -> Any:
+    """What another process finds under a name; None if nothing."""
+    if module == "__main__":
+        return None
+    with contextlib.suppress(AttributeError, KeyError):
+        return reduce(getattr, name.split("."), loaded[module])
+    return None
+
+
+def main() -> None:
+    """In the fresh process: read what to prepare, write it."""
+    from mavfi.faults.instruction.build import make
+
+    answers = os.dup(1)
+    os.dup2(2, 1)  # whatever prints does not print into the answer
+    paths, module, name, signature = pickle.loads(sys.stdin.buffer.read())
+    sys.path[:] = paths
+    answer = _NOT_HERE
+    with contextlib.suppress(Exception):
+        import_module(module)
+        answer = make(_find(module, name, sys.modules), signature)
+    data = memoryview(framed(answer))
+    while data:
+        data = data[os.write(answers, data) :]
+
+
+if __name__ == "__main__":
+    main()
