@@ -19,28 +19,31 @@ from mavfi.faults.register.request import DEFAULT_WALK
 
 PAGE = Path(__file__).parents[1] / "docs" / "ros-attach.md"
 TARGET = "import math\nprint(flush=True)\nx = 0.0\nwhile True:\n    x = math.sin(x) + 1.0"
-WALKS = (1, DEFAULT_WALK)
-REGISTERS = ("general", "fp")
+WALKS = (1, DEFAULT_WALK // 2, DEFAULT_WALK, 2 * DEFAULT_WALK)
+REGISTERS = ("all", "general", "fp")
 
 
-def stops(pid: int, registers: str, walk: int, count: int) -> np.ndarray:
-    """How long the target stood still for each strike (ms). Shape (count,)."""
+def stops(pid: int, registers: str, walk: int, count: int) -> tuple[np.ndarray, int]:
+    """For how long the target stood still at each strike (ms, shape (count,)), and at how many instructions."""
     strikes = inject(Request(pid, registers=registers, walk=walk, null=True, timeout=30.0), count)
-    return 1e-3 * np.array([strike.stopped_us for strike in strikes])
+    return 1e-3 * np.array([strike.stopped_us for strike in strikes]), len({strike.address for strike in strikes})
 
 
 def measure(count: int) -> str:
-    """The table: median, 95 % quantile and maximum."""
-    lines = ["| registers | `--walk` | p50 (ms) | p95 (ms) | max (ms) |", "|---|---|---|---|---|"]
+    """The table: median, 95 % quantile and maximum, and how far strikes spread."""
+    lines = [
+        "| registers | `--walk` | p50 (ms) | p95 (ms) | max (ms) | instructions struck |",
+        "|---|---|---|---|---|---|",
+    ]
     with subprocess.Popen([sys.executable, "-c", TARGET], stdout=subprocess.PIPE) as target:
         try:
             assert target.stdout is not None
             target.stdout.readline()
             for registers in REGISTERS:
                 for walk in WALKS:
-                    found = stops(target.pid, registers, walk, count)
+                    found, places = stops(target.pid, registers, walk, count)
                     told = " | ".join(f"{value:.2f}" for value in (*np.quantile(found, (0.5, 0.95)), found.max()))
-                    lines.append(f"| {registers} | {walk} | {told} |")
+                    lines.append(f"| {registers} | {walk} | {told} | {places} |")
         finally:
             target.kill()
     return "\n".join(lines)

@@ -7,8 +7,9 @@ from mavfi.errors import BadInputError
 
 REGISTERS = ("all", "general", "fp")
 ACCESSES = ("either", "read", "write")
-DEFAULT_WALK = 32
-"""Longer than the loops at whose few instructions stops come, and stepped through within a millisecond."""
+DEFAULT_WALK = 16
+"""Longer than the loops at whose few instructions stops come. From here on strikes spread no further, and the target
+stands still for longer (docs/ros-attach.md)."""
 LONGEST_WALK = 100_000
 LONGEST_TIMEOUT = 3600.0
 
