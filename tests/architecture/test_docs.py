@@ -16,6 +16,7 @@ def text(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", ["whats-here.md", "fault-model.md", "ros.md"])
 def test_written_pages_say_what_the_code_says(page):
     assert text(DOCS / page) == build_pages.pages()[DOCS / page], "run `make docs`"

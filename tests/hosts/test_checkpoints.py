@@ -137,10 +137,12 @@ def go_on_from_everywhere(stack="published"):
         return False
 
 
+@pytest.mark.slow
 def test_nothing_is_forgotten():
     assert go_on_from_everywhere()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KERNELS)
 def test_a_checkpoint_that_forgets_a_kernel_is_noticed(name, monkeypatch):
     kind = type(Host(mission()).kernels[name])

@@ -30,6 +30,7 @@ def test_the_same_scenario_gives_the_same_bytes(stack):
     assert again.log.events == golden(stack).log.events
 
 
+@pytest.mark.slow
 def test_another_process_gives_the_same_digest():
     program = (
         "from mavfi.hosts.compose import make_scenario\nfrom mavfi.hosts.inprocess import fly\n"
@@ -45,6 +46,7 @@ def test_another_seed_or_stack_gives_another_digest():
     assert len(digests) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stack", STACKS)
 @pytest.mark.parametrize("state", states_with("truth"))
 def test_a_null_fault_gives_the_golden_digest(state, stack):
@@ -66,6 +68,7 @@ DEAD = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stack", "state", "field"), DEAD)
 def test_a_fault_in_a_dead_field_is_masked(stack, state, field):
     kind = STATES[state].find(field).dtype

@@ -11,6 +11,7 @@ from mavfi.states import floats
 from tests.hosts.missions import STACKS, fault, golden, mission
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stack", "expected"),
     [("published", MissionStatus.NO_PATH), ("hardened", MissionStatus.NO_PATH)],

@@ -39,6 +39,7 @@ def test_every_block_names_its_file():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", [c for c in COMMAND.findall(page()) if c.startswith("fly")])
 def test_the_commands_of_the_page_fly(folder, capsys, command):
     assert run([*shlex.split(command), "--json"]) == 0

@@ -85,6 +85,7 @@ def test_forked_flights_are_the_flights(stack, arm):
         assert family.share.joined > 0
 
 
+@pytest.mark.slow
 def test_detectors_share_what_was_flown_in_any_order():
     family, arms = Family(mission()), {name: make() for name, make in ARMS["published"].items()}
     for struck in (FAULTS[3], None, FAULTS[6]):
@@ -104,6 +105,7 @@ def test_the_golden_flight_leaves_its_profile_and_can_be_asked_for_again():
         assert family.fly(FAULTS[0]).profile is None
 
 
+@pytest.mark.slow
 def test_the_octree_is_forked_too():
     family, scenario = Family(mission(map_kind="octree")), mission(map_kind="octree")
     for struck in (None, FAULTS[7], FAULTS[4]):
@@ -119,11 +121,13 @@ def test_a_masked_fault_costs_a_second_of_flight():
     assert family.share.flown - before <= 2 * family.pitch
 
 
+@pytest.mark.slow
 def test_to_stop_too_early_is_noticed(monkeypatch):
     monkeypatch.setattr(forking, "is_at", lambda *_: True)
     assert every_fault("published", "", Family(mission()), None, FAULTS[:4]) != []
 
 
+@pytest.mark.slow
 def test_to_begin_at_the_wrong_place_is_noticed(monkeypatch):
     monkeypatch.setattr(forking.Track, "before", lambda track, time_us: sorted(track.checkpoints)[-2])
     assert every_fault("published", "", Family(mission()), None, FAULTS[:4]) != []

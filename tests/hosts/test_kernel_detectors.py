@@ -27,6 +27,7 @@ def outcomes(flights):
     return [(flight.log.digest(), flight.log.meta["kernel_outcome"], flight.log.injections) for flight in flights]
 
 
+@pytest.mark.slow
 def test_a_detector_that_never_alarms_changes_nothing(faults):
     both = [*faults["pid"], *faults["octomap"]]
     detector = Scripted("control.command", n=10**9)
@@ -59,6 +60,7 @@ def counts():
     return twin.counts
 
 
+@pytest.mark.slow
 def test_a_call_that_is_too_short_is_passed_by_where_a_detector_may_have_shifted_calls(faults, counts):
     later = int(np.argmax(counts))
     assert later > 0, "the first scan is the longest one: nothing to pass by"
@@ -83,6 +85,7 @@ def test_an_instruction_that_never_comes_is_not_hit(faults, counts):
     assert flight.log.digest() == flown.golden.log.digest()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["octomap", "collision_check"])
 def test_a_node_that_is_there_again_can_be_asked_to_compute_again(kernel):
     wish = Wish({kernel: 2}, which="opcode:getelementptr", restart_s=0.2)

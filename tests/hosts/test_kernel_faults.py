@@ -97,6 +97,7 @@ def test_masked_means_the_golden_flight_and_sdc_of_a_command_another_one(golden,
     assert commands and not any(commands)
 
 
+@pytest.mark.slow
 def test_a_crash_ends_the_mission_or_restarts_the_node(golden):
     faults = in_addresses("point_cloud", 2)
     close_templates()
@@ -116,6 +117,7 @@ def test_a_crash_ends_the_mission_or_restarts_the_node(golden):
         assert 0 < clouds[0] <= clouds[1], "the node came back, and what it computed when it died was lost"
 
 
+@pytest.mark.slow
 def test_a_node_that_never_comes_back_is_missed(golden):
     fault = in_addresses("pid", 1)[0]
     dead = replace(fault, instruction={**fault.instruction, "restart_s": 60.0})

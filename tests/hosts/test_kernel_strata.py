@@ -40,6 +40,7 @@ def counted():
 
 
 # ---- picks ----------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_weighted_picks_are_uniform_over_dynamic_instructions(counted):
     """Of few picks at a time, the mean weight of each stratum is its share; without weights it is the density."""
     sizes = sizes_of(pair for twin in counted.values() for pair in twin.sites())
@@ -95,6 +96,7 @@ def test_picks_are_found_again_in_their_calls(counted):
 
 
 # ---- missions -------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_faults_of_a_mission_hit_where_they_were_drawn():
     wish = Wish({"pid": 10, "point_cloud": 3}, which="data", sampling="stratified")
     drawn = draw_kernel_faults(scenario(), wish, seed=3)

@@ -46,6 +46,7 @@ def errors(flight, estimates):
     return np.linalg.norm(np.array([at[time] for time in times]) - log.columns("x", "y", "z")[:-1], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stack", STACKS)
 def test_with_an_estimator_it_arrives_and_knows_where_it_is(stack):
     flight, rows = flown(stack)
@@ -86,6 +87,7 @@ def test_images_carry_the_last_estimate_and_not_the_truth():
         assert not (truth == pose).all(axis=1).any()
 
 
+@pytest.mark.slow
 def test_without_noise_the_estimate_is_the_truth_but_for_the_steps_of_physics():
     seen = Seen(ESTIMATE)
     flight = fly(estimating(imu_noise=0.0, position_noise=0.0, heading_noise=0.0), observer=seen)
@@ -93,6 +95,7 @@ def test_without_noise_the_estimate_is_the_truth_but_for_the_steps_of_physics():
     assert errors(flight, seen.rows[ESTIMATE]).max() < 5e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stack", STACKS)
 @pytest.mark.parametrize(
     ("state", "field", "bit"), [(ESTIMATE, "x", 56), (ESTIMATE, "y", 63), (ESTIMATE, "z", 62), ("sensor.imu", "fx", 54)]
@@ -104,6 +107,7 @@ def test_a_fault_in_what_the_vehicle_believes_changes_the_flight(state, field, b
     assert flight.log.status in MissionStatus
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("field", "bit"), [("x", 62), ("y", 52), ("heading", 63), ("heading", 62)])
 def test_a_fix_that_is_improbable_is_refused(field, bit):
     flight = fly(estimating(), fault("sensor.position", field, 5.0, bit))
@@ -112,6 +116,7 @@ def test_a_fix_that_is_improbable_is_refused(field, bit):
     assert np.sqrt(np.diag(estimator.covariance)[:3]).max() < 0.05  # it did not begin anew
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("field", [f.name for f in STATES[ESTIMATE].fields if f.dead_in("hardened")])
 def test_a_fault_in_a_dead_field_of_the_estimate_is_masked(field):
     flight = fly(estimating(), fault(ESTIMATE, field, 5.0, 62))
@@ -140,6 +145,7 @@ def test_a_struck_estimate_is_repaired_by_running_the_filter_again():
     assert flight.log.digest() == flown()[0].log.digest()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stack", STACKS)
 def test_recomputing_the_rest_of_perception_leaves_the_filter_alone(stack):
     seen = Seen(ESTIMATE)

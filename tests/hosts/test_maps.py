@@ -12,6 +12,7 @@ def of_kind(scenario, kind, resolution=0.5):
     return scenario.model_copy(update={"map": MapConfig(kind=kind, resolution=resolution)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stack", STACKS)
 def test_a_flight_with_an_octree_has_the_digest_of_one_with_an_array(stack):
     flight = fly(mission(stack, map_kind="octree"), want_profile=True)
@@ -24,6 +25,7 @@ def test_a_flight_with_an_octree_has_the_digest_of_one_with_an_array(stack):
         np.testing.assert_array_equal(lengths, golden(stack).profile.counts[name])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stack", STACKS)
 def test_a_recomputed_perception_is_the_same_with_both_maps(stack):
     logs = []

@@ -22,6 +22,7 @@ def test_a_planner_of_ones_own_flies_the_mission(stack):
     assert flight.log.digest() == fly(mission(stack, planner=NAME)).log.digest()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stack", STACKS)
 @pytest.mark.parametrize("planner", ["rrt", "rrt_star"])
 def test_every_shipped_planner_flies_the_mission(stack, planner):

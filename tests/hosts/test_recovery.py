@@ -29,6 +29,7 @@ def test_a_detector_that_never_alarms_leaves_the_golden_digest(stack):
     assert len(detector.accepted) == sum(flight.log.meta["publications"].values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stack", STACKS)
 @pytest.mark.parametrize(("state", "field", "n", "stage"), CASES)
 def test_a_false_alarm_is_recomputed_to_the_same_value_and_accepted(state, field, n, stage, stack):
@@ -53,6 +54,7 @@ def test_a_false_alarm_is_recomputed_to_the_same_value_and_accepted(state, field
     assert flight.log.status is MissionStatus.SUCCESS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stack", STACKS)
 @pytest.mark.parametrize(("state", "field", "n", "stage"), [case for case in CASES if not STATES[case[0]].acted_on])
 def test_a_fault_that_is_found_is_repaired_by_running_the_stage_again(state, field, n, stage, stack):
@@ -142,6 +144,7 @@ def test_alarms_at_both_states_of_one_step_make_it_run_again_once():
     assert flight.log.meta["recompute_us"]["control"] == 460 * runs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stack", STACKS)
 def test_a_detector_that_always_alarms_breaks_nothing(stack):
     flight = fly(mission(stack), detector=Everything(STATES, "perception"))

@@ -8,6 +8,8 @@ from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.instruction import fly_struck
 from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults
 
+pytestmark = pytest.mark.slow
+
 SEED = 500
 """A mission of Sparse in which the planner answers two predicted collisions."""
 

@@ -17,6 +17,8 @@ from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.instruction import fly_struck
 from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults, is_in_data
 
+pytestmark = pytest.mark.slow
+
 KERNELS = {"pid": 4, "point_cloud": 5, "octomap": 3}
 SEEDS = (3, 4)
 ELSEWHERE = """

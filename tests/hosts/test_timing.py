@@ -19,6 +19,7 @@ def publications(scenario):
     return seen, flight
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("platform", ["i9-9940x", "cortex-a57"])
 @pytest.mark.parametrize("stack", STACKS)
 def test_nothing_is_seen_before_its_latency_has_passed(stack, platform):

@@ -32,6 +32,7 @@ def test_a_recomputed_scan_is_the_same_with_the_example():
     assert log.alarms[0]["outcome"] == "accepted"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stack", STACKS)
 def test_the_example_of_a_vehicle_flies_the_mission(stack, pytestconfig):
     vehicle = str(pytestconfig.rootpath / VEHICLE)

@@ -19,6 +19,7 @@ from mavfi.campaign.statistics import (
 )
 
 
+@pytest.mark.slow
 @given(st.integers(1, 400).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
 def test_wilson_is_its_closed_form_and_holds_the_rate(counts):
     k, n = counts

@@ -28,6 +28,7 @@ def dense(seed):
     return cuboids(seed, 0.2, 10.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("generator", (sparse, dense, factory, farm, clutter, training))
 @given(seed=seeds)
 def test_every_world_keeps_the_arena_and_frees_its_ends(generator, seed):
@@ -78,6 +79,7 @@ def test_a_gap_that_is_none_is_refused(gap):
         cuboids(1, 0.1, 10.0, gap)
 
 
+@pytest.mark.slow
 @given(density=st.floats(0.0, 1.0), side=st.floats(1.0, 60.0), seed=st.integers(0, 100))
 def test_any_law_is_met_or_refused_at_once(density, side, seed):
     began = time.process_time()

@@ -18,6 +18,7 @@ def tapes():
     return record()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "stack"), [*((name, stack) for name in KERNELS for stack in STACKS), (ESTIMATOR, "hardened")]
 )

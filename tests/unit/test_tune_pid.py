@@ -73,6 +73,7 @@ def test_what_was_flown_is_not_flown_again(monkeypatch):
     )
 
 
+@pytest.mark.slow
 def test_a_score_is_a_function_of_stack_and_seeds(monkeypatch):
     monkeypatch.setattr(tune_pid, "SETTINGS", (("sparse", 3.0),))
     first = score(STACK, range(7, 8))

@@ -35,6 +35,7 @@ def test_what_is_missing_is_named(monkeypatch, tmp_path):
     assert {"rospy", "usr/bin/roslaunch"} <= set(finder.missing())
 
 
+@pytest.mark.slow
 def test_modules_of_the_ros_host_need_no_ros_to_be_imported():
     names = ("session", "plan", "graph", "definitions", "convert", "mirrors", "world", "kernels", "taps", "supervisor")
     code = "; ".join(f"import mavfi.hosts.ros.{name}" for name in names)

@@ -59,6 +59,7 @@ def test_type_names_differ():
     assert len({definitions.type_name(spec) for spec in STATES.values()}) == len(STATES)
 
 
+@pytest.mark.slow
 @given(any_state, st.integers(0, 2**63), st.integers(0, 10**12))
 def test_a_state_becomes_a_message_and_a_state_again(state, number, time_us):
     message = to_msg(state, number, time_us, blank)

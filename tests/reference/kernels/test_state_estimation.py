@@ -54,6 +54,7 @@ def test_the_compiled_code_is_what_python_says():
     np.testing.assert_allclose(first, second, atol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_fixes", [False, True])
 @pytest.mark.parametrize("seed", range(3))
 def test_without_noise_it_follows_the_truth(seed, with_fixes):
@@ -114,6 +115,7 @@ def test_at_rest_its_covariance_becomes_that_of_the_riccati_equation(yaw):
     np.testing.assert_allclose(before[:9, :9], expected, rtol=1e-6, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_its_errors_are_as_large_as_it_says():
     """NEES (Bar-Shalom, Li & Kirubarajan 2001, section 5.4.2): over 40 flights within the bounds of chi-square."""
     flights, sums, instants = 40, {}, (250, 500, 1000)

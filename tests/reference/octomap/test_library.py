@@ -84,6 +84,7 @@ def assert_equal_maps(ours, dense, theirs, frame):
     return int(known.sum())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
 def test_both_maps_equal_the_library_after_each_scan(resolution):
     scans = short_flight()[: 30 if resolution == 0.5 else 20 : 6]
@@ -118,6 +119,7 @@ def test_each_value_that_is_found_is_the_librarys():
         assert found == expected or np.isnan(found) and np.isnan(expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("resolution", RESOLUTIONS)
 def test_taking_scans_back_leaves_the_tree_that_the_library_has_without_them(resolution):
     scans = short_flight()[: 60 if resolution == 0.5 else 36 : 12]

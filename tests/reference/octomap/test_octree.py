@@ -36,6 +36,7 @@ def held(tree):
     return [array.tobytes() for array in tree]
 
 
+@pytest.mark.slow
 @given(sequences)
 def test_the_octree_equals_plain_objects_node_by_node(updates):
     twin, tree = NaiveOctree(), grown()

@@ -65,6 +65,7 @@ def test_rrt_star_grows_the_same_tree_with_the_same_costs(seed):
     assert (count > 0) == (twin.goal_node is not None)
 
 
+@pytest.mark.slow
 def test_large_trees_are_the_same_that_take_their_nearest_nodes_from_the_index():
     given, path = problem(7, 0.05), np.zeros((901, 3))
     plain, star = rrt.new_tree(901), rrt_star.new_tree(901)

@@ -99,6 +99,7 @@ def test_a_collision_tells_whether_the_map_knew(monkeypatch):
     assert measure((Setting("dense", "published"), 1)).cause.startswith("touched what its map held for occupied, ")
 
 
+@pytest.mark.slow
 def test_rows_are_flown_in_the_order_of_seeds_on_any_number_of_workers():
     seen = []
     row = fly_row(FARM, 3, 2, 20_000, lambda done, wanted: seen.append((done, wanted)))

@@ -65,6 +65,7 @@ def test_an_exception_comes_through():
         list(LocalPool(1).run(explode, [1]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("deaths", "survives"), [(1, True), (3, True), (4, False)])
 def test_deaths_are_tried_again_alone_three_times(tmp_path, deaths, survives):
     path = tmp_path / "deaths"
@@ -77,6 +78,7 @@ def test_deaths_are_tried_again_alone_three_times(tmp_path, deaths, survives):
     assert last == 2 if survives else isinstance(last, Lost) and last.died
 
 
+@pytest.mark.slow
 def test_a_worker_that_does_not_answer_is_lost_but_not_dead(monkeypatch):
     monkeypatch.setattr("mavfi.campaign.executors.local.ATTEMPTS_ALONE", 1)
     [(item, result)] = LocalPool(1, time_limit=0.2).run(sleep, [30.0])
@@ -113,6 +115,7 @@ def test_a_group_and_what_follows_from_it_goes_to_one_worker():
         assert len({worker for _, worker in mine}) == 1
 
 
+@pytest.mark.slow
 def test_what_follows_from_an_item_that_died_is_done_too(tmp_path):
     path = tmp_path / "deaths"
     path.write_text("100")

@@ -46,6 +46,7 @@ def campaign(monkeypatch):
     return NodeCampaign.model_validate(PLAIN)
 
 
+@pytest.mark.slow
 def test_a_campaign_stops_and_goes_on_and_its_ledger_does_not_tell(campaign, tmp_path):
     def stop(progress):
         if progress.done == 5:

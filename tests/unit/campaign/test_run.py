@@ -53,6 +53,7 @@ def test_another_seed_gives_other_content(flown, tmp_path):
     assert digest(tmp_path) != digest(flown[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop_after", [0, 3, 16, 40])
 def test_ctrl_c_stops_cleanly_and_the_same_call_goes_on(flown, tmp_path, stop_after):
     def interrupt(progress):
@@ -78,12 +79,14 @@ def test_a_finished_campaign_flies_nothing_again(flown):
     assert digest(directory) == before
 
 
+@pytest.mark.slow
 def test_the_death_of_a_worker_is_survived(flown, tmp_path, monkeypatch):
     monkeypatch.setattr(fakes.TROUBLE, "dies", fakes.deaths(tmp_path / "deaths", 1))
     run_campaign(small(), tmp_path / "out", workers=2, tools=FAKE)
     assert digest(tmp_path / "out") == digest(flown[0])
 
 
+@pytest.mark.slow
 def test_a_run_that_dies_each_time_is_due_and_the_rest_is_flown(tmp_path, monkeypatch):
     monkeypatch.setattr(fakes.TROUBLE, "dies", fakes.deaths(tmp_path / "deaths", 100))
     campaign = small(environments=["sparse"], faults=2, null_runs=0, detectors={})

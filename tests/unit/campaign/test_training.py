@@ -37,6 +37,7 @@ def never_arrives(scenario, fault, detector, *, want_profile):
 WATCHED = Tools(fly_watched, FAKE.load_detector, FAKE.make_scenario)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_only_successful_flights_are_kept_in_the_order_of_their_seeds(workers):
     told = []
@@ -59,6 +60,7 @@ def _content(recordings):
     return {seed: (r.kinds.tolist(), r.times_us.tolist(), r.content.tobytes()) for seed, r in recordings.items()}
 
 
+@pytest.mark.slow
 def test_what_is_flown_is_kept_when_training_is_stopped(tmp_path):
     disk, told = KeptRecordings(tmp_path, SCENARIO), []
     with pytest.raises(KeyboardInterrupt):

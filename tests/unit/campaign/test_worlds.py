@@ -29,6 +29,7 @@ def long_way(tmp_path_factory):
     return directory
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_the_ledger_is_the_same(long_way, tmp_path, workers):
     reports = []
@@ -50,6 +51,7 @@ def test_the_flights_of_a_mission_are_flown_by_one_worker(tmp_path, monkeypatch)
     assert not worker._families, "the parent keeps none"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop_after", [0, 1, 7, 40])
 @pytest.mark.parametrize("forking", [True, False])
 def test_a_stopped_campaign_is_gone_on_with_either_way(long_way, tmp_path, stop_after, forking):
@@ -83,6 +85,7 @@ def test_a_campaign_stopped_while_worlds_are_planned_has_no_gap(long_way, tmp_pa
     assert digest(tmp_path) == digest(long_way)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("deaths", [1, 5])
 def test_the_death_of_a_worker_takes_no_other_flight_with_it(long_way, tmp_path, monkeypatch, deaths):
     monkeypatch.setattr(fakes.TROUBLE, "dies", fakes.deaths(tmp_path / "deaths", deaths))
@@ -90,6 +93,7 @@ def test_the_death_of_a_worker_takes_no_other_flight_with_it(long_way, tmp_path,
     assert digest(tmp_path / "out") == digest(long_way)
 
 
+@pytest.mark.slow
 def test_a_run_that_dies_each_time_is_due_and_its_siblings_are_flown(tmp_path, monkeypatch):
     monkeypatch.setattr(fakes.TROUBLE, "dies", fakes.deaths(tmp_path / "deaths", 100))
     campaign = small(environments=["sparse"], faults=2, null_runs=0, detectors={})
@@ -101,6 +105,7 @@ def test_a_run_that_dies_each_time_is_due_and_its_siblings_are_flown(tmp_path, m
     assert set(ends.values()) == {"due", "flown"}
 
 
+@pytest.mark.slow
 def test_a_mission_whose_golden_run_dies_is_planned_all_the_same(tmp_path, monkeypatch):
     def die(task):
         if task.spec.fault is None and task.spec.seed == 10_001:
@@ -119,6 +124,7 @@ def test_a_mission_whose_golden_run_dies_is_planned_all_the_same(tmp_path, monke
     assert outs[0] == outs[1]
 
 
+@pytest.mark.slow
 def test_an_exception_is_recorded_as_the_long_way_records_it(tmp_path, monkeypatch):
     monkeypatch.setattr(fakes.TROUBLE, "raises", 10_002)
     for forking in (True, False):

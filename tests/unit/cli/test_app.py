@@ -58,6 +58,7 @@ main()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", ["typer", "mavfi.cli.fly", "numba"])
 @pytest.mark.parametrize("arguments", [["fly"], ["campaign", "run", "smoke", "--out", "out"], ["reproduce"]])
 def test_ctrl_c_during_imports_ends_without_a_word(tmp_path, module, arguments):

@@ -52,6 +52,7 @@ def test_digest_is_the_same_when_run_again(capsys, config, flown):
     assert capsys.readouterr().out.strip() == digest
 
 
+@pytest.mark.slow
 def test_the_long_way_gives_the_same_digest(capsys, config, flown, tmp_path):
     arguments = ["campaign", "run", str(config), "--out", str(tmp_path), "--workers", "1", "--no-forking"]
     assert run(arguments) == 0
@@ -60,6 +61,7 @@ def test_the_long_way_gives_the_same_digest(capsys, config, flown, tmp_path):
     assert digests[0] == digests[1]
 
 
+@pytest.mark.slow
 def test_the_digest_of_a_part_says_that_it_is_one(capsys, tmp_path, flown):
     from mavfi.campaign.config import load_campaign
     from mavfi.campaign.run import run_campaign
@@ -81,6 +83,7 @@ def test_the_digest_of_a_part_says_that_it_is_one(capsys, tmp_path, flown):
     assert not _json(capsys, "campaign", "digest", str(flown))["partial"]
 
 
+@pytest.mark.slow
 def test_report_prints_tables_and_writes_files(capsys, flown):
     assert run(["report", str(flown), "--no-draw-run"]) == 0
     text = capsys.readouterr().out
@@ -89,6 +92,7 @@ def test_report_prints_tables_and_writes_files(capsys, flown):
     assert _json(capsys, "report", str(flown), "--no-draw-run")["campaign"]["name"] == "tiny"
 
 
+@pytest.mark.slow
 def test_replay_gives_the_same_bytes(capsys, flown):
     data = _json(capsys, "replay", str(flown), "sparse-10000-fi-planning")
     assert data["same"] and data["digest"] == data["stored_digest"]
@@ -96,6 +100,7 @@ def test_replay_gives_the_same_bytes(capsys, flown):
     assert "the same flight, bit for bit" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_explain_tells_the_story(capsys, flown):
     assert run(["explain", str(flown), "sparse-10000-fi-planning"]) == 0
     text = capsys.readouterr().out

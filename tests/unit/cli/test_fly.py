@@ -37,6 +37,7 @@ def test_twice_the_same_seed_twice_the_same_digest(capsys, golden_digest):
     assert _fly(capsys)["digest"] == golden_digest
 
 
+@pytest.mark.slow
 def test_wind_and_an_estimator_fly_and_are_told(capsys, golden_digest):
     windy = _fly(capsys, "--wind", "3")
     assert (windy["wind"], windy["localization"], windy["status"]) == (3.0, "truth", "success")
@@ -49,10 +50,12 @@ def test_wind_and_an_estimator_fly_and_are_told(capsys, golden_digest):
     assert "wind gusts" in text and "estimator" in text
 
 
+@pytest.mark.slow
 def test_an_octree_gives_the_same_flight(capsys, golden_digest):
     assert _fly(capsys, "--map", "octree")["digest"] == golden_digest
 
 
+@pytest.mark.slow
 def test_a_null_fault_prints_the_golden_digest(capsys, golden_digest):
     data = _fly(capsys, "--fault", "null")
     assert data["digest"] == data["golden"]["digest"] == golden_digest
@@ -60,6 +63,7 @@ def test_a_null_fault_prints_the_golden_digest(capsys, golden_digest):
     assert data["injections"][0]["hit"] and data["injections"][0]["bit"] is None
 
 
+@pytest.mark.slow
 def test_a_named_fault_is_recorded_with_proof(capsys, golden_digest):
     data = _fly(capsys, "--fault", "state:planning.waypoint.x:bit=62@20.0")
     (injection,) = data["injections"]
@@ -71,11 +75,13 @@ def test_a_named_fault_is_recorded_with_proof(capsys, golden_digest):
     assert data["outcome"] == "sdc"
 
 
+@pytest.mark.slow
 def test_a_drawn_fault_depends_on_its_seed(capsys):
     sites = [_fly(capsys, "--fault", "state:control.command.vx", "--fault-seed", str(s))["fault"] for s in (1, 1, 2)]
     assert sites[0] == sites[1] != sites[2]
 
 
+@pytest.mark.slow
 def test_text_for_people_names_stack_fate_fault_and_digest(capsys, golden_digest):
     command = ["fly", "--environment", "sparse", "--seed", "7", "--fault", "state:planning.waypoint.x:bit=62@20.0"]
     assert run(command) == 0
@@ -100,6 +106,7 @@ def test_a_start_beside_the_goal_of_the_environment(capsys):
     assert "1.00 m from the start" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_saved_flight_and_picture(capsys, tmp_path, golden_digest):
     log, picture = tmp_path / "flight.npz", tmp_path / "flight.png"
     _fly(capsys, "--save", str(log), "--picture", str(picture))

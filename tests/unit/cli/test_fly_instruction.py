@@ -9,6 +9,8 @@ from mavfi.cli import run
 from mavfi.faults.instruction.build import name_of
 from mavfi.pipeline.functions import PLAIN, STRUCK
 
+pytestmark = pytest.mark.slow
+
 MISSION = ["fly", "--environment", "sparse", "--seed", "7"]
 
 

@@ -11,6 +11,7 @@ def events():
     return flight(400)
 
 
+@pytest.mark.slow
 def test_the_paper_policy_recomputes_control_and_abandons_a_struck_way_point(models, events):
     detector = AutoencoderDetector(models["autoencoder-paper"])
     struck = later(events, "planning.waypoint", 20)

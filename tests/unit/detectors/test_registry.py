@@ -37,6 +37,7 @@ def test_the_arena_reaches_the_gate(model_folder):
     assert detector.check(waypoint([11.0, 5, 5], [0, 0, 0]), 0).fields == ("planning.waypoint.x",)
 
 
+@pytest.mark.slow
 def test_options_reach_the_detector(model_folder):
     detector, _ = load_detector("autoencoder", "paper", model_folder, FITS, policy="keyed")
     detector.accept(waypoint([1, 0, 0], [0, 0, 0]), 0)

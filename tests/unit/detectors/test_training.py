@@ -15,6 +15,7 @@ def test_both_detectors_are_fitted_in_both_profiles(models):
     assert {"numpy", "scikit-learn"} <= set(models["gaussian-paper"].provenance["versions"])
 
 
+@pytest.mark.slow
 def test_the_same_flights_give_the_same_models(recordings):
     first, second = (training.fit(recordings[:3], PROVENANCE) for _ in range(2))
     assert {name: model.sha256 for name, model in first.items()} == {
@@ -84,6 +85,7 @@ def test_a_model_needs_its_origin(recordings):
         training.fit(recordings[:1], {"stack": "published", "platform": "i9-9940x"})
 
 
+@pytest.mark.slow
 def test_nineteen_fields_can_be_fitted(recordings):
     models = training.fit(recordings[:3], PROVENANCE, monitored="published-19")
     for name, kind in (("gaussian-tuned", GaussianDetector), ("autoencoder-tuned", AutoencoderDetector)):

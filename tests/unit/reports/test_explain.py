@@ -141,6 +141,7 @@ def struck(flown):
         )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_run_is_explained_from_the_fault_on(flown, struck):
     found = explain(flown, struck)
     assert found.same
@@ -152,6 +153,7 @@ def test_a_run_is_explained_from_the_fault_on(flown, struck):
     assert to_json(found)["first_difference"]["state"] == found.first.state
 
 
+@pytest.mark.slow
 def test_a_detector_that_the_twin_has_too_is_told(flown):
     found = explain(flown, "sparse-10000-dr_idle-planning")
     told = dict(lines(found))

@@ -39,6 +39,7 @@ def test_a_place_that_cannot_be_written(flights, tmp_path):
         draw_flight(tmp_path / "absent" / "x.png", flights[0])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not SCAN.is_file(), reason="the scanned building is not beside the repository")
 def test_a_scanned_building(tmp_path):
     scenario = make_scenario(str(SCAN), 0, start=(-5.0, 0.0, 1.2), goal=(1.0, -0.8, 0.9))

@@ -67,6 +67,7 @@ def test_wind_is_a_function_of_seed_and_time_however_it_is_asked_for():
     assert len(weather().until(1e6).gusts) == 0 and not air(weather().until(5.0), 5.0).any()
 
 
+@pytest.mark.slow
 def test_a_body_that_only_feels_drag_takes_the_speed_of_the_wind_on():
     """m v' = c (w - v)^2 has the solution w - v = w / (1 + c w t / m)."""
     airframe = airframe_of(VEHICLE)

@@ -108,6 +108,7 @@ def test_one_struck_message_changes_exactly_the_expected_transform(arm, transfor
     assert graph_of(arm) == before
 
 
+@pytest.mark.slow
 def test_a_rate_strikes_as_many_transforms_as_messages(arm, transforms, capsys):
     before = graph_of(arm)
     done = run_json(capsys, "ros", "corrupt", *FIELD, "--bit", "51", "--rate", "0.2", "--duration", "0.7")
@@ -118,6 +119,7 @@ def test_a_rate_strikes_as_many_transforms_as_messages(arm, transforms, capsys):
     assert graph_of(arm) == before
 
 
+@pytest.mark.slow
 def test_only_the_named_reader_is_turned(arm, capsys):
     done = run_json(capsys, "ros", "corrupt", *FIELD, "--node", "robot_state_publisher", "--seed", "3")
     assert done["injections"][0]["readers"] == 1
@@ -125,6 +127,7 @@ def test_only_the_named_reader_is_turned(arm, capsys):
     assert "does not read /joint_states; allowed: /robot_state_publisher" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_graph_is_as_before_when_the_tool_is_killed(arm, transforms):
     before = graph_of(arm)
     tool = subprocess.Popen(
@@ -141,6 +144,7 @@ def test_the_graph_is_as_before_when_the_tool_is_killed(arm, transforms):
     assert set(transforms.found[-10:]) == {expected(0.5)}
 
 
+@pytest.mark.slow
 def test_a_remapped_target_reads_the_relay_and_nobody_else_does(arm, transforms, bench, capsys):
     assert run(["ros", "corrupt", *FIELD, "--to", "/tf"]) == 2
     assert "published by /robot_state_publisher already" in capsys.readouterr().err
@@ -233,6 +237,7 @@ def strike_when(condition):
     return thread
 
 
+@pytest.mark.slow
 def test_a_detector_trained_from_a_recorded_bag_raises_an_alarm_for_the_struck_message_alone(arm, tmp_path, capsys):
     bag = tmp_path / "normal.bag"
     record_bag(bag, 2)
@@ -250,6 +255,7 @@ def test_a_detector_trained_from_a_recorded_bag_raises_an_alarm_for_the_struck_m
     assert arm.master.graph().subscribers["/joint_states"] == [arm.node]
 
 
+@pytest.mark.slow
 def test_the_autoencoder_learns_online_and_publishes_its_alarms(arm, capsys):
     heard = []
 
@@ -272,6 +278,7 @@ def test_the_autoencoder_learns_online_and_publishes_its_alarms(arm, capsys):
     assert heard == found["alarms"] and {alarm["detector"] for alarm in heard} == {"autoencoder"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

@@ -60,6 +60,7 @@ def strike(**changes):
             "null": False, **changes}  # fmt: skip
 
 
+@pytest.mark.slow
 def test_golden_outputs_repeat_and_another_golden_output_is_no_effect_of_a_strike(ros, campaign):
     first, second = run_trial(order(campaign)), run_trial(order(campaign))
     assert first.outputs == second.outputs and len(set(first.outputs)) == len(campaign.inputs.messages)
@@ -67,6 +68,7 @@ def test_golden_outputs_repeat_and_another_golden_output_is_no_effect_of_a_strik
     assert other.outcome == "unknown" and "golden" in other.reason and other.injection is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("request_", "outcome", "reason"),
     [
@@ -83,6 +85,7 @@ def test_what_is_masked_corrupts_crashes_or_never_came_is_told_apart(ros, campai
     assert (found.differing > 0) == bool(found.differences) == (outcome == "sdc")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "told"),
     [

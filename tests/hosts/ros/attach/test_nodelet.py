@@ -105,6 +105,7 @@ def test_one_struck_pixel_moves_exactly_one_point_of_one_cloud(camera, capsys):
     assert np.allclose(changed[0][PIXEL], 1.5 * expected()[PIXEL], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_its_registers_can_be_struck(camera, capsys):
     capsys.readouterr()
     assert run(["inject", "--ros-node", NODE, "--symbol", SYMBOL, "--null", "--json"]) == 0

@@ -29,6 +29,7 @@ def first(kernel, opcode, *args):
     return InstructionFault(name, variant.ir_sha256, index, bits=(0,))
 
 
+@pytest.mark.slow
 def test_a_kernel_of_ones_own_in_a_few_lines(capsys):
     runpy.run_path(str(ROOT / "examples" / "instruction_fault.py"), run_name="__main__")
     lines = capsys.readouterr().out.splitlines()
@@ -65,6 +66,7 @@ def test_outcomes_are_told_apart_and_arguments_stay():
     assert digest(values) == before
 
 
+@pytest.mark.slow
 def test_the_lanes_of_a_vector_are_struck_one_by_one():
     sites = [site for site, times in histogram(double, np.ones(64)) if site.opcode == "fmul" and times]
     vector = next((site for site in sites if site.kind.startswith("<")), None)
@@ -100,6 +102,7 @@ def test_exceptions_are_told_apart():
     assert inject(raising, replace(fault, index=10**6), numbers(), 3)[0] == raising(numbers(), 3)
 
 
+@pytest.mark.slow
 def test_data_faults_give_the_same_bytes_every_time():
     faults = draw(fill, 8, numbers(), 2.0, which="data", seed=2)
     once, again = ([run_forked(fill, fault, numbers(), 2.0) for fault in faults] for _ in range(2))
@@ -108,6 +111,7 @@ def test_data_faults_give_the_same_bytes_every_time():
 
 
 # ---- drawing --------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("which", "belongs"),
     [
@@ -145,6 +149,7 @@ def test_draws_are_uniform_over_dynamic_instructions_and_bits():
     assert all(fault.budget == budget_for(total) for fault in faults)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "after"), [("zero", {0}), ("random", None), ("bits", None)])
 def test_models(model, after):
     values = numbers()

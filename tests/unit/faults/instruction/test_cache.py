@@ -54,6 +54,7 @@ def load(path, factor):
     return module.kernel
 
 
+@pytest.mark.slow
 def test_a_second_look_builds_nothing(folder, builds, tmp_path):
     kernel = load(tmp_path / "cached_a.py", 2.0)
     first, second = cached_build(kernel, FLOAT), cached_build(kernel, FLOAT)
@@ -64,6 +65,7 @@ def test_a_second_look_builds_nothing(folder, builds, tmp_path):
     assert builds == ["kernel", "kernel"]
 
 
+@pytest.mark.slow
 def test_a_change_in_a_callee_is_seen(folder, builds, tmp_path):
     first = cached_build(load(tmp_path / "cached_b.py", 2.0), FLOAT)
     second = cached_build(load(tmp_path / "cached_b.py", 3.0), FLOAT)
@@ -71,6 +73,7 @@ def test_a_change_in_a_callee_is_seen(folder, builds, tmp_path):
     assert first.ir_sha256 != second.ir_sha256
 
 
+@pytest.mark.slow
 def test_an_edited_file_makes_an_entry_void_even_if_the_loaded_code_is_the_same(folder, builds, tmp_path):
     kernel = load(tmp_path / "cached_c.py", 2.0)
     cached_build(kernel, FLOAT)
@@ -79,6 +82,7 @@ def test_an_edited_file_makes_an_entry_void_even_if_the_loaded_code_is_the_same(
     assert builds == ["kernel", "kernel"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", [b"", b"short", None])
 def test_damaged_entries_are_built_again(folder, builds, tmp_path, damage):
     kernel = load(tmp_path / "cached_d.py", 2.0)
@@ -91,6 +95,7 @@ def test_damaged_entries_are_built_again(folder, builds, tmp_path, damage):
     assert entry.read_bytes()[:32] == data[:32]
 
 
+@pytest.mark.slow
 def test_without_a_folder_there_is_no_cache(monkeypatch, builds, tmp_path):
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(object_cache, "code_folder", lambda: tmp_path / "file")
@@ -127,6 +132,7 @@ def test_a_compiler_that_dies_is_reported(monkeypatch):
         build.build(closure(2.0), FLOAT)
 
 
+@pytest.mark.slow
 def test_the_digest_does_not_depend_on_what_was_compiled_before(tmp_path):
     kernel = load(tmp_path / "cached_f.py", 2.0)
     first = build.build(kernel, FLOAT)

@@ -48,6 +48,7 @@ def text_of(kernel):
     return copy.inspect_llvm((numba.float64,))
 
 
+@pytest.mark.slow
 def test_the_digest_does_not_depend_on_hashes_of_texts():
     """Numba names constant texts by their hash, which is another one in each process, and may be negative."""
     text = text_of(scolding)
@@ -62,6 +63,7 @@ def test_the_digest_does_not_depend_on_hashes_of_texts():
     assert instrument(text.replace("fmul double", "fadd double"), "scolding").ir_sha256 not in digests
 
 
+@pytest.mark.slow
 def test_a_kernel_that_calls_others_is_prepared_where_nothing_was_compiled_before(monkeypatch):
     """What LLVM inlines depends on what a process did before: compiled a callee, or loaded it."""
 
@@ -90,6 +92,7 @@ def doubled(x):
     return 2.0 * x
 
 
+@pytest.mark.slow
 def test_a_kernel_is_refused_from_a_fresh_process_as_from_a_fork():
     with pytest.raises(RefusedError, match=r"calling: cannot be instrumented: fast math \('fast'"):
         build(calling, (numba.float64,))

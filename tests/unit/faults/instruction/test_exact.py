@@ -124,6 +124,7 @@ def disagreements(variant, oracle, trace, faults):
     return wrong
 
 
+@pytest.mark.slow
 def test_faults_in_a_loop_are_as_interpreted(oracle, trace):
     faults = all_faults(trace)
     some = [faults[i] for i in np.random.default_rng(1).choice(len(faults), 250, replace=False)]
@@ -253,6 +254,7 @@ def test_the_injector_itself_has_no_mismatch(prepared, sample, trace):
     assert (ended.how, ended.payload) == ("done", b"\0")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mutant", MUTANTS)
 def test_wrong_injectors_are_caught(mutant, prepared, sample, trace):
     ended = run_in_child(lambda: mismatches(prepared, MUTANTS[mutant], sample, budget(trace)))

@@ -123,6 +123,7 @@ def test_results_are_the_same_bits(kernel):
     assert digest((result, args)) == wanted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", [fibonacci, new_array, small_integers, vectorised], ids=lambda k: k.py_func.__name__)
 def test_faults_are_hit(kernel):
     args = FEATURES[kernel]

@@ -69,6 +69,7 @@ def test_what_a_child_changes_stays_with_it():
     assert (ended.payload, notes) == (b"1", [])
 
 
+@pytest.mark.slow
 def test_no_file_and_no_child_is_left_after_many():
     run_in_child(lambda: b"")
     before = open_files()

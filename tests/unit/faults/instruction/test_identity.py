@@ -49,6 +49,7 @@ def test_results_and_arguments_are_the_same_bits(name):
     assert len({digest(args) for args in (plain, counted, profiled, traced, resolved)}) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in NAMES if name in QUICK] + COMPILED_LONG)
 def test_the_table_has_the_types_that_llvm_has(name):
     """LLVM's own reading of the text is the oracle of ours."""
@@ -89,6 +90,7 @@ def assembly(dispatcher, signature_):
     return [re.sub(r"\.L\w+|_ZN\S+", lambda m: labels.setdefault(m[0], f"L{len(labels)}"), line) for line in kept]
 
 
+@pytest.mark.slow
 def test_machine_code_is_as_without_line_tables():
     flags = {name: value for name, value in pid.track.targetoptions.items() if name != "nopython"}
     plain = numba.njit(**flags)(pid.track.py_func)

@@ -50,6 +50,7 @@ def calling(x):
     return quick(x) + 1.0
 
 
+@pytest.mark.slow
 def test_fast_math_in_a_callee_is_refused():
     with pytest.raises(RefusedError, match=r"calling: cannot be instrumented: fast math \('fast'"):
         count(calling, 1.0)
@@ -154,6 +155,7 @@ def test_classes_that_are_none_are_refused(which):
         draw(loop, 1, *LOOP, which=which)
 
 
+@pytest.mark.slow
 def test_a_class_that_is_not_executed_is_refused():
     with pytest.raises(BadInputError, match="0 found in"):
         draw(loop, 1, *LOOP, which="opcode:frem")

@@ -114,6 +114,7 @@ def known():
     return sites, table, float(np.mean([np.mean(row) for row in table]))
 
 
+@pytest.mark.slow
 def test_weighted_rates_are_those_of_the_uniform_draw(known):
     """The estimator's mean over draws is the rate that is known from every (index, bit); without weights it is not."""
     _, table, truth = known

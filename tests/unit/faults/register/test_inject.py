@@ -37,6 +37,7 @@ def only(pid, **wanted):
     return inject(Request(pid=pid, **wanted))[0]
 
 
+@pytest.mark.slow
 def test_a_strike_is_seen_by_the_target_as_it_is_recorded(targets):
     for seed in range(6):
         target, _ = targets.start("hold")
@@ -118,6 +119,7 @@ def test_the_thread_that_computes_is_struck_and_waited_for(targets):
     assert struck.thread == int(worker) != target.pid
 
 
+@pytest.mark.slow
 def test_a_symbol_is_watched_in_threads_that_come_up_later(targets):
     target, worker = targets.start("threads")
     for seed in range(20):  # some of these threads end between being listed and being watched
@@ -164,6 +166,7 @@ def test_a_symbol_that_is_unknown_or_ambiguous_is_refused(spin, symbol):
         only(spin.pid, symbol=symbol)
 
 
+@pytest.mark.slow
 def test_a_target_that_ends_while_it_is_watched(spin):
     command = [sys.executable, "-m", "mavfi", "inject", "--pid", str(spin.pid), "--symbol", "never"]
     tool = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)

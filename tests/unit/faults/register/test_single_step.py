@@ -80,6 +80,7 @@ def test_the_same_instructions_are_executed_each_time(call):
     assert 20 < len(call.sites) <= call.own <= call.steps
 
 
+@pytest.mark.slow
 def test_work_of_more_rounds_takes_more_instructions():
     few, many = (stepped(loop, LOOP[0], n).own for n in (5, 25))
     assert many > few + 3 * 20
@@ -109,6 +110,7 @@ def test_a_system_that_forbids_tracing_is_refused_in_one_line(monkeypatch):
 
 
 # ---- strikes --------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_each_strike_flips_the_bit_that_was_drawn_and_no_other(call):
     outcomes = [call.strike(fault) for fault in call.draw(np.random.default_rng(SEED), 25)]
     assert all(outcome.hit and outcome.before ^ outcome.after == 1 << outcome.fault.bit for outcome in outcomes)
@@ -116,12 +118,14 @@ def test_each_strike_flips_the_bit_that_was_drawn_and_no_other(call):
     assert len({outcome.fault.register.name for outcome in outcomes}) > 3
 
 
+@pytest.mark.slow
 def test_an_injector_that_flips_nothing_masks_everything(call):
     outcomes = [call.strike(fault, null=True) for fault in call.draw(np.random.default_rng(SEED), 25)]
     assert {outcome.how for outcome in outcomes} == {"masked"}
     assert not any(outcome.hit for outcome in outcomes)
 
 
+@pytest.mark.slow
 def test_the_same_fault_does_the_same(call):
     faults = call.draw(np.random.default_rng(SEED), 6)
     once, again = ([call.strike(fault) for fault in faults] for _ in range(2))
@@ -140,6 +144,7 @@ def test_draws_are_uniform_over_instructions_with_a_destination(call):
 
 
 # ---- outcomes -------------------------------------------------------------------------------------------------------
+@pytest.mark.slow
 def test_a_wrong_number_is_silent():
     call = stepped(copy_sum, VALUES, TOTAL)
     partial_sum = int(np.array([VALUES[0] + VALUES[1]]).view(np.uint64)[0])
@@ -148,6 +153,7 @@ def test_a_wrong_number_is_silent():
     assert (outcome.how, outcome.before, outcome.after) == ("sdc", partial_sum, partial_sum ^ (1 << 51))
 
 
+@pytest.mark.slow
 def test_a_wrong_pointer_crashes():
     call = stepped(copy_sum, VALUES, TOTAL)
     outcome = call.strike(replace(held(call, VALUES.ctypes.data), bit=62))
@@ -155,6 +161,7 @@ def test_a_wrong_pointer_crashes():
     assert outcome.before == VALUES.ctypes.data and outcome.hit
 
 
+@pytest.mark.slow
 def test_a_loop_that_does_not_end_is_a_hang():
     call = stepped(counted_down, 2.5)
     half = int(np.array([0.5]).view(np.uint64)[0])
@@ -162,6 +169,7 @@ def test_a_loop_that_does_not_end_is_a_hang():
     assert (outcome.how, outcome.detail, outcome.hit) == ("hang", "instruction budget", True)
 
 
+@pytest.mark.slow
 def test_a_call_that_raises_is_an_exception():
     values = np.ones(4)
     call = stepped(raising, values, 3)

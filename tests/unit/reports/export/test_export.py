@@ -15,6 +15,8 @@ from mavfi.reports.export.bags import write_bag, write_mcap
 from mavfi.reports.export.table import write_csv
 from mavfi.reports.export.timeline import FIRST_STAMP_NS, timeline
 
+pytestmark = pytest.mark.slow
+
 TOPICS = {"/tf", "/odometry", "/command", "/reference", "/obstacles", "/goal", "/flown", "/log"}
 
 

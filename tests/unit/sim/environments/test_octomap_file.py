@@ -69,6 +69,7 @@ def voxels():
     return found | {(CENTRE + 4, CENTRE + 2, CENTRE + 1): True}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ending", "body"), ((".bt", bits), (".ot", values)))
 def test_a_written_map_is_read_voxel_by_voxel(tmp_path, voxels, ending, body):
     path = write(tmp_path / f"room{ending}", voxels, body)
@@ -179,6 +180,7 @@ def test_a_changed_file_is_read_again(tmp_path, voxels):
     assert octomap_file(0, str(path), START, GOAL).digest() != first
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not SCAN.is_file(), reason="the scan of building 079 is not at ../shared/data")
 def test_spheres_of_0_2_m_pass_the_corridor_of_the_real_scan():
     world = build_world(environment_for_file(str(SCAN)), 0, (-5.0, 0.0, 1.2), (27.0, 0.0, 1.2))
