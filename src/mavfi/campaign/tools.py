@@ -6,7 +6,7 @@ They are imported when they are first wanted: reading a ledger needs no simulato
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from mavfi.campaign.config import KernelFaults
 from mavfi.campaign.worker import DrawnFaults, Family, Flight, Tools
@@ -14,8 +14,11 @@ from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import Fault
 from mavfi.mission import Scenario
 
+if TYPE_CHECKING:
+    from mavfi.hosts.inprocess import Flight as HostFlight
+
 _DRAWN_KEPT = 8
-_drawn: dict[str, Any] = {}
+_drawn: "dict[str, HostFlight]" = {}
 """Golden flights for which this process has drawn, by mission: those with the faults are most often flown next."""
 
 

@@ -22,6 +22,7 @@ from typing import Any
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import Fault
+from mavfi.faults.instruction.forked import LENGTH_BYTES, framed, write_all
 from mavfi.faults.instruction.launch import with_fixed_addresses
 from mavfi.faults.instruction.refusal import MismatchError
 from mavfi.hosts.beginning import Beginning
@@ -37,7 +38,6 @@ _FIXED = {
     "PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1",
 }  # fmt: skip
 _ERRORS = {"BadInputError": BadInputError, "MismatchError": MismatchError}
-LENGTH_BYTES = 8
 _CHUNK = 1 << 16
 ENDED = b"e"
 """What a template says when a flight's process is gone."""
@@ -116,10 +116,8 @@ class Template:
 
     def _send(self, data: bytes) -> None:
         assert self._process.stdin is not None  # a pipe
-        left = memoryview(len(data).to_bytes(LENGTH_BYTES, "little") + data)
         try:
-            while left:
-                left = left[self._process.stdin.write(left) :]
+            write_all(self._process.stdin.fileno(), framed(data))
         except BrokenPipeError:
             raise MavfiError("the process from which flights are forked has died") from None
 

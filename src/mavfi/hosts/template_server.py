@@ -20,12 +20,13 @@ from mavfi.config import parse
 from mavfi.errors import MavfiError
 from mavfi.faults.fault import Fault
 from mavfi.faults.instruction import Counting, run_in_child
+from mavfi.faults.instruction.forked import LENGTH_BYTES, framed, write_all
 from mavfi.faults.instruction.launch import addresses_are_fixed
 from mavfi.hosts.beginning import Beginning
 from mavfi.hosts.inprocess import fly
 from mavfi.hosts.instruction import StrikingHost
 from mavfi.hosts.struck import Case
-from mavfi.hosts.template import AGAIN, ENDED, LENGTH_BYTES, READY
+from mavfi.hosts.template import AGAIN, ENDED, READY
 from mavfi.mission import Scenario
 from mavfi.numerics.jit import code_folder
 from mavfi.pipeline.functions import PLAIN
@@ -44,8 +45,8 @@ def main() -> None:
         fly(scenario, functions=PLAIN.with_twins(tuple(PLAIN.__dataclass_fields__), lambda _, kernel: Counting(kernel)))
     except MavfiError:
         pass  # there is no such mission; then each fork loads what it needs
-    _write(_framed(READY if _cache() == before and not _wrote_bytecode() else AGAIN) + ENDED)
-    failure = _framed(pickle.dumps((False, ("", "the process of a flight with a fault in an address died"), None)))
+    write_all(_ANSWERS, framed(READY if _cache() == before and not _wrote_bytecode() else AGAIN) + ENDED)
+    failure = framed(pickle.dumps((False, ("", "the process of a flight with a fault in an address died"), None)))
     while True:
         select.select([_REQUESTS], [], [])
         child = os.fork()
@@ -54,7 +55,7 @@ def main() -> None:
         _, status = os.waitpid(child, 0)
         if os.waitstatus_to_exitcode(status) == _NO_REQUEST:
             return
-        _write(ENDED if status == 0 else failure + ENDED)
+        write_all(_ANSWERS, ENDED if status == 0 else failure + ENDED)
 
 
 def _answer() -> None:
@@ -71,7 +72,7 @@ def _answer() -> None:
             answer: tuple[bool, Any, Any] = (addresses_are_fixed(), None, fly_one(*pickle.loads(work)))
         except Exception as error:  # noqa: BLE001 - whoever asked is told, whatever it is
             answer = (addresses_are_fixed(), (type(error).__name__, str(error)), None)
-        _write(_framed(pickle.dumps(answer)))
+        write_all(_ANSWERS, framed(pickle.dumps(answer)))
         status = 0
     finally:
         os._exit(status)
@@ -131,16 +132,6 @@ def _exactly(size: int) -> bytes:
             return b""
         data += chunk
     return data
-
-
-def _framed(data: bytes) -> bytes:
-    return len(data).to_bytes(LENGTH_BYTES, "little") + data
-
-
-def _write(data: bytes) -> None:
-    left = memoryview(data)
-    while left:
-        left = left[os.write(_ANSWERS, left) :]
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from mavfi.faults.instruction.runtime import HANG_EXIT
 
 How = Literal["done", "crash", "hang", "exception"]
 _EXCEPTION_EXIT = 70
-_LENGTH_BYTES = 8
+LENGTH_BYTES = 8
 _CHUNK = 1 << 16
 _SIGNALS = {int(number): number.name for number in signal.Signals}
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
@@ -99,16 +99,21 @@ class ForkPoint:
 
     def _end(self, payload: bytes, status: int) -> NoReturn:
         try:
-            data = memoryview(framed(payload))
-            while data:
-                data = data[os.write(self._pipe, data) :]
+            write_all(self._pipe, framed(payload))
         finally:
             os._exit(status)
 
 
 def framed(payload: bytes) -> bytes:
     """As a child writes its report: `judge_status` sees whether it is whole."""
-    return len(payload).to_bytes(_LENGTH_BYTES, "little") + payload
+    return len(payload).to_bytes(LENGTH_BYTES, "little") + payload
+
+
+def write_all(handle: int, data: bytes) -> None:
+    """Write to a pipe, however much it takes at once."""
+    left = memoryview(data)
+    while left:
+        left = left[os.write(handle, left) :]
 
 
 def run_in_child(work: Callable[[], bytes], timeout: float = 60.0, attend: Attend | None = None) -> Ended:
@@ -182,8 +187,8 @@ def judge_status(status: int, data: bytes = b"") -> Ended:
     code = os.WEXITSTATUS(status)
     if code == HANG_EXIT:
         return Ended("hang", detail="instruction budget")
-    payload = data[_LENGTH_BYTES:]
-    whole = len(data) >= _LENGTH_BYTES and int.from_bytes(data[:_LENGTH_BYTES], "little") == len(payload)
+    payload = data[LENGTH_BYTES:]
+    whole = len(data) >= LENGTH_BYTES and int.from_bytes(data[:LENGTH_BYTES], "little") == len(payload)
     if code == 0 and whole:
         return Ended("done", payload)
     if code == _EXCEPTION_EXIT and whole:

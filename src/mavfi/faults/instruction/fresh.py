@@ -11,14 +11,13 @@ import pickle
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+import types
 from functools import reduce
 from importlib import import_module
 from typing import Any
 
-from mavfi.faults.instruction.forked import Ended, framed, judge_status
+from mavfi.faults.instruction.forked import Ended, framed, judge_status, write_all
 
-_FIXED = {"PYTHONHASHSEED": "0", "PYTHONDONTWRITEBYTECODE": "1"}
 _NOT_HERE = b"N"
 """It was loaded from a file that is on no path, or Numba compiles it only where it has been compiled (recursion)."""
 
@@ -36,18 +35,21 @@ def run_fresh(kernel: Any, signature: tuple[Any, ...], timeout: float) -> Ended 
     """
     function = kernel.py_func
     address = function.__module__, function.__qualname__
-    if not _calls_compiled(function) or _find(*address, loaded=sys.modules) is not kernel:
+    if not _calls_compiled(function) or _find(*address) is not kernel:
         return None
     try:
         request = pickle.dumps((sys.path, *address, signature))
     except Exception:  # noqa: BLE001 - types of a user may refuse in any way
         return None
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        cache = {"NUMBA_CACHE_DIR": os.path.join(folder, "code"), "TMPDIR": folder}
+        own = {
+            "NUMBA_CACHE_DIR": os.path.join(folder, "code"), "TMPDIR": folder, "PYTHONHASHSEED": "0",
+            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+        }  # fmt: skip
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", __name__],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-            env=os.environ | _FIXED | cache | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            env=os.environ | own,
         )  # fmt: skip
         try:
             data, _ = process.communicate(request, timeout)
@@ -65,18 +67,26 @@ def _status(code: int) -> int:
     return -code if code < 0 else code << 8
 
 
+def surroundings(function: Any) -> dict[str, Any]:
+    """What a function takes from where it was defined: values of the scopes around it and of its module, by name."""
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    named = {name: function.__globals__[name] for name in function.__code__.co_names if name in function.__globals__}
+    return {name: cell.cell_contents for name, cell in cells} | named
+
+
 def _calls_compiled(function: Any) -> bool:
-    cells = [cell.cell_contents for cell in function.__closure__ or ()]
-    named = [function.__globals__.get(name) for name in function.__code__.co_names]
-    return any(hasattr(value, "py_func") for value in (*cells, *named))
+    around = surroundings(function).values()
+    modules = [value for value in around if isinstance(value, types.ModuleType)]
+    members = [getattr(module, name, None) for module in modules for name in function.__code__.co_names]
+    return any(hasattr(value, "py_func") for value in (*around, *members))
 
 
-def _find(module: str, name: str, loaded: Mapping[str, Any]) -> Any:
+def _find(module: str, name: str) -> Any:
     """What another process finds under a name; None if nothing."""
     if module == "__main__":
         return None
     with contextlib.suppress(AttributeError, KeyError):
-        return reduce(getattr, name.split("."), loaded[module])
+        return reduce(getattr, name.split("."), sys.modules[module])
     return None
 
 
@@ -91,10 +101,8 @@ def main() -> None:
     answer = _NOT_HERE
     with contextlib.suppress(Exception):
         import_module(module)
-        answer = make(_find(module, name, sys.modules), signature)
-    data = memoryview(framed(answer))
-    while data:
-        data = data[os.write(answers, data) :]
+        answer = make(_find(module, name), signature)
+    write_all(answers, framed(answer))
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ import numba
 import numpy as np
 
 from mavfi.faults.instruction.build import Built, build, name_of
+from mavfi.faults.instruction.fresh import surroundings
 from mavfi.numerics.jit import code_folder
 
 _FOLDER = "instruction"
@@ -64,10 +65,7 @@ def _parts(kernel: Any, seen: set[int]) -> Iterator[bytes]:
     flags = sorted((name, repr(value)) for name, value in kernel.targetoptions.items())
     yield repr((name_of(kernel), function.__code__.co_filename, flags)).encode()
     yield from _code(function.__code__)
-    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
-    outside = {name: cell.cell_contents for name, cell in cells}
-    outside |= {name: function.__globals__[name] for name in function.__code__.co_names if name in function.__globals__}
-    for name, value in sorted(outside.items()):
+    for name, value in sorted(surroundings(function).items()):
         yield name.encode()
         yield from _value(value, seen)
 
