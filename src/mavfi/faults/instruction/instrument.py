@@ -22,9 +22,13 @@ from mavfi.faults.instruction.table import Table, make_table
 
 _ENVIRONMENT = re.compile(r'@"?_ZN08NumbaEnv')
 _UNLIKELY = '!0 = !{!"branch_weights", i32 1, i32 100000}'
-_PER_PROCESS = re.compile(r"B\d+v\d+(?!\d)|0x[0-9a-f]{6,}|(?<=picklebuf\.)[0-9a-f]+|-?\d{9,}")
+_PER_PROCESS = re.compile(
+    r"B\d+v\d+(?!\d)|0x[0-9a-f]{6,}|(?<=picklebuf\.)[0-9a-f]+|(?<=pickledata\.)[0-9a-f]+|-?\d{9,}"
+)
 """Parts of Numba's global names that differ from process to process or from folder to folder: counters of functions,
 addresses, digests of exceptions with the path of their source, hashes of strings, which may be negative."""
+_PICKLED_SIZE = re.compile(r"(store ptr @\.const\.pickledata\.\S+ ,?[^\n]*\n[^\n]*\n\s*store i32 )\d+")
+"""How long such an exception is, which is written beside it: it grows with the path."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +84,7 @@ def _digest(bodies: str) -> str:
     def neutral(match: "re.Match[str]") -> str:
         return names.setdefault(match[0], _PER_PROCESS.sub("*", match[0]))
 
+    bodies = _PICKLED_SIZE.sub(r"\1*", bodies)
     return hashlib.sha256(re.sub(r'@(?:"[^"]*"|[-\w$.]+)', neutral, bodies).encode()).hexdigest()
 
 

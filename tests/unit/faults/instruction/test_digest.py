@@ -11,6 +11,7 @@ import pytest
 from mavfi.faults.instruction import RefusedError
 from mavfi.faults.instruction import build as building
 from mavfi.faults.instruction.build import build, prepare
+from mavfi.faults.instruction.instrument import _digest as fault_space_digest
 from mavfi.faults.instruction.instrument import instrument
 from mavfi.faults.instruction.refusal import BuildError
 from mavfi.numerics.jit import kernel_jit, uncached_copy
@@ -113,3 +114,26 @@ def test_fresh_processes_with_empty_caches_agree_in_any_order(tmp_path):
         found.append(json.loads(done.stdout))
     assert set(found[0]) == set(SLOW)
     assert found[0] == found[1] == found[2]
+
+
+PICKLED = """
+define i32 @f(ptr %out) {{
+entry:
+  %size = getelementptr i8, ptr %out, i64 8
+  store ptr @.const.pickledata.{name}, ptr %out, align 8
+  %next = getelementptr i8, ptr %out, i64 {step}
+  store i32 {size}, ptr %size, align 8
+  %sum = add i32 %first, 411
+  ret i32 %sum
+}}
+"""
+
+
+def test_the_digest_does_not_depend_on_the_folder_of_the_installation():
+    """An exception that is raised in two steps is pickled with the path of its source: name and length follow it."""
+
+    def digest(name, size, step=8):
+        return fault_space_digest(PICKLED.format(name=name, size=size, step=step))
+
+    assert digest("ef8f37db74", "411") == digest("538f24ddc4", "406")
+    assert digest("ef8f37db74", "411") != digest("ef8f37db74", "411", step=16)
