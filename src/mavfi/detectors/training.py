@@ -33,6 +33,8 @@ HIDDEN_LAYERS = (6, 3, 6)
 LARGEST_CLASS = 20_000
 """Vectors of one state and regime that the network is trained on; rarer ones are all taken."""
 EPOCHS = 40
+WEIGHT_DIGITS = 8
+"""Significant digits of weights that are kept; those after them depend on the linear algebra of the machine."""
 _TRAINING_STREAM = 4
 
 
@@ -258,11 +260,15 @@ def train_network(inputs: np.ndarray) -> MLPRegressor:
 
 
 def export(network: MLPRegressor, scale: np.ndarray) -> autoencoder.Network:
-    """A trained network as detectors fly it; its inputs are deltas / `scale`."""
+    """A trained network as detectors fly it; its inputs are deltas / `scale`.
+
+    Weights are rounded, so that training on another machine gives the same file (2e-14 lay between two of them).
+    """
     sizes = [network.coefs_[0].shape[0], *(len(intercepts) for intercepts in network.intercepts_)]
     layers = zip(network.coefs_, network.intercepts_, strict=True)
     weights = [part for coefficients, intercepts in layers for part in (coefficients.ravel(), intercepts)]
-    return autoencoder.Network(scale, np.array(sizes, np.int64), np.concatenate(weights), np.zeros((3, max(sizes))))
+    rounded = np.array([float(f"{weight:.{WEIGHT_DIGITS - 1}e}") for weight in np.concatenate(weights)])
+    return autoencoder.Network(scale, np.array(sizes, np.int64), rounded, np.zeros((3, max(sizes))))
 
 
 @kernel_jit

@@ -1,5 +1,7 @@
 """Inference equals scikit-learn's."""
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,20 @@ from mavfi.detectors import autoencoder, training
 @pytest.fixture(scope="module")
 def network():
     inputs = np.random.default_rng(3).normal(size=(600, 13)) @ np.random.default_rng(4).normal(size=(13, 13)) / 4
-    return training.train_network(inputs)
+    trained = training.train_network(inputs)
+    for part in (trained.coefs_, trained.intercepts_):
+        part[:] = [np.vectorize(lambda weight: float(f"{weight:.7e}"))(layer) for layer in part]
+    return trained
+
+
+def test_weights_do_not_depend_on_the_last_digits_of_training(network):
+    exported = training.export(network, np.ones(13)).weights
+    noise = np.random.default_rng(10)
+    disturbed = copy.deepcopy(network)
+    for part in (disturbed.coefs_, disturbed.intercepts_):
+        part[:] = [layer * (1.0 + noise.uniform(-1e-13, 1e-13, layer.shape)) for layer in part]
+    assert any(np.any(one != other) for one, other in zip(network.coefs_, disturbed.coefs_, strict=True))
+    assert np.array_equal(training.export(disturbed, np.ones(13)).weights, exported)
 
 
 def test_the_layers_are_those_of_the_paper(network):
