@@ -60,7 +60,7 @@ def show_nodes(analysis: Analysis, console: Console) -> None:
         console.print(Text(line, style="dim"))
     for table in node_tables(analysis):
         if not table.detail:
-            console.print(rendered(table))
+            console.print(rendered(table, console.width))
             for note in table.notes:
                 console.print(Text(note, style="dim"))
     console.print(null_line(analysis))

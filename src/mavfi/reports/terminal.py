@@ -11,6 +11,9 @@ from mavfi.reports.header import header, null_line
 from mavfi.reports.table import Table
 from mavfi.reports.tables import Analysis, tables
 
+_BETWEEN = 2
+"""Characters between two columns."""
+
 
 def show(analysis: Analysis, console: Console) -> None:
     """Print the tables of an analysis; those of single environments and fields are in the file only.
@@ -24,19 +27,29 @@ def show(analysis: Analysis, console: Console) -> None:
                         title_align="left", box=box.ROUNDED, expand=False))  # fmt: skip
     for table in tables(analysis):
         if not table.detail:
-            console.print(rendered(table))
+            console.print(rendered(table, console.width))
             for note in table.notes:
                 console.print(Text(note, style="dim"))
             console.print()
     console.print(null_line(analysis))
 
 
-def rendered(table: Table) -> RichTable:
-    """One table; rows that begin with the same cell are grouped."""
+def rendered(table: Table, width: int) -> RichTable:
+    """One table; rows that begin with the same cell are grouped.
+
+    Args:
+        table: Of a report.
+        width: Characters of a line; where they suffice no word is broken, so that names can be copied.
+    """
+    lines = (table.columns, *table.rows)
+    words = [max((len(word) for line in lines for word in line[place].split()), default=0)
+             for place in range(len(table.columns))]  # fmt: skip
+    whole = sum(words) + _BETWEEN * len(words) + 1 <= width
     shown = RichTable(title=escape(table.title), title_style="bold", title_justify="left", box=box.SIMPLE_HEAD,
                       pad_edge=False, padding=(0, 1, 0, 0))  # fmt: skip
     for place, heading in enumerate(table.columns):
-        shown.add_column(escape(heading), justify="left" if place < 2 else "right", overflow="fold")
+        shown.add_column(escape(heading), justify="left" if place < 2 else "right", overflow="fold",
+                         no_wrap=whole and not any(" " in row[place] for row in table.rows))  # fmt: skip
     before = None
     for row in table.rows:
         if before is not None and row[0] != before:
