@@ -14,9 +14,13 @@ from collections import Counter
 
 BUDGETS = {
     "point_cloud": 50_000, "octomap": 20_000_000, "collision_check": 1_000_000, "planner": 100_000_000,
-    "trajectory": 10_000_000, "waypoint": 100_000, "pid": 100, "state_estimation": 20_000,
+    "trajectory": 30_000_000, "waypoint": 100_000, "pid": 100, "state_estimation": 20_000,
 }  # fmt: skip
-"""Loop passes of one step, with the inputs that it received before it."""
+"""Loop passes of one step, with the inputs that it received before it.
+
+The trajectory's follows from its limits: 10,000 stations solved at 850 passes each, and a curve of 1,500 s looked up
+six times, every 0.02 s, at 30 passes each.
+"""
 
 
 def canaries():

@@ -19,6 +19,8 @@ ROUNDS = 10
 """How often stations are added before the curve is given up."""
 _TRIALS = 40
 """How often the plan of speeds is made gentler before the curve is given up."""
+_MOST_SOLVED = 10_000
+"""Stations of all curves that are tried before it is given up: a path with an absurd vertex ends, too."""
 _SHARED = 0.5
 """Share of what a segment is too fast by that its neighbours get, too."""
 _SHARPNESS = 1.2
@@ -186,18 +188,18 @@ def split(counter: np.ndarray, grid: Grid, path: np.ndarray, count: int, work: W
 
 
 @kernel_jit
-def _timed(velocity: np.ndarray, acceleration: np.ndarray, law: Law, work: Work, n: int) -> bool:
-    """Lay a curve within the limits through the stations; whether there is one."""
+def _timed(velocity: np.ndarray, acceleration: np.ndarray, law: Law, work: Work, n: int, trials: int) -> int:
+    """Lay a curve within the limits through the stations; how many were tried, 0 = there is none."""
     entry = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
     if not entry < _ABSURD:
-        return False
-    for _ in range(_TRIALS):
+        return 0
+    for trial in range(trials):
         _trapezoid(entry, law, work, n)
         if not minimum_snap.solve(work.points, work.times, n, velocity, acceleration, work.elimination, work.ends):
-            return False
+            return 0
         if _within_limits(entry, law, work, n):
-            return True
-    return False
+            return trial + 1
+    return 0
 
 
 @kernel_jit
@@ -227,11 +229,14 @@ def fit(
     if n < 2:
         return 0
     added = np.empty(work.stations.shape[0])
+    left = _MOST_SOLVED
     for _ in range(ROUNDS):
         place(path, count, work, n)
         _room_speeds(wide, grid, path, count, law, work, n)
-        if not _timed(velocity, acceleration, law, work, n):
+        tried = _timed(velocity, acceleration, law, work, n, min(_TRIALS, left // n))
+        if tried == 0:
             return 0
+        left -= n * tried
         new = split(narrow, grid, path, count, work, n, added)
         if new == 0:
             return n
