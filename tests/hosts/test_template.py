@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mavfi.errors import MavfiError
@@ -16,6 +17,8 @@ from mavfi.hosts import beginning, template
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.instruction import fly_struck
 from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults, is_in_data
+from mavfi.kernels.perception.point_cloud import back_project
+from mavfi.numerics.jit import code_folder
 
 pytestmark = pytest.mark.slow
 
@@ -100,6 +103,22 @@ def test_a_template_that_had_to_compile_modules_is_not_the_one_that_is_forked(fa
     finally:
         template.close_templates()
     assert said[:2] == [template.AGAIN, template.READY]
+
+
+def test_what_else_was_compiled_does_not_matter(faults, told):
+    """Other signatures of the same functions are in the cache or not."""
+    before = set(code_folder().rglob("*"))
+    template.close_templates()
+    try:
+        small = np.zeros((4, 3), np.float32)
+        back_project(small[:, 0].astype(np.int16), small, np.eye(3), np.zeros(3), 20.0, small)
+        made = [path for path in code_folder().rglob("*.nbc") if path not in before]
+        assert made
+        assert flown(faults) == told
+    finally:
+        template.close_templates()
+        for path in set(code_folder().rglob("*")) - before:
+            path.unlink()
 
 
 def test_where_addresses_cannot_be_fixed_the_rows_say_so(faults, told, monkeypatch):

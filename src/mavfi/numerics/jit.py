@@ -5,7 +5,8 @@ infinity, and `parallel` would reorder sums: none of them is available here (see
 
 Numba's cache looks at the file of a function, not at those of the functions that it calls: after a change in one
 module, callers in others would go on with the old code.  So the cache lies in a folder that is named after the text of
-all compiled modules.
+all compiled modules.  Nor has it an index of the signatures of a function, which grows when another process compiles
+one more: a process that loads code then has another history of its memory, which corrupted addresses read.
 """
 
 import functools
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.caching import IndexDataCacheFile
 from numba.core.compiler import Compiler
 from numba.core.errors import NumbaDebugInfoWarning
 
@@ -75,6 +77,31 @@ class LineTables(Compiler):
             return super().compile_extra(func)  # type: ignore[no-untyped-call]
 
 
+class SignatureFiles(IndexDataCacheFile):
+    """Code on disk, one file for each signature: what is loaded does not depend on what else was compiled."""
+
+    @staticmethod
+    def in_place_of(files: Any) -> "SignatureFiles":
+        """The same place and source, without the index."""
+        base = files._index_name.removesuffix(".nbi")
+        return SignatureFiles(files._cache_path, base, files._source_stamp)  # type: ignore[no-untyped-call]
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep the code of a signature; a file of another source or version of Numba is replaced."""
+        self._save_data(self._name(key), (self._version, self._source_stamp, key, data))  # type: ignore[no-untyped-call]
+
+    def load(self, key: Any) -> Any:
+        """The code of a signature; None = there is none of this source and version of Numba."""
+        try:
+            version, stamp, kept, data = self._load_data(self._name(key))  # type: ignore[no-untyped-call]
+        except FileNotFoundError:
+            return None
+        return data if (version, stamp, kept) == (self._version, self._source_stamp, key) else None
+
+    def _name(self, key: Any) -> str:
+        return f"{self._index_name.removesuffix('.nbi')}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
+
+
 def kernel_jit(function: F) -> F:
     """Compile a numeric function: cached on disk, IEEE division, no fast math, GIL released, with line tables.
 
@@ -84,9 +111,11 @@ def kernel_jit(function: F) -> F:
     Returns:
         The compiled dispatcher; its pure Python twin is `function.py_func`.
     """
-    compiled = numba.njit(
+    compiled: Any = numba.njit(
         cache=True, error_model="numpy", fastmath=False, nogil=True, pipeline_class=LineTables
     )(function)  # fmt: skip
+    cache = compiled._cache
+    cache._cache_file = SignatureFiles.in_place_of(cache._cache_file)
     return cast(F, compiled)
 
 

@@ -1,0 +1,61 @@
+"""Where compiled code is kept: one file for each signature, no index."""
+
+import numpy as np
+import pytest
+
+from mavfi.numerics.jit import SignatureFiles, kernel_jit
+
+
+class Index:
+    """What Numba hands over: where, of what source."""
+
+    def __init__(self, folder, stamp):
+        self._cache_path, self._index_name, self._source_stamp = str(folder), "module.name-1.py311.nbi", stamp
+
+
+@pytest.fixture
+def files(tmp_path):
+    return SignatureFiles.in_place_of(Index(tmp_path, "source"))
+
+
+def test_what_was_saved_is_loaded(files):
+    files.save(("int64", "cpu"), b"code")
+    files.save(("float64", "cpu"), b"other")
+    assert files.load(("int64", "cpu")) == b"code"
+    assert files.load(("float64", "cpu")) == b"other"
+    assert files.load(("int32", "cpu")) is None
+
+
+def test_saving_one_signature_leaves_the_files_of_the_others(files, tmp_path):
+    files.save("one", b"code")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    files.save("two", b"code")
+    assert all(path.read_bytes() == content for path, content in before.items())
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_code_of_another_source_or_version_is_not_loaded_but_replaced(files, tmp_path, monkeypatch):
+    files.save("key", b"code")
+    newer = SignatureFiles.in_place_of(Index(tmp_path, "changed source"))
+    assert newer.load("key") is None
+    newer.save("key", b"newer")
+    assert newer.load("key") == b"newer"
+    assert files.load("key") is None
+    assert len(list(tmp_path.iterdir())) == 1
+    monkeypatch.setattr(newer, "_version", "0.0")
+    assert newer.load("key") is None
+
+
+def test_another_key_in_the_same_file_is_not_taken_for_it(files, monkeypatch):
+    monkeypatch.setattr(SignatureFiles, "_name", lambda self, key: "same")
+    files.save("one", b"code")
+    assert files.load("two") is None
+
+
+def test_kernels_are_kept_that_way():
+    @kernel_jit
+    def doubled(values):
+        return 2.0 * values[0]
+
+    assert doubled(np.ones(1)) == 2.0
+    assert isinstance(doubled._cache._cache_file, SignatureFiles)
