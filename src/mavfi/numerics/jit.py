@@ -114,8 +114,8 @@ def kernel_jit(function: F) -> F:
     compiled: Any = numba.njit(
         cache=True, error_model="numpy", fastmath=False, nogil=True, pipeline_class=LineTables
     )(function)  # fmt: skip
-    cache = compiled._cache
-    cache._cache_file = SignatureFiles.in_place_of(cache._cache_file)
+    if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        compiled._cache._cache_file = SignatureFiles.in_place_of(compiled._cache._cache_file)
     return cast(F, compiled)
 
 

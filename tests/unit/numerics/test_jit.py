@@ -1,5 +1,6 @@
 """Where compiled code is kept: one file for each signature, no index."""
 
+import numba
 import numpy as np
 import pytest
 
@@ -52,6 +53,7 @@ def test_another_key_in_the_same_file_is_not_taken_for_it(files, monkeypatch):
     assert files.load("two") is None
 
 
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_kernels_are_kept_that_way():
     @kernel_jit
     def doubled(values):
