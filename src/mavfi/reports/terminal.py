@@ -39,7 +39,7 @@ def rendered(table: Table, width: int) -> RichTable:
 
     Args:
         table: Of a report.
-        width: Characters of a line; where they suffice no word is broken, so that names can be copied.
+        width: Characters of a line; where they suffice, columns of single words stay whole: names can be copied.
     """
     lines = (table.columns, *table.rows)
     words = [max((len(word) for line in lines for word in line[place].split()), default=0)

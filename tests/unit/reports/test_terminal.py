@@ -1,5 +1,6 @@
 """Tables in the terminal: names stay whole where the line is long enough."""
 
+from collections import Counter
 from io import StringIO
 
 import pytest
@@ -26,7 +27,12 @@ def test_names_are_not_broken_where_rates_can_be(width):
 
 
 def test_nothing_is_lost_in_a_narrow_terminal():
-    joined = "".join(printed(40).split())
-    assert all(part in joined for part in ("12.0", "44.0]", "1/9"))
-    assert max(map(len, printed(40).splitlines())) <= 40
-    assert sum(map(joined.count, "s")) == sum(map("".join((*TABLE.columns, *TABLE.rows[0], TABLE.title)).count, "s"))
+    shown = printed(40)
+    assert max(map(len, shown.splitlines())) <= 40
+    told = "".join((TABLE.title, *TABLE.columns, *TABLE.rows[0]))
+    assert letters(shown) == letters(told)
+
+
+def letters(text):
+    """How often each letter and digit is there."""
+    return Counter(filter(str.isalnum, text))
