@@ -3,8 +3,10 @@
 import hashlib
 import io
 import json
+import math
 import zlib
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -29,6 +31,98 @@ class Event:
     time_us: int
     kind: str
     data: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Injection:
+    """What an injector did, at any level.
+
+    Attributes:
+        level: "state", "instruction", "message" or "register".
+        site: Where, as text: "planning.waypoint.x", "octomap.insert_scan", "joint_states.position[0]", "xmm0".
+        time_s: When: of the flight (s); of messages and registers outside of a flight, since the tool's start (s).
+        bit: Which bit; None for a null fault, or where a whole value was replaced.
+        before: Value before; None = not activated, or no number.
+        after: Value after.
+        activated: Whether the site was reached and changed as planned (a null fault: left as it was).
+        file: Source file of the instruction, relative to the folder from which it was imported; "" = none.
+        line: Source line; 0 = none.
+        details: What else this level knows (opcode, value class, variable, register, library, readers ...): plain data.
+    """
+
+    level: str
+    site: str
+    time_s: float
+    bit: int | None
+    before: float | int | bool | str | None
+    after: float | int | bool | str | None
+    activated: bool
+    file: str = ""
+    line: int = 0
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; infinities and NaN as text, since JSON has none."""
+        return asdict(self) | {"before": _plain(self.before), "after": _plain(self.after)}
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> "Injection":
+        """Inverse of `to_json`; values that JSON cannot hold stay text."""
+        return Injection(**data)
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmRecord:
+    """An alarm of a flight, and what was done about it.
+
+    Attributes:
+        time_s: When (s).
+        source: Which detector or rule raised it.
+        state: The publication that it is about.
+        stage: Stage that it asks to recompute.
+        score: How anomalous, in units of the threshold.
+        fields: Fields that stand out, "state.field".
+        action: What the host did: "recompute", "abandon" or "stop".
+        outcome: What came of it: "replaced", "repaired", or "accepted" (the same value again).
+    """
+
+    time_s: float
+    source: str
+    state: str
+    stage: str
+    score: float = 0.0
+    fields: tuple[str, ...] = ()
+    action: str = "recompute"
+    outcome: str = "replaced"
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self) | {"fields": list(self.fields), "score": _plain(self.score)}
+
+    @staticmethod
+    def from_json(data: Mapping[str, Any]) -> "AlarmRecord":
+        """Inverse of `to_json`."""
+        return AlarmRecord(**{**data, "fields": tuple(data["fields"]), "score": float(data["score"])})
+
+
+@dataclass(frozen=True, slots=True)
+class KernelEffect:
+    """What one injected call did to its kernel, compared in flight with the golden output of that step.
+
+    Attributes:
+        effect: Label of an `outcomes.Effect`: "masked", "sdc", "crash", "hang", "exception" or "not_activated".
+        detail: Signal, budget or exception; "" = none.
+        first_difference: The first published field that differs, as plain data (see `hosts.instruction.output`); None =
+            nothing published differs.
+    """
+
+    effect: str
+    detail: str = ""
+    first_difference: Mapping[str, Any] | None = None
+
+
+def _plain(value: float | int | bool | str | None) -> float | int | bool | str | None:
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @dataclass(slots=True)
@@ -72,17 +166,19 @@ class FlightLog:
         rows: One row per control tick, columns as in `COLUMNS`. Shape (n, 21), float64.
         status: How it ended.
         events: In the order in which they happened.
-        injections: What the injector did, as plain data (level, site, time_s, bit, before, after, hit).
-        alarms: What detectors said, and what recomputing gave, as plain data.
+        injections: What injectors did.
+        alarms: What detectors said, and what recomputing gave.
         meta: Scenario, start, goal, obstacles' digest, versions: plain data.
+        kernel: What the injected call did to its kernel, of a flight with an instruction fault; None otherwise.
     """
 
     rows: np.ndarray
     status: MissionStatus
     events: list[Event] = field(default_factory=list)
-    injections: list[dict[str, Any]] = field(default_factory=list)
-    alarms: list[dict[str, Any]] = field(default_factory=list)
+    injections: list[Injection] = field(default_factory=list)
+    alarms: list[AlarmRecord] = field(default_factory=list)
     meta: dict[str, Any] = field(default_factory=dict)
+    kernel: KernelEffect | None = None
 
     def column(self, name: str) -> np.ndarray:
         """One column. Shape (n,)."""
@@ -110,7 +206,9 @@ class FlightLog:
         data = {
             "status": self.status.name,
             "events": [[e.time_us, e.kind, e.data] for e in self.events],
-            "injections": self.injections, "alarms": self.alarms, "meta": self.meta,
+            "injections": [injection.to_json() for injection in self.injections],
+            "alarms": [alarm.to_json() for alarm in self.alarms], "meta": self.meta,
+            "kernel": None if self.kernel is None else asdict(self.kernel), "columns": list(COLUMNS),
         }  # fmt: skip
         buffer = io.BytesIO()
         np.savez_compressed(buffer, rows=self.rows, record=np.frombuffer(json.dumps(data).encode(), np.uint8))
@@ -130,8 +228,12 @@ class FlightLog:
             with np.load(io.BytesIO(path.read_bytes())) as archive:
                 rows, data = archive["rows"], json.loads(archive["record"].tobytes())
             events = [Event(*event) for event in data["events"]]
+            kernel = data["kernel"]
             return FlightLog(
-                rows, MissionStatus[data["status"]], events, data["injections"], data["alarms"], data["meta"]
-            )
+                rows, MissionStatus[data["status"]], events,
+                [Injection.from_json(item) for item in data["injections"]],
+                [AlarmRecord.from_json(item) for item in data["alarms"]], data["meta"],
+                None if kernel is None else KernelEffect(**kernel),
+            )  # fmt: skip
         except (OSError, EOFError, LookupError, ValueError, TypeError, BadZipFile, zlib.error) as error:
             raise BadInputError(f"{path}: is not a flight log ({error})") from None

@@ -1,11 +1,14 @@
-"""A mission, and everything that decides its golden flight: `Scenario`.  Its ends: `MissionStatus`."""
+"""A mission: what a user asks for: `MissionSpec`; everything that decides its golden flight: `Scenario`."""
 
 import hashlib
 import json
 from enum import Enum
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import AliasChoices, ConfigDict, Field
 
 from mavfi.config import (
+    STRONGEST_WIND,
     CameraConfig,
     Config,
     EnvironmentConfig,
@@ -41,6 +44,41 @@ class MissionStatus(Enum):
     def label(self) -> str:
         """Lower-case name, as in tables and JSON."""
         return self.name.lower()
+
+
+class MissionSpec(Config):
+    """What a user asks for: every option of a mission, by name.  `hosts.compose.resolve` makes a `Scenario` of it.
+
+    The command line, campaign files, arms of campaigns, training, ROS and the Python API all read this model, so an
+    option exists once, and exists everywhere.  The description of a field is its help text.
+    """
+
+    model_config = ConfigDict(populate_by_name=True)
+
+    environment: str = Field("sparse", description="Name, a YAML file, or a scanned map (.bt, .ot of OctoMap).")
+    seed: int = Field(0, ge=0, description="All randomness of the mission comes from it.")
+    start: Vector | None = Field(None, description="m, instead of the environment's.")
+    goal: Vector | None = Field(None, description="m, instead of the environment's.")
+    autopilot: str = Field(
+        "published", validation_alias=AliasChoices("autopilot", "stack"),
+        description="Autopilot profile: published, hardened, or a YAML file.",
+    )  # fmt: skip
+    planner: str = Field("rrt_connect", description="rrt, rrt_connect, rrt_star, a YAML file, or package:Class.")
+    platform: str = Field("i9-9940x", description="Computer whose latencies are charged: a name, or a YAML file.")
+    map: str = Field("dense", description="Where the map keeps its log-odds: dense, octree, or package:Class.")
+    map_resolution: float | None = Field(
+        None, ge=0.02, le=5.0, description="Voxel edge, m; the environment's by default."
+    )
+    vehicle: str | None = Field(None, description="A name, or a YAML file; the environment's by default.")
+    v_max: float | None = Field(None, ge=0.1, le=20.0, description="Speed limit, m/s; the environment's by default.")
+    depth_noise: float = Field(0.0, ge=0.0, le=1.0, description="Of the depth camera: standard deviation / range.")
+    wind: float = Field(0.0, ge=0.0, le=STRONGEST_WIND, description="Amplitude of gusts, m/s.")
+    localization: Literal["truth", "estimator"] = Field(
+        "truth", description="truth, or estimator (from IMU and position fixes)."
+    )
+    coupling: Literal["inline", "observer"] = Field(
+        "inline", description="Of a detector: inline (a gate before the value is seen) or observer (acts one step later)."
+    )
 
 
 _OPTIONS = ("wind", "localization")

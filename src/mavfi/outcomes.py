@@ -1,16 +1,20 @@
-"""What a fault did to a flight: `classify` compares an injected flight with its golden twin."""
+"""What a fault did to the computation: `effect_of` compares an injected run with its golden run."""
 
-from dataclasses import dataclass
 from enum import Enum
 
+from mavfi.flight_record import End, FlightRecord
 
-class Outcome(Enum):
+
+class Effect(Enum):
     """Effect of a fault; the value is a sentence for people."""
 
-    MASKED = "Every vehicle state and command is bit for bit that of the golden twin."
-    SDC = "The flight differs from its golden twin, and the computation ran to its end."
-    DUE = "The computation crashed, raised or hung: the error was detected, and not recovered."
-    UNKNOWN = "Could not be judged: the flight or its golden twin has no record."
+    MASKED = "Every vehicle state and command is bit for bit that of the golden run."
+    SDC = "Silent data corruption: the flight differs from its golden run, and the computation ran to its end."
+    CRASH = "The computation ended by a signal."
+    HANG = "The computation used up its budget."
+    EXCEPTION = "The computation raised an exception."
+    NOT_ACTIVATED = "The planned site was not reached, or could not be changed."
+    UNKNOWN = "Could not be judged: the flight or its golden run has no record."
 
     @property
     def label(self) -> str:
@@ -18,28 +22,19 @@ class Outcome(Enum):
         return self.name.lower()
 
 
-@dataclass(frozen=True, slots=True)
-class FlightEnd:
-    """What a verdict rests on.
-
-    Attributes:
-        digest: Digest of the flight; None if there is no log.
-        died: Whether the computation died of its budget or took its process with it.
-    """
-
-    digest: str | None
-    died: bool = False
+DUE = (Effect.CRASH, Effect.HANG, Effect.EXCEPTION)
+"""Effects that the system notices: detected unrecoverable errors."""
 
 
-def classify(golden: FlightEnd | None, injected: FlightEnd) -> Outcome:
-    """Judge a flight with a fault.
+def effect_of(golden: FlightRecord | None, injected: FlightRecord) -> Effect:
+    """Effect of a fault on the computation of a whole flight.
 
     Args:
-        golden: The error-free twin of the same setting (with the same detector, if there is one).
-        injected: The flight with the fault.
+        golden: The golden run of the same arm; None = there is none.
+        injected: The run with the fault. One that died each time has crashed.
     """
-    if injected.died:
-        return Outcome.DUE
-    if golden is None or golden.digest is None or injected.digest is None:
-        return Outcome.UNKNOWN
-    return Outcome.MASKED if golden.digest == injected.digest else Outcome.SDC
+    if injected.end is End.DUE:
+        return Effect.CRASH
+    if golden is None or not golden.digest or not injected.digest:
+        return Effect.UNKNOWN
+    return Effect.MASKED if golden.digest == injected.digest else Effect.SDC

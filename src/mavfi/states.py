@@ -7,6 +7,7 @@ The leading float64 fields of a header can be read as one plain vector with `flo
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Literal
 
 import numpy as np
 
@@ -28,16 +29,84 @@ class Stage(StrEnum):
 
 PPC_STAGES = (Stage.PERCEPTION, Stage.PLANNING, Stage.CONTROL)
 
-KERNEL_STAGES = {
-    "point_cloud": Stage.PERCEPTION,
-    "octomap": Stage.PERCEPTION,
-    "collision_check": Stage.PERCEPTION,
-    "rrt": Stage.PLANNING,
-    "rrt_connect": Stage.PLANNING,
-    "rrt_star": Stage.PLANNING,
-    "pid": Stage.CONTROL,
+
+@dataclass(frozen=True, slots=True)
+class KernelSpec:
+    """One row of the kernel table.
+
+    Attributes:
+        name: As in the latency table of a platform.
+        stage: The stage that is recomputed on an alarm about its states.
+        node: The process that it runs in, and dies with; also the name of its ROS node.
+        trigger: "periodic" = stepped at every control period; "input" = by what it receives.
+        counts: Whether its latency is part of the stage's, and of the modelled computer at all: hand-over costs
+            nothing, and the state estimator runs on the flight controller.
+        functions: Attributes of `pipeline.functions.KernelFunctions` whose instructions can be injected.
+        only_with: Localization with which alone the kernel exists; "" = always.
+    """
+
+    name: str
+    stage: Stage
+    node: str
+    trigger: Literal["periodic", "input"] = "input"
+    counts: bool = True
+    functions: tuple[str, ...] = ()
+    only_with: str = ""
+
+
+_KERNEL_TABLE = (
+    KernelSpec(
+        "state_estimation", Stage.PERCEPTION, "state_estimation", counts=False, only_with="estimator"
+    ),
+    KernelSpec("point_cloud", Stage.PERCEPTION, "point_cloud", functions=("back_project",)),
+    KernelSpec("octomap", Stage.PERCEPTION, "octomap", functions=("insert_scan", "collect", "update_voxels")),
+    KernelSpec(
+        "collision_check", Stage.PERCEPTION, "collision_check",
+        functions=("apply_updates", "time_to_collision", "known_free_distance"),
+    ),
+    KernelSpec("planner", Stage.PLANNING, "planner"),
+    KernelSpec("trajectory", Stage.PLANNING, "planner"),
+    KernelSpec("waypoint", Stage.PLANNING, "waypoint", "periodic", counts=False),
+    KernelSpec("pid", Stage.CONTROL, "pid", "periodic", functions=("track",)),
+)  # fmt: skip
+
+KERNELS: dict[str, KernelSpec] = {spec.name: spec for spec in _KERNEL_TABLE}
+"""Every kernel of the pipeline by name, in the order of the data flow.
+
+`octomap` calls the first of its functions on a dense map, the two others on an octree.  `collision_check` keeps its own
+map of clearances, and `apply_updates` is the part of it that stores updates there; the planner's copy is not injected.
+"""
+
+_SHORTEN = ("shortcut_greedy", "shortcut_random")
+PLANNERS: dict[str, tuple[str, ...]] = {
+    "rrt": ("plan_rrt", *_SHORTEN),
+    "rrt_connect": ("plan_rrt_connect", *_SHORTEN),
+    "rrt_star": ("plan_rrt_star", *_SHORTEN),
 }
-"""Kernels whose instructions can be struck, and the stage that each belongs to, as in the paper's Fig. 3."""
+"""What the kernel `planner` calls, by the planner of the mission: finding and shortening paths."""
+
+INJECTABLE: dict[str, tuple[str, ...]] = {}
+"""Functions by the name under which instruction faults name a kernel, as in the paper's Fig. 3: a planner by its own."""
+INJECTED_KERNEL: dict[str, str] = {}
+"""Row of `KERNELS` by that name."""
+for _spec in _KERNEL_TABLE:
+    for _name, _functions in PLANNERS.items() if _spec.name == "planner" else ((_spec.name, _spec.functions),):
+        if _functions:
+            INJECTABLE[_name], INJECTED_KERNEL[_name] = _functions, _spec.name
+
+KERNEL_STAGES: dict[str, Stage] = {name: KERNELS[row].stage for name, row in INJECTED_KERNEL.items()}
+"""Stage by the same name."""
+PERIODIC = tuple(spec.name for spec in _KERNEL_TABLE if spec.trigger == "periodic")
+"""Kernels that are stepped at the control period, in this order; the others by what they receive."""
+STAGE_KERNELS: dict[Stage, tuple[str, ...]] = {
+    stage: tuple(spec.name for spec in _KERNEL_TABLE if spec.stage is stage and spec.counts) for stage in PPC_STAGES
+}
+"""Kernels whose latencies make up a stage's."""
+
+
+def in_node(kernel: str) -> tuple[str, ...]:
+    """The kernels that share a node, and so its memory and its death."""
+    return tuple(spec.name for spec in _KERNEL_TABLE if spec.node == KERNELS[kernel].node)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,16 +1,36 @@
-"""What a fault is: planned data (`Fault`), and what happened (`Injection`)."""
+"""What is planned to go wrong: one type of fault for each level, all pure data.  What then happened is an `Injection`.
 
-import math
+`Fault` is their union: `StateFault` (one field of one publication), `InstructionFault` (one dynamic instruction of one
+call of a kernel), `MessageFault` (a number in messages of a ROS topic), `RegisterFault` (a register of a live process).
+Each has `level`, `site` (text), `stratum`, `weight`, `seed`, `bit`, `has_site` and `to_json`; `fault_from_json` reads
+any of them.
+"""
+
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, ClassVar, Literal
+
+from mavfi.errors import BadInputError
+from mavfi.flight_log import Injection
+
+__all__ = ["Fault", "FaultSite", "Injection", "InstructionFault", "MessageFault", "RegisterFault", "StateFault"]
 
 NO_SITE = -1
-"""`Fault.time_us` of a draw for which the golden flight has no publication."""
+"""`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden flight has no site."""
+Model = Literal["one_bit", "bits", "random", "zero"]
+MODELS = ("one_bit", "bits", "random", "zero")
+REGISTERS = ("all", "general", "fp")
+ACCESSES = ("either", "read", "write")
+DEFAULT_WALK = 16
+"""Longer than the loops at whose few instructions stops come. From here on injections spread no further, and the target
+stands still for longer (docs/ros-attach.md)."""
+LONGEST_WALK = 100_000
+LONGEST_TIMEOUT = 3600.0
+_ALL = -1
 
 
 @dataclass(frozen=True, slots=True)
 class FaultSite:
-    """Where a fault strikes: a field of an inter-kernel state, in one of its elements if it is in a list."""
+    """A field of an inter-kernel state, in one of its elements if it is in a list."""
 
     state: str
     field: str
@@ -22,82 +42,252 @@ class FaultSite:
 
 
 @dataclass(frozen=True, slots=True)
-class Fault:
-    """A planned fault.
+class StateFault:
+    """One bit of one field of one publication of an inter-kernel state, once.
 
     Attributes:
-        level: "state" or "instruction"; "register" exists for another injector.
-        site: Where.
-        time_us: The first publication at or after this instant is struck (of those that consumers act on); `NO_SITE`
+        where: State, field, element.
+        time_us: The first publication at or after this instant is changed (of those that consumers act on); `NO_SITE`
             = the golden flight has no site for what was drawn, which is reported and never redrawn.
         bit: Bit that is flipped; None = null fault: the whole path through the injector with an empty mask.
-        lifetime: "once".
-        operation: "flip".
         stratum: Stratum of the draw, e.g. "sign_exponent" (see faults/strata.py), "" where named by hand.
-        weight: Probability that a bit drawn from the whole word falls in the stratum, for whole-word rates. Of the
-            level "instruction": how much likelier a uniform draw comes to its value class and line; 1 = as likely.
-        stage: PPC stage that was drawn.
+        weight: Probability that a bit drawn from the whole word falls in the stratum, for whole-word rates.
         seed: Seed of the draw.
-        instruction: Of the level "instruction": the planned `InstructionFault` as plain data; the site is then kernel
-            and function, and the instant that of the struck call.
     """
 
-    level: str
-    site: FaultSite
+    level: ClassVar[Literal["state"]] = "state"
+    where: FaultSite
     time_us: int = 0
     bit: int | None = None
-    lifetime: str = "once"
-    operation: str = "flip"
     stratum: str = ""
     weight: float = 1.0
-    stage: str = ""
     seed: int = 0
-    instruction: dict[str, Any] | None = None
+
+    @property
+    def site(self) -> str:
+        """State, field and element as text."""
+        return str(self.where)
 
     @property
     def has_site(self) -> bool:
-        """Whether the golden flight had a publication to strike when the fault was drawn."""
+        """Whether the golden flight had a publication to change when the fault was drawn."""
         return self.time_us != NO_SITE
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; without what faults of this level do not have."""
-        data = asdict(self)
-        if self.instruction is None:
-            del data["instruction"]
-        return data
-
-    @staticmethod
-    def from_json(data: dict[str, Any]) -> "Fault":
-        """Inverse of `to_json`."""
-        return Fault(**{**data, "site": FaultSite(**data["site"])})
+        """Plain data."""
+        return {"level": self.level, **asdict(self)}
 
 
 @dataclass(frozen=True, slots=True)
-class Injection:
-    """What the injector did.
+class InstructionFault:
+    """The result of one dynamic instruction of one call of a compiled function, once.
 
     Attributes:
-        level: As in the fault.
-        site: The site that was struck, as text.
-        time_s: When (s).
-        bit: Which bit; None for a null fault.
-        before: Value before (float, int or bool).
-        after: Value after.
-        hit: Whether the publication came and the bits were changed as planned (for a null fault: left as they were).
+        function: Module and name of the compiled function.
+        ir_sha256: Digest of the IR in which the index counts; other machine code is refused.
+        index: Which of the values that the call writes, from 0.
+        call: Which call of the flight, from 0; `NO_SITE` = the kernel executes no such instruction.
+        bits: Bits that are flipped; empty: the whole value is replaced.
+        value: What replaces it, as an integer.
+        budget: Values that the call may write before it counts as hanging; 0 = three times as many as without a fault
+            and 10,000 more.
+        which: The class of instructions from which it was drawn.
+        model: What becomes of the value.
+        kernel: The kernel in whose name it was drawn, as in `states.KERNELS`; "" = a function of a user's own.
+        entry: Attribute of `pipeline.functions.KernelFunctions`; "" likewise.
+        value_class: "floating_point", "integer", "address" or "control".
+        restart_s: After which time a node that died is there again (s).
+        stratum: What the bit means: "sign", "exponent", "mantissa" or "other"; "" where not drawn.
+        weight: How much likelier a uniform draw comes to its value class and line; 1 = as likely.
+        seed: Seed of the draw.
     """
 
-    level: str
-    site: str
-    time_s: float
-    bit: int | None
-    before: float | int | bool | None
-    after: float | int | bool | None
-    hit: bool
+    level: ClassVar[Literal["instruction"]] = "instruction"
+    function: str
+    ir_sha256: str
+    index: int
+    call: int = 0
+    bits: tuple[int, ...] = ()
+    value: int = 0
+    budget: int = 0
+    which: str = "all"
+    model: Model = "one_bit"
+    kernel: str = ""
+    entry: str = ""
+    value_class: str = ""
+    restart_s: float = 0.57
+    stratum: str = ""
+    weight: float = 1.0
+    seed: int = 0
+
+    @property
+    def site(self) -> str:
+        """Kernel and function as text."""
+        return f"{self.kernel}.{self.entry}" if self.kernel else self.function
+
+    @property
+    def bit(self) -> int | None:
+        """The bit that is flipped, if it is one."""
+        return self.bits[0] if len(self.bits) == 1 else None
+
+    @property
+    def has_site(self) -> bool:
+        """Whether the golden flight executed such an instruction when the fault was drawn."""
+        return self.call != NO_SITE
+
+    @property
+    def masks(self) -> tuple[int, int]:
+        """Keep and flip: the value becomes (value & keep) ^ flip."""
+        if self.bits:
+            return _ALL, sum(1 << bit for bit in self.bits)
+        return 0, self.value
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; infinities and NaN as text, since JSON has none."""
-        return asdict(self) | {"before": _plain(self.before), "after": _plain(self.after)}
+        """Plain data; the value as hexadecimal text, since it may have more bits than numbers in JSON."""
+        return {"level": self.level, **asdict(self), "bits": list(self.bits), "value": hex(self.value)}
 
 
-def _plain(value: float | int | bool | None) -> float | int | bool | str | None:
-    return str(value) if isinstance(value, float) and not math.isfinite(value) else value
+@dataclass(frozen=True, slots=True)
+class MessageFault:
+    """A number in messages of a ROS topic.
+
+    Attributes:
+        topic: Its name.
+        field: Path of a number, e.g. `position[0]`.
+        bit: 0 = least significant; None = drawn for each injection.
+        at: The first message that may be changed; they are counted from 1.
+        rate: Probability that a message is changed; None = one message, once.
+        stratum: "" = not drawn by stratum.
+        weight: 1.
+        seed: Draws messages and bits.
+
+    Raises:
+        BadInputError: A number out of range.
+    """
+
+    level: ClassVar[Literal["message"]] = "message"
+    topic: str
+    field: str
+    bit: int | None = None
+    at: int = 1
+    rate: float | None = None
+    stratum: str = ""
+    weight: float = 1.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.at < 1:
+            raise BadInputError(f"at: {self.at}: allowed: 1 or more")
+        if self.rate is not None and not 0.0 < self.rate <= 1.0:
+            raise BadInputError(f"rate: {self.rate}: allowed: above 0, to 1")
+
+    @property
+    def site(self) -> str:
+        """Topic and field as text."""
+        return f"{self.topic}.{self.field}"
+
+    @property
+    def has_site(self) -> bool:
+        """Whether there is something to change; only the message tells."""
+        return True
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"level": self.level, **asdict(self)}
+
+
+@dataclass(frozen=True, slots=True)
+class RegisterFault:
+    """One bit of a register that an instruction of a live process reads or writes, once.
+
+    Attributes:
+        registers: "general" (with the flags), "fp" (XMM and YMM), or "all".
+        access: A register that the next instruction reads, before it; or one that it has written, after it; or
+            "either".
+        symbol: Function at whose next call the target is stopped: its exact name, or a part that no other name has.
+            "" = stop wherever the target is.
+        thread: Thread; 0 = the busiest, or with a symbol whichever gets there first.
+        walk: From the stop on, a random number of instructions below this is executed before the injection.  A stop
+            between system calls comes at few, always the same instructions (skid); the walk spreads them.
+        timeout: Longest wait (s).
+        null: Do everything but flip the bit.
+        node: ROS node whose process it is; "" = the process is named by its pid.
+        time_us: From when on, of a flight (us).
+        stratum: "" = not drawn by stratum.
+        weight: 1.
+        seed: All choices come from it; the instant does not: a process that runs freely cannot be replayed.
+
+    Raises:
+        BadInputError: A value that is not allowed.
+    """
+
+    level: ClassVar[Literal["register"]] = "register"
+    registers: str = "all"
+    access: str = "either"
+    symbol: str = ""
+    thread: int = 0
+    walk: int = DEFAULT_WALK
+    timeout: float = 10.0
+    null: bool = False
+    node: str = ""
+    time_us: int = 0
+    stratum: str = ""
+    weight: float = 1.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.registers not in REGISTERS:
+            raise BadInputError(f"registers: {self.registers!r}: allowed: {', '.join(REGISTERS)}")
+        if self.access not in ACCESSES:
+            raise BadInputError(f"access: {self.access!r}: allowed: {', '.join(ACCESSES)}")
+        if not 1 <= self.walk <= LONGEST_WALK:
+            raise BadInputError(f"walk: {self.walk}: allowed: 1 to {LONGEST_WALK} instructions")
+        if not 0.0 < self.timeout <= LONGEST_TIMEOUT:
+            raise BadInputError(f"timeout: {self.timeout}: allowed: above 0, to {LONGEST_TIMEOUT:g} s")
+        if self.thread < 0:
+            raise BadInputError(f"thread: {self.thread}: allowed: the number of a running thread, or 0")
+
+    @property
+    def site(self) -> str:
+        """Node and kind of register as text."""
+        return f"{self.node}:{self.registers}" if self.node else self.registers
+
+    @property
+    def bit(self) -> None:
+        """Drawn when the process has been stopped."""
+        return None
+
+    @property
+    def has_site(self) -> bool:
+        """Whether there is something to change; only the process tells."""
+        return True
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"level": self.level, **asdict(self)}
+
+
+Fault = StateFault | InstructionFault | MessageFault | RegisterFault
+"""A planned fault of any level."""
+LEVELS: dict[str, type[Fault]] = {
+    kind.level: kind for kind in (StateFault, InstructionFault, MessageFault, RegisterFault)
+}
+
+
+def fault_from_json(data: dict[str, Any]) -> Fault:
+    """Inverse of `to_json` of any fault.
+
+    Raises:
+        BadInputError: There is no such level.
+    """
+    given = dict(data)
+    level = given.pop("level", None)
+    if level == StateFault.level:
+        return StateFault(**{**given, "where": FaultSite(**given["where"])})
+    if level == InstructionFault.level:
+        return InstructionFault(**{**given, "bits": tuple(given["bits"]), "value": int(given["value"], 16)})
+    if level == MessageFault.level:
+        return MessageFault(**given)
+    if level == RegisterFault.level:
+        return RegisterFault(**given)
+    raise BadInputError(f"fault: level {level!r}: not known; allowed: {', '.join(LEVELS)}")
