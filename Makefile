@@ -93,7 +93,7 @@ fault-map: setup  ## what one fault does, by site, on design seeds; writes docs/
 	@$(BIN)/python -m docs.build_fault_map out/fault_map
 
 ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a folder), check them
-	@$(BIN)/python -m mavfi.hosts.ros.install
+	@$(BIN)/python -m mavfi.hosts.ros1.install
 
 train: setup  ## train the detectors that are shipped
 	@$(BIN)/mavfi train --flights 100 --out src/mavfi/data/models

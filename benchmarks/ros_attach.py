@@ -16,10 +16,10 @@ from pathlib import Path
 from mavfi.campaign.config import load_any
 from mavfi.faults.register import RegisterInjection, Request, inject
 from mavfi.faults.register.request import DEFAULT_WALK
-from mavfi.hosts.ros.attach.bench import MASTER_URI, Bench
-from mavfi.hosts.ros.attach.message import Composer
-from mavfi.hosts.ros.attach.station import Outlet
-from mavfi.hosts.ros.supervisor import loopback_up
+from mavfi.hosts.node.bench import MASTER_URI, Bench
+from mavfi.hosts.node.message import Composer
+from mavfi.hosts.node.station import Outlet
+from mavfi.hosts.ros1.supervisor import loopback_up
 
 MESSAGES = 500
 ROUNDS = 3
@@ -28,8 +28,8 @@ PERIOD_S = 0.002
 TOPIC = "/speed"
 READER = """
 import sys, time
-from mavfi.hosts.ros.attach.master import Master
-from mavfi.hosts.ros.attach.station import Station
+from mavfi.hosts.node.master import Master
+from mavfi.hosts.node.station import Station
 
 def arrived(message):
     sys.stdout.buffer.write(time.perf_counter_ns().to_bytes(8, "little"))

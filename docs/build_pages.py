@@ -4,11 +4,11 @@ import ast
 from pathlib import Path
 
 from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.ros.definitions import PACKAGE as PACKAGE_OF_MESSAGES
-from mavfi.hosts.ros.definitions import type_name
-from mavfi.hosts.ros.graph import JUDGED_BY_WORLD, WORLD, Graph
-from mavfi.hosts.ros.mirrors import STANDARDS
-from mavfi.hosts.ros.session import configure
+from mavfi.hosts.ros1.definitions import PACKAGE as PACKAGE_OF_MESSAGES
+from mavfi.hosts.ros1.definitions import type_name
+from mavfi.hosts.ros1.graph import JUDGED_BY_WORLD, WORLD, Graph
+from mavfi.hosts.ros1.mirrors import STANDARDS
+from mavfi.hosts.ros1.session import configure
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import STACKS, STATES, Field, StateSpec
 

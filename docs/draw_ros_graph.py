@@ -24,10 +24,10 @@ from mavfi.detectors import load_detector
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.spec import FaultRequest, parse
 from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.ros import finder
-from mavfi.hosts.ros.folder import JOIN
-from mavfi.hosts.ros.plan import Plan
-from mavfi.hosts.ros.session import configure, fly, isolation
+from mavfi.hosts.ros1 import finder
+from mavfi.hosts.ros1.folder import JOIN
+from mavfi.hosts.ros1.plan import Plan
+from mavfi.hosts.ros1.session import configure, fly, isolation
 from mavfi.reports import style
 
 DOCS = Path(__file__).parent

@@ -77,7 +77,7 @@ def test_the_library_does_not_print():
 
 
 def test_only_sim_imports_mujoco_and_only_the_ros_host_imports_ros():
-    homes = {"mujoco": "sim/", **dict.fromkeys(ROS, "hosts/ros/")}
+    homes = {"mujoco": "sim/", **dict.fromkeys(ROS, "hosts/ros1/")}
     found = [
         f"{name}: {imported}"
         for name, tree in modules().items()

@@ -60,7 +60,7 @@ def _process(pid: int | None, ros_node: str | None) -> int:
         raise BadInputError("--pid, --ros-node: allowed: one of them")
     if pid is not None:
         return pid
-    from mavfi.hosts.ros.attach.master import Master
+    from mavfi.hosts.node.master import Master
 
     assert ros_node is not None
     return Master().node_pid(ros_node)

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from mavfi.cli.flown import Flown
     from mavfi.faults.fault import Fault
     from mavfi.faults.spec import FaultRequest
-    from mavfi.hosts.ros.plan import Coupling, Plan
-    from mavfi.hosts.ros.session import RosFlight
+    from mavfi.hosts.ros1.plan import Coupling, Plan
+    from mavfi.hosts.ros1.session import RosFlight
     from mavfi.mission import Scenario
 
 _NODE_EVENTS = ("node_lost", "node_back", "node_absent")
@@ -86,13 +86,13 @@ def fly(  # noqa: PLR0913 - one parameter per option
     chosen, cloud = _coupling(coupling), ros_strike.cloud_node(point_cloud_node)
     strikes = ros_strike.strikes(strike, strike_registers, strike_seed)
 
-    from mavfi.hosts.ros import finder
+    from mavfi.hosts.ros1 import finder
 
     finder.require()
 
     from mavfi.hosts.compose import make_scenario
-    from mavfi.hosts.ros.plan import Plan
-    from mavfi.hosts.ros.session import configure
+    from mavfi.hosts.ros1.plan import Plan
+    from mavfi.hosts.ros1.session import configure
 
     scenario = make_scenario(environment, seed, stack=stack, platform=platform, localization=localization)
     watching, told = load_watcher(detector, profile, models, scenario)
@@ -150,7 +150,7 @@ def _draw(scenario: Scenario, request: FaultRequest | None, seed: int) -> Fault 
 def _fly(plan: Plan, told: str, allow_bind_all: bool, *, quiet: bool) -> tuple[Flown, RosFlight]:
     """The flight, beside its error-free twin where one can be told from the other."""
     from mavfi.cli.flown import Flown
-    from mavfi.hosts.ros.session import fly as fly_there
+    from mavfi.hosts.ros1.session import fly as fly_there
 
     tell = _invite if plan.free_running and not quiet else None
     flight = fly_there(plan, allow_bind_all=allow_bind_all, tell=tell)
@@ -160,7 +160,7 @@ def _fly(plan: Plan, told: str, allow_bind_all: bool, *, quiet: bool) -> tuple[F
 
 
 def _invite(folder: Path) -> None:
-    from mavfi.hosts.ros.folder import JOIN
+    from mavfi.hosts.ros1.folder import JOIN
 
     console(error=True).print(f"[dim]join the flight:[/dim] {folder / JOIN} rostopic list", soft_wrap=True)
 

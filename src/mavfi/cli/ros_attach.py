@@ -16,10 +16,10 @@ from mavfi.errors import BadInputError, MavfiError
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
-    from mavfi.hosts.ros.attach.corrupt import Corruptor, MessageInjection
-    from mavfi.hosts.ros.attach.relay import Relay
-    from mavfi.hosts.ros.attach.survey import Survey
-    from mavfi.hosts.ros.attach.watch import Listener, Probe
+    from mavfi.hosts.node.corrupt import Corruptor, MessageInjection
+    from mavfi.hosts.node.relay import Relay
+    from mavfi.hosts.node.survey import Survey
+    from mavfi.hosts.node.watch import Listener, Probe
 
 _LONGEST_S = 7 * 86_400.0
 _AFTERWARDS_S = 0.2
@@ -43,8 +43,8 @@ def list_graph(
     Example: [bold]mavfi ros list[/bold]
     """
     check_number("--seconds", seconds, 0.0, 3600.0)
-    from mavfi.hosts.ros.attach.master import Master
-    from mavfi.hosts.ros.attach.survey import survey
+    from mavfi.hosts.node.master import Master
+    from mavfi.hosts.node.survey import survey
 
     found = survey(Master(), seconds)
     if as_json:
@@ -100,9 +100,9 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
     check_number("--duration", duration, 0.0, _LONGEST_S)
     if once and rate is not None:
         raise BadInputError("--once, --rate: allowed: one of them")
-    from mavfi.hosts.ros.attach.corrupt import Corruptor, MessageFault
-    from mavfi.hosts.ros.attach.master import Master
-    from mavfi.hosts.ros.attach.relay import Relay
+    from mavfi.hosts.node.corrupt import Corruptor, MessageFault
+    from mavfi.hosts.node.master import Master
+    from mavfi.hosts.node.relay import Relay
 
     fault = MessageFault(field, bit, at, rate, seed)
     corruptor = Corruptor(fault, None if as_json else _tell)
@@ -169,8 +169,8 @@ def watch(  # noqa: PLR0913 - one parameter per option
     check_number("--duration", duration, 0.0, _LONGEST_S)
     if profile not in ("paper", "tuned"):
         raise BadInputError(f"--profile: {profile!r}: allowed: paper, tuned")
-    from mavfi.hosts.ros.attach.master import Master
-    from mavfi.hosts.ros.attach.watch import Listener, Watch
+    from mavfi.hosts.node.master import Master
+    from mavfi.hosts.node.watch import Listener, Watch
 
     listener = Listener(Master(), _list(topics, "--topics"))
     out = console()
@@ -208,7 +208,7 @@ def _trained(
 ) -> tuple[dict[str, Probe], Detector, int]:
     """What is watched, the detector, and how many messages it has learned from."""
     from mavfi.detectors.foreign import KINDS
-    from mavfi.hosts.ros.attach.watch import make_probes, read_bag, train
+    from mavfi.hosts.node.watch import make_probes, read_bag, train
 
     if chosen[0] not in KINDS:
         raise BadInputError(f"--detector: {chosen[0]!r}: allowed: {', '.join(KINDS)}")

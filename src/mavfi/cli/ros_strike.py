@@ -12,7 +12,7 @@ from mavfi.errors import BadInputError
 if TYPE_CHECKING:
     from mavfi.flight_log import Event, FlightLog
     from mavfi.hosts.inprocess import Flight
-    from mavfi.hosts.ros.plan import CloudNode, Plan, Strike
+    from mavfi.hosts.ros1.plan import CloudNode, Plan, Strike
 
 _LONGEST_S = 1e6
 
@@ -38,7 +38,7 @@ def cloud_node(text: str) -> CloudNode:
     Raises:
         BadInputError: It is not known.
     """
-    from mavfi.hosts.ros.plan import CloudNode
+    from mavfi.hosts.ros1.plan import CloudNode
 
     allowed = get_args(CloudNode)
     if text not in allowed:
@@ -74,7 +74,7 @@ def strikes(texts: list[str] | None, registers: str | None, seed: int | None) ->
         BadInputError: Something is not allowed.
     """
     from mavfi.faults.register.request import REGISTERS
-    from mavfi.hosts.ros.plan import Strike
+    from mavfi.hosts.ros1.plan import Strike
 
     for option, value in (("--strike-registers", registers), ("--strike-seed", seed)):
         if value is not None and not texts:
@@ -108,7 +108,7 @@ def twin(plan: Plan, with_fault: bool) -> Flight:
     """
     from mavfi.hosts.inprocess import fly
     from mavfi.hosts.observed import fly_observed
-    from mavfi.hosts.ros.pinhole import twin_functions
+    from mavfi.hosts.ros1.pinhole import twin_functions
 
     fault, functions = plan.fault if with_fault else None, twin_functions(plan)
     if plan.observed and plan.detector is not None:
@@ -118,7 +118,7 @@ def twin(plan: Plan, with_fault: bool) -> Flight:
 
 def happened(log: FlightLog) -> list[Event]:
     """What the strikes of a flight did, or why they did not."""
-    from mavfi.hosts.ros.strikes import FAILED, STRUCK
+    from mavfi.hosts.ros1.strikes import FAILED, STRUCK
 
     return [event for event in log.events if event.kind in (STRUCK, FAILED)]
 
@@ -131,7 +131,7 @@ def outcome(plan: Plan, log: FlightLog) -> str | None:
         that without a strike; "sdc": it is not; "unknown": there is no flight to compare it with (free-running, or
         nodes were killed besides).
     """
-    from mavfi.hosts.ros.strikes import fate
+    from mavfi.hosts.ros1.strikes import fate
 
     end = fate(log.events)
     if end is None or end != "alive":

@@ -10,8 +10,8 @@ from mavfi.campaign.run import status
 from mavfi.campaign.store import Store
 from mavfi.cli import run as cli
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.hosts.ros.attach import private, trial
-from mavfi.hosts.ros.attach.trial import Result
+from mavfi.hosts.node import private, trial
+from mavfi.hosts.node.trial import Result
 from mavfi.reports.node_report import write_node_report
 
 PLAIN = {
@@ -42,7 +42,7 @@ def made_up(order):
 def campaign(monkeypatch):
     monkeypatch.setattr(trial, "run_trial", made_up)
     monkeypatch.setattr(private, "private_network", list)
-    monkeypatch.setattr("mavfi.hosts.ros.finder.require", lambda: None)
+    monkeypatch.setattr("mavfi.hosts.ros1.finder.require", lambda: None)
     return NodeCampaign.model_validate(PLAIN)
 
 

@@ -67,7 +67,7 @@ def run_node_task(task: NodeTask) -> RunResult:
     Raises:
         BadInputError: Whatever makes every trial impossible.
     """
-    from mavfi.hosts.ros.attach.trial import UNKNOWN, run_trial
+    from mavfi.hosts.node.trial import UNKNOWN, run_trial
 
     started = time.perf_counter()
     try:
@@ -83,7 +83,7 @@ def run_node_task(task: NodeTask) -> RunResult:
 
 
 def _order(task: NodeTask) -> Any:
-    from mavfi.hosts.ros.attach.trial import Order
+    from mavfi.hosts.node.trial import Order
 
     campaign, spec = task.campaign, task.spec
     strike = None
@@ -117,8 +117,8 @@ def run_node_campaign(
         BadInputError: As `run_campaign`; ROS is not installed, or something in the campaign is not known to it.
         MavfiError: The node cannot be tried: it does not come up, or gives no output.
     """
-    from mavfi.hosts.ros.attach.private import private_network
-    from mavfi.hosts.ros.finder import require
+    from mavfi.hosts.node.private import private_network
+    from mavfi.hosts.ros1.finder import require
 
     pool = LocalPool(workers)
     require()

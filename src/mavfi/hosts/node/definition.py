@@ -1,0 +1,312 @@
+"""What a ROS 1 message holds, read from the definition that its publisher sends along: any type, no generated classes.
+
+A message on the wire is its fields one after the other, little-endian, packed; strings and lists of variable length
+begin with a uint32 (http://wiki.ros.org/msg).  So a field is a range of bytes that can be found by walking over those
+before it, and a bit is flipped in place: nothing else changes.
+"""
+
+import re
+import struct
+from dataclasses import dataclass
+from functools import cache
+
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.hosts.node.names import allowed
+
+FORMATS = {
+    "bool": "B", "byte": "b", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i",
+    "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
+}  # fmt: skip
+"""Numbers, by `struct`."""
+_PAIRS = {"time": (("secs", "uint32"), ("nsecs", "uint32")), "duration": (("secs", "int32"), ("nsecs", "int32"))}
+_STRING = "string"
+_MEMBER = re.compile(r"([\w/]+)(\[(\d*)\])?\s+(\w+)\s*$")
+_STEP = re.compile(r"([A-Za-z_]\w*)((?:\[\d+\])?)(?:\.|$)")
+_COUNT = struct.Struct("<I")
+
+
+class AbsentError(MavfiError):
+    """This message does not have the element: its list is shorter."""
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """A member of a message type.
+
+    Attributes:
+        name: Its name.
+        kind: A number, "string", or a message type.
+        length: None = no list, -1 = a list of variable length, else its length.
+    """
+
+    name: str
+    kind: str
+    length: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Leaf:
+    """A number in a message.
+
+    Attributes:
+        offset: Where it begins (bytes).
+        kind: Type.
+    """
+
+    offset: int
+    kind: str
+
+    @property
+    def bits(self) -> int:
+        """How many."""
+        return 8 * struct.calcsize(FORMATS[self.kind])
+
+    def value(self, data: bytes | bytearray) -> int | float:
+        """What the message holds there."""
+        found: int | float = struct.unpack_from("<" + FORMATS[self.kind], data, self.offset)[0]
+        return found
+
+
+class Definition:
+    """A message type with everything that it is made of.
+
+    Args:
+        kind: Its name, e.g. "sensor_msgs/JointState".
+        text: Its full definition, as in a connection header or a bag.
+
+    Raises:
+        BadInputError: The text does not define the type.
+    """
+
+    def __init__(self, kind: str, text: str) -> None:
+        self.kind = kind
+        self.types: dict[str, tuple[Member, ...]] = {
+            name: tuple(Member(part, pair_kind) for part, pair_kind in parts) for name, parts in _PAIRS.items()
+        }
+        first, *others = re.split(r"^={10,}\s*$", text, flags=re.MULTILINE)
+        self.types[kind] = self._members(kind, first)
+        for other in others:
+            head, _, body = other.strip().partition("\n")
+            name = head.removeprefix("MSG:").strip()
+            self.types[name] = self._members(name, body)
+        for members in list(self.types.values()):
+            for member in members:
+                if member.kind not in FORMATS and member.kind != _STRING and member.kind not in self.types:
+                    raise BadInputError(f"type {kind}: its definition lacks {member.kind}")
+        self._sizes: dict[str, int | None] = {}
+
+    @staticmethod
+    def _members(owner: str, text: str) -> tuple[Member, ...]:
+        package = owner.partition("/")[0]
+        found = []
+        for line in text.splitlines():
+            match = _MEMBER.match(line.partition("#")[0].strip())
+            if match is None:  # a comment, or a constant: it is not on the wire
+                continue
+            kind, is_list, length, name = match.groups()
+            if kind == "Header":
+                kind = "std_msgs/Header"
+            elif "/" not in kind and kind not in FORMATS and kind != _STRING and kind not in _PAIRS:
+                kind = f"{package}/{kind}"
+            found.append(Member(name, kind, (int(length) if length else -1) if is_list else None))
+        return tuple(found)
+
+    # ---- paths ------------------------------------------------------------------------------------------------------
+    def check(self, path: str) -> str:
+        """Kind of the number that a path like `transforms[0].transform.rotation.z` leads to.
+
+        Raises:
+            BadInputError: It leads nowhere, or to something that is no number; the line says what is allowed.
+        """
+        kind = self.kind
+        for name, index in steps(path):
+            member = self._member(kind, name, path)
+            if (index is None) != (member.length is None):
+                wanted = f"{name}[0]" if index is None else name
+                raise BadInputError(
+                    f"field {path}: {name} of {kind} is {'a list' if index is None else 'no list'}; allowed: {wanted}"
+                )
+            if index is not None and member.length is not None and not index < member.length and member.length >= 0:
+                raise BadInputError(f"field {path}: {name} has {member.length} elements; allowed: [0] to "
+                                    f"[{member.length - 1}]")  # fmt: skip
+            kind = member.kind
+        if kind == _STRING:
+            raise BadInputError(f"field {path}: is text; allowed: a number")
+        if kind not in FORMATS:
+            inner = [f"{path}.{member.name}" for member in self.types[kind]]
+            raise BadInputError(f"field {path}: is a {kind}, no number; allowed: {allowed(inner)}")
+        return kind
+
+    def _member(self, kind: str, name: str, path: str) -> Member:
+        for member in self.types.get(kind, ()):
+            if member.name == name:
+                return member
+        if kind not in self.types:
+            raise BadInputError(f"field {path}: a {kind} has no member {name!r}")
+        names = [member.name + ("[0]" if member.length is not None else "") for member in self.types[kind]]
+        raise BadInputError(f"field {path}: {kind} has no member {name!r}; allowed: {allowed(names, name)}")
+
+    def locate(self, data: bytes, path: str) -> Leaf:
+        """Where a message holds a number.
+
+        Args:
+            data: The message as on the wire.
+            path: As of `check`.
+
+        Raises:
+            AbsentError: A list of this message is too short.
+            MavfiError: The message is not of this type.
+        """
+        offset, kind = 0, self.kind
+        try:
+            for name, index in steps(path):
+                for member in self.types[kind]:
+                    if member.name == name:
+                        break
+                    offset = self._skip(member, data, offset)
+                kind = member.kind
+                if index is not None:
+                    offset = self._element(member, data, offset, index, path)
+        except struct.error:
+            raise self._short(data) from None
+        leaf = Leaf(offset, kind)
+        if offset + leaf.bits // 8 > len(data):
+            raise self._short(data)
+        return leaf
+
+    def _short(self, data: bytes) -> MavfiError:
+        return MavfiError(f"a message of {len(data)} bytes is not a {self.kind}: it is too short")
+
+    def _element(self, member: Member, data: bytes, offset: int, index: int, path: str) -> int:
+        count, offset = self._count(member, data, offset)
+        if index >= count:
+            raise AbsentError(f"field {path}: {member.name} has {count} elements in this message")
+        single = Member(member.name, member.kind)
+        size = self._size(member.kind)
+        if size is not None:
+            return offset + index * size
+        for _ in range(index):
+            offset = self._skip(single, data, offset)
+        return offset
+
+    @staticmethod
+    def _count(member: Member, data: bytes, offset: int) -> tuple[int, int]:
+        """Number of elements of a list, and where they begin."""
+        if member.length is not None and member.length >= 0:
+            return member.length, offset
+        return _COUNT.unpack_from(data, offset)[0], offset + 4
+
+    def _skip(self, member: Member, data: bytes, offset: int) -> int:
+        """One past the last byte of a member."""
+        count = 1
+        if member.length is not None:
+            count, offset = self._count(member, data, offset)
+        size = self._size(member.kind)
+        if size is not None:
+            return offset + count * size
+        for _ in range(count):
+            if member.kind == _STRING:
+                offset += 4 + _COUNT.unpack_from(data, offset)[0]
+            else:
+                for inner in self.types[member.kind]:
+                    offset = self._skip(inner, data, offset)
+        return offset
+
+    def _size(self, kind: str) -> int | None:
+        """Bytes of a type whose size is always the same, else None."""
+        if kind in FORMATS:
+            return struct.calcsize(FORMATS[kind])
+        if kind == _STRING:
+            return None
+        if kind not in self._sizes:
+            sizes = [self._member_size(member) for member in self.types[kind]]
+            self._sizes[kind] = None if None in sizes else sum(size for size in sizes if size is not None)
+        return self._sizes[kind]
+
+    def _member_size(self, member: Member) -> int | None:
+        size = self._size(member.kind)
+        if size is None or member.length == -1:
+            return None
+        return size * (1 if member.length is None else member.length)
+
+    # ---- whole messages ---------------------------------------------------------------------------------------------
+    def numbers(self, data: bytes, longest_list: int) -> list[str]:
+        """Paths of the numbers of a message, without headers, and without lists longer than `longest_list`."""
+        return [path for path, _ in self._walk(Member("", self.kind), data, 0, "", longest_list)[0]]
+
+    def _walk(
+        self, member: Member, data: bytes, offset: int, path: str, longest: int
+    ) -> tuple[list[tuple[str, int]], int]:
+        """Numbers within a member, each with its offset, and where the member ends."""
+        if member.kind in (_STRING, "std_msgs/Header"):
+            return [], self._skip(member, data, offset)
+        if member.length is not None:
+            count, start = self._count(member, data, offset)
+            if count > longest:
+                return [], self._skip(member, data, offset)
+            found, offset = [], start
+            for index in range(count):
+                inner, offset = self._walk(Member("", member.kind), data, offset, f"{path}[{index}]", longest)
+                found += inner
+            return found, offset
+        if member.kind in FORMATS:
+            return [(path, offset)], offset + struct.calcsize(FORMATS[member.kind])
+        found = []
+        for part in self.types[member.kind]:
+            inner, offset = self._walk(part, data, offset, f"{path}.{part.name}".lstrip("."), longest)
+            found += inner
+        return found, offset
+
+    def without(self, data: bytes, ignored: tuple[str, ...]) -> bytes:
+        """The message with members of these names set to zero, wherever they stand; for comparisons.
+
+        Args:
+            data: The message.
+            ignored: Names of members that are not lists and of fixed size, e.g. "stamp", "seq".
+        """
+        blank = bytearray(data)
+        self._blank(Member("", self.kind), data, 0, ignored, blank)
+        return bytes(blank)
+
+    def _blank(self, member: Member, data: bytes, offset: int, ignored: tuple[str, ...], blank: bytearray) -> int:
+        if member.name in ignored:
+            end = self._skip(member, data, offset)
+            blank[offset:end] = bytes(end - offset)
+            return end
+        if member.kind in FORMATS or member.kind == _STRING:
+            return self._skip(member, data, offset)
+        count = 1
+        if member.length is not None:
+            count, offset = self._count(member, data, offset)
+        for _ in range(count):
+            for part in self.types[member.kind]:
+                offset = self._blank(part, data, offset, ignored, blank)
+        return offset
+
+
+@cache
+def steps(path: str) -> tuple[tuple[str, int | None], ...]:
+    """The names and indices of a path.
+
+    Raises:
+        BadInputError: It is not written like one.
+    """
+    found, place = [], 0
+    while place < len(path):
+        match = _STEP.match(path, place)
+        if match is None:
+            break
+        found.append((match[1], int(match[2][1:-1]) if match[2] else None))
+        place = match.end()
+    if not found or place < len(path) or path.endswith("."):
+        raise BadInputError(
+            f"field {path!r}: allowed: names with dots and indices, like pose.position.x or position[0]"
+        )
+    return tuple(found)
+
+
+def flip_bit(data: bytes, leaf: Leaf, bit: int) -> bytes:
+    """The message with one bit of a number flipped; bit 0 is the least significant."""
+    changed = bytearray(data)
+    changed[leaf.offset + bit // 8] ^= 1 << (bit % 8)
+    return bytes(changed)

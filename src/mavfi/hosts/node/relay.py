@@ -1,0 +1,242 @@
+"""Puts mavfi between the publishers of a topic and its readers, while they run.
+
+Two ways.  Turned: every reader is told, as the master would tell it, that we are the only publisher; afterwards it is
+told the truth again.  Remapped: we publish under another name, which the target was started with.  Messages pass as
+bytes; only the ones that are to be changed are looked into.
+"""
+
+import os
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from types import TracebackType
+
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.hosts.node.definition import Definition
+from mavfi.hosts.node.guardian import Guardian, Registered, Turned
+from mavfi.hosts.node.master import MASTER_CALLER, Graph, Master, call
+from mavfi.hosts.node.names import absolute, allowed, check_known
+from mavfi.hosts.node.station import Reader, Station
+from mavfi.hosts.node.tcpros import Source
+
+TURN_PATIENCE_S = 2.0
+_WATCH_S = 0.1
+_LOOK_EVERY = 10
+"""In how many rounds of the watch the graph is looked at anew."""
+_POLL_S = 0.001
+Change = Callable[[bytes, "Relay"], bytes]
+"""Takes a message, and answers what readers get instead."""
+
+
+def sources_of(master: Master, graph: Graph, topic: str, skipped: Sequence[str] = ()) -> list[Source]:
+    """A connection to every publisher of a topic that lives.
+
+    Raises:
+        BadInputError: The topic is not known, or nobody publishes it.
+    """
+    topic = check_known("topic", topic, graph.topics)
+    found, failures = [], []
+    for node in graph.publishers.get(topic, ()):
+        if node not in skipped:
+            try:
+                found.append(Source(node, master.node_uri(node), topic))
+            except BadInputError:
+                raise
+            except MavfiError as error:
+                failures.append(str(error))
+    if not found:
+        told = f": {failures[0]}" if failures else ""
+        raise BadInputError(f"topic {topic}: nobody publishes it{told}; start its publisher first")
+    return found
+
+
+class Relay:
+    """Stands in the way of a topic from `__enter__` to `__exit__`.
+
+    Args:
+        master: The graph.
+        topic: What passes through.
+        change: What becomes of each message.
+        accepts: Looks at the definition of the messages, and refuses what does not fit.
+        reader: Only this reader is turned; None = all.
+        to: Publish under this name instead of turning readers.
+
+    Attributes:
+        definition: Of the messages.
+        passed: How many messages readers were given.
+        failures: Why readers could not be turned.
+        error: What went wrong while messages passed.
+
+    Raises:
+        BadInputError: Topic or reader is not known; nobody publishes or reads; the new name is taken.
+    """
+
+    def __init__(  # noqa: PLR0913 - where, what, and whom
+        self,
+        master: Master,
+        topic: str,
+        change: Change,
+        accepts: Callable[[Definition], object],
+        reader: str | None = None,
+        to: str | None = None,
+    ) -> None:
+        self.master, self._change = master, change
+        graph = master.graph()
+        self.topic = check_known("topic", topic, graph.topics)
+        self._only = None if reader is None else check_known("node", reader, graph.nodes)
+        self.to = self.topic if to is None else absolute(to)
+        self._check(graph, turned=to is None)
+        self._sources = sources_of(master, graph, self.topic)
+        self.definition: Definition = self._sources[0].definition()
+        try:
+            accepts(self.definition)
+        except BaseException:
+            self._close_sources()
+            raise
+        self._is_turned = to is None
+        self._lock = threading.Lock()
+        self._ended = threading.Event()
+        self._begun = False
+        self.passed = 0
+        self.failures: list[str] = []
+        self.error: Exception | None = None
+
+    def _check(self, graph: Graph, turned: bool) -> None:
+        readers = graph.subscribers.get(self.topic, [])
+        if not turned:
+            if self.to in graph.publishers:
+                raise BadInputError(f"--to {self.to}: is published by {allowed(graph.publishers[self.to])} already; "
+                                    "allowed: a new name")  # fmt: skip
+            return
+        if self._only is not None and self._only not in readers:
+            raise BadInputError(f"node {self._only}: does not read {self.topic}; allowed: {allowed(readers)}")
+        if not readers:
+            raise BadInputError(f"topic {self.topic}: nobody reads it, so a change would have no effect")
+
+    def __enter__(self) -> "Relay":
+        self._guardian = Guardian(self.master.uri)
+        self._station = Station(self.master, f"/mavfi_{os.getpid()}")
+        try:
+            self._begin()
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        return self
+
+    def _begin(self) -> None:
+        header = self._sources[0].header
+        if self._is_turned:
+            self._outlet = self._station.offer(self.to, header, active=False)
+        else:
+            self._guardian.remember(Registered(self.to, self._station.name, self._station.uri))
+            self._outlet = self._station.advertise(self.to, header)
+        latched = self._sources[0].is_latched
+        if not latched:
+            self._pump(self._sources)
+        if self._is_turned:
+            self._turn_all(self.master.graph())
+        self._begun = True
+        if latched:  # the one message that there is must not come before there is somebody to send it to
+            self._pump(self._sources)
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        with self._lock:  # no reader is turned any more from here on
+            self._guardian.undo()
+        self._close_sources()
+        self._station.close()
+
+    def _close_sources(self) -> None:
+        for source in self._sources:
+            source.close()
+
+    # ---- messages ---------------------------------------------------------------------------------------------------
+    def _pump(self, sources: Sequence[Source]) -> None:
+        for source in sources:
+            threading.Thread(target=self._pass_on, args=(source,), daemon=True).start()
+
+    def _pass_on(self, source: Source) -> None:
+        try:
+            for message in source.messages():
+                if not self._begun:  # not all readers are turned yet
+                    self.send(message)
+                elif any(reader.active for reader in self._outlet.readers):
+                    self.passed += 1
+                    self._change(message, self)
+        except Exception as error:  # noqa: BLE001 - whatever it is, the caller is told
+            self.error = error
+
+    def send(self, message: bytes) -> int:
+        """Give a message to the readers, and answer how many got it."""
+        return self._outlet.send(message)
+
+    # ---- readers ----------------------------------------------------------------------------------------------------
+    def _turn_all(self, graph: Graph) -> None:
+        """Turn the readers that are not turned.
+
+        Raises:
+            MavfiError: None could be turned.
+        """
+        readers = [self._only] if self._only else graph.subscribers.get(self.topic, [])
+        failures: list[str] = []
+        for node in readers:
+            reader = self._outlet.reader(node)
+            if reader is None or not reader.active:
+                try:
+                    self._turn(node, graph)
+                except MavfiError as error:
+                    failures.append(str(error))
+        self.failures = failures
+        if failures and not any(reader.active for reader in self._outlet.readers):
+            raise MavfiError(failures[0])
+
+    def _turn(self, node: str, graph: Graph) -> None:
+        """Connect a reader with us beside its publishers, then take those away: nothing is lost while it connects."""
+        uri = self.master.node_uri(node)
+        publishers = []
+        for name in graph.publishers.get(self.topic, ()):
+            with suppress(MavfiError):
+                publishers.append(self.master.node_uri(name))
+        with self._lock:
+            if self._ended.is_set():
+                return
+            self._guardian.remember(Turned(self.topic, node, uri, tuple(publishers)))
+            call(uri, "publisherUpdate", MASTER_CALLER, self.topic, [*publishers, self._station.uri])
+            reader = self._wait_for(node)
+            call(uri, "publisherUpdate", MASTER_CALLER, self.topic, [self._station.uri])
+            reader.active = True
+
+    def _wait_for(self, node: str) -> Reader:
+        end = time.monotonic() + TURN_PATIENCE_S
+        while time.monotonic() < end:
+            reader = self._outlet.reader(node)
+            if reader is not None:
+                return reader
+            time.sleep(_POLL_S)
+        raise MavfiError(f"node {node}: does not connect to mavfi within {TURN_PATIENCE_S:g} s; is it on this machine?")
+
+    def _watch(self) -> None:
+        """The master tells readers of new publishers: they turn away from us, and are turned again."""
+        rounds = 0
+        while not self._ended.wait(_WATCH_S):
+            rounds += 1
+            with suppress(MavfiError):
+                if rounds % _LOOK_EVERY == 0 or self._is_turned and not self._outlet.readers:
+                    graph = self.master.graph()
+                    self._read_new(graph)
+                    if self._is_turned:
+                        self._turn_all(graph)
+
+    def _read_new(self, graph: Graph) -> None:
+        """Read publishers that have come since."""
+        known = {source.uri for source in self._sources}
+        for node in graph.publishers.get(self.topic, ()):
+            uri = self.master.node_uri(node)
+            if uri not in known and node != self._station.name:
+                source = Source(node, uri, self.topic)
+                self._sources.append(source)
+                self._pump([source])

@@ -1,0 +1,128 @@
+"""TCPROS, the protocol of ROS 1 messages (http://wiki.ros.org/ROS/TCPROS): headers, frames, and the reading end."""
+
+import socket
+import struct
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from typing import Any
+
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.hosts.node.definition import Definition
+from mavfi.hosts.node.master import CALLER, PATIENCE_S, call
+
+_LENGTH = struct.Struct("<I")
+LARGEST_HEADER = 1 << 24
+
+
+def encode_header(fields: Mapping[str, str]) -> bytes:
+    """A connection header."""
+    parts = [f"{name}={value}".encode() for name, value in fields.items()]
+    body = b"".join(_LENGTH.pack(len(part)) + part for part in parts)
+    return _LENGTH.pack(len(body)) + body
+
+
+def decode_header(body: bytes) -> dict[str, str]:
+    """Inverse of `encode_header`, without the leading length."""
+    fields, place = {}, 0
+    while place < len(body):
+        (size,) = _LENGTH.unpack_from(body, place)
+        name, _, value = body[place + 4 : place + 4 + size].decode(errors="replace").partition("=")
+        fields[name] = value
+        place += 4 + size
+    return fields
+
+
+def read_frame(stream: Any, largest: int = 0) -> bytes:
+    """One length and as many bytes.
+
+    Args:
+        stream: File of a socket.
+        largest: Longest that is believed; 0 = any.
+
+    Raises:
+        EOFError: The other side has closed.
+    """
+    head = stream.read(4)
+    if len(head) < 4:
+        raise EOFError
+    (size,) = _LENGTH.unpack(head)
+    if largest and size > largest:
+        raise EOFError
+    body: bytes = stream.read(size)
+    if len(body) < size:
+        raise EOFError
+    return body
+
+
+def frame(data: bytes) -> bytes:
+    """A message as it is sent."""
+    return _LENGTH.pack(len(data)) + data
+
+
+class Source:
+    """A connection to one publisher of a topic; nothing is registered anywhere.
+
+    Args:
+        node: Name of the publisher.
+        uri: Where it listens.
+        topic: What is read.
+        caller: As which node.
+
+    Raises:
+        MavfiError: It does not answer, or does not publish the topic.
+        BadInputError: It sends no definition of its messages.
+    """
+
+    def __init__(self, node: str, uri: str, topic: str, caller: str = CALLER) -> None:
+        self.node, self.uri, self.topic = node, uri, topic
+        answer = call(uri, "requestTopic", caller, topic, [["TCPROS"]])
+        if not answer or answer[0] != "TCPROS":
+            raise MavfiError(f"{node}: offers {topic}, but not over TCPROS")
+        try:
+            self._socket = socket.create_connection((answer[1], int(answer[2])), PATIENCE_S)
+        except OSError as error:
+            raise MavfiError(f"{node}: does not send {topic} ({error})") from None
+        self._stream = self._socket.makefile("rb")
+        try:
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._socket.sendall(encode_header(
+                {"callerid": caller, "topic": topic, "type": "*", "md5sum": "*", "tcp_nodelay": "1"}
+            ))  # fmt: skip
+            self.header = decode_header(read_frame(self._stream, LARGEST_HEADER))
+        except (OSError, EOFError) as error:
+            self.close()
+            raise MavfiError(f"{node}: does not send {topic} ({error or 'connection closed'})") from None
+        if "error" in self.header:
+            self.close()
+            raise MavfiError(f"{node}: does not send {topic}: {self.header['error']}")
+        self._socket.settimeout(None)
+        if not self.header.get("message_definition"):
+            self.close()
+            raise BadInputError(f"topic {topic}: {node} does not send the definition of {self.header.get('type')}")
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether new readers get the last message at once."""
+        return self.header.get("latching") == "1"
+
+    def definition(self) -> Definition:
+        """What its messages hold."""
+        return Definition(self.header["type"], self.header["message_definition"])
+
+    def messages(self) -> Iterator[bytes]:
+        """Every message from now on, until either side closes; then this end is closed, too."""
+        try:
+            while True:
+                yield read_frame(self._stream)
+        except (OSError, EOFError, ValueError):
+            return
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """End `messages`, in whichever thread it waits."""
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+        with suppress(OSError):
+            self._stream.close()  # waits for the thread that reads, which has just been woken
+        self._socket.close()

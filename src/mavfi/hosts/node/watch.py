@@ -1,0 +1,296 @@
+"""Watches numbers of any application's topics with GAD or AAD, trained from a bag or from what comes first.
+
+The detectors are observers: they hold nothing back, and say on a topic what they find.
+"""
+
+import json
+import os
+import queue
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rosbags.rosbag1 import Reader, ReaderError
+
+from mavfi.detectors.detector import Detector
+from mavfi.detectors.foreign import foreign_spec, foreign_state, learn
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.hosts.node.definition import AbsentError, Definition
+from mavfi.hosts.node.guardian import Guardian, Registered
+from mavfi.hosts.node.master import Master
+from mavfi.hosts.node.message import Composer
+from mavfi.hosts.node.names import absolute, allowed
+from mavfi.hosts.node.relay import sources_of
+from mavfi.hosts.node.station import Outlet, Station
+from mavfi.states import State, StateSpec
+
+ALARM_TYPE = "std_msgs/String"
+FIRST_PATIENCE_S = 10.0
+"""How long the first message of a topic may take, which says what there is to watch (s)."""
+MOST_FIELDS = 64
+LONGEST_LIST = 16
+_POLL_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class ForeignAlarm:
+    """What a detector says of one message.
+
+    Attributes:
+        time_s: When, by this machine's clock (s since 1970).
+        topic: Of the message.
+        message: Its number among those judged, counted from 1.
+        detector: "gaussian" or "autoencoder".
+        score: How anomalous; > 1 is an alarm.
+        fields: Which numbers stand out.
+        values: Their values, as text.
+    """
+
+    time_s: float
+    topic: str
+    message: int
+    detector: str
+    score: float
+    fields: tuple[str, ...]
+    values: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Probe:
+    """Takes the watched numbers out of messages of a topic.
+
+    Attributes:
+        topic: The topic.
+        definition: Of its messages.
+        spec: The watched numbers as a state.
+    """
+
+    topic: str
+    definition: Definition
+    spec: StateSpec
+
+    def read(self, message: bytes) -> State | None:
+        """The numbers; None if this message does not hold all of them."""
+        try:
+            leaves = [self.definition.locate(message, field.name) for field in self.spec.header]
+        except AbsentError:
+            return None
+        return foreign_state(self.spec, [float(leaf.value(message)) for leaf in leaves])
+
+
+def make_probes(first: dict[str, tuple[Definition, bytes]], wanted: Sequence[str]) -> dict[str, Probe]:
+    """What is watched of each topic.
+
+    Args:
+        first: Definition and a message by topic.
+        wanted: Paths, each for every topic that has it, or `topic:path` for one; none = all numbers there are.
+
+    Raises:
+        BadInputError: A field that no topic has, or that is no number; none at all; too many.
+    """
+    fields: dict[str, list[str]] = {topic: [] for topic in first}
+    for name in wanted:
+        _assign(name, first, fields)
+    if not wanted:
+        fields = {topic: definition.numbers(message, LONGEST_LIST) for topic, (definition, message) in first.items()}
+    count = sum(map(len, fields.values()))
+    if not 0 < count <= MOST_FIELDS:
+        raise BadInputError(f"--fields: {count} numbers in {', '.join(first)}; allowed: 1 to {MOST_FIELDS}, name them")
+    return {
+        topic: Probe(topic, first[topic][0], foreign_spec(topic, paths)) for topic, paths in fields.items() if paths
+    }
+
+
+def _assign(name: str, first: dict[str, tuple[Definition, bytes]], fields: dict[str, list[str]]) -> None:
+    """Give a wanted field to its topics."""
+    topic, colon, path = name.rpartition(":")
+    if colon and absolute(topic) not in first:
+        raise BadInputError(f"field {name}: topic {topic}: not watched; allowed: {allowed(first)}")
+    refusal: BadInputError | None = None
+    found = False
+    for candidate in [absolute(topic)] if colon else list(first):
+        try:
+            first[candidate][0].check(path)
+        except BadInputError as error:
+            refusal = refusal or error
+        else:
+            fields[candidate].append(path)
+            found = True
+    if not found and refusal is not None:
+        raise refusal
+
+
+def read_bag(path: Path, topics: Sequence[str]) -> Iterator[tuple[str, Definition, bytes]]:
+    """Messages of a ROS 1 bag: topic, definition, bytes.
+
+    Args:
+        path: The file.
+        topics: Which.
+
+    Raises:
+        BadInputError: The file cannot be read, or lacks a topic.
+    """
+    try:
+        with Reader(path) as reader:
+            chosen = [connection for connection in reader.connections if connection.topic in topics]
+            for topic in topics:
+                if topic not in {connection.topic for connection in chosen}:
+                    raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(reader.topics, topic)}")
+            definitions = {
+                connection.id: Definition(connection.msgtype.replace("/msg/", "/"), connection.msgdef.data)
+                for connection in chosen
+            }
+            for connection, _, message in reader.messages(chosen):
+                yield connection.topic, definitions[connection.id], bytes(message)
+    except (OSError, ReaderError) as error:
+        raise BadInputError(f"{path}: is not a ROS 1 bag that can be read ({error})") from None
+
+
+class Listener:
+    """Reads topics of a running graph into one queue, as a node of it, from `__enter__` to `__exit__`.
+
+    Args:
+        master: The graph.
+        topics: Which.
+
+    Raises:
+        BadInputError: A topic is not known, or nobody publishes it.
+    """
+
+    def __init__(self, master: Master, topics: Sequence[str]) -> None:
+        graph = master.graph()
+        self.topics = list(dict.fromkeys(absolute(topic) for topic in topics))
+        self._messages: queue.Queue[tuple[str, bytes]] = queue.Queue()
+        self._master = master
+        self.definitions: dict[str, Definition] = {}
+        for topic in self.topics:
+            sources = sources_of(master, graph, topic)
+            self.definitions[topic] = sources[0].definition()
+            for source in sources:
+                source.close()
+
+    def __enter__(self) -> "Listener":
+        self._guardian = Guardian(self._master.uri)
+        self._station = Station(self._master, f"/mavfi_watch_{os.getpid()}")
+        for topic in self.topics:
+            self._guardian.remember(Registered(topic, self._station.name, self._station.uri, "Subscriber"))
+            self._station.subscribe(topic, partial(self._arrived, topic))
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._guardian.undo()
+        self._station.close()
+
+    def _arrived(self, topic: str, message: bytes) -> None:
+        self._messages.put((topic, message))
+
+    def speak(self, topic: str, kind: str) -> tuple[Outlet, Composer]:
+        """Publish on a topic, until the end."""
+        composer = Composer(kind)
+        self._guardian.remember(Registered(topic, self._station.name, self._station.uri))
+        return self._station.advertise(topic, composer.header), composer
+
+    def take(self, seconds: float) -> Iterator[tuple[str, bytes]]:
+        """Messages as they come, for a while."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0:
+            try:
+                yield self._messages.get(timeout=min(left, _POLL_S))
+            except queue.Empty:
+                continue
+
+    def first(self) -> dict[str, tuple[Definition, bytes]]:
+        """A message of each topic.
+
+        Raises:
+            MavfiError: One of them is silent.
+        """
+        found: dict[str, tuple[Definition, bytes]] = {}
+        for topic, message in self.take(FIRST_PATIENCE_S):
+            found.setdefault(topic, (self.definitions[topic], message))
+            if len(found) == len(self.topics):
+                return found
+        silent = [topic for topic in self.topics if topic not in found]
+        raise MavfiError(f"topic {silent[0]}: no message within {FIRST_PATIENCE_S:g} s; nothing can be watched")
+
+
+class Watch:
+    """Judges messages, and publishes alarms.
+
+    Args:
+        listener: The graph; it must be open.
+        probes: What is watched.
+        detector: A trained detector.
+        alarm_topic: Where alarms are published, as JSON in a `std_msgs/String`.
+
+    Attributes:
+        alarms: What was found.
+        judged: Messages by topic.
+        skipped: Messages that do not hold all of the watched numbers, by topic.
+    """
+
+    def __init__(self, listener: Listener, probes: dict[str, Probe], detector: Detector, alarm_topic: str) -> None:
+        self._probes, self._detector = probes, detector
+        self.alarms: list[ForeignAlarm] = []
+        self.judged: Counter[str] = Counter()
+        self.skipped: Counter[str] = Counter()
+        self._detector.start()
+        for probe in probes.values():  # compiled now, not while messages wait
+            self._detector.check(foreign_state(probe.spec, [0.0] * len(probe.spec.header)), 0)
+        self._outlet, self._composer = listener.speak(absolute(alarm_topic), ALARM_TYPE)
+
+    def judge(self, topic: str, message: bytes) -> ForeignAlarm | None:
+        """Look at a message; an alarm is published, kept and answered."""
+        state = self._probes[topic].read(message) if topic in self._probes else None
+        if state is None:
+            self.skipped[topic] += 1
+            return None
+        self.judged[topic] += 1
+        now = time.time()
+        found = self._detector.check(state, int(1e6 * now))
+        self._detector.accept(state, int(1e6 * now))
+        if found is None:
+            return None
+        fields = tuple(name.removeprefix(f"{topic}.") for name in found.fields)
+        values = tuple(
+            repr(state.header[name][0].item()) for name in fields if name in (state.header.dtype.names or ())
+        )
+        alarm = ForeignAlarm(now, topic, self.judged[topic], found.source, found.score, fields, values)
+        self.alarms.append(alarm)
+        self._outlet.send(self._composer.pack({"data": json.dumps(alarm.to_json())}))
+        return alarm
+
+
+def train(
+    kind: str, profile: str, probes: dict[str, Probe], messages: Iterator[tuple[str, bytes]],
+    told: Callable[[int], None] | None = None,
+) -> Detector:  # fmt: skip
+    """A detector for what these messages show.
+
+    Args:
+        kind: "gaussian" or "autoencoder".
+        profile: "paper" or "tuned".
+        probes: What is watched.
+        messages: Topic and bytes of normal messages, in their order.
+        told: Called with how many were used.
+
+    Raises:
+        BadInputError: See `learn`.
+    """
+    states = [
+        state for topic, message in messages if topic in probes and (state := probes[topic].read(message)) is not None
+    ]
+    if told is not None:
+        told(len(states))
+    return learn(kind, profile, states, {topic: probe.spec for topic, probe in probes.items()})

@@ -1,0 +1,90 @@
+"""The folder of a flight: its files, its environment, and the script by which another terminal joins it."""
+
+import json
+import os
+import socket
+from pathlib import Path
+
+from mavfi.faults.fault import Injection
+from mavfi.hosts.ros1 import finder
+
+FOLDER_VARIABLE = "MAVFI_ROS_FLIGHT"
+"""Environment variable: folder of the flight that a node belongs to."""
+MESSAGES, DEFINITIONS, LOG, JOIN, PID = "messages", "definitions", "log", "join", "pid"
+FLIGHT, FAILURE, TIMES, STRIKES = "flight.npz", "failure.txt", "times.json", "strikes.json"
+LAUNCH_FILE = "flight.launch"
+_PORT_VARIABLE, _USUAL_PORT = "MAVFI_ROS_PORT", "11311"
+_TOLD = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOME", "ROS_LOG_DIR", "ROS_PACKAGE_PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
+
+
+def flight_folder() -> Path:
+    """Folder of the flight that this process belongs to."""
+    return Path(os.environ[FOLDER_VARIABLE])
+
+
+def write_strikes(hits: list[Injection]) -> None:
+    """Note what the injector did; it is a node that may die, and what it has struck it must not strike again."""
+    part = flight_folder() / f"part-{STRIKES}"
+    part.write_text(json.dumps([hit.to_json() for hit in hits]))
+    part.rename(flight_folder() / STRIKES)
+
+
+def read_strikes() -> list[Injection]:
+    """What the injector has done so far."""
+    path = flight_folder() / STRIKES
+    return [Injection(**hit) for hit in json.loads(path.read_text())] if path.exists() else []
+
+
+def master_port() -> str:
+    """Port of the flight's master, on the loopback interface."""
+    return os.environ.get(_PORT_VARIABLE, _USUAL_PORT)
+
+
+def free_port() -> dict[str, str]:
+    """A port for a flight without a network of its own, as a variable for its environment."""
+    with socket.socket() as any_socket:
+        any_socket.bind(("127.0.0.1", 0))
+        return {_PORT_VARIABLE: str(any_socket.getsockname()[1])}
+
+
+def own_path() -> str:
+    """PYTHONPATH of this process with absolute folders: nodes are started elsewhere."""
+    given = os.environ.get("PYTHONPATH", "")
+    return os.pathsep.join(os.path.abspath(folder) for folder in given.split(os.pathsep) if folder)
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """Environment of everything of ROS that runs in a flight.
+
+    Args:
+        folder: Of the flight.
+    """
+    given = finder.environment()
+    paths = [str(folder / MESSAGES), *([given["PYTHONPATH"]] if "PYTHONPATH" in given else [])]
+    return {
+        **os.environ, **given,
+        "PYTHONPATH": os.pathsep.join(paths),
+        "ROS_PACKAGE_PATH": f"{folder}:{folder / MESSAGES}:{folder / DEFINITIONS}:{given['ROS_PACKAGE_PATH']}",
+        "ROS_MASTER_URI": f"http://127.0.0.1:{master_port()}", "ROS_IP": "127.0.0.1",
+        "ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder / LOG), FOLDER_VARIABLE: str(folder),
+        "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1",
+    }  # fmt: skip
+
+
+def write_join(folder: Path, isolated: bool, own_users: bool) -> None:
+    """Write the script `join`, which runs a command among the nodes of the flight.
+
+    Args:
+        folder: Of the flight.
+        isolated: Whether the flight has a network of its own.
+        own_users: Whether it has a user namespace of its own, too.
+    """
+    enter = "--user --preserve-credentials --net" if own_users else "--net"
+    prefix = f"nsenter --target \"$(cat '{folder / PID}')\" {enter} " if isolated else ""
+    variables = environment(folder)
+    exports = " ".join(f"{name}='{variables[name]}'" for name in _TOLD if name in variables)
+    path = folder / JOIN
+    path.write_text(
+        f'#!/bin/sh\nexec {prefix}env {exports} PATH="{finder.find_file("usr/bin/roslaunch").parent}:$PATH" "$@"\n'
+    )
+    path.chmod(0o755)

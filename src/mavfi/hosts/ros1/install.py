@@ -1,0 +1,113 @@
+"""`make ros`: installs Debian's ROS packages, or unpacks them into a folder where rights are missing; checks them."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.hosts.ros1 import finder
+
+_PYTHON = (
+    "rosmaster", "roslaunch", "rospy", "rosbag", "rostopic", "rosnode", "rosmsg", "rosservice", "rosparam", "std-msgs",
+    "geometry-msgs", "sensor-msgs", "trajectory-msgs", "visualization-msgs", "diagnostic-msgs", "tf2-msgs", "std-srvs",
+    "rosgraph-msgs", "genpy", "genmsg",
+)  # fmt: skip
+_DEFINITIONS = (
+    "std-msgs", "geometry-msgs", "sensor-msgs", "trajectory-msgs", "visualization-msgs", "diagnostic-msgs", "tf2-msgs",
+    "rosgraph-msgs", "nav-msgs", "map-msgs", "actionlib-msgs", "robot-state-publisher",
+)  # fmt: skip
+PACKAGES = (
+    "rosout",
+    "topic-tools",
+    *(f"python3-{name}" for name in _PYTHON),
+    *(f"ros-{name}" for name in _DEFINITIONS),
+)
+"""Without `python3-nav-msgs` (144 MB) and `python3-tf2-ros` (200 MB), which pull in development files."""
+
+
+def main() -> int:
+    """Install what is missing, and say so in one line."""
+    try:
+        before = finder.missing()
+        if before:
+            install()
+        finder.require()
+    except MavfiError as error:
+        sys.stderr.write(f"make ros: {error}\n")
+        return 2
+    how = "was here" if not before else "installed" if os.geteuid() == 0 else f"unpacked into {finder.own_root()}"
+    sys.stdout.write(f"ROS 1 {version()} {how}: {finder.find_file('usr/bin/roslaunch')}\n")
+    return 0
+
+
+def install() -> None:
+    """Install with the rights that this user has.
+
+    Raises:
+        BadInputError: There is no apt.
+        MavfiError: apt fails.
+    """
+    if os.geteuid() == 0:
+        variables = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+        _run(["apt-get", "update", "-qq"], environment=variables)
+        _run(["apt-get", "install", "-y", "-qq", "--no-install-recommends", *PACKAGES], environment=variables)
+        return
+    unpack(finder.own_root())
+
+
+def unpack(folder: Path, status: Path = Path("/var/lib/dpkg/status")) -> int:
+    """Download the packages that are not installed, and unpack them; no rights are needed.
+
+    Args:
+        folder: Where.
+        status: What is installed, in dpkg's form.
+
+    Returns:
+        How many packages.
+
+    Raises:
+        BadInputError: There is no apt.
+        MavfiError: apt fails.
+    """
+    state, cache = folder / "apt" / "state", folder / "apt" / "cache"
+    for place in (state / "lists" / "partial", cache / "archives" / "partial"):
+        place.mkdir(parents=True, exist_ok=True)
+    options = [
+        "-qq", "-o", f"Dir::State={state}", "-o", f"Dir::State::status={status}", "-o", f"Dir::Cache={cache}",
+        "-o", "Debug::NoLocking=1", "-o", "APT::Sandbox::User=",
+    ]  # fmt: skip
+    _run(["apt-get", *options, "update"])
+    planned = _run(["apt-get", *options, "install", "--simulate", "--no-install-recommends", *PACKAGES])
+    wanted = [line.split()[1] for line in planned.splitlines() if line.startswith("Inst ")]
+    archives = cache / "archives"
+    if wanted:
+        _run(["apt-get", *options, "download", *wanted], cwd=archives)
+    for archive in sorted(archives.glob("*.deb")):
+        _run(["dpkg", "-x", str(archive), str(folder)])
+        archive.unlink()
+    (folder / finder.WORKSPACE_MARK).touch()  # without it roslaunch looks for executables under /usr alone
+    return len(wanted)
+
+
+def version() -> str:
+    """Version of rospy, as Debian says."""
+    folders = [root / finder.DIST_PACKAGES for root in finder.roots()]
+    found = [path.name.split("-")[1] for folder in folders for path in folder.glob("rospy-*.egg-info")]
+    return found[0].removesuffix(".egg") if found else ""
+
+
+def _run(command: Sequence[str], *, cwd: Path | None = None, environment: dict[str, str] | None = None) -> str:
+    try:
+        done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        raise BadInputError(f"{command[0]}: not found: ROS comes from Debian 12's packages") from None
+    if done.returncode != 0:
+        last = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()[-1]
+        raise MavfiError(f"{' '.join(command[:2])}: {last}")
+    return done.stdout
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,236 @@
+"""The generic kernel node: any kernels of the table behind ROS topics, in lock-step or free-running."""
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mavfi.hosts.compose import CONTROL_PERIOD_US
+from mavfi.hosts.inprocess import Host
+from mavfi.hosts.ros1.ending import fatal
+from mavfi.hosts.ros1.generate import message_type
+from mavfi.hosts.ros1.graph import RECOMPUTE
+from mavfi.hosts.ros1.inbox import Inbox
+from mavfi.hosts.ros1.nodelet_cloud import NodeletCloud
+from mavfi.hosts.ros1.plan import Plan
+from mavfi.hosts.ros1.planning_service import offer_planning
+from mavfi.hosts.ros1.ports import Ports
+from mavfi.pipeline.kernel import Kernel
+from mavfi.pipeline.ppc import PERIODIC, build_pipeline
+from mavfi.platforms.compute import latency
+from mavfi.states import State
+
+_LOADING_FLIGHT_US = 3_000_000
+"""By then every kernel has worked."""
+_SCAN_INPUT = {
+    "point_cloud": "sensor.depth", "octomap": "perception.point_cloud", "collision_check": "perception.map_update",
+}  # fmt: skip
+"""What brings a new scan to each kernel of perception; its memory as it was before is what a recomputation needs."""
+
+
+class KernelNode:
+    """What both ways of running have in common.
+
+    Attributes:
+        kernels: By name.
+        ports: Its topics.
+    """
+
+    def __init__(self, name: str, plan: Plan) -> None:
+        """Build the kernels and advertise what they write.
+
+        Args:
+            name: Name of the node.
+            plan: The flight.
+        """
+        built = build_pipeline(plan.config)
+        self.kernels = {kernel: built[kernel] for kernel in plan.graph.nodes[name]}
+        self.ports = Ports(name, plan)
+        if plan.foreign and "point_cloud" in self.kernels:
+            self.kernels["point_cloud"] = NodeletCloud(plan, self.ports)
+        self.lock = threading.Lock()
+        written = [state for kernel in self.kernels.values() for state in kernel.writes]
+        self._outlets = {
+            state: self.ports.outlet(way, way.first) for state in written if (way := self.ports.ways[state])
+        }
+        if "planner" in self.kernels:
+            offer_planning(self.kernels["planner"], plan.config, self.lock)
+
+    def reading(self, state: str) -> list[Kernel]:
+        """The kernels of this node that read a state."""
+        return [kernel for kernel in self.kernels.values() if state in kernel.reads]
+
+    def listen(self, arrived: Callable[[State, int, int], None]) -> None:
+        """Listen to all that the kernels read."""
+        for state, way in self.ports.ways.items():
+            if self.reading(state):
+                self.ports.read(state, way.final, arrived)
+
+
+class LockStepNode(KernelNode):
+    """Does what the world asks for, in its order, on what came over the topics."""
+
+    def __init__(self, name: str, plan: Plan) -> None:
+        """Build it; see `KernelNode`."""
+        super().__init__(name, plan)
+        self._inbox = Inbox()
+        self._taken: dict[int, tuple[State, int]] = {}
+        self._due: dict[str, tuple[int, State]] = {}
+        self._results: dict[int, State] = {}
+        self._at_once = plan.published_at_once()
+        operation = message_type("Operation")
+        self._actions: dict[int, Callable[[Kernel, Any], Any]] = {
+            operation.STEP: lambda kernel, order: kernel.step(order.time_us),
+            operation.MARK: lambda kernel, order: kernel.mark(),
+            operation.ROLLBACK: lambda kernel, order: kernel.rollback(),
+            operation.STOP: lambda kernel, order: kernel.stop(),  # type: ignore[attr-defined]
+            operation.ABANDON: lambda kernel, order: kernel.abandon(order.time_us),  # type: ignore[attr-defined]
+            operation.RECEIVE: self._receive,
+            operation.PUBLISH: self._publish,
+        }
+        self._giving = (operation.STEP, operation.STOP, operation.ABANDON)
+
+    def run(self) -> None:
+        """Serve until the end."""
+        import rospy
+        from mavfi_msgs.srv import Drive
+
+        self.listen(lambda state, number, time_us: self._inbox.put(number, state))
+        rospy.Service(f"/{self.ports.node}/drive", Drive, fatal(self._drive), buff_size=1 << 16)
+        self.ports.offer_ready()
+        rospy.spin()
+
+    def _drive(self, request: Any) -> Any:
+        with self.lock, np.errstate(all="ignore"):
+            return self._obey(request)
+
+    def _obey(self, request: Any) -> Any:
+        from mavfi_msgs.srv import DriveResponse
+
+        response = DriveResponse()
+        for order in request.operations:
+            answer = self._actions[order.action](self.kernels[order.kernel], order)
+            if order.action in self._giving:
+                response.numbers = list(range(order.number, order.number + len(answer)))
+                response.states = [state.spec.name for state in answer]
+                self._keep(answer, response.numbers, order.publish_us)
+            elif answer:
+                response.due = True
+        return response
+
+    def _keep(self, states: list[State], numbers: list[int], publish_us: int) -> None:
+        for state, number in zip(states, numbers, strict=True):
+            if publish_us >= 0 and state.spec.name in self._at_once:
+                self._outlets[state.spec.name].publish(state, number, publish_us)
+            else:
+                self._results[number] = state
+
+    def _receive(self, kernel: Kernel, order: Any) -> bool:
+        number = order.number
+        waiting, state = self._due.get(kernel.name, (-1, None))
+        if waiting != number or state is None:
+            state = self._take(number)
+        due = kernel.receive(state, order.time_us)
+        if due:
+            self._due[kernel.name] = number, state
+        return due
+
+    def _take(self, number: int) -> State:
+        """A value that came over a topic, for one of the kernels that read it."""
+        if number not in self._taken:
+            state: State = self._inbox.take(number, self.ports.plan.patience_s)
+            self._taken[number] = state, len(self.reading(state.spec.name))
+        state, left = self._taken.pop(number)
+        if left > 1:
+            self._taken[number] = state, left - 1
+        return state
+
+    def _publish(self, kernel: Kernel, order: Any) -> None:
+        del kernel
+        state = self._results.pop(order.number)
+        self._outlets[state.spec.name].publish(state, order.number, order.time_us)
+
+
+class FreeNode(KernelNode):
+    """Computes on what comes, when it comes, and publishes when the latency of the modelled platform has passed."""
+
+    def __init__(self, name: str, plan: Plan) -> None:
+        """Build it; see `KernelNode`."""
+        super().__init__(name, plan)
+        self._latency_us = {kernel: latency(plan.scenario.platform, kernel) for kernel in self.kernels}
+        self._queue: queue.SimpleQueue[tuple[State | None, int, Any]] = queue.SimpleQueue()
+        self._marks = plan.detector is not None
+        self._number = 0
+
+    def run(self) -> None:
+        """Work until the end."""
+        _load_compiled(self.ports.plan)
+        self.listen(lambda state, number, time_us: self._queue.put((state, time_us, None)))
+        if self._marks:
+            self.ports.listen(RECOMPUTE, "Recompute", lambda request: self._queue.put((None, 0, request)))
+        self.ports.offer_ready()
+        now = 0
+        with np.errstate(all="ignore"):
+            while True:
+                state, time_us, request = self._queue.get()
+                now = max(now, time_us)
+                if state is None:
+                    self._recompute(request, now)
+                else:
+                    self._take(state, now)
+
+    def _take(self, state: State, now: int) -> None:
+        for kernel in self.reading(state.spec.name):
+            if self._marks and state.spec.name == _SCAN_INPUT.get(kernel.name):
+                kernel.mark()
+            due = kernel.receive(state, now)
+            if due if kernel.name not in PERIODIC else self._begins_period(state, now):
+                self._step(kernel, now)
+
+    def _begins_period(self, state: State, now: int) -> bool:
+        """Whether a value says that a control period begins: a position that is known then, not between."""
+        return state.spec.name == self.ports.plan.config.odometry and now % CONTROL_PERIOD_US == 0
+
+    def _step(self, kernel: Kernel, now: int) -> None:
+        if self._marks and kernel.name not in _SCAN_INPUT:
+            kernel.mark()
+        self._publish(kernel, lambda: kernel.step(now), now)
+
+    def _publish(self, kernel: Kernel, compute: Callable[[], list[State]], now: int) -> None:
+        began = time.monotonic()
+        with self.lock:
+            states = compute()
+        latency_us = self._latency_us[kernel.name]
+        time.sleep(max(0.0, 1e-6 * latency_us - (time.monotonic() - began)))
+        for state in states:
+            self._number += 1
+            self._outlets[state.spec.name].publish(state, self._number, now + latency_us)
+
+    def _recompute(self, request: Any, now: int) -> None:
+        """A detector's request, if it is for one of these kernels."""
+        for kernel in self.kernels.values():
+            if kernel.name in _SCAN_INPUT and request.kernel in _SCAN_INPUT:
+                kernel.rollback()
+                if kernel.name == request.kernel:
+                    self._step(kernel, now)
+            elif kernel.name == request.kernel:
+                self._obey(kernel, request, now)
+
+    def _obey(self, kernel: Any, request: Any, now: int) -> None:
+        if request.stop:
+            self._publish(kernel, kernel.stop, now)
+        elif request.abandon_waypoint:
+            self._publish(kernel, lambda: kernel.abandon(now), now)
+        else:
+            kernel.rollback()
+            self._step(kernel, now)
+
+
+def _load_compiled(plan: Plan) -> None:
+    """Fly the first seconds in this process: functions are loaded at their first use, and the vehicle would wait."""
+    host = Host(plan.scenario)
+    host.limit_us = _LOADING_FLIGHT_US
+    host.fly()

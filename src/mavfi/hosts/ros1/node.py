@@ -1,0 +1,57 @@
+"""What roslaunch starts: `python -m mavfi.hosts.ros1.node NAME`, one node of a flight."""
+
+import ctypes
+import signal
+import sys
+import traceback
+import warnings
+
+from mavfi.hosts.ros1 import ending, finder
+from mavfi.hosts.ros1.folder import FAILURE, MESSAGES, flight_folder
+from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD
+from mavfi.hosts.ros1.plan import Plan, load_plan
+
+_PARENT_DIED = 1  # PR_SET_PDEATHSIG of <linux/prctl.h>
+
+
+def main() -> None:
+    """Run the node that the command line names, until it is killed or the flight is over."""
+    ctypes.CDLL(None).prctl(_PARENT_DIED, signal.SIGKILL)  # no node outlives its roslaunch
+    finder.enable(flight_folder() / MESSAGES)
+    import rospy
+
+    name = rospy.myargv(sys.argv)[1]
+    plan = load_plan()
+    warnings.filterwarnings("ignore", "The publisher should be created", SyntaxWarning)  # without a queue, on purpose
+    rospy.init_node(name, disable_signals=True, disable_rostime=True, disable_rosout=True)
+    try:
+        run(name, plan)
+    except BaseException:
+        if name != WORLD:
+            ending.die()
+        (flight_folder() / FAILURE).write_text(traceback.format_exc())
+    signal.pause()  # the supervisor takes everything down at once
+
+
+def run(name: str, plan: Plan) -> None:
+    """Be that node."""
+    if name == WORLD:
+        from mavfi.hosts.ros1.world import fly
+
+        fly(plan)
+    elif name in plan.graph.nodes:
+        from mavfi.hosts.ros1.kernels import FreeNode, LockStepNode
+
+        (FreeNode if plan.free_running else LockStepNode)(name, plan).run()
+    elif name == INJECTOR:
+        from mavfi.hosts.ros1.taps import Injector
+
+        Injector(plan).run()
+    elif name == DETECTOR:
+        from mavfi.hosts.ros1.taps import Watcher
+
+        Watcher(plan).run()
+
+
+if __name__ == "__main__":
+    main()

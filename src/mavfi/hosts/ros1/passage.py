@@ -1,0 +1,143 @@
+"""How the world sends a value on its way through the topics, and learns what became of it."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from mavfi.detectors.detector import Alarm
+from mavfi.faults.fault import Injection
+from mavfi.faults.state import StateInjector
+from mavfi.hosts.ros1.folder import read_strikes
+from mavfi.hosts.ros1.graph import DETECTOR, VERDICT, WORLD
+from mavfi.hosts.ros1.inbox import Inbox
+from mavfi.hosts.ros1.ports import Ports, world_listens
+from mavfi.hosts.ros1.remote import PUBLISH, Counter, Link, NodeLostError, Publication
+from mavfi.hosts.ros1.roll_call import is_alive
+from mavfi.states import State
+
+_LOOK_S = 0.5
+
+
+class Passage:
+    """The host's injector: every value that is published goes through here, and comes back as consumers see it."""
+
+    spent = False
+
+    def __init__(
+        self, ports: Ports, counter: Counter, links: dict[str, Link], on_loss: Callable[[Link, str], None]
+    ) -> None:  # fmt: skip
+        """Listen to what the host looks into.
+
+        Args:
+            ports: Of the world.
+            counter: Numbers of publications.
+            links: Every node of the flight.
+            on_loss: Told of a node that has died while something was waited for.
+        """
+        self.verdict: Alarm | None = None
+        self._counter = counter
+        self._links = links
+        self._on_loss = on_loss
+        self._plan = ports.plan
+        self._ways = ports.ways
+        self._inbox = Inbox()
+        self._sensors = {
+            name: ports.outlet(way, way.first) for name, way in self._ways.items() if way.writer == WORLD
+        }  # fmt: skip
+        for name, way in self._ways.items():
+            if world_listens(self._plan, name):
+                ports.read(name, way.final, self._arrived)
+            if way.gated:
+                ports.read(name, way.rejected, self._arrived)
+        if self._plan.detector is not None:
+            ports.listen(VERDICT, "Verdict", self._judged)
+        self._judging = self._plan.detector is not None
+
+    def taps(self, state: str) -> tuple[str, ...]:
+        """Nodes through which the values of a state go."""
+        return self._ways[state].taps
+
+    def __call__(self, state: State, time_us: int) -> State:
+        """Publish a value; gives it as it came out of the injector.
+
+        Raises:
+            NodeLostError: It got lost on its way.
+        """
+        if isinstance(state, Publication) and state.link is not None:
+            number = state.number
+            if not state.sent and state.link.call(PUBLISH, state.kernel, number, time_us) is None:
+                raise NodeLostError(state.link.node)
+        else:
+            number = self._counter.take()
+            self._sensors[state.spec.name].publish(state, number, time_us)
+        self.verdict = self._await(("verdict", number), state) if self._judges() else None
+        seen = state
+        if world_listens(self._plan, state.spec.name):
+            seen = self._await(number, state)
+        return Publication(seen.spec, seen.header, seen.elements, number)
+
+    def finish(self) -> list[Injection]:
+        """What the injector did, as it has noted itself; or that the publication never came."""
+        if self._plan.fault is None:
+            return []
+        return read_strikes() or StateInjector(self._plan.fault).finish()
+
+    def _judges(self) -> bool:
+        return self._judging and not self._links[DETECTOR].lost
+
+    def _await(self, key: Any, state: State) -> Any:
+        """Wait for what a node publishes.
+
+        Raises:
+            NodeLostError: A node in the way has died: it will not come.
+        """
+        end = time.monotonic() + self._plan.patience_s
+        way = self._ways[state.spec.name]
+        judge = (DETECTOR,) * self._judging
+        while True:
+            try:
+                return self._inbox.take(key, _LOOK_S)
+            except TimeoutError:
+                late = time.monotonic() > end
+            # the writer has answered that it has published: whoever is last in the way keeps it
+            slow = (*way.taps, *judge)[-1:] or (way.writer,)
+            for node in dict.fromkeys((way.writer, *way.taps, *judge)):
+                link = self._links.get(node)
+                if link is not None and (link.lost or not is_alive(link.pid) or (late and node in slow)):
+                    self._on_loss(link, "does not answer")
+                    raise NodeLostError(node)
+
+    def _arrived(self, state: State, number: int, time_us: int) -> None:
+        del time_us
+        self._inbox.put(number, state)
+
+    def _judged(self, verdict: Any) -> None:
+        alarm = None
+        if verdict.raised:
+            alarm = Alarm(
+                verdict.source, verdict.stage, verdict.abandon_waypoint, verdict.stop, verdict.score,
+                tuple(verdict.fields),
+            )  # fmt: skip
+        self._inbox.put(("verdict", verdict.number), alarm)
+
+
+class LockStepDetector:
+    """The host's detector: hands on what the detector's node has said of the value that was just published."""
+
+    def __init__(self, passage: Passage) -> None:
+        """Ask there.
+
+        Args:
+            passage: Where values go.
+        """
+        self._passage = passage
+
+    def start(self) -> None:
+        """The node begins each flight anew."""
+
+    def check(self, state: State, time_us: int) -> Alarm | None:
+        """What the node said."""
+        return self._passage.verdict
+
+    def accept(self, state: State, time_us: int) -> None:
+        """The node has taken note itself."""

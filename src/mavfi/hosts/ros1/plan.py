@@ -1,0 +1,111 @@
+"""What is to be flown on ROS, as plain data that every node of the flight reads from the flight's folder."""
+
+import pickle
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from mavfi.detectors.detector import Detector
+from mavfi.faults.fault import Fault
+from mavfi.hosts.ros1.folder import flight_folder
+from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, NODELET, Graph
+from mavfi.mission import Scenario
+from mavfi.pipeline.kernel import PipelineConfig
+from mavfi.pipeline.ppc import build_pipeline
+
+_PLAN = "plan.pickle"
+Coupling = Literal["inline", "observer"]
+CloudNode = Literal["mavfi", "depth_image_proc"]
+
+
+@dataclass(frozen=True, slots=True)
+class Strike:
+    """A bit that is flipped in a register of a node's process.
+
+    Attributes:
+        node: Its name.
+        time_us: From when on (microseconds of the flight).
+        seed: Draws instruction, register and bit among those that the process comes by.
+        registers: "general" (with the flags), "fp" (XMM and YMM), or "all".
+    """
+
+    node: str
+    time_us: int
+    seed: int = 0
+    registers: str = "all"
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """A flight on ROS.
+
+    Attributes:
+        scenario: The mission.
+        config: What the kernels are told of it.
+        fault: What to inject.
+        detector: What watches, as it is before the flight.
+        coupling: "inline": a gate before the consumers; "observer": a subscriber whose requests act one step later.
+        free_running: Whether time passes as on the wall, instead of waiting for every node.
+        kills: Nodes that are killed, and when (microseconds).
+        restart_us: For how long a node that was lost is away, in simulated time.
+        patience_s: How long to wait for a node (s, wall clock).
+        cloud_node: Who computes the point cloud: the project's kernel, or Debian's nodelet.
+        strikes: Bits flipped in registers.
+        graph: Nodes and topics.
+        nodes: All nodes of the project but the world's.
+    """
+
+    scenario: Scenario
+    config: PipelineConfig
+    fault: Fault | None = None
+    detector: Detector | None = None
+    coupling: Coupling = "inline"
+    free_running: bool = False
+    kills: tuple[tuple[str, int], ...] = ()
+    restart_us: int = 1_000_000
+    patience_s: float = 60.0
+    cloud_node: CloudNode = "mavfi"
+    strikes: tuple[Strike, ...] = ()
+    graph: Graph = field(init=False)
+    nodes: tuple[str, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        struck = None if self.fault is None else self.fault.site.state
+        object.__setattr__(self, "graph", Graph(build_pipeline(self.config), struck, self.gated))
+        taps = (INJECTOR,) * (self.fault is not None) + (DETECTOR,) * (self.detector is not None)
+        object.__setattr__(self, "nodes", (*self.graph.nodes, *taps))
+
+    @property
+    def foreign(self) -> tuple[str, ...]:
+        """Nodes that nobody here wrote."""
+        return () if self.cloud_node == "mavfi" else (NODELET,)
+
+    @property
+    def gated(self) -> bool:
+        """Whether the detector stands in the way of what it watches."""
+        return self.detector is not None and self.coupling == "inline"
+
+    @property
+    def observed(self) -> bool:
+        """Whether the detector is a subscriber beside the others."""
+        return self.detector is not None and self.coupling == "observer"
+
+    def published_at_once(self) -> frozenset[str]:
+        """States whose values a node puts on their topics as soon as it has them, in lock-step.
+
+        That saves a call for each.  Their stamps say when they count, and no consumer takes them before.  Where a
+        detector may have something computed again, or an injector counts what comes, the order of sending matters.
+        """
+        if self.detector is not None:
+            return frozenset()
+        return frozenset(name for name, way in self.graph.ways.items() if not way.taps)
+
+    def save(self, folder: Path) -> None:
+        """Write it into the flight's folder, which belongs to the user alone."""
+        (folder / _PLAN).write_bytes(pickle.dumps(self))
+
+
+def load_plan() -> Plan:
+    """The plan of the flight that this process belongs to."""
+    plan: Plan = pickle.loads((flight_folder() / _PLAN).read_bytes())
+    return plan

@@ -1,0 +1,162 @@
+"""Publishers and subscribers of the loop's topics, and the service by which a node says that it is connected."""
+
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+from mavfi.errors import MavfiError
+from mavfi.hosts.ros1.convert import from_msg, from_stamp, to_msg
+from mavfi.hosts.ros1.ending import fatal
+from mavfi.hosts.ros1.generate import message_type, state_types
+from mavfi.hosts.ros1.graph import JUDGED_BY_WORLD, Way
+from mavfi.hosts.ros1.mirrors import Mirror, mirrors_of
+from mavfi.hosts.ros1.plan import Plan
+from mavfi.states import STATES, State
+
+_BUFFER = 1 << 22
+_POLL_S = 0.005
+Arrived = Callable[[State, int, int], None]
+"""Takes a value, its number, and its instant (microseconds)."""
+
+
+class Outlet:
+    """Publishes the values of one state; where consumers read its topic, with mirrors in standard types."""
+
+    def __init__(self, state: str, topic: str, listeners: int, mirrors: list[Mirror]) -> None:
+        """Advertise.
+
+        Args:
+            state: Name of the state.
+            topic: Where.
+            listeners: How many of the flight's own nodes listen.
+            mirrors: What is published beside it, while somebody listens.
+        """
+        import rospy
+
+        self._kind = state_types()[state]
+        self._publisher = rospy.Publisher(topic, self._kind, queue_size=None, tcp_nodelay=True)
+        self._listeners = listeners
+        self._mirrors = mirrors
+
+    def publish(self, state: State, number: int, time_us: int) -> None:
+        """Publish one value."""
+        self._publisher.publish(to_msg(state, number, time_us, self._kind))
+        for mirror in self._mirrors:
+            mirror.publish(state, time_us)
+
+    def connected(self) -> bool:
+        """Whether all of the flight's listeners are there."""
+        return bool(self._publisher.get_num_connections() >= self._listeners)
+
+
+class Ports:
+    """All that a node publishes and reads."""
+
+    def __init__(self, node: str, plan: Plan) -> None:
+        """Nothing yet.
+
+        Args:
+            node: Name of the node.
+            plan: The flight.
+        """
+        self.node = node
+        self.plan = plan
+        self.ways = plan.graph.ways
+        self._outlets: list[Outlet] = []
+        self._subscribers: list[Any] = []
+        self._others: list[tuple[Any, int]] = []
+        self._conditions: list[Callable[[], bool]] = []
+
+    def outlet(self, way: Way, topic: str) -> Outlet:
+        """Publish values of a state on one of the topics of its way."""
+        mirrors = mirrors_of(way.state, self.plan) if topic == way.final else []
+        outlet = Outlet(way.state, topic, listeners(way, topic, self.plan), mirrors)
+        self._outlets.append(outlet)
+        return outlet
+
+    def read(self, state: str, topic: str, arrived: Arrived) -> None:
+        """Listen to values of a state."""
+        import rospy
+
+        spec = STATES[state]
+
+        def callback(message: Any) -> None:
+            arrived(from_msg(message, spec), int(message.number), from_stamp(message.header.stamp))
+
+        self._subscribers.append(
+            rospy.Subscriber(
+                topic, state_types()[state], fatal(callback), queue_size=None, buff_size=_BUFFER, tcp_nodelay=True
+            )
+        )
+
+    def publisher(self, topic: str, kind: str, awaited: int = 0) -> Any:
+        """Publish messages that are no states; `awaited` of the flight's nodes listen."""
+        import rospy
+
+        publisher = rospy.Publisher(topic, message_type(kind), queue_size=None, tcp_nodelay=True)
+        self._others.append((publisher, awaited))
+        return publisher
+
+    def listen(self, topic: str, kind: str, callback: Callable[[Any], None], awaited: bool = True) -> None:
+        """Listen to messages that are no states."""
+        import rospy
+
+        subscriber = rospy.Subscriber(topic, message_type(kind), fatal(callback), queue_size=None, tcp_nodelay=True)
+        if awaited:
+            self._subscribers.append(subscriber)
+
+    def also(self, condition: Callable[[], bool]) -> None:
+        """What else must hold before this node is connected."""
+        self._conditions.append(condition)
+
+    def wait_until_connected(self) -> None:
+        """Until every publisher and listener of the flight is connected with this node.
+
+        Raises:
+            MavfiError: Some are not, and patience is over.
+        """
+        end = time.monotonic() + self.plan.patience_s
+        while not self._connected():
+            if time.monotonic() > end:
+                raise MavfiError(f"node {self.node}: not connected within {self.plan.patience_s:g} s")
+            time.sleep(_POLL_S)
+
+    def _connected(self) -> bool:
+        return (
+            all(outlet.connected() for outlet in self._outlets)
+            and all(subscriber.get_num_connections() >= 1 for subscriber in self._subscribers)
+            and all(publisher.get_num_connections() >= awaited for publisher, awaited in self._others)
+            and all(condition() for condition in self._conditions)
+        )
+
+    def offer_ready(self) -> None:
+        """Offer the service `/<node>/ready`: it answers with the process id when all connections stand."""
+        import rospy
+        from std_srvs.srv import Trigger, TriggerResponse
+
+        def answer(request: Any) -> Any:
+            del request
+            self.wait_until_connected()
+            return TriggerResponse(True, str(os.getpid()))
+
+        rospy.Service(f"/{self.node}/ready", Trigger, answer)
+
+
+def listeners(way: Way, topic: str, plan: Plan) -> int:
+    """How many of the flight's nodes listen to one of the topics of a way."""
+    if topic == way.rejected:
+        return 0 if plan.free_running else 1  # the world
+    if topic != way.final:
+        return 1  # the next tap
+    return len(way.readers) + world_listens(plan, way.state) + plan.observed
+
+
+def world_listens(plan: Plan, state: str) -> bool:
+    """Whether the world listens to the values of a state.
+
+    In lock-step it knows itself when a map was updated, but waits for every value that a gate may hold back.
+    """
+    if plan.free_running:
+        return state in JUDGED_BY_WORLD or state == "perception.map_update"
+    return state in JUDGED_BY_WORLD or plan.gated

@@ -1,0 +1,246 @@
+"""The world's side of lock-step: kernels that are elsewhere, and the way of a value through the topics.
+
+The world owns the event queue of the in-process host, and so the order of everything.  A kernel that is elsewhere has
+the interface of one that is here: what has no answer (an input that makes nothing due, a mark) is noted and goes with
+the next call that has one.  The values themselves travel over the topics, from node to node; an operation names them
+by their numbers, and a node waits for a value that it is to receive.
+"""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mavfi.hosts.ros1.generate import message_type
+from mavfi.hosts.ros1.graph import Face
+from mavfi.hosts.ros1.plan import Plan
+from mavfi.platforms.compute import latency
+from mavfi.states import STATES, State
+
+RECEIVE, STEP, PUBLISH, MARK, ROLLBACK, STOP, ABANDON = range(7)
+"""As in `mavfi_msgs/Operation`."""
+HELD = -1
+_WATCH_S = 0.1
+
+
+class NodeLostError(Exception):
+    """A node does not answer: it has died, or it hangs."""
+
+
+@dataclass(slots=True)
+class Publication(State):
+    """A value on its way through the topics.
+
+    Attributes:
+        number: Identifies it.
+        link: Node that holds it until it is to be published; None = the world has it.
+        life: Which of the node's lives it comes from.
+        kernel: Its writer.
+        sent: Whether it is on its topic already, stamped with the instant at which it counts.
+    """
+
+    number: int = 0
+    link: "Link | None" = None
+    life: int = 0
+    kernel: str = ""
+    sent: bool = False
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether it died with its node."""
+        return self.link is not None and (self.link.lost or self.link.life != self.life)
+
+
+class Watchdog:
+    """Cuts the connection of a call that takes too long, which ends the call."""
+
+    def __init__(self, patience_s: float) -> None:
+        """Watch from now on.
+
+        Args:
+            patience_s: Longest time for a call (s).
+        """
+        self._patience_s = patience_s
+        self._lock = threading.Lock()
+        self._call: tuple[float, Any] | None = None
+        threading.Thread(target=self._watch, daemon=True).start()
+
+    def begin(self, proxy: Any) -> None:
+        """A call begins."""
+        with self._lock:
+            self._call = time.monotonic() + self._patience_s, proxy
+
+    def end(self) -> None:
+        """It is over."""
+        with self._lock:
+            self._call = None
+
+    def _watch(self) -> None:
+        while True:
+            time.sleep(_WATCH_S)
+            with self._lock:
+                call = self._call
+                if call is not None and time.monotonic() > call[0] and call[1].transport is not None:
+                    call[1].transport.socket.shutdown(2)
+
+
+@dataclass(slots=True)
+class Link:
+    """The connection with one kernel node.
+
+    Attributes:
+        node: Its name.
+        pid: Its process.
+        lost: Whether it is away.
+        life: How often it was lost.
+        since: Number of the first publication that this life of the node can have seen.
+    """
+
+    node: str
+    watchdog: Watchdog
+    on_loss: Callable[["Link", str], None]
+    pid: int = 0
+    lost: bool = True
+    life: int = 0
+    since: int = 0
+    _pending: list[Any] = field(default_factory=list)
+    _proxy: Any = None
+
+    def connect(self, pid: int, since: int) -> None:
+        """The node is there (again); what was computed before `since` it has not seen."""
+        import rospy
+        from mavfi_msgs.srv import Drive
+
+        self._pending.clear()
+        self._proxy = rospy.ServiceProxy(f"/{self.node}/drive", Drive, persistent=True)
+        self.pid, self.since, self.lost = pid, since, False
+
+    def lose(self) -> None:
+        """The node is away, with all that it remembered."""
+        self.lost = True
+        self.life += 1
+        self._pending.clear()
+
+    def note(self, action: int, kernel: str, number: int, time_us: int, publish_us: int = HELD) -> None:
+        """Something to be done before the next call; arguments are the fields of `mavfi_msgs/Operation`."""
+        if not self.lost:
+            self._pending.append(_operation(action, kernel, number, time_us, publish_us))
+
+    def call(self, action: int, kernel: str, number: int, time_us: int, publish_us: int = HELD) -> Any:
+        """Have everything noted done, then this.
+
+        Returns:
+            The response; None = the node is away.
+        """
+        if self.lost:
+            return None
+        self.note(action, kernel, number, time_us, publish_us)
+        try:
+            return self._send()
+        except NodeLostError as loss:
+            self.on_loss(self, str(loss))
+            return None
+
+    def _send(self) -> Any:
+        import rospy
+
+        self.watchdog.begin(self._proxy)
+        try:
+            response = self._proxy(self._pending)
+        except (rospy.ServiceException, rospy.ROSException, OSError) as error:
+            raise NodeLostError(str(error)) from None
+        finally:
+            self.watchdog.end()
+        self._pending = []
+        return response
+
+
+_OPERATION: list[Any] = []
+
+
+def _operation(*fields: object) -> Any:
+    if not _OPERATION:
+        _OPERATION.append(message_type("Operation"))
+    return _OPERATION[0](*fields)
+
+
+class Counter:
+    """Numbers of publications."""
+
+    def __init__(self) -> None:
+        self._next = 0
+
+    def take(self, count: int = 1) -> int:
+        """The first of so many numbers that nobody has."""
+        first = self._next
+        self._next += count
+        return first
+
+
+class RemoteKernel:
+    """A kernel in another process, as the host sees it."""
+
+    def __init__(self, face: Face, link: Link, counter: Counter, plan: Plan) -> None:
+        """Speak for it.
+
+        Args:
+            face: What is known of it.
+            link: Its node.
+            counter: Numbers for what it publishes.
+            plan: The flight.
+        """
+        self._latency_us = latency(plan.scenario.platform, face.name)
+        self._at_once = plan.published_at_once()
+        self.name, self.stage = face.name, face.stage
+        self.reads, self.writes = face.reads, face.writes
+        self._triggers = face.triggers
+        self._link = link
+        self._counter = counter
+
+    def receive(self, state: State, time_us: int) -> bool:
+        """Note an input; says whether a step is due now."""
+        assert isinstance(state, Publication)
+        if state.number < self._link.since:
+            return False
+        if state.spec.name not in self._triggers:
+            self._link.note(RECEIVE, self.name, state.number, time_us)
+            return False
+        response = self._link.call(RECEIVE, self.name, state.number, time_us)
+        return response is not None and bool(response.due)
+
+    def step(self, time_us: int) -> list[State]:
+        """Compute once; gives promises of what was computed."""
+        return self._give(STEP, time_us)
+
+    def stop(self) -> list[State]:
+        """Of hand-over alone: give the trajectory up and hold."""
+        return self._give(STOP, 0)
+
+    def abandon(self, time_us: int) -> list[State]:
+        """Of hand-over alone: drop the way-point in force for the next one."""
+        return self._give(ABANDON, time_us)
+
+    def mark(self) -> None:
+        """Remember the memory as it is."""
+        self._link.note(MARK, self.name, 0, 0)
+
+    def rollback(self) -> None:
+        """Put the memory back to the last mark; inputs stay."""
+        self._link.note(ROLLBACK, self.name, 0, 0)
+
+    def _give(self, action: int, time_us: int) -> list[State]:
+        first = self._counter.take(len(self.writes))
+        publish_us = time_us + self._latency_us if self._at_once else HELD
+        response = self._link.call(action, self.name, first, time_us, publish_us)
+        if response is None:
+            return []
+        return [self._promise(*given) for given in zip(response.states, response.numbers, strict=True)]
+
+    def _promise(self, name: str, number: int) -> Publication:
+        """A value that the node has computed."""
+        spec, link = STATES[name], self._link
+        empty = np.zeros(1, spec.header_dtype), np.zeros(0, spec.element_dtype)
+        return Publication(spec, *empty, number, link, link.life, self.name, name in self._at_once)

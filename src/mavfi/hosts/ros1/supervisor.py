@@ -1,0 +1,109 @@
+"""Lives with a flight in its private network: starts roslaunch, and leaves no process behind, however the flight ends.
+
+Orphans become its children, so that everything the flight has started can be found and ended by its process id.
+"""
+
+import ctypes
+import fcntl
+import os
+import shutil
+import signal
+import socket
+import struct
+import subprocess
+import time
+from contextlib import suppress
+from pathlib import Path
+from types import FrameType
+
+from mavfi.hosts.ros1.finder import find_file
+from mavfi.hosts.ros1.folder import FAILURE, FLIGHT, LAUNCH_FILE, LOG, PID, environment, flight_folder, master_port
+
+_PDEATHSIG, _SUBREAPER = 1, 36  # PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER of <linux/prctl.h>
+_GET_FLAGS, _SET_FLAGS, _UP = 0x8913, 0x8914, 0x1  # SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP of <linux/sockios.h>
+_POLL_S = 0.02
+_STOP = [False]
+
+
+def main() -> None:
+    """Run a flight until it is over, its parent dies, or a signal says so."""
+    parent = os.getppid()
+    folder = flight_folder()
+    libc = ctypes.CDLL(None)
+    libc.prctl(_PDEATHSIG, signal.SIGTERM)
+    libc.prctl(_SUBREAPER, 1)
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, _stop)
+    with suppress(OSError):  # without a private network it is up already
+        loopback_up()
+    try:
+        with (folder / LOG / "roslaunch").open("wb") as log:
+            subprocess.Popen(
+                [
+                    str(find_file("usr/bin/roslaunch")), "--skip-log-check", "--disable-title",
+                    "-p", master_port(), str(folder / LAUNCH_FILE),
+                ],
+                env=environment(folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, cwd=folder,
+                preexec_fn=lambda: libc.prctl(_PDEATHSIG, signal.SIGKILL),
+            )  # fmt: skip
+        part = folder / f"part-{PID}"
+        part.write_text(str(os.getpid()))
+        part.rename(folder / PID)
+        while not _STOP[0] and not any((folder / name).exists() for name in (FLIGHT, FAILURE)):
+            if not reap():
+                break
+            time.sleep(_POLL_S)
+    finally:
+        end_all()
+        if os.getppid() != parent:  # nobody is left to read what is there
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    _STOP[0] = True
+
+
+def loopback_up() -> None:
+    """Switch the loopback interface of the private network on.
+
+    Raises:
+        OSError: That is not allowed here.
+    """
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        request = struct.pack("16sh14x", b"lo", 0)
+        flags = struct.unpack("16sh14x", fcntl.ioctl(any_socket, _GET_FLAGS, request))[1]
+        fcntl.ioctl(any_socket, _SET_FLAGS, struct.pack("16sh14x", b"lo", flags | _UP))
+
+
+def reap() -> bool:
+    """Take leave of children that have ended; says whether there are any left."""
+    try:
+        while os.waitpid(-1, os.WNOHANG)[0]:
+            pass
+    except ChildProcessError:
+        return False
+    return True
+
+
+def children(parent: int) -> list[int]:
+    """Process ids of the children of a process."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            fields = path.read_text().rpartition(")")[2].split()
+            if int(fields[1]) == parent:
+                found.append(int(path.parent.name))
+    return found
+
+
+def end_all() -> None:
+    """Kill every process that this one has started or inherited; what they leave behind is inherited in turn."""
+    while reap():
+        for pid in children(os.getpid()):
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        time.sleep(_POLL_S / 4)
+
+
+if __name__ == "__main__":
+    main()

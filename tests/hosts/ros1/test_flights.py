@@ -1,0 +1,276 @@
+"""Flights on real ROS: roscore, roslaunch, one process for each node.  In lock-step they are those of one process."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from mavfi.cli import run
+from mavfi.detectors import load_detector
+from mavfi.detectors.gate import Chain
+from mavfi.errors import MavfiError
+from mavfi.flight_log import FlightLog
+from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.inprocess import fly as fly_here
+from mavfi.hosts.observed import fly_observed
+from mavfi.hosts.ros1.plan import Plan
+from mavfi.hosts.ros1.roll_call import is_alive
+from mavfi.hosts.ros1.session import configure
+from mavfi.hosts.ros1.session import fly as fly_there
+from tests.hosts.missions import Scripted, fault, golden, mission
+from tests.hosts.ros1.needs import ros
+
+pytestmark = [*ros, pytest.mark.slow]
+NODES = ("point_cloud", "octomap", "collision_check", "planner", "waypoint", "pid")
+SHORT = (16.0, 0.0, 3.0)
+
+
+def short(**changes):
+    return make_scenario("sparse", 7, goal=SHORT, **changes)
+
+
+def detector(name, scenario):
+    fits = {"stack": scenario.stack.name, "platform": scenario.platform.name, "v_max": scenario.v_max,
+            "planner": scenario.planner.name}  # fmt: skip
+    return load_detector(name, "paper", None, fits)[0]
+
+
+def there(scenario, fault=None, detector=None, **options):
+    return fly_there(Plan(scenario, configure(scenario), fault, detector, **options)).flight.log
+
+
+def same(log, other):
+    """Whether two records agree in everything: bits, events, injections, alarms, counts."""
+    plain = json.loads(json.dumps([log.alarms, log.injections, log.meta]))
+    assert log.digest() == other.digest()
+    assert plain == json.loads(json.dumps([other.alarms, other.injections, other.meta]))
+    assert log.events == other.events
+
+
+def left_behind(folder):
+    """Processes that belong to the flight with that folder."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/environ"):
+        try:
+            if f"MAVFI_ROS_FLIGHT={folder}".encode() in path.read_bytes() and is_alive(int(path.parent.name)):
+                found.append(path.parent.name)
+        except OSError:
+            pass
+    return found
+
+
+def test_a_golden_flight():
+    same(there(mission()), golden().log)
+
+
+def test_a_flight_with_a_state_fault():
+    wrong = fault("planning.waypoint", "x", 4.0, 55)
+    log = there(mission("hardened"), wrong)
+    same(log, fly_here(mission("hardened"), wrong).log)
+    assert log.injections[0]["hit"]
+    assert log.digest() != golden("hardened").log.digest()
+
+
+@pytest.mark.parametrize("name", ["gaussian", "autoencoder"])
+def test_a_flight_with_a_fault_and_a_detector_as_a_gate(name):
+    scenario = mission()
+    wrong = fault("planning.waypoint", "x", 4.0, 62)
+    log = there(scenario, wrong, detector(name, scenario))
+    same(log, fly_here(scenario, wrong, detector(name, scenario)).log)
+    assert log.alarms
+
+
+def test_a_flight_with_a_fault_and_an_observer():
+    scenario = mission()
+    wrong = fault("planning.waypoint", "x", 4.0, 62)
+    log = there(scenario, wrong, detector("gaussian", scenario), coupling="observer")
+    same(log, fly_observed(scenario, wrong, detector("gaussian", scenario)).log)
+    assert log.alarms
+
+
+def test_a_flight_with_the_state_estimator():
+    scenario = short(localization="estimator")
+    log = there(scenario)
+    same(log, fly_here(scenario).log)
+    assert log.digest() != fly_here(short()).log.digest()
+    assert log.meta["publications"]["perception.odometry"] > 1000
+
+
+@pytest.mark.parametrize("coupling", ["inline", "observer"])
+def test_a_struck_estimate_and_a_detector_that_wants_it_again(coupling):
+    scenario = short(localization="estimator")
+    wrong = fault("perception.odometry", "x", 3.0, 56)
+
+    def watching():
+        return Scripted("perception.odometry", n=700, stage="perception")
+
+    log = there(scenario, wrong, watching(), coupling=coupling)
+    same(log, (fly_here if coupling == "inline" else fly_observed)(scenario, wrong, watching()).log)
+    assert log.injections[0]["hit"] and [alarm["action"] for alarm in log.alarms] == ["recompute"]
+
+
+def test_every_kind_of_recovery():
+    """Of a stage, by hand-over, and of a stage that did not write what raised the alarm."""
+
+    def several():
+        return Chain(
+            Scripted("perception.collision_status", n=5, stage="perception"),
+            Scripted("control.command", n=130, stop=True),
+            Scripted("planning.waypoint", n=4, stage="control"),
+        )
+
+    log = there(short(), None, several())
+    same(log, fly_here(short(), None, several()).log)
+    assert [alarm["action"] for alarm in log.alarms].count("recompute") == 2
+    assert len(log.alarms) == 3
+
+
+def test_an_injector_that_was_killed_does_not_strike_again():
+    wrong = fault("control.command", "vy", 1.0, 3)
+    log = there(short(), wrong, kills=(("injector", 2_000_000),))
+    struck = fly_here(short(), wrong).log
+    assert log.injections == json.loads(json.dumps(struck.injections))
+    assert [event.kind for event in log.events if event.kind.startswith("node")] == ["node_lost", "node_back"]
+
+
+def test_a_killed_node_comes_back_and_the_flight_goes_on(capsys, tmp_path):
+    saved = tmp_path / "flight.npz"
+    assert run(["ros", "fly", "--seed", "7", "--kill", "octomap@6", "--json", "--save", str(saved)]) == 0
+    data = json.loads(capsys.readouterr().out)
+    lost, back = data["ros"]["lives"]
+    assert (lost["event"], lost["node"], lost["time_s"]) == ("node_lost", "octomap", 6.0)
+    assert (back["event"], back["node"], back["time_s"]) == ("node_back", "octomap", 7.0)
+    assert data["status"] == "success"
+    assert data["ros"]["nodes"] == list(NODES)
+    log = FlightLog.load(saved)
+    assert log.digest() == data["digest"]
+    # between its death and its return no map was made
+    gap = [event.time_us for event in log.events if event.kind.startswith("node")]
+    assert gap == [6_000_000, 7_000_000]
+
+
+def test_a_gate_that_dies_keeps_everything_back_until_it_is_back():
+    scenario = short()
+    log = there(scenario, None, Scripted(), kills=(("detector", 2_000_000),))
+    commands = log.column("command_vx")[100:150]
+    assert len(set(commands)) == 1
+    assert [event.kind for event in log.events if event.kind.startswith("node")] == ["node_lost", "node_back"]
+
+
+class Hanging(Scripted):
+    """A detector that does not come back from one call."""
+
+    def check(self, state, time_us):
+        if state.spec.name == "control.command" and 1_000_000 < time_us < 1_100_000:
+            time.sleep(3600)
+
+
+def test_a_hung_node_is_ended_and_started_anew():
+    fly_here(short())  # what is compiled at its first use must not look like hanging
+    log = there(short(), None, Hanging(), patience_s=8.0)
+    events = [(event.kind, event.data["node"]) for event in log.events if event.kind.startswith("node")]
+    assert events == [("node_lost", "detector"), ("node_back", "detector")]
+
+
+def test_time_passes_as_on_the_wall_if_wanted():
+    scenario = short()
+    alarming = Scripted("control.command", n=150)
+    plan = Plan(scenario, configure(scenario), fault("control.command", "vy", 2.0, 3), alarming, free_running=True)
+    flight = fly_there(plan)
+    log = flight.flight.log
+    assert log.status.label in ("success", "timeout", "collision")  # the machine may be slow
+    assert flight.times["flight"] == pytest.approx(log.column("time")[-1], abs=2.0)
+    assert log.injections[0]["hit"]
+    assert [alarm["state"] for alarm in log.alarms] == ["control.command"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "kill -9"])
+def test_no_process_is_left_behind(number, tmp_path):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "mavfi", "ros", "fly", "--seed", "7"], env={**os.environ, "TMPDIR": str(tmp_path)},
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    until = time.monotonic() + 60
+    while not (folders := list(tmp_path.glob("mavfi-ros-*/log/*/world*.log"))) and time.monotonic() < until:
+        time.sleep(0.05)
+    folder = folders[0].parents[2]
+    assert len(left_behind(folder)) > 3
+    process.send_signal(number)
+    _, told = process.communicate(timeout=30)
+    assert number == signal.SIGKILL or (process.returncode, told.count("\n")) == (130, 1)
+    until = time.monotonic() + 20
+    while (left_behind(folder) or folder.exists()) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert left_behind(folder) == []
+    assert not folder.exists()
+
+
+def test_a_flight_that_fails_says_where_to_look(capsys, tmp_path, monkeypatch):
+    from mavfi.hosts.ros1 import launch
+
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setattr(launch.sys, "executable", "/bin/false")
+    assert run(["ros", "fly"]) == 1
+    text = capsys.readouterr().err
+    assert text.count("\n") == 1 and "logs: " in text
+
+
+class Crashing(Scripted):
+    """A detector that fails once in its first life."""
+
+    def check(self, state, time_us):
+        if state.spec.name == "control.command" and 1_000_000 < time_us < 1_100_000:
+            raise ZeroDivisionError
+
+
+def test_a_node_whose_code_fails_dies_and_is_started_anew():
+    log = there(short(), None, Crashing())
+    events = [(event.kind, event.data["node"]) for event in log.events if event.kind.startswith("node")]
+    assert events == [("node_lost", "detector"), ("node_back", "detector")]
+
+
+def test_when_the_world_fails_so_does_the_flight(tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with pytest.raises(MavfiError, match=r"ROS: the flight failed: .*stage 'propulsion'.*; logs: "):
+        there(short(), None, Scripted("control.command", n=10, stage="propulsion"))
+
+
+def test_debians_tools_see_the_flight(tmp_path):
+    """As the page docs/ros.md shows them."""
+    told = {}
+
+    def look(folder):
+        def ask(*command):
+            until = time.monotonic() + 60
+            while time.monotonic() < until:
+                done = subprocess.run([folder / "join", *command], capture_output=True, text=True, check=False)
+                if done.returncode == 0 and done.stdout.strip():
+                    told[" ".join(command[:3])] = done.stdout
+                    return
+                time.sleep(0.2)
+
+        def run_all():
+            ask("rostopic", "echo", "/odometry", "-n", "1")
+            ask("rosnode", "list")
+            ask("rostopic", "echo", "/mavfi/control/command", "-n", "1")
+            ask("rosservice", "call", "/plan", "{start: {pose: {position: {x: 4, y: 0, z: 3}}}}")
+
+        thread = threading.Thread(target=run_all)
+        thread.start()
+        threads.append(thread)
+
+    threads = []
+    scenario = make_scenario("sparse", 7, goal=(40.0, 0.0, 3.0))
+    fly_there(Plan(scenario, configure(scenario), free_running=True), tell=look)
+    threads[0].join()
+    assert {f"/{node}" for node in (*NODES, "world", "rosout")} <= set(told["rosnode list"].split())
+    assert 'child_frame_id: "base_link"' in told["rostopic echo /odometry"]
+    assert told["rosservice call /plan"].count("pose:") >= 2
+    assert "yaw_rate: " in told["rostopic echo /mavfi/control/command"]

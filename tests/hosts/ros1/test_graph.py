@@ -1,0 +1,120 @@
+"""Who publishes what to whom: derived from the kernels, with and without nodes in the way."""
+
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.hosts.inprocess import Host
+from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD, Graph, face_of
+from mavfi.hosts.ros1.launch import launch_text
+from mavfi.hosts.ros1.plan import Plan
+from mavfi.hosts.ros1.ports import world_listens
+from mavfi.hosts.ros1.session import configure, isolation
+from mavfi.pipeline.ppc import PERIODIC, build_pipeline
+from mavfi.states import STATES, Stage
+from tests.hosts.missions import STACKS, fault, mission
+
+KERNELS = build_pipeline(configure(mission()))
+
+
+def ways(struck, gate):
+    return Graph(KERNELS, struck, gate).ways
+
+
+def test_every_kernel_is_run_by_one_node():
+    nodes = Graph(KERNELS).nodes
+    assert sorted(kernel for kernels in nodes.values() for kernel in kernels) == sorted(KERNELS)
+    assert nodes["planner"] == ("planner", "trajectory")
+
+
+def test_without_taps_values_go_straight_to_their_readers():
+    found = ways(None, gate=False)
+    written = {state for kernel in KERNELS.values() for state in kernel.writes}
+    assert set(found) == written | {"sensor.depth", "sensor.odometry"} <= set(STATES)
+    for name, way in found.items():
+        assert way.first == way.final == "/mavfi/" + name.replace(".", "/")
+        assert way.last == way.writer
+        assert not way.taps
+    assert found["sensor.odometry"].readers == ("collision_check", "planner", "waypoint", "pid")
+    assert found["planning.path"].readers == ("planner",)
+
+
+def test_with_an_estimator_its_kernel_is_a_node_and_the_world_reads_what_it_says():
+    plan = Plan(scenario := mission(localization="estimator"), configure(scenario))
+    found = plan.graph.ways
+    assert plan.nodes[0] == "state_estimation" and "sensor.odometry" not in found
+    for sensor in ("sensor.imu", "sensor.position"):
+        assert (found[sensor].writer, found[sensor].readers) == (WORLD, ("state_estimation",))
+    estimate = found["perception.odometry"]
+    assert estimate.writer == "state_estimation"
+    assert estimate.readers == ("collision_check", "planner", "waypoint", "pid")
+    assert world_listens(plan, "perception.odometry")
+
+
+def test_an_injector_sits_at_one_state():
+    found = ways("planning.waypoint", gate=False)
+    way = found["planning.waypoint"]
+    assert (way.first, way.after_injector, way.last) == (f"{way.final}/raw", way.final, INJECTOR)
+    assert [name for name, other in found.items() if other.taps] == ["planning.waypoint"]
+
+
+def test_a_gate_comes_after_the_injector():
+    found = ways("planning.waypoint", gate=True)
+    struck, other = found["planning.waypoint"], found["control.command"]
+    assert struck.taps == (INJECTOR, DETECTOR)
+    assert struck.after_injector == struck.before_gate == f"{struck.final}/injected"
+    assert (other.first, other.before_gate, other.last) == (f"{other.final}/raw", f"{other.final}/raw", DETECTOR)
+    assert found["sensor.depth"].writer == WORLD and found["sensor.depth"].last == DETECTOR
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_only_triggers_make_steps_due(stack):
+    seen = set()
+
+    class Watched(Host):
+        def __init__(self, scenario):
+            super().__init__(scenario)
+            for kernel in self.kernels.values():
+                watch(kernel)
+
+    def watch(kernel):
+        receive = kernel.receive
+
+        def watched(state, time_us):
+            due = receive(state, time_us)
+            if due and kernel.name not in PERIODIC:
+                seen.add((kernel.name, state.spec.name))
+            return due
+
+        kernel.receive = watched
+
+    Watched(mission(stack)).fly()
+    faces = Graph(KERNELS).faces.values()
+    assert seen and seen <= {(face.name, state) for face in faces for state in face.triggers}
+    assert not any(face.triggers for face in faces if face.name in PERIODIC)
+
+
+def test_a_kernel_that_says_nothing_is_asked_about_every_input():
+    class Plain:
+        name, stage, reads, writes = "plain", Stage.PERCEPTION, ("sensor.depth", "sensor.odometry"), ()
+
+    assert face_of(Plain()).triggers == Plain.reads
+
+
+def test_nodes_come_back_but_the_end_of_the_world_is_the_end():
+    plan = Plan(mission(), configure(mission()), fault("planning.waypoint", "x", 3.0, 5))
+    text = launch_text(plan)
+    assert plan.nodes == (*Graph(KERNELS).nodes, INJECTOR)
+    assert text.count('respawn="true"') == len(plan.nodes)
+    assert text.count('required="true"') == 1 and 'name="world"' in text
+
+
+def test_values_behind_a_tap_are_held_until_they_count():
+    plan = Plan(mission(), configure(mission()), fault("planning.waypoint", "x", 3.0, 5))
+    assert plan.published_at_once() == set(plan.graph.ways) - {"planning.waypoint"}
+
+
+def test_without_a_private_network_there_is_no_flight(monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(BadInputError, match=r"no private network.*--allow-bind-all"):
+        isolation()
+    assert isolation(allow_bind_all=True) == []

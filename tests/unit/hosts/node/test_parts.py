@@ -1,0 +1,207 @@
+"""What attaches to ROS, as far as it needs no ROS: headers, stations that talk to each other, strikes, probes."""
+
+import os
+import threading
+import time
+
+import pytest
+
+from mavfi.cli import run
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.hosts.node.corrupt import Corruptor, MessageFault
+from mavfi.hosts.node.definition import Definition
+from mavfi.hosts.node.master import Master
+from mavfi.hosts.node.message import Composer
+from mavfi.hosts.node.station import Station
+from mavfi.hosts.node.tcpros import Source, decode_header, encode_header
+from mavfi.hosts.node.watch import make_probes, read_bag
+
+COMPOSER = Composer("sensor_msgs/JointState")
+MESSAGE = COMPOSER.pack({"name": ["a"], "position": [0.5]})
+DEFINITION = Definition("sensor_msgs/JointState", COMPOSER.header["message_definition"])
+
+
+class NoMaster:
+    """Takes registrations."""
+
+    uri = "http://127.0.0.1:1/"
+
+    def call(self, method, *arguments, caller=""):
+        return []
+
+
+class FakeRelay:
+    """Somebody gets the messages."""
+
+    definition, to, readers = DEFINITION, "/t", 2
+
+    def __init__(self):
+        self.sent = []
+
+    def send(self, message):
+        self.sent.append(message)
+        return self.readers
+
+
+@pytest.fixture
+def station():
+    made = Station(NoMaster(), "/writer")
+    yield made
+    made.close()
+
+
+def test_headers_survive_the_wire():
+    fields = {"type": "a/B", "message_definition": "x = y\nz", "empty": ""}
+    encoded = encode_header(fields)
+    assert decode_header(encoded[4:]) == fields and int.from_bytes(encoded[:4], "little") == len(encoded) - 4
+
+
+def test_a_station_is_read_like_a_node_and_listens_on_loopback_only(station):
+    outlet = station.advertise("/t", COMPOSER.header)
+    source = Source("/writer", station.uri, "/t", "/reader")
+    assert source.header["md5sum"] == COMPOSER.header["md5sum"] and not source.is_latched
+    assert source.definition().kind == "sensor_msgs/JointState"
+    while outlet.reader("/reader") is None:
+        time.sleep(0.001)
+    assert outlet.send(MESSAGE) == 1 and next(source.messages()) == MESSAGE
+    assert station._listener.getsockname()[0] == station._server.server_address[0] == "127.0.0.1"
+    source.close()
+
+
+def test_late_readers_of_a_latched_topic_get_the_last_message(station):
+    outlet = station.advertise("/t", {**COMPOSER.header, "latching": "1"})
+    outlet.send(MESSAGE)
+    source = Source("/writer", station.uri, "/t")
+    assert source.is_latched and next(source.messages()) == MESSAGE
+    source.close()
+
+
+def test_a_topic_that_is_not_offered_and_a_type_that_does_not_fit_are_refused(station):
+    with pytest.raises(MavfiError, match="no such topic"):
+        Source("/writer", station.uri, "/other")
+    with pytest.raises(MavfiError, match="does not answer"):
+        Source("/writer", "http://127.0.0.1:9/", "/other")
+
+
+def test_a_reader_follows_the_publishers_that_it_is_told_of(station):
+    arrived, heard = [], threading.Event()
+
+    def hear(message):
+        arrived.append(message)
+        heard.set()
+
+    first = station.advertise("/t", COMPOSER.header)
+    reader = Station(NoMaster(), "/reader")
+    inlet = reader.subscribe("/t", hear)
+    inlet.connect([station.uri, "http://127.0.0.1:9/"])
+    assert list(inlet.sources) == [station.uri] and len(inlet.failures) == 1
+    while first.reader("/reader") is None:
+        time.sleep(0.001)
+    first.send(MESSAGE)
+    assert heard.wait(5) and arrived == [MESSAGE]
+    inlet.connect([])
+    assert inlet.sources == {}
+    reader.close()
+
+
+def test_one_strike_hits_the_named_message_and_no_other():
+    relay, told = FakeRelay(), []
+    corruptor = Corruptor(MessageFault("position[0]", 51, at=3), told.append)
+    for _ in range(5):
+        corruptor(MESSAGE, relay)
+    assert [message == MESSAGE for message in relay.sent] == [True, True, False, True, True]
+    (injection,) = told
+    assert (injection.message, injection.before, injection.after, injection.readers) == (3, 0.5, 0.75, 2)
+    assert injection.verified and corruptor.struck.is_set() and told == corruptor.injections
+
+
+def test_a_strike_that_nobody_got_is_not_verified():
+    relay = FakeRelay()
+    relay.readers = 0
+    corruptor = Corruptor(MessageFault("position[0]"))
+    corruptor(MESSAGE, relay)
+    assert not corruptor.injections[0].verified
+
+
+def test_a_rate_draws_from_the_seed_and_stops_when_told():
+    def strikes(seed):
+        relay, corruptor = FakeRelay(), Corruptor(MessageFault("position[0]", rate=0.3, seed=seed))
+        for _ in range(200):
+            corruptor(MESSAGE, relay)
+        corruptor.stop()
+        corruptor(MESSAGE, relay)
+        assert relay.sent[-1] == MESSAGE and len(relay.sent) == 201
+        return [(injection.message, injection.bit) for injection in corruptor.injections]
+
+    assert strikes(1) == strikes(1) != strikes(2) and 30 < len(strikes(1)) < 90
+
+
+def test_messages_without_the_element_pass_unchanged():
+    relay, corruptor = FakeRelay(), Corruptor(MessageFault("velocity[0]"))
+    corruptor(MESSAGE, relay)
+    assert relay.sent == [MESSAGE] and corruptor.too_short == 1 and not corruptor.struck.is_set()
+
+
+@pytest.mark.parametrize(
+    ("fault", "told"),
+    [
+        ({"field": "position[0]", "at": 0}, "at: 0: allowed: 1 or more"),
+        ({"field": "position[0]", "rate": 0.0}, "allowed: above 0, to 1"),
+        ({"field": "position[0]", "bit": 64}, "allowed: 0 to 63"),
+        ({"field": "header.seq", "bit": 32}, "allowed: 0 to 31"),
+    ],
+)
+def test_faults_that_cannot_be_are_refused(fault, told):
+    with pytest.raises(BadInputError) as error:
+        MessageFault(**fault).check(DEFINITION)
+    assert told in str(error.value)
+
+
+def test_fields_are_given_to_the_topics_that_have_them():
+    first = {"/a": (DEFINITION, MESSAGE), "/b": (DEFINITION, MESSAGE)}
+    names = {t: [f.name for f in probe.spec.header] for t, probe in make_probes(first, ["/a:position[0]"]).items()}
+    assert names == {"/a": ["position[0]"]}
+    assert list(make_probes(first, ["position[0]"])) == ["/a", "/b"]
+    assert make_probes(first, [])["/b"].read(MESSAGE).header["position[0]"][0] == 0.5
+    assert make_probes(first, ["velocity[0]"])["/a"].read(MESSAGE) is None
+    for wanted, told in ((["/c:position[0]"], "not watched; allowed: /a, /b"), (["nothing"], "no member 'nothing'")):
+        with pytest.raises(BadInputError) as error:
+            make_probes(first, wanted)
+        assert told in str(error.value)
+
+
+def test_a_bag_that_is_none_is_refused(tmp_path):
+    path = tmp_path / "x.bag"
+    path.write_text("nothing")
+    with pytest.raises(BadInputError, match="is not a ROS 1 bag"):
+        list(read_bag(path, ["/a"]))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["ros", "list"],
+        ["ros", "corrupt", "--topic", "/a", "--field", "b"],
+        ["ros", "watch", "--topics", "/a"],
+        ["inject", "--ros-node", "/a"],
+    ],
+)
+def test_without_a_master_one_line_says_what_to_do(monkeypatch, capsys, arguments):
+    monkeypatch.setenv("ROS_MASTER_URI", "http://127.0.0.1:9")
+    assert run(arguments) == 2
+    err = capsys.readouterr().err
+    assert err == (
+        "mavfi: no ROS master at http://127.0.0.1:9: start one with `roscore`, or say in ROS_MASTER_URI where it is\n"
+    )
+
+
+def test_options_that_exclude_each_other_are_refused(capsys):
+    assert run(["inject"]) == 2 and "--pid, --ros-node: allowed: one of them" in capsys.readouterr().err
+    assert run(["inject", "--pid", str(os.getpid()), "--ros-node", "/a"]) == 2
+    assert run(["ros", "corrupt", "--topic", "/a", "--field", "b", "--once", "--rate", "0.5"]) == 2
+
+
+def test_the_master_is_looked_for_where_the_environment_says(monkeypatch):
+    monkeypatch.delenv("ROS_MASTER_URI", raising=False)
+    with pytest.raises(BadInputError, match="127.0.0.1:11311"):
+        Master()
