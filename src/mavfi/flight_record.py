@@ -79,6 +79,7 @@ class FlightRecord:
         compute_us: Modelled compute time by kernel (us), recomputations included.
         recompute_us: Modelled recomputation time by stage (us).
         publications: Number of publications by state.
+        acted_on: Of a golden run without a detector: publications by state that consumers act upon.
         rejected_commands: Commands that the flight controller did not accept.
         kernel: What the injected call did (level instruction); None at other levels.
         counts: Of a golden run at instruction level: by kernel, dynamic `instructions`, `calls`, and `lines`.
@@ -102,6 +103,7 @@ class FlightRecord:
     compute_us: Mapping[str, int] = field(default_factory=dict)
     recompute_us: Mapping[str, int] = field(default_factory=dict)
     publications: Mapping[str, int] = field(default_factory=dict)
+    acted_on: Mapping[str, int] = field(default_factory=dict)
     rejected_commands: int = 0
     kernel: KernelEffect | None = None
     counts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -166,8 +168,8 @@ def record_of(log: FlightLog) -> FlightRecord:
         meta.get("time_limit_s", 0.0), tuple(log.injections), tuple(kept_alarms(log.injections, log.alarms)),
         len(log.alarms), dict(Counter(f"{a.source}/{a.action}/{a.outcome}" for a in log.alarms)),
         dict(Counter(event.kind for event in log.events)), dict(meta.get("compute_us", {})),
-        dict(meta.get("recompute_us", {})), dict(meta.get("publications", {})), meta.get("rejected_commands", 0),
-        log.kernel,
+        dict(meta.get("recompute_us", {})), dict(meta.get("publications", {})), {},
+        meta.get("rejected_commands", 0), log.kernel,
     )  # fmt: skip
 
 

@@ -26,6 +26,7 @@ ARRIVAL_RADIUS = 2.0
 """Distance from the goal that counts as arrival (m)."""
 FLY_AWAY_MARGIN = 30.0
 """Distance outside of the arena that ends a flight (m)."""
+LARGEST_SEED = 2**63 - 1
 TIME_LIMIT_FACTOR = 4.5
 """Time limit / (course / v_max)."""
 
@@ -56,7 +57,7 @@ class MissionSpec(Config):
     model_config = ConfigDict(populate_by_name=True)
 
     environment: str = Field("sparse", description="Name, a YAML file, or a scanned map (.bt, .ot of OctoMap).")
-    seed: int = Field(0, ge=0, description="All randomness of the mission comes from it.")
+    seed: int = Field(0, ge=0, le=LARGEST_SEED, description="All randomness of the mission comes from it.")
     start: Vector | None = Field(None, description="m, instead of the environment's.")
     goal: Vector | None = Field(None, description="m, instead of the environment's.")
     autopilot: str = Field(

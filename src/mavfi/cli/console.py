@@ -11,10 +11,10 @@ import typer
 from rich.console import Console
 
 from mavfi.errors import BadInputError
+from mavfi.mission import LARGEST_SEED
 
 WIDE = 140
 """Columns where the output is no terminal: tables in a file are not folded."""
-LARGEST_SEED = 2**63 - 1
 JSON_HELP = "One JSON object instead of text."
 
 
@@ -33,7 +33,7 @@ def complain(text: str, code: int) -> int:
 
 def write_json(data: Any) -> None:
     """Write plain data to stdout as JSON; infinities and NaN become text."""
-    from mavfi.campaign.worker import plain
+    from mavfi.flight_record import plain
 
     typer.echo(json.dumps(plain(data), indent=2, allow_nan=False))
 

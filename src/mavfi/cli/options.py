@@ -1,32 +1,25 @@
-"""Options of `mavfi fly`, one type each: type, name and help."""
+"""Options that several verbs share.  Those of a mission are derived from `MissionSpec`: one option for each field."""
 
+import functools
+import inspect
+import math
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer
+from annotated_types import Ge, Le
+from pydantic import ValidationError
+from pydantic.fields import FieldInfo
 
-from mavfi.cli.console import JSON_HELP
+from mavfi.cli.console import JSON_HELP, LARGEST_SEED
+from mavfi.config import Vector
+from mavfi.errors import BadInputError
+from mavfi.mission import MissionSpec
 
-Environment = Annotated[str, typer.Option(help="Name, a YAML file, or a scanned map (.bt, .ot of OctoMap).")]
-Seed = Annotated[int, typer.Option(help="All randomness of the mission comes from it.")]
-Start = Annotated[
-    tuple[float, float, float] | None, typer.Option(metavar="X Y Z", help="m, instead of the environment's.")
-]
-Goal = Annotated[
-    tuple[float, float, float] | None, typer.Option(metavar="X Y Z", help="m, instead of the environment's.")
-]
-Stack = Annotated[str, typer.Option(help="published, hardened, or a YAML file.")]
-Planner = Annotated[str, typer.Option(help="rrt, rrt_connect, rrt_star, a YAML file, or package:Class.")]
-Platform = Annotated[str, typer.Option(help="Computer whose latencies are charged: a name, or a YAML file.")]
-MapKind = Annotated[
-    str, typer.Option("--map", help="Where the map keeps its log-odds: dense, octree, or package:Class.")
-]
-MapResolution = Annotated[float | None, typer.Option(help="Voxel edge, m; the environment's by default.")]
-Vehicle = Annotated[str | None, typer.Option(help="A name, or a YAML file; the environment's by default.")]
-VMax = Annotated[float | None, typer.Option(help="Speed limit, m/s; the environment's by default.")]
-DepthNoise = Annotated[float, typer.Option(help="Of the depth camera: standard deviation / range.")]
-Wind = Annotated[float, typer.Option(help="Amplitude of gusts, m/s.")]
-Localization = Annotated[str, typer.Option(help="truth, or estimator (from IMU and position fixes).")]
+_ALIASES = {"autopilot": ("--stack",)}
+"""Older names that still work."""
+
 Fault = Annotated[
     str | None,
     typer.Option(
@@ -45,3 +38,76 @@ Models = Annotated[Path | None, typer.Option(help="Folder of trained models; the
 AsJson = Annotated[bool, typer.Option("--json", help=JSON_HELP)]
 Save = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Write the whole record of the flight.")]
 Picture = Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the flight from above and from the side.")]
+
+
+def with_mission_options(verb: Callable[..., None]) -> Callable[..., None]:
+    """Give a verb one option for each field of `MissionSpec`.
+
+    Args:
+        verb: Its first parameter is the `MissionSpec`; the others are options of its own.
+
+    Returns:
+        The verb as typer takes it.  A value that is not allowed raises `BadInputError`, one line that names the option.
+    """
+
+    @functools.wraps(verb)
+    def wrapped(**given: Any) -> None:
+        mission = mission_of({name: given.pop(name) for name in MissionSpec.model_fields})
+        verb(mission, **given)
+
+    own = [
+        parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for parameter in list(inspect.signature(verb, eval_str=True).parameters.values())[1:]
+    ]
+    parameters = [_parameter(name, field) for name, field in MissionSpec.model_fields.items()] + own
+    wrapped.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    wrapped.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return wrapped
+
+
+def mission_of(given: Mapping[str, Any]) -> MissionSpec:
+    """The mission that options ask for.
+
+    Args:
+        given: Values by name of the field.
+
+    Raises:
+        BadInputError: A value is not allowed; the line names option, value and what is.
+    """
+    for name in ("start", "goal"):
+        point = given.get(name)
+        if point is not None and not all(map(math.isfinite, point)):
+            raise BadInputError(f"--{name}: {' '.join(map(str, point))}: allowed: three finite numbers (m)")
+    try:
+        return MissionSpec(**given)
+    except ValidationError as error:
+        found = error.errors()[0]
+        name = str(found["loc"][0])
+        name = "autopilot" if name == "stack" else name
+        raise BadInputError(f"{option_name(name)}: {found['input']}: allowed: {_allowed(name)}") from None
+
+
+def option_name(field: str) -> str:
+    """`--map-resolution` of `map_resolution`."""
+    return "--" + field.replace("_", "-")
+
+
+def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
+    kind: Any = field.annotation
+    kind = str if get_origin(kind) is Literal else kind
+    metavar = "X Y Z" if kind == Vector | None else None
+    option = typer.Option(option_name(name), *_ALIASES.get(name, ()), help=field.description, metavar=metavar)
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=Annotated[kind, option]
+    )
+
+
+def _allowed(name: str) -> str:
+    """What a field may be, in words."""
+    field = MissionSpec.model_fields[name]
+    if name == "seed":
+        return f"0 to {LARGEST_SEED}"
+    if get_origin(field.annotation) is Literal:
+        return ", ".join(get_args(field.annotation))
+    bounds = [bound.ge if isinstance(bound, Ge) else bound.le for bound in field.metadata if isinstance(bound, (Ge, Le))]
+    return " to ".join(f"{float(str(bound)):g}" for bound in bounds) or str(field.description)
