@@ -1,223 +1,350 @@
-"""What a campaign is: the YAML files of configs/campaigns."""
+"""What a campaign is: the YAML files of configs/campaigns, as models; and studies, which are sets of campaigns."""
 
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
-from mavfi.campaign.nodes.config import KIND, NodeCampaign
-from mavfi.campaign.scales import at_scale
-from mavfi.config import Config, config_root, load, read_yaml
+from mavfi.config import Config, config_root, load, parse
 from mavfi.errors import BadInputError
-from mavfi.faults.sampling import group_target, stage_target
+from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
 from mavfi.faults.strata import STRATA
-from mavfi.states import KERNEL_STAGES, MONITORED_SETS, PPC_STAGES
+from mavfi.mission import MissionSpec
+from mavfi.states import INJECTABLE, MONITORED_SETS, PLANNERS
 
 DESIGN_SEEDS = range(10_000)
-"""Seeds that the stacks were tuned on."""
-KERNELS = tuple(KERNEL_STAGES)
-"""Kernels that can be struck at instruction level."""
-PLANNER_KERNELS = ("rrt", "rrt_connect", "rrt_star")
-"""Those of which a mission flies one."""
+"""Seeds that the autopilot profiles were tuned on."""
 TRAINING_SEED = 1_000_000
 """First seed of the flights that detectors are trained on; no campaign flies these."""
+NULL_RUNS = 3
+"""Null runs per environment, where faults are in states and the campaign does not say."""
 
-
-class DetectorArm(Config):
-    """A detector with which every golden and every faulty flight is flown again."""
-
-    detector: str = Field(description="entry point of the group mavfi.detectors, or package:Class")
-    profile: Literal["paper", "tuned"] = "paper"
+_RENAMED = {
+    "law": "sampling.scheme", "strata": "sampling.strata", "groups": "sampling.groups", "sites": "sampling.sites",
+    "kernels": "sampling.kernels (with level: instruction)", "detectors": "arms", "flights": "missions",
+    **{name: f"mission.{'autopilot' if name == 'stack' else name}"
+       for name in ("stack", "platform", "planner", "map", "vehicle", "v_max")},
+    "kind": "host", "trials": "faults", "node": "node.name", "command": "node.command",
+}  # fmt: skip
+"""Keys of campaigns of schema 1, and where they went."""
 
 
 class SiteGroup(Config):
-    """Fields that are struck as one row of a table; one of them per fault, uniform."""
+    """Fields that are injected as one row of a table; one of them per fault, uniform."""
 
     name: str
     sites: tuple[str, ...] = Field(min_length=1, description="state.field")
     strata: dict[str, float] | None = Field(None, description="instead of the campaign's")
 
 
-class KernelFaults(Config):
-    """Faults in the instructions of kernels (law `kernels`)."""
+class StateSampling(Config):
+    """Faults in inter-kernel states: one bit of one field of one publication."""
 
-    names: tuple[str, ...] = Field(min_length=1, description="as in mavfi.pipeline.functions.STRUCK")
+    level: Literal["state"] = "state"
+    scheme: Literal["stage_balanced", "groups"] = Field(
+        "stage_balanced", description="`faults` for each stage (the paper's scheme), or for each of the groups"
+    )
+    sites: Literal["all", "monitored"] = Field("all", description="fields that stage_balanced draws from")
+    groups: tuple[SiteGroup, ...] = ()
+    strata: dict[str, float] = Field(
+        default_factory=lambda: {"sign_exponent": 2.0, "mantissa": 1.0}, description="shares of the faults by bit class"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "StateSampling":
+        if (self.scheme == "groups") != bool(self.groups):
+            raise ValueError(f"sampling.scheme: {self.scheme!r}: groups go with scheme groups, and only with it")
+        check_distinct("sampling.groups", [group.name for group in self.groups])
+        for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
+            _check_strata(strata)
+        return self
+
+
+class InstructionSampling(Config):
+    """Faults in instructions: the result of one dynamic instruction of a kernel."""
+
+    level: Literal["instruction"]
+    scheme: Literal["uniform", "stratified"] = Field(
+        "uniform", description="over dynamic instructions, or by value class and source line with weights"
+    )
+    kernels: tuple[str, ...] = Field(min_length=1, description="kernels; a planner by its own name")
     share: Literal["kernel", "stage"] = Field(
         "kernel", description="what `faults` counts: each kernel, or each stage, whose kernels share them equally"
     )
     which: str = Field("all", description="class of instructions, e.g. floating_point")
-    model: Literal["one_bit", "bits", "random", "zero"] = "one_bit"
-    restart_s: float = Field(0.57, ge=0, le=60, description="until a node that died answers again (s)")
-    sampling: Literal["uniform", "stratified"] = Field(
-        "uniform", description="over dynamic instructions, or by value class and source line with weights"
+    model: Model = Field("one_bit", description="what becomes of the value")
+    restart_s: float = Field(0.57, ge=0, le=60, description="until a node that died is there again (s)")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "InstructionSampling":
+        unknown = sorted(set(self.kernels) - set(INJECTABLE))
+        if unknown:
+            raise ValueError(f"sampling.kernels: {unknown[0]!r}: not known; allowed: {', '.join(INJECTABLE)}")
+        check_distinct("sampling.kernels", self.kernels)
+        return self
+
+
+class RegisterSampling(Config):
+    """Faults in registers of a live process (host node)."""
+
+    level: Literal["register"]
+    registers: tuple[Literal["general", "fp", "all"], ...] = Field(
+        ("general", "fp"), min_length=1, description="kinds of registers; `faults` for each"
     )
+    access: str = Field("either", description="a register that an instruction reads, or one that it has written")
+    symbol: str = Field("", description="stop at the next call of this function; a part of its name that no other has")
+    walk: int = Field(64, ge=1, le=LONGEST_WALK, description="instructions from the stop to the injection, at most")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "RegisterSampling":
+        if self.access not in ACCESSES:
+            raise ValueError(f"sampling.access: {self.access!r}: not known; allowed: {', '.join(ACCESSES)}")
+        check_distinct("sampling.registers", self.registers)
+        return self
+
+
+def _level_of(data: Any) -> str:
+    return str(data.get("level", "state") if isinstance(data, Mapping) else data.level)
+
+
+Sampling = Annotated[
+    Annotated[StateSampling, Tag("state")]
+    | Annotated[InstructionSampling, Tag("instruction")]
+    | Annotated[RegisterSampling, Tag("register")],
+    Discriminator(_level_of),
+]
+"""How faults are drawn; `level` says which model it is."""
+
+
+class ArmConfig(Config):
+    """What is compared: every mission is flown again, and every fault injected again, with these differences.
+
+    Beside the keys below an arm takes any key of a mission but `environment` and `seed`.
+    """
+
+    detector: str = Field("", description="entry point of the group mavfi.detectors, or package:Class")
+    profile: str = Field("paper", description="of the detector: paper or tuned")
+    mission: dict[str, Any] = Field(default_factory=dict, description="what differs; may stand beside the other keys")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gather(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        keys = [key for key in data if key in ("stack", *MissionSpec.model_fields)]
+        beside = {key: data[key] for key in keys}
+        rest = {key: value for key, value in data.items() if key not in keys}
+        return {**rest, "mission": mission_keys({**rest.get("mission", {}), **beside}, "arms")} if keys else rest
 
 
 class Scale(Config):
-    """How many flights."""
+    """Another size of a campaign."""
 
-    flights: int = Field(ge=1)
-    faults: int = Field(ge=1)
+    missions: int | None = Field(None, ge=1)
+    faults: int | None = Field(None, ge=1)
+
+
+class NodeInputs(Config):
+    """What a foreign node is sent, over and over."""
+
+    topic: str
+    type: str = Field(description="a standard type, e.g. sensor_msgs/JointState")
+    messages: tuple[dict[str, Any], ...] = Field(min_length=1, description="a header is stamped with the time of now")
+
+
+class NodeOutputs(Config):
+    """What the node answers: one message to each input."""
+
+    topic: str
+    ignore: tuple[str, ...] = Field(("seq", "stamp"), description="members that do not count, wherever they stand")
+
+
+class NodeConfig(Config):
+    """A foreign ROS node under test (host node)."""
+
+    name: str = Field(description="its name in the graph")
+    command: tuple[str, ...] = Field(min_length=1, description="starts it")
+    parameters: dict[str, Any] = Field(default_factory=dict, description="of the parameter server, set before")
+    inputs: NodeInputs
+    outputs: NodeOutputs
+    golden_runs: int = Field(3, ge=1)
+    cycles: int = Field(3, ge=1, description="how often all inputs are sent after the injection")
+    patience_s: float = Field(2.0, gt=0, le=60, description="without output for so long, the node hangs")
 
 
 class Campaign(Config):
     """A campaign as a user writes it.
 
-    `flights` missions per environment, from `first_seed` on.  `faults` faults per environment for each stage (law
-    `stage_balanced`), each group (law `groups`) or each kernel or stage (law `kernels`, as its key `share` says); fault
-    i strikes in mission i modulo `flights`.  `strata` are the shares of these faults by bit stratum; in kernels bits
-    are drawn uniformly.
+    `missions` per environment, with seeds from `first_seed` on.  `faults` per environment for each target of the
+    sampling scheme (stage, group, kernel, kind of registers); fault i is injected in mission i modulo `missions`.
     """
 
     name: str
+    host: str = Field("local", description="where missions are flown: local, ros1, node, or another entry point")
     environments: tuple[str, ...] = Field(min_length=1)
     first_seed: int = Field(10_000, ge=0)
-    flights: int = Field(30, ge=1)
-    faults: int = Field(30, ge=1)
+    missions: int = Field(30, ge=1, description="per environment")
+    faults: int = Field(30, ge=1, description="per environment and target")
     scales: dict[str, Scale] = Field(default_factory=dict, description="other sizes, by name")
-    law: Literal["stage_balanced", "groups", "kernels"] = "stage_balanced"
-    sites: Literal["all", "monitored"] = Field("all", description="fields that stage_balanced draws from")
-    monitored_set: str = "paper-13"
-    groups: tuple[SiteGroup, ...] = ()
-    kernels: KernelFaults | None = None
-    strata: dict[str, float] = Field(default_factory=lambda: {"sign_exponent": 2.0, "mantissa": 1.0})
-    null_runs: int = Field(3, ge=0, description="per environment; with each detector in turn")
-    stack: str = "published"
-    platform: str = "i9-9940x"
-    planner: str = "rrt_connect"
-    map: str = "dense"
-    vehicle: str | None = Field(None, description="name or path; None = the environment's")
-    v_max: float | None = Field(None, gt=0, description="m/s; None = the environment's")
-    detectors: dict[str, DetectorArm] = Field(default_factory=dict, description="by the name of the arm")
+    mission: dict[str, Any] = Field(default_factory=dict, description="keys of a mission, for all arms")
+    sampling: Sampling = Field(default_factory=StateSampling)
+    monitored_set: str = Field("paper-13", description="fields that count as watched")
+    null_runs: int | None = Field(None, ge=0, description="per environment; each arm in turn; default 3 for states")
+    arms: dict[str, ArmConfig] = Field(default_factory=dict, description="by name")
+    node: NodeConfig | None = Field(None, description="the node under test, with host node")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _renamed(cls, data: Any) -> Any:
+        if isinstance(data, dict):
+            for key in data:
+                if key in _RENAMED and key not in cls.model_fields:
+                    raise ValueError(f"key {key!r}: is now {_RENAMED[key]!r} (docs/generated/campaign-keys.md)")
+            if isinstance(data.get("mission"), dict):
+                data = {**data, "mission": mission_keys(data["mission"], "mission")}
+        return data
 
     @model_validator(mode="after")
     def _consistent(self) -> "Campaign":
-        flights = max([self.flights, *(scale.flights for scale in self.scales.values())])
-        if self.first_seed + flights > TRAINING_SEED:
+        missions = max([self.missions, *(scale.missions or 0 for scale in self.scales.values())])
+        if self.first_seed + missions > TRAINING_SEED:
             raise ValueError(
-                f"first_seed: {self.first_seed}, flights: {flights}: seeds from {TRAINING_SEED} on are for training"
+                f"first_seed: {self.first_seed}, missions: {missions}: seeds from {TRAINING_SEED} on are for training"
             )
-        if (self.law == "groups") != bool(self.groups):
-            raise ValueError(f"law: {self.law!r}: groups are given where, and only where, law is 'groups'")
-        _check_kernels(self)
         if self.monitored_set not in MONITORED_SETS:
             raise ValueError(f"monitored_set: {self.monitored_set!r}: not known; allowed: {', '.join(MONITORED_SETS)}")
-        _check_distinct("environments", self.environments)
-        _check_distinct("groups", [group.name for group in self.groups])
-        for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
-            _check_strata(strata)
-        _check_targets(self)
+        if (self.host == "node") != (self.node is not None):
+            raise ValueError(f"host: {self.host!r}: the key node goes with host node, and only with it")
+        check_distinct("environments", self.environments)
+        for name in self.arms:
+            if name in PLANNERS:
+                raise ValueError(f"arms: {name!r}: is the name of a planner; allowed: any other name")
+        from mavfi.campaign.samplers import sampler_for  # samplers read this model
+
+        try:
+            sampler_for(self)
+        except BadInputError as error:
+            raise ValueError(str(error)) from None
         return self
 
     def at_scale(self, name: str) -> "Campaign":
-        """The campaign at another size; see `mavfi.campaign.scales`."""
-        return at_scale(self, self.name, self.scales, name)
+        """The campaign at another size; "quick" is the one written at its top level.
+
+        Raises:
+            BadInputError: It has no such size.
+        """
+        if name == "quick":
+            return self
+        if name not in self.scales:
+            allowed = ", ".join(["quick", *self.scales])
+            raise BadInputError(f"campaign {self.name}: scale {name!r}: not known; allowed: {allowed}")
+        return self.model_copy(update=self.scales[name].model_dump(exclude_none=True))
 
     @property
     def seeds(self) -> range:
         """Seeds of the missions in each environment."""
-        return range(self.first_seed, self.first_seed + self.flights)
+        return range(self.first_seed, self.first_seed + self.missions)
+
+    @property
+    def nulls(self) -> int:
+        """Null runs per environment."""
+        if self.null_runs is not None:
+            return self.null_runs
+        return 0 if self.sampling.level == "instruction" else NULL_RUNS
 
     @property
     def on_design_seeds(self) -> bool:
-        """Whether a mission has one of the seeds that the stacks were tuned on: no figure for publication."""
+        """Whether a mission has one of the seeds that the autopilot profiles were tuned on: no published figure."""
         return self.first_seed < DESIGN_SEEDS.stop
+
+    def spec(self, environment: str, seed: int, overrides: Mapping[str, Any] | None = None) -> MissionSpec:
+        """The mission of an environment and seed, with what differs in an arm."""
+        given = {**self.mission, **(overrides or {}), "environment": environment, "seed": seed}
+        return parse(MissionSpec, given, f"campaign {self.name}")
 
     def key(self) -> str:
         """Hash that identifies the campaign."""
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; `kernels` is in it only where they are struck, and how they are sampled where not uniformly."""
-        data = self.model_dump(mode="json")
-        if self.kernels is None:
-            del data["kernels"]
-        elif self.kernels.sampling == "uniform":
-            del data["kernels"]["sampling"]
-        return data
+        """Plain data."""
+        return self.model_dump(mode="json")
 
 
-def _check_kernels(campaign: Campaign) -> None:
-    """What the law `kernels` needs, and what it excludes."""
-    if (campaign.law == "kernels") != (campaign.kernels is not None):
-        raise ValueError(f"law: {campaign.law!r}: kernels are given where, and only where, law is 'kernels'")
-    if campaign.kernels is None:
-        return
-    unknown = sorted(set(campaign.kernels.names) - set(KERNELS))
-    if unknown:
-        raise ValueError(f"kernels: {unknown[0]!r}: not known; allowed: {', '.join(KERNELS)}")
-    _check_distinct("kernels", campaign.kernels.names)
-    others = [name for name in campaign.kernels.names if name in PLANNER_KERNELS and name != campaign.planner]
-    if campaign.detectors and others:
-        raise ValueError(
-            f"kernels: {others[0]!r}: detectors are trained with one planner; allowed with detectors: kernels of "
-            f"missions with planner {campaign.planner!r}"
-        )
-    if campaign.null_runs:
-        raise ValueError(f"null_runs: {campaign.null_runs}; allowed: 0 where law is 'kernels' (nothing is drawn there)")
+class Study(Config):
+    """A set of campaigns, and the views that they feed."""
+
+    name: str
+    title: str = ""
+    training_flights: int = Field(100, ge=0, description="error-free flights that the detectors are trained on")
+    campaigns: dict[str, str] = Field(min_length=1, description="name or path of a campaign, by folder of its ledger")
+    views: tuple[str, ...] = Field((), description="views of the headline, `folder:view`")
 
 
-def _check_distinct(key: str, names: Sequence[str]) -> None:
+def mission_keys(given: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Keys and values of a mission, checked; `stack` becomes `autopilot`.
+
+    Raises:
+        ValueError: One of them is not a key of a mission, or its value is not allowed.
+    """
+    data = {("autopilot" if key == "stack" else key): value for key, value in given.items()}
+    for key in ("environment", "seed"):
+        if key in data:
+            raise ValueError(f"{where}.{key}: belongs to the campaign (environments, first_seed)")
+    try:
+        parsed = parse(MissionSpec, data, where)
+    except BadInputError as error:
+        raise ValueError(str(error)) from None
+    return parsed.model_dump(mode="json", include=set(data))
+
+
+def check_distinct(key: str, names: Sequence[str]) -> None:
+    """Refuse a name that stands twice.
+
+    Raises:
+        ValueError: One does.
+    """
     for name, count in Counter(names).items():
         if count > 1:
             raise ValueError(f"{key}: {name!r}: named {count} times; allowed: once")
 
 
-def _check_strata(strata: dict[str, float]) -> None:
+def _check_strata(strata: Mapping[str, float]) -> None:
     unknown = set(strata) - set(STRATA)
     if unknown:
-        raise ValueError(f"strata: {sorted(unknown)[0]!r}: not known; allowed: {', '.join(STRATA)}")
+        raise ValueError(f"sampling.strata: {sorted(unknown)[0]!r}: not known; allowed: {', '.join(STRATA)}")
     if not strata or not all(0 < share < float("inf") for share in strata.values()):
-        raise ValueError(f"strata: {strata}: need at least one name, and shares above 0")
-
-
-def _check_targets(campaign: Campaign) -> None:
-    """Every stratum must have bits in every target: checked when the file is read, not when the faults are drawn."""
-    monitored = campaign.monitored_set if campaign.sites == "monitored" else None
-    try:
-        for group in campaign.groups:
-            for stratum in group.strata or campaign.strata:
-                group_target(group.name, group.sites).within(stratum)
-        for stage in PPC_STAGES if campaign.law == "stage_balanced" else ():
-            for stratum in campaign.strata:
-                stage_target(stage, campaign.stack, monitored).within(stratum)
-    except BadInputError as error:
-        raise ValueError(str(error)) from None
+        raise ValueError(f"sampling.strata: {strata}: need at least one name, and shares above 0")
 
 
 def load_campaign(name: str | Path) -> Campaign:
-    """Read a campaign of flights: a path, or the name of a shipped one, e.g. "table1".
+    """Read a campaign: a path, or the name of a shipped one, e.g. "table1".
 
     Raises:
         BadInputError: There is no such file, or something in it is wrong.
     """
-    return load(Campaign, campaign_path(name))
+    return load(Campaign, config_path("campaigns", name))
 
 
-def load_any(name: str | Path) -> Campaign | NodeCampaign:
-    """The same, or a campaign on a ROS node: which one it is says the key `kind`.
+def load_study(name: str | Path) -> Study:
+    """Read a study: a path, or the name of a shipped one, e.g. "paper".
 
     Raises:
         BadInputError: There is no such file, or something in it is wrong.
     """
-    path = campaign_path(name)
-    kind = read_yaml(path).get("kind")
-    if kind is None:
-        return load(Campaign, path)
-    if kind != KIND:
-        raise BadInputError(f"{path}: key 'kind': {kind!r}: not known; allowed: {KIND}, or no such key: flights")
-    return load(NodeCampaign, path)
+    return load(Study, config_path("studies", name))
 
 
-def campaign_path(name: str | Path) -> Path:
-    """File of a campaign.
+def config_path(folder: str, name: str | Path) -> Path:
+    """File of a campaign or study.
 
     Args:
-        name: A path, or the name of a shipped campaign.
+        folder: "campaigns" or "studies".
+        name: A path, or the name of a shipped one.
 
     Raises:
         BadInputError: There is none of that name.
@@ -225,9 +352,12 @@ def campaign_path(name: str | Path) -> Path:
     path = Path(name)
     if path.suffix in (".yaml", ".yml"):
         return path
-    shipped = config_root() / "campaigns"
+    shipped = config_root() / folder
     path = shipped / f"{name}.yaml"
     if not path.is_file():
         allowed = ", ".join(sorted(file.stem for file in shipped.glob("*.yaml")))
-        raise BadInputError(f"campaign {str(name)!r}: not known; allowed: {allowed}, or a path to a .yaml file")
+        kind = {"campaigns": "campaign", "studies": "study"}[folder]
+        raise BadInputError(f"{kind} {str(name)!r}: not known; allowed: {allowed}, or a path to a .yaml file")
     return path
+
+

@@ -1,0 +1,121 @@
+"""What a host is: where missions are flown.  `local` is the deterministic one; `ros1`, `node` and entry points follow.
+
+A campaign, a command or a notebook asks a host for the flights of one mission; the host decides what it flies once for
+several of them.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from mavfi.detectors.detector import Detector
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import Fault
+from mavfi.flight_log import FlightLog, Profile
+from mavfi.mission import Scenario
+from mavfi.plugins import load_object
+
+GROUP = "mavfi.hosts"
+"""Entry points of this group are hosts: classes without arguments."""
+_SHIPPED = {
+    "local": "mavfi.hosts.local:LocalHost", "ros1": "mavfi.hosts.ros1.host:Ros1Host",
+    "node": "mavfi.hosts.node.host:NodeHost",
+}  # fmt: skip
+
+
+@dataclass(slots=True)
+class Flight:
+    """What a flight gives back.
+
+    Attributes:
+        log: The record.
+        profile: When which state was published, if it was asked for.
+        world: The world that was flown in; None = it is not known here.
+        pipeline: The kernels as they were at the end, for pictures and inspection.
+        extra: What this host adds to the record, as plain data.
+    """
+
+    log: FlightLog
+    profile: Profile | None = None
+    world: Any = None
+    pipeline: Mapping[str, Any] = field(default_factory=dict)
+    extra: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ArmSetup:
+    """What one arm of a mission flies with.
+
+    Attributes:
+        scenario: The mission.
+        make_detector: Gives the detector, ready to start; None = nothing watches.
+        coupling: "inline" or "observer".
+    """
+
+    scenario: Scenario
+    make_detector: Callable[[], Detector] | None = None
+    coupling: str = "inline"
+
+
+class MissionFlights(Protocol):
+    """The flights of one mission under several arms.  Flights without a detector come before those with one."""
+
+    def golden(self, arm: str, *, profile: bool = False) -> Flight:
+        """The error-free flight of an arm.
+
+        Args:
+            arm: Name.
+            profile: Whether to record when which state was published.
+        """
+
+    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
+        """The flights with a fault, each by its place in the list, in any order.
+
+        An exception of ours ends one flight, not the others.
+
+        Args:
+            runs: Arm and fault.
+        """
+
+
+class Host(Protocol):
+    """Where missions are flown.
+
+    Attributes:
+        name: As in configuration.
+        levels: Levels of faults that it can inject.
+        deterministic: Whether a flight is a pure function of its spec; one that is not never reports `masked`.
+    """
+
+    name: str
+    levels: frozenset[str]
+    deterministic: bool
+
+    def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> MissionFlights:
+        """Get ready for the flights of a mission; nothing is flown yet.
+
+        Args:
+            arms: By name.
+            fast_forward: Whether flights may begin at checkpoints of known ones, and end as these did, where that
+                gives the same bytes.
+        """
+
+
+def find_host(name: str) -> Host:
+    """A host by name.
+
+    Raises:
+        BadInputError: There is none of that name, or it cannot be imported.
+    """
+    host: Host = load_object("host", name, GROUP, _SHIPPED)()
+    return host
+
+
+def require_level(host: Host, level: str) -> None:
+    """Refuse a level of faults that a host cannot inject.
+
+    Raises:
+        BadInputError: It cannot.
+    """
+    if level not in host.levels:
+        raise BadInputError(f"host {host.name}: faults of level {level!r}: allowed: {', '.join(sorted(host.levels))}")
