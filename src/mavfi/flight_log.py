@@ -198,7 +198,10 @@ class FlightLog:
         return sum(event.kind == kind for event in self.events)
 
     def save(self, path: Path) -> None:
-        """Write an .npz file.
+        """Write an .npz file: one array for each of `COLUMNS`, by its name, and `record`, all else as JSON text.
+
+        `np.load(path)["x"]` is thus the x coordinate at each control tick, and `json.loads(str(file["record"]))` has
+        status, events, injections, alarms and meta.
 
         Raises:
             BadInputError: The place cannot be written.
@@ -208,10 +211,11 @@ class FlightLog:
             "events": [[e.time_us, e.kind, e.data] for e in self.events],
             "injections": [injection.to_json() for injection in self.injections],
             "alarms": [alarm.to_json() for alarm in self.alarms], "meta": self.meta,
-            "kernel": None if self.kernel is None else asdict(self.kernel), "columns": list(COLUMNS),
+            "kernel": None if self.kernel is None else asdict(self.kernel),
         }  # fmt: skip
         buffer = io.BytesIO()
-        np.savez_compressed(buffer, rows=self.rows, record=np.frombuffer(json.dumps(data).encode(), np.uint8))
+        columns: dict[str, Any] = dict(zip(COLUMNS, self.rows.T, strict=True))
+        np.savez_compressed(buffer, **columns, record=np.array(json.dumps(data)))
         try:
             path.write_bytes(buffer.getvalue())
         except OSError as error:
@@ -226,7 +230,7 @@ class FlightLog:
         """
         try:
             with np.load(io.BytesIO(path.read_bytes())) as archive:
-                rows, data = archive["rows"], json.loads(archive["record"].tobytes())
+                rows, data = np.column_stack([archive[name] for name in COLUMNS]), json.loads(str(archive["record"]))
             events = [Event(*event) for event in data["events"]]
             kernel = data["kernel"]
             return FlightLog(

@@ -15,6 +15,7 @@ from mavfi.mission import LARGEST_SEED
 
 WIDE = 140
 """Columns where the output is no terminal: tables in a file are not folded."""
+PICTURES = (".png", ".svg", ".pdf")
 JSON_HELP = "One JSON object instead of text."
 
 
@@ -84,6 +85,17 @@ def check_writable(path: Path | None) -> None:
             path.unlink()
     except OSError as error:
         raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
+
+
+def check_picture(path: Path | None) -> None:
+    """Refuse a picture of an unknown format, or one that could not be written.
+
+    Raises:
+        BadInputError: One line that names the file.
+    """
+    if path is not None and path.suffix.lower() not in PICTURES:
+        raise BadInputError(f"--picture: {path}: allowed endings: {', '.join(PICTURES)}")
+    check_writable(path)
 
 
 def check_folder(folder: Path) -> None:

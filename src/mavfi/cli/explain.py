@@ -4,30 +4,35 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
-from mavfi.cli.console import JSON_HELP, console, write_json
+from mavfi.cli.console import JSON_HELP, check_picture, console, write_json
 
 
 def explain(
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
     run_id: Annotated[str, typer.Argument(metavar="RUN_ID", help="The run, or an unambiguous beginning of its id.")],
+    picture: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Draw both flights: injection, alarms, where they part.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
 ) -> None:
-    """Fly a run and its golden twin again, and tell what the fault did: to values, to the path, to the mission.
+    """Fly a run and its golden run again, and explain what the fault did: to values, to the path, to the mission.
 
-    Example: [bold]mavfi explain out/reproduce dense-10007-fi-planning-3[/bold]
+    Example: [bold]mavfi explain out/reproduce dense-10000-fi-planning-0[/bold]
     """
-    from mavfi.reports.explain import explain as explain_run
-    from mavfi.reports.explain import lines, to_json
+    check_picture(picture)
+    from mavfi.campaign.explanation import explain as fly_both
+    from mavfi.cli.flight_text import story_table
+    from mavfi.reports.explain import detector_name, lines, to_json
+    from mavfi.reports.picture import draw_flight
 
-    found = explain_run(directory, run_id)
+    found = fly_both(directory, run_id)
+    if picture is not None:
+        draw_flight(picture, found.flight, found.golden, detector=detector_name(found.spec))
     if as_json:
         write_json(to_json(found))
         return
-    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column(style="bold")
-    table.add_column(overflow="fold")
-    for heading, sentence in lines(found):
-        table.add_row(heading, sentence)
-    console().print(table)
+    out = console()
+    out.print(story_table(lines(found)))
+    if picture is not None:
+        out.print(f"wrote {picture}", style="dim", markup=False)

@@ -1,6 +1,8 @@
 """One flight as text for people."""
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Group, RenderableType
@@ -8,110 +10,104 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from mavfi.cli.flown import Flown, outcome, replans, to_json
+from mavfi.faults.fault import StateFault
 from mavfi.faults.strata import bit_class
 from mavfi.mission import MissionStatus
-from mavfi.outcomes import Outcome
-from mavfi.reports.change import change
-from mavfi.reports.kernel_story import kernel_story
+from mavfi.outcomes import Effect
+from mavfi.qof import QoF, quality_of
+from mavfi.reports.explain import alarm_lines, injection_lines
 from mavfi.states import STATES
 
+if TYPE_CHECKING:
+    from mavfi.reports.flight_result import FlightResult
+
 _MEANING = {
-    Outcome.MASKED.label: "bit for bit the golden flight",
-    Outcome.SDC.label: "another flight than the golden one",
-    Outcome.UNKNOWN.label: Outcome.UNKNOWN.value,
+    Effect.MASKED: "bit for bit the golden run",
+    Effect.SDC: "another flight than the golden run",
+    Effect.UNKNOWN: Effect.UNKNOWN.value,
 }
 MOST_ALARMS = 6
 """Alarms that are shown one by one."""
+_FIGURES = (
+    ("flight time", "flight_time_s", 1.0, "s"),
+    ("energy", "energy_j", 1e-3, "kJ"),
+    ("distance", "distance_m", 1.0, "m"),
+)
 
 
-def panel(flown: Flown) -> Panel:
-    """The flight in a frame: how it ended, its figures, the fault, the alarms, the digest."""
-    data = to_json(flown)
-    success = flown.flight.log.status is MissionStatus.SUCCESS
+def panel(result: FlightResult) -> Panel:
+    """The flight in a frame: how it ended, its figures, the fault, the alarms, the digest; no name is cut."""
+    scenario, success = result.scenario, result.status is MissionStatus.SUCCESS
     colour = "green" if success else "red"
-    head = Text.assemble((f"{'✓' if success else '✗'} {flown.flight.log.status.value}", f"bold {colour}"))
-    parts: list[RenderableType] = [head, Text(), _figures(flown, data)]
-    parts += [part for part in (_fault(flown, data), _alarms(data)) if part is not None]
-    parts += [Text(), Text(f"digest {data['digest'][:16]}…", style="dim")]
-    watched = f" · detector {flown.detector}" if flown.detector else ""
-    title = f"[bold]{data['environment']}[/bold] · seed {data['seed']} · stack [bold]{data['stack']}[/bold]{watched}"
-    below = f"{data['platform']} · {data['planner']} · {data['v_max']:g} m/s"
-    return Panel(
-        Group(*parts), title=title, subtitle=f"[dim]{below}[/dim]", box=box.ROUNDED, border_style=colour,
-        padding=(1, 2), expand=False, title_align="left", subtitle_align="right",
+    watched = f" · detector {result.detector}" if result.detector else ""
+    title = Text.assemble(
+        (scenario.environment.name, "bold"), f" · seed {scenario.seed} · autopilot ", (scenario.stack.name, "bold"),
+        watched,
     )  # fmt: skip
+    below = f"{scenario.platform.name} · {scenario.planner.name} · {scenario.v_max:g} m/s"
+    parts: list[RenderableType] = [
+        title, Text(below, style="dim"), Text(),
+        Text(f"{'✓' if success else '✗'} {result.status.value}", style=f"bold {colour}"), Text(), _figures(result),
+        *_fault(result), *_alarms(result), Text(), Text(f"digest {result.record.digest[:16]}…", style="dim"),
+    ]  # fmt: skip
+    return Panel(Group(*parts), box=box.ROUNDED, border_style=colour, padding=(0, 2), expand=False)
 
 
-def _figures(flown: Flown, data: dict[str, Any]) -> Table:
-    golden = data["golden"]
+def _figures(result: FlightResult) -> Table:
+    golden = result.golden_record
     table = Table(box=None, pad_edge=False, padding=(0, 3, 0, 0), show_header=golden is not None)
-    for heading in ("", "this flight", "golden", "difference"):
+    for heading in ("", "this flight", "golden run", "difference"):
         table.add_column(heading, justify="left" if not heading else "right", header_style="dim")
-    rows = (
-        ("flight time", "flight_time_s", 1.0, " s"),
-        ("energy", "energy_j", 1e-3, " kJ"),
-        ("distance", "distance_m", 1.0, " m"),
-    )
-    for label, key, scale, unit in rows:
-        beside = () if golden is None else (f"{golden[key] * scale:.1f}{unit}", _relative(data[key], golden[key]))
-        table.add_row(label, f"{data[key] * scale:.1f}{unit}", *beside)
-    if data["wind"] > 0.0:
-        table.add_row("wind gusts", f"{data['wind']:g} m/s")
-    if data["localization"] != "truth":
-        table.add_row("localization", data["localization"])
-    ours = replans(flown.flight)
-    if flown.golden is None:
-        table.add_row("replans", str(ours))
-    else:
-        table.add_row("replans", str(ours), str(replans(flown.golden)), f"{ours - replans(flown.golden):+d}")
-    table.add_row("[dim]course[/dim]", f"[dim]{data['course_m']:.1f} m[/dim]")
-    table.add_row("[dim]time limit[/dim]", f"[dim]{data['time_limit_s']:.1f} s[/dim]")
+    qualities: list[QoF] = [quality_of(record) for record in (result.record, golden) if record is not None]
+    for label, name, scale, unit in _FIGURES:
+        values = [float(getattr(quality, name)) for quality in qualities]
+        relative = [f"{100 * (values[0] / values[1] - 1):+.1f} %"] if len(values) == 2 and values[1] > 0 else []
+        table.add_row(label, *(f"{scale * value:.1f} {unit}" for value in values), *relative)
+    scenario, record = result.scenario, result.record
+    if scenario.wind.gust > 0.0:
+        table.add_row("wind gusts", f"{scenario.wind.gust:g} m/s")
+    if scenario.localization.kind != "truth":
+        table.add_row("localization", scenario.localization.kind)
+    beside = [] if golden is None else [str(golden.replans), f"{record.replans - golden.replans:+d}"]
+    table.add_row("replans", str(record.replans), *beside)
+    table.add_row("course", f"{record.course_m:.1f} m", style="dim")
+    table.add_row("time limit", f"{record.time_limit_s:.1f} s", style="dim")
     return table
 
 
-def _relative(value: float, beside: float) -> str:
-    return f"{100 * (value / beside - 1):+.1f} %" if beside > 0 else ""
+def _fault(result: FlightResult) -> list[RenderableType]:
+    """The fault, and what it did; nothing for a golden flight."""
+    fault, effect = result.fault, result.effect
+    if fault is None or effect is None:
+        return []
+    story = []
+    for injection in result.log.injections:
+        story += injection_lines(injection, fault, result.log.kernel)
+        if injection.activated and injection.bit is not None:
+            kind = fault.stratum or _bit_class(fault, injection.bit)
+            story += [("bit", f"{injection.bit} ({kind})")] if kind else []
+    return [Text(), story_table([*story, ("effect", f"{effect.label}: {_MEANING.get(effect, effect.value)}")])]
 
 
-def _fault(flown: Flown, data: dict[str, Any]) -> RenderableType | None:
-    if flown.fault is None:
-        return None
-    lines = [Text()]
-    for injection in data["injections"]:
-        place = Text.assemble(("fault  ", "bold"), (injection["site"], "cyan"))
-        if not injection["hit"]:
-            lines.append(place.append("  not hit: no such publication came", style="yellow"))
-            continue
-        bit = f"bit {injection['bit']} ({_class(flown)})"
-        if injection["bit"] is None:
-            bit = injection.get("model", "empty mask")
-        lines.append(place.append(f"  {bit}  at {injection['time_s']:.3f} s"))
-        lines += [Text(f"       {sentence}") for _, sentence in kernel_story(injection, data.get("kernel_outcome"))]
-        lines.append(Text(f"       {' → '.join(change(injection['before'], injection['after']))}"))
-    verdict = outcome(flown)
-    lines.append(Text.assemble("       ", (f"{verdict}: ", "bold"), (_MEANING[verdict or ""], "dim")))
-    return Group(*lines)
-
-
-def _class(flown: Flown) -> str:
-    if flown.fault is None or flown.fault.bit is None:
+def _bit_class(fault: object, bit: int) -> str:
+    """What a bit of a state's field means; "" at other levels."""
+    if not isinstance(fault, StateFault):
         return ""
-    if flown.fault.instruction is not None:
-        return flown.fault.stratum
-    return bit_class(STATES[flown.fault.site.state].find(flown.fault.site.field), flown.fault.bit)
+    return bit_class(STATES[fault.where.state].find(fault.where.field), bit)
 
 
-def _alarms(data: dict[str, Any]) -> RenderableType | None:
-    alarms = data["alarms"]
-    if not alarms:
-        return Text("\nno alarm", style="dim") if data["detector"] else None
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0), header_style="dim")
-    for heading in ("alarm", "stage", "score", "fields", "action", "outcome"):
-        table.add_column(heading, justify="right" if heading == "score" else "left")
-    for alarm in alarms[:MOST_ALARMS]:
-        fields = ", ".join(alarm["fields"][:2]) + (" …" if len(alarm["fields"]) > 2 else "")
-        time, score = f"{alarm['time_s']:.3f} s", f"{float(alarm['score']):.3g}"
-        table.add_row(time, alarm["stage"], score, fields, alarm["action"], alarm["outcome"])
-    more = len(alarms) - MOST_ALARMS
-    return Group(Text(), table, *([Text(f"and {more} more", style="dim")] if more > 0 else []))
+def _alarms(result: FlightResult) -> list[RenderableType]:
+    if not result.log.alarms:
+        return [Text("\nno alarm", style="dim")] if result.detector else []
+    golden = None if result.golden is None else result.golden.log
+    return [Text(), story_table(alarm_lines(result.log, golden, MOST_ALARMS))]
+
+
+def story_table(story: list[tuple[str, str]]) -> Table:
+    """Headings and sentences in two columns; data is never read as markup."""
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for heading, sentence in story:
+        table.add_row(Text(heading, style="bold"), Text(sentence))
+    return table

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.text import Text
 
 from mavfi.cli.console import JSON_HELP, console, write_json
 
@@ -15,27 +16,30 @@ def replay(
 ) -> None:
     """Fly a run again from its spec, and say whether the digest is the same.
 
-    Example: [bold]mavfi replay out/states sparse-10003-golden[/bold]
+    Example: [bold]mavfi replay out/reproduce sparse-10003-golden[/bold]
     """
     from mavfi.campaign.replay import replay as fly_again
 
     found = fly_again(directory, run_id)
-    spec, record = found.run.spec, found.run.record or {}
+    log, stored = found.flight.log, found.run.record
+    injections = () if stored is None else stored.injections
+    replayable = all(injection.details.get("replayable", True) for injection in injections)
     if as_json:
         write_json({
-            "run_id": spec.run_id, "same": found.same, "digest": found.digest, "stored_digest": record.get("digest"),
-            "status": found.flight.log.status.label, "stored_status": record.get("status"),
-            "replayable": all(injection.get("replayable", True) for injection in record.get("injections", ())),
-            "flight_time_s": float(found.flight.log.column("time")[-1]),
+            "run_id": found.run.spec.run_id, "same": found.same, "digest": found.digest,
+            "stored_digest": None if stored is None else stored.digest, "status": log.status.label,
+            "stored_status": None if stored is None else stored.status, "replayable": replayable,
+            "flight_time_s": float(log.column("time")[-1]),
         })  # fmt: skip
         return
     out = console()
-    out.print(f"[bold]{spec.run_id}[/bold]: {found.flight.log.status.value}")
+    out.print(Text.assemble((found.run.spec.run_id, "bold"), f": {log.status.value}"))
     if found.same:
-        out.print(f"[green]✓[/green] the same flight, bit for bit: {found.digest}")
+        out.print(Text.assemble(("✓", "green"), f" the same flight, bit for bit: {found.digest}"))
         return
-    out.print(f"[yellow]✗ another flight:[/yellow] {found.digest}\n  stored:         {record.get('digest', 'none')}")
-    if not all(injection.get("replayable", True) for injection in record.get("injections", ())):
-        out.print("[dim]Not replayable: an address or a branch was struck, and addresses could not be fixed.[/dim]")
-        return
-    out.print("[dim]Bits are the same only with the same lock file, on x86-64 Linux.[/dim]")
+    out.print(Text.assemble(("✗ another flight:", "yellow"), f" {found.digest}"))
+    out.print(f"  stored:         {'none' if stored is None else stored.digest}", markup=False)
+    why = "Bits are the same only with the same lock file, on x86-64 Linux."
+    if not replayable:
+        why = "Not replayable: the fault was in an address or a branch, and addresses could not be fixed."
+    out.print(Text(why, style="dim"))

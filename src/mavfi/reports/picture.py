@@ -1,8 +1,10 @@
-"""A picture of one flight, from above and from the side: obstacles, what the map knew, the paths, the fault."""
+"""A picture of one flight, from above and from the side: obstacles, what the map knew, the paths, fault and alarms."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib.patheffects as effects
 import numpy as np
@@ -13,12 +15,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 from scipy.spatial import cKDTree
 
-from mavfi.hosts.inprocess import Flight
 from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus
 from mavfi.reports import style
 from mavfi.reports.change import change
-from mavfi.sim.environments import World
+from mavfi.reports.explain import around
+
+if TYPE_CHECKING:
+    from mavfi.hosts.host import Flight
+    from mavfi.sim.environments import World
 
 NEAR = 3.0
 """The side view shows what lies about within this distance of the flown path, as seen from above (m)."""
@@ -28,6 +33,7 @@ _WIDTH = 11.0
 _SIDE_STRETCH = 1.6
 """Heights in the side view are drawn larger by this factor."""
 _SOLID, _EDGE, _MAP = "#D4D4D4", "#A8A8A8", "#3B3B3B"
+_DARK_EDGE = {"markeredgecolor": style.INK, "markeredgewidth": 0.8}
 _HALO = [effects.withStroke(linewidth=5.0, foreground="white")]
 
 
@@ -40,14 +46,17 @@ class _Course:
     line: dict[str, Any]
 
 
-def draw_flight(path: Path, flight: Flight, golden: Flight | None = None, recovered: Flight | None = None) -> Path:
-    """Draw a flight; beside it, if given, its golden twin, and the same fault with a detector on.
+def draw_flight(
+    path: Path, flight: Flight, golden: Flight | None = None, recovered: Flight | None = None, *, detector: str = ""
+) -> Path:
+    """Draw a flight; beside it, if given, its golden run, and the same fault with a detector on.
 
     Args:
         path: File to write: .png, .svg or .pdf.
         flight: The flight; its map is drawn too.
-        golden: The error-free twin.
+        golden: The golden run.
         recovered: The flight with the same fault, watched by a detector.
+        detector: Name of what watches `recovered`, or, where there is none, `flight`; "" = nothing.
 
     Returns:
         The file.
@@ -55,7 +64,7 @@ def draw_flight(path: Path, flight: Flight, golden: Flight | None = None, recove
     Raises:
         BadInputError: The place cannot be written.
     """
-    courses = _courses(flight, golden, recovered)
+    courses = _courses(flight, golden, recovered, detector)
     with style.house_style():
         lower, upper = _limits(flight.world, courses)
         figure, above, side = _axes(lower, upper)
@@ -64,7 +73,7 @@ def draw_flight(path: Path, flight: Flight, golden: Flight | None = None, recove
         for axes, index in ((above, 1), (side, 2)):
             for course in courses:
                 axes.plot(course.points[:, 0], course.points[:, index], **course.line)
-        marks = _draw_marks(above, side, flight)
+        marks = _draw_marks((above, side), _alarm_marks(recovered or flight) + _marks(flight))
         _label(figure, above, side, flight, golden)
         _legend(figure, courses, marks, known, flight.world)
         for axes, index in ((above, 1), (side, 2)):
@@ -73,19 +82,20 @@ def draw_flight(path: Path, flight: Flight, golden: Flight | None = None, recove
         return style.write(figure, path)
 
 
-def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None) -> list[_Course]:
+def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None, detector: str) -> list[_Course]:
     courses = []
     if golden is not None:
         line = {"color": style.BLUE, "linewidth": 1.2, "zorder": 6}
-        courses.append(_Course("golden", _positions(golden), line))
-    alone = golden is None
-    label = "flight" if alone else "with the fault"
-    look = {"color": style.BLUE, "linewidth": 2.6} if alone else {"color": style.ORANGE, "linewidth": 3.6}
-    line = look | {"zorder": 5, "path_effects": _HALO}
-    courses.append(_Course(label, _positions(flight), line))
+        courses.append(_Course("golden run", _positions(golden), line))
+    injected = bool(flight.log.injections)
+    watched = "" if recovered is not None or not detector else f"detector {detector}"
+    label = " and ".join(part for part in ("with the fault" if injected else "", watched) if part) or "flight"
+    look = {"color": style.ORANGE, "linewidth": 3.6} if injected else {"color": style.BLUE, "linewidth": 2.6}
+    courses.append(_Course(label, _positions(flight), look | {"zorder": 5, "path_effects": _HALO}))
     if recovered is not None:
         line = {"color": style.GREEN, "linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 7}
-        courses.append(_Course("with fault and detector", _positions(recovered), line))
+        name = f"detector {detector}" if detector else "detector"
+        courses.append(_Course(f"with the fault and {name}", _positions(recovered), line))
     return courses
 
 
@@ -209,46 +219,73 @@ def _distance(points: np.ndarray, course: np.ndarray) -> np.ndarray:
     return found
 
 
-def _draw_marks(above: Axes, side: Axes, flight: Flight) -> list[Line2D]:
-    """Start, goal, fault, and where a failed flight ended; answers what the legend says of them."""
-    time = flight.log.column("time")
-    points = flight.log.columns("x", "y", "z")
-    plain: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white", "markeredgewidth": 1.0}
-    marks: list[tuple[np.ndarray, str, dict[str, Any]]] = [
-        (flight.world.start, "start", {"marker": "o", "markersize": 9, "color": style.INK}),
-        (flight.world.goal, "goal", {"marker": "s", "markersize": 9, "color": style.INK}),
+@dataclass(frozen=True, slots=True)
+class _Mark:
+    """Points of one kind. `points`: shape (n, 3), finite."""
+
+    label: str
+    points: np.ndarray
+    look: dict[str, Any]
+
+
+def _marks(flight: Flight) -> list[_Mark]:
+    """Start, goal, injections, and where a failed flight ended."""
+    log, world = flight.log, flight.world
+    marks = [
+        _Mark("start", world.start[None], {"marker": "o", "markersize": 9, "color": style.INK}),
+        _Mark("goal", world.goal[None], {"marker": "s", "markersize": 9, "color": style.INK}),
     ]
-    for injection in flight.log.injections:
-        if injection["hit"]:
-            row = min(int(np.searchsorted(time, injection["time_s"])), len(time) - 1)
-            marks.append((points[row], "fault strikes", {"marker": "*", "markersize": 17, "color": style.AMBER}))
-    if flight.log.status is not MissionStatus.SUCCESS:
-        finite = points[np.isfinite(points).all(axis=1)]
-        label = flight.log.status.label.replace("_", " ")
-        marks.append((finite[-1], label, {"marker": "X", "markersize": 11, "color": style.ORANGE}))
+    times = [injection.time_s for injection in log.injections if injection.activated]
+    if times:
+        look = {"marker": "*", "markersize": 17, "color": style.AMBER, **_DARK_EDGE}
+        marks.append(_Mark("injection", _places(flight, times), look))
+    if log.status is not MissionStatus.SUCCESS:
+        look = {"marker": "X", "markersize": 11, "color": style.ORANGE}
+        marks.append(_Mark(log.status.label.replace("_", " "), _positions(flight)[-1:], look))
+    return marks
+
+
+def _alarm_marks(flight: Flight) -> list[_Mark]:
+    """Alarms: filled within a second of the injection, hollow elsewhere."""
+    near, others = ([alarm.time_s for alarm in alarms] for alarms in around(flight.log))
+    kinds = (("other alarm" if near else "alarm", others, "white"), ("alarm at the injection", near, style.PURPLE))
+    look = {"marker": "v", "markersize": 9, **_DARK_EDGE}
+    return [_Mark(label, _places(flight, times), look | {"color": fill}) for label, times, fill in kinds if times]
+
+
+def _places(flight: Flight, times: list[float]) -> np.ndarray:
+    """Where the vehicle was. Shape (n, 3), finite."""
+    rows = np.minimum(np.searchsorted(flight.log.column("time"), times), len(flight.log.rows) - 1)
+    points = flight.log.columns("x", "y", "z")[rows]
+    kept: np.ndarray = points[np.isfinite(points).all(axis=1)]
+    return kept
+
+
+def _draw_marks(views: tuple[Axes, Axes], marks: list[_Mark]) -> list[Line2D]:
+    """Draw marks in both views; answers what the legend says of them."""
     handles = []
-    for point, label, look in marks:
-        edge = plain | ({"markeredgecolor": style.INK, "markeredgewidth": 0.8} if look["marker"] == "*" else {})
-        for axes, index in ((above, 1), (side, 2)):
-            axes.plot(point[0], point[index], zorder=9, clip_on=False, **edge, **look)
-        handles.append(Line2D([], [], label=label, **edge, **{**look, "markersize": 0.7 * look["markersize"] + 1.5}))
+    for mark in marks:
+        look = {"linestyle": "", "markeredgecolor": "white", "markeredgewidth": 1.0} | mark.look
+        for axes, index in zip(views, (1, 2), strict=True):
+            axes.plot(mark.points[:, 0], mark.points[:, index], zorder=9, clip_on=False, **look)
+        handles.append(Line2D([], [], label=mark.label, **{**look, "markersize": 0.7 * look["markersize"] + 1.5}))
     return handles
 
 
 def _label(figure: Figure, above: Axes, side: Axes, flight: Flight, golden: Flight | None) -> None:
     scenario = flight.log.meta["scenario"]
     height = figure.get_figheight()
-    title = f"{scenario['environment']['name']} · seed {scenario['seed']} · stack {scenario['stack']['name']}"
+    title = f"{scenario['environment']['name']} · seed {scenario['seed']} · autopilot {scenario['stack']['name']}"
     figure.text(0.6 / _WIDTH, 1 - 0.24 / height, title, fontsize=12.5, fontweight="bold", va="center")
-    told = f"{flight.log.column('time')[-1]:.1f} s"
+    below = f"{flight.log.column('time')[-1]:.1f} s"
     if golden is not None:
-        told += f" (golden {golden.log.column('time')[-1]:.1f} s)"
+        below += f" (golden run {golden.log.column('time')[-1]:.1f} s)"
     for injection in flight.log.injections:
-        if injection["hit"] and injection["bit"] is not None:
-            before, after = change(injection["before"], injection["after"], digits=4)
-            struck = f"{injection['site']}, bit {injection['bit']} at {injection['time_s']:.2f} s: {before} → {after}"
-            told = f"{struck}   ·   {told}"
-    figure.text(0.6 / _WIDTH, 1 - 0.49 / height, told, va="center", color=style.GREY)
+        if injection.activated and injection.bit is not None:
+            before, after = change(injection.before, injection.after, digits=4)
+            what = f"{injection.site}, bit {injection.bit} at {injection.time_s:.2f} s: {before} → {after}"
+            below = f"{what}   ·   {below}"
+    figure.text(0.6 / _WIDTH, 1 - 0.49 / height, below, va="center", color=style.GREY)
     above.set_ylabel("y (m)")
     side.set_ylabel("z (m)")
     side.set_xlabel("x (m)")

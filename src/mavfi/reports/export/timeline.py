@@ -16,8 +16,8 @@ from mavfi.numerics.rotations import rotation_matrix
 from mavfi.sim.environments.world import World
 
 MAP, VEHICLE = "map", "base_link"
-FIRST_STAMP_NS = 1_000_000_000
-"""Stamp of the start of the mission: a stamp of 0 means "not set" in ROS."""
+FIRST_STAMP_NS = 1
+"""Stamp of the start of the mission: a stamp of 0 means "not set" in ROS, and bags refuse it."""
 INFO, WARN, ERROR = "info", "warn", "error"
 _OBSTACLE = {"r": 0.55, "g": 0.57, "b": 0.62, "a": 0.9}
 _GOAL = {"r": 0.0, "g": 0.45, "b": 0.7, "a": 0.9}
@@ -44,8 +44,8 @@ class Message:
 
 
 def stamp_ns(time_s: float) -> int:
-    """Stamp of an instant of the flight (ns)."""
-    return FIRST_STAMP_NS + round(1e9 * time_s)
+    """Stamp of an instant of the flight (ns): the flight's own time, whole microseconds."""
+    return max(FIRST_STAMP_NS, 1000 * round(1e6 * time_s))
 
 
 def _header(time_ns: int, frame: str) -> dict[str, Any]:
@@ -148,8 +148,8 @@ def _voxels(world: World, header: dict[str, Any]) -> dict[str, Any]:
 def _lines(log: FlightLog) -> Iterator[Message]:
     """Events, alarms, injections and the end, as log lines, in order of time."""
     lines = [(event.time_us / 1e6, INFO, "event", f"{event.kind} {_pairs(event.data)}") for event in log.events]
-    lines += [(alarm["time_s"], WARN, "alarm", _pairs(alarm)) for alarm in log.alarms]
-    lines += [(hit["time_s"], ERROR, "injection", _pairs(hit)) for hit in log.injections]
+    lines += [(alarm.time_s, WARN, "alarm", _pairs(alarm.to_json())) for alarm in log.alarms]
+    lines += [(item.time_s, ERROR, "injection", _pairs(item.to_json())) for item in log.injections]
     lines.append((float(log.column("time")[-1]), INFO, "mission", f"{log.status.label}: {log.status.value}"))
     for time_s, level, name, text in sorted(lines, key=lambda line: line[0]):
         if not math.isfinite(time_s):

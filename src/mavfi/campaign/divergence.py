@@ -1,0 +1,177 @@
+"""How an injected flight differs from its golden run: in what is published, and in the path."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mavfi.flight_log import FlightLog
+from mavfi.states import State
+
+LEFT = 0.1
+"""Distance from the golden run's path from which a flight counts as having left it (m)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Publication:
+    """One value that consumers saw, and when (us)."""
+
+    time_us: int
+    state: State
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The first publication in which two flights differ: the n-th of a state in one beside the n-th in the other.
+
+    Attributes:
+        state: Which state.
+        field: Which field, with its element; "" where the value is the same and only the instant differs, or where
+            one of the flights has no such publication.
+        golden_us: When the golden run published it; None = it did not.
+        injected_us: When the injected run did; None = it did not.
+        golden: Value in the golden run; None without a field.
+        injected: Value in the injected run; None without a field.
+    """
+
+    state: str
+    field: str
+    golden_us: int | None
+    injected_us: int | None
+    golden: object = None
+    injected: object = None
+
+    @property
+    def time_us(self) -> int:
+        """When the flights began to differ: the earlier of the two instants."""
+        return min(time for time in (self.golden_us, self.injected_us) if time is not None)
+
+
+def first_difference(golden: Sequence[Publication], injected: Sequence[Publication]) -> Difference | None:
+    """The first publication that differs in value or instant; None if flights are the same, bit for bit.
+
+    Publications are compared by state and number, so that one that is held back is found beside its counterpart.
+
+    Args:
+        golden: All publications of the golden run, in order.
+        injected: Of the injected run.
+    """
+    numbered = _numbered(golden), _numbered(injected)
+    found: Difference | None = None
+    for key in dict.fromkeys((*numbered[0], *numbered[1])):  # in the order of the data flow: it decides between equals
+        first, second = (publications.get(key) for publications in numbered)
+        times = [publication.time_us for publication in (first, second) if publication is not None]
+        if found is not None and min(times) >= found.time_us:
+            continue
+        found = _difference(key[0], first, second) or found
+    return found
+
+
+def _numbered(publications: Sequence[Publication]) -> dict[tuple[str, int], Publication]:
+    """Publications by state and number, in order."""
+    counts: dict[str, int] = {}
+    found = {}
+    for publication in publications:
+        name = publication.state.spec.name
+        counts[name] = counts.get(name, 0) + 1
+        found[name, counts[name]] = publication
+    return found
+
+
+def _difference(name: str, first: Publication | None, second: Publication | None) -> Difference | None:
+    if first is None or second is None:
+        times = (None if publication is None else publication.time_us for publication in (first, second))
+        return Difference(name, "", *times)
+    if not first.state.same_bits(second.state):
+        field, before, after = _field(first.state, second.state)
+        return Difference(name, field, first.time_us, second.time_us, before, after)
+    if first.time_us != second.time_us:
+        return Difference(name, "", first.time_us, second.time_us)
+    return None
+
+
+def _field(first: State, second: State) -> tuple[str, object, object]:
+    """First field whose bits differ, and its values; lists of different lengths differ in their number of elements."""
+    spec = second.spec
+    if len(first.elements) != len(second.elements):
+        return "number of elements", len(first.elements), len(second.elements)
+    for before, after, is_list in ((first.header, second.header, False), (first.elements, second.elements, True)):
+        for name in after.dtype.names or ():
+            row = _first_row(before[name], after[name])
+            if row is not None:
+                return f"{name}[{row}]" if is_list else name, before[name][row].item(), after[name][row].item()
+    raise AssertionError(f"{spec.name}: bits differ and no field does")
+
+
+def _first_row(before: np.ndarray, after: np.ndarray) -> int | None:
+    """First element whose bits differ; NaNs and zeros compare as bits."""
+    size = before.dtype.itemsize
+    bits = [np.ascontiguousarray(values).view(np.uint8).reshape(-1, size) for values in (before, after)]
+    rows = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
+    return int(rows[0]) if len(rows) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Departure:
+    """How far a flight went from the golden run's path, at any time, and how far behind it ended.
+
+    Attributes:
+        time_s: When it was first farther than `LEFT` from the path; None if never.
+        position: Where it was then (m); None if never.
+        largest_m: Largest distance from the path.
+        largest_s: When.
+        behind_s: At its end: its time less that at which the golden run passed the nearest point (s); negative =
+            ahead, None where its last position is not finite.
+    """
+
+    time_s: float | None
+    position: tuple[float, float, float] | None
+    largest_m: float
+    largest_s: float
+    behind_s: float | None
+
+
+def departure(golden: FlightLog, injected: FlightLog) -> Departure:
+    """How far a flight went from the path of its golden run, and how far behind it ended."""
+    time = injected.column("time")
+    distance, passed = _nearest(golden, injected.columns("x", "y", "z"))
+    farthest = int(np.argmax(distance))
+    behind = float(time[-1] - passed[-1]) if np.isfinite(distance[-1]) else None
+    left = np.flatnonzero(distance > LEFT)
+    largest = (float(distance[farthest]), float(time[farthest]), behind)
+    if len(left) == 0:
+        return Departure(None, None, *largest)
+    x, y, z = (float(value) for value in injected.columns("x", "y", "z")[left[0]])
+    return Departure(float(time[left[0]]), (x, y, z), *largest)
+
+
+def _nearest(golden: FlightLog, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance of points from a flown path, and when that flight was there.
+
+    The nearest of the flight's positions is looked for, then the nearest point of the two legs that meet there.
+
+    Args:
+        golden: The flight; its positions are finite.
+        points: Shape (n, 3) (m).
+
+    Returns:
+        Distances (m), infinite for points that are not finite, and instants (s). Shapes (n,), (n,).
+    """
+    path, time = golden.columns("x", "y", "z"), golden.column("time")
+    distance, passed = np.full(len(points), np.inf), np.zeros(len(points))
+    finite = np.flatnonzero(np.isfinite(points).all(axis=1))
+    place = points[finite]
+    distance[finite], row = cKDTree(path).query(place)
+    passed[finite] = time[row]
+    for begin in (np.maximum(row - 1, 0), np.minimum(row, max(0, len(path) - 2))):
+        end = np.minimum(begin + 1, len(path) - 1)
+        leg = path[end] - path[begin]
+        square = (leg**2).sum(axis=1)
+        along = ((place - path[begin]) * leg).sum(axis=1) / np.where(square > 0.0, square, 1.0)
+        along = np.clip(along, 0.0, 1.0)
+        apart = np.linalg.norm(place - path[begin] - along[:, None] * leg, axis=1)
+        nearer = apart < distance[finite]
+        distance[finite[nearer]] = apart[nearer]
+        passed[finite[nearer]] = (time[begin] + along * (time[end] - time[begin]))[nearer]
+    return distance, passed

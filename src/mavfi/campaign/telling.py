@@ -1,0 +1,95 @@
+"""The run of a campaign that says most, flown again: injected, golden, and with a detector that saves the mission."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from mavfi.campaign.plan import FI
+from mavfi.campaign.replay import fly_again, golden_run
+from mavfi.campaign.store import Store
+
+if TYPE_CHECKING:
+    from mavfi.hosts.host import Flight
+
+_INTERESTING = 0.02
+"""Flight time over the golden run's from which a run that succeeds is worth a picture."""
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Telling:
+    """A run with a fault, and what it is compared with.
+
+    Attributes:
+        injected: Its row.
+        saved: Row of the same fault with a detector that brings the mission home; None if there is none.
+        flight: Of the run with the fault.
+        golden: Of its golden run.
+        recovered: Of `saved`.
+    """
+
+    injected: Row
+    saved: Row | None
+    flight: "Flight"
+    golden: "Flight"
+    recovered: "Flight | None"
+
+
+def fly_telling_run(store: Store, runs: pl.DataFrame) -> Telling | None:
+    """Choose a run and fly it again, with its golden run.
+
+    Args:
+        store: The ledger.
+        runs: Its runs, as of `mavfi.campaign.analysis.runs`.
+
+    Returns:
+        None if no run is worth a picture.
+    """
+    chosen = choose(runs)
+    if chosen is None:
+        return None
+    injected, saved = chosen
+    spec = store.run(injected["run_id"]).spec
+    return Telling(
+        injected, saved, fly_again(store, spec), fly_again(store, golden_run(store, spec).spec),
+        None if saved is None else fly_again(store, store.run(saved["run_id"]).spec),
+    )  # fmt: skip
+
+
+def choose(runs: pl.DataFrame) -> tuple[Row, Row | None] | None:
+    """The run with a fault that says most, and the same with a detector on where that one brings it home.
+
+    A run that fails and that a detector brings home comes first; then one that fails; then the slowest.
+
+    Args:
+        runs: See `fly_telling_run`.
+    """
+    rows = runs.filter(kind="injected", judged=True, site_outcome="activated").to_dicts()
+    faulty = [row for row in rows if row["setting"] == FI and row["golden_success"]]
+    watched: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        if row["detector"] and row["success"]:
+            watched.setdefault(_pair(row), []).append(row)
+    # long flights first: there is most to see
+    failed = sorted((row for row in faulty if not row["success"]), key=lambda row: -(row["distance_m"] or 0.0))
+    for row in failed:
+        if _pair(row) in watched:
+            return row, watched[_pair(row)][0]
+    if failed:
+        return failed[0], None
+    slowest = max(faulty, key=_inflation, default=None)
+    if slowest is None or _inflation(slowest) < _INTERESTING:
+        return None
+    faster = [row for row in watched.get(_pair(slowest), []) if _inflation(row) < _INTERESTING]
+    return slowest, faster[0] if faster else None
+
+
+def _inflation(row: Row) -> float:
+    return row["inflation"] or 0.0
+
+
+def _pair(row: Row) -> tuple[Any, ...]:
+    """Environment, target and number of the fault: the same in every arm."""
+    return row["environment"], row["target"], row["index"]

@@ -1,0 +1,96 @@
+"""One flight that was asked for, beside its golden run, and its figures as plain data."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from mavfi.flight_record import FlightRecord, record_of
+from mavfi.outcomes import Effect, effect_of
+from mavfi.qof import quality_of
+
+if TYPE_CHECKING:
+    from mavfi.faults.fault import Fault
+    from mavfi.flight_log import FlightLog
+    from mavfi.hosts.host import Flight
+    from mavfi.mission import MissionStatus, Scenario
+
+
+@dataclass(frozen=True)
+class FlightResult:
+    """A flight, and what it is compared with.
+
+    Attributes:
+        scenario: The mission.
+        flight: The flight that was asked for.
+        golden: Its golden run with the same detector; None where the flight is golden itself.
+        fault: What was injected; None = nothing.
+        detector: Name and profile, e.g. "gaussian (paper)"; "" = none watched.
+    """
+
+    scenario: Scenario
+    flight: Flight
+    golden: Flight | None = None
+    fault: Fault | None = None
+    detector: str = ""
+
+    @property
+    def log(self) -> FlightLog:
+        """The flight, column by column."""
+        return self.flight.log
+
+    @property
+    def status(self) -> MissionStatus:
+        """How the flight ended."""
+        return self.flight.log.status
+
+    @cached_property
+    def record(self) -> FlightRecord:
+        """What a campaign would keep of the flight."""
+        return record_of(self.flight.log)
+
+    @cached_property
+    def golden_record(self) -> FlightRecord | None:
+        """What a campaign would keep of the golden run; None where the flight is golden itself."""
+        return None if self.golden is None else record_of(self.golden.log)
+
+    @property
+    def effect(self) -> Effect | None:
+        """What the fault did to the flight; None where the flight is golden itself."""
+        return None if self.golden_record is None else effect_of(self.golden_record, self.record)
+
+    def to_json(self) -> dict[str, Any]:
+        """What `mavfi fly --json` prints.
+
+        Returns:
+            status, status_text, flight_time_s, energy_j, distance_m, battery_used, digest, injections, alarms, replans,
+            events (counts by kind), what flew (environment, seed, autopilot, platform, planner, map, vehicle, v_max,
+            wind, localization, detector, start, goal, course_m, time_limit_s), fault, effect, kernel (what the injected
+            call did; its flight goes on with a restart of the node where that died), and golden (the figures of the
+            golden run); the last four are null for a golden flight, kernel also for faults of other levels.
+        """
+        log, scenario = self.flight.log, self.scenario
+        return {
+            **_figures(self.flight.log, self.record),
+            "injections": [injection.to_json() for injection in log.injections],
+            "alarms": [alarm.to_json() for alarm in log.alarms],
+            "replans": self.record.replans, "events": dict(self.record.events),
+            "environment": scenario.environment.name, "seed": scenario.seed, "autopilot": scenario.stack.name,
+            "platform": scenario.platform.name, "planner": scenario.planner.name, "map": scenario.map.kind,
+            "vehicle": scenario.vehicle.name, "v_max": scenario.v_max, "wind": scenario.wind.gust,
+            "localization": scenario.localization.kind, "detector": self.detector,
+            **{key: log.meta[key] for key in ("start", "goal", "course_m", "time_limit_s")},
+            "fault": None if self.fault is None else self.fault.to_json(),
+            "effect": None if self.effect is None else self.effect.label,
+            "kernel": None if log.kernel is None else asdict(log.kernel),
+            "golden": None if self.golden is None or self.golden_record is None
+            else _figures(self.golden.log, self.golden_record),
+        }  # fmt: skip
+
+
+def _figures(log: FlightLog, record: FlightRecord) -> dict[str, Any]:
+    return {
+        "status": log.status.label, "status_text": log.status.value, **asdict(quality_of(record)),
+        "digest": record.digest,
+    }  # fmt: skip
