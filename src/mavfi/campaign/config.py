@@ -28,7 +28,7 @@ _RENAMED = {
     "kernels": "sampling.kernels (with level: instruction)", "detectors": "arms", "flights": "missions",
     **{name: f"mission.{'autopilot' if name == 'stack' else name}"
        for name in ("stack", "platform", "planner", "map", "vehicle", "v_max")},
-    "kind": "host", "trials": "faults", "node": "node.name", "command": "node.command",
+    "kind": "host", "trials": "faults", "command": "node.command",
 }  # fmt: skip
 """Keys of campaigns of schema 1, and where they went."""
 
@@ -359,5 +359,3 @@ def config_path(folder: str, name: str | Path) -> Path:
         kind = {"campaigns": "campaign", "studies": "study"}[folder]
         raise BadInputError(f"{kind} {str(name)!r}: not known; allowed: {allowed}, or a path to a .yaml file")
     return path
-
-

@@ -3,13 +3,12 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from mavfi.campaign.plan import RunSpec
+from mavfi.campaign.mission import MissionPlan, scenarios_of, setup_of
+from mavfi.campaign.plan import RunSpec, arms_of
+from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
-from mavfi.campaign.tools import host_tools
-from mavfi.campaign.worker import Flight, Task, Tools, fly_task
-from mavfi.config import parse
 from mavfi.errors import BadInputError
-from mavfi.mission import Scenario
+from mavfi.hosts.host import Flight, find_host
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,58 +19,60 @@ class Replay:
         run: The stored run.
         flight: The flight of now.
         digest: Its digest.
-        twin: The stored golden run with the same mission and detector; None for golden runs.
+        golden: The stored golden run of the same mission and arm; None for golden runs.
     """
 
     run: Run
     flight: Flight
     digest: str
-    twin: Run | None
+    golden: Run | None
 
     @property
     def same(self) -> bool:
         """Whether the flight is bit for bit the stored one."""
-        return self.run.record is not None and self.run.record.get("digest") == self.digest
+        return self.run.record is not None and self.run.record.digest == self.digest
 
 
-def replay(directory: Path, run_id: str, tools: Tools | None = None) -> Replay:
+def replay(directory: Path, run_id: str) -> Replay:
     """Fly a run again.
 
     Args:
         directory: Where the campaign's ledger is.
         run_id: The run, or an unambiguous beginning of its id.
-        tools: None = the in-process host.
 
     Raises:
-        BadInputError: No such campaign or run, or it is not flown yet.
+        BadInputError: No such campaign or run, it is not flown yet, or its host cannot fly it again.
         SpecMismatchError: The detector's model is no longer the one that the run flew with.
     """
     with Store.open(directory) as store:
         run = store.run(run_id)
         if run.record is None:
             raise BadInputError(f"{directory}: run {run.spec.run_id} is not flown yet")
-        flight = fly_again(store, run.spec, tools)
-        return Replay(run, flight, flight.log.digest(), golden_twin(store, run.spec))
+        flight = fly_again(store, run.spec)
+        return Replay(run, flight, flight.log.digest(), store.golden_of(run.spec))
 
 
-def fly_again(store: Store, spec: RunSpec, tools: Tools | None = None) -> Flight:
+def fly_again(store: Store, spec: RunSpec) -> Flight:
     """Fly any run of a ledger, for its whole log.
 
     Raises:
-        BadInputError: It holds no flights.
+        BadInputError: Its host is not deterministic.
+        SpecMismatchError: See `replay`.
     """
-    store.require_flights()
-    stored = store.meta("identity")["scenarios"][spec.scenario_name]
-    template = parse(Scenario, stored, f"ledger, scenario {spec.scenario_name}")
-    scenario = template.model_copy(update={"seed": spec.seed})
+    campaign = stored_campaign(store)
+    host = find_host(campaign.host)
+    if not host.deterministic:
+        raise BadInputError(f"{store.directory}: host {host.name} is not deterministic: runs cannot be flown again")
+    arm = next(arm for arm in arms_of(campaign) if arm.name == spec.arm)
+    scenario = scenarios_of(campaign, [arm])[spec.environment, arm.name].model_copy(update={"seed": spec.seed})
     models_dir = store.meta("models_dir")
-    return fly_task(Task(spec, scenario, tools or host_tools(), None if models_dir is None else Path(models_dir)))
-
-
-def golden_twin(store: Store, spec: RunSpec) -> Run | None:
-    """The stored golden run of the same mission and detector; None for a golden run."""
+    mission = MissionPlan(
+        campaign, *spec.world, None if models_dir is None else Path(models_dir), store.meta("identity")["models"]
+    )
+    flights = host.mission({arm.name: setup_of(mission, arm, scenario)}, fast_forward=False)
     if spec.fault is None:
-        return None
-    wanted = (spec.golden_setting, spec.environment, spec.seed)
-    rows = (run for run in store.runs(phase=1) if (run.spec.setting, run.spec.environment, run.spec.seed) == wanted)
-    return next(rows, None)
+        return flights.golden(arm.name)
+    _, flight = next(flights.injected([(arm.name, spec.fault)]))
+    if isinstance(flight, Exception):
+        raise flight
+    return flight

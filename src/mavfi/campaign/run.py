@@ -1,11 +1,10 @@
-"""Flies a campaign: golden runs, then the draw of every fault, then the injected runs; goes on where it stopped.
+"""Flies a campaign, mission by mission, and goes on where it stopped.
 
-With forking it does so mission by mission, so that the worker that flew the golden runs of a mission still has them
-when its injected runs begin where the golden ones were.  The ledger is the same either way.
+A worker that dies loses one mission, which is flown again with each run with a fault in a child of its own.
 """
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
@@ -14,30 +13,20 @@ from typing import Any
 
 from mavfi import __version__
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.executors.local import LocalPool, Lost
-from mavfi.campaign.kernel_plan import kernels_of, plan_kernel_world
-from mavfi.campaign.kernel_worker import run_any, with_siblings
-from mavfi.campaign.nodes.config import NodeCampaign
-from mavfi.campaign.plan import (
-    PHASE_GOLDEN,
-    PHASE_INJECTED,
-    Arm,
-    RunSpec,
-    arms_of,
-    count_runs,
-    other_planners,
-    plan_golden,
-    plan_injected,
-    plan_world,
-    scenario_name,
-)
+from mavfi.campaign.executors.executor import Done, Executor, Lost
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.mission import Flown, MissionPlan, Planned, fly_mission, plan_of, scenarios_of
+from mavfi.campaign.plan import Plan, arms_of
 from mavfi.campaign.store import Store
-from mavfi.campaign.tools import host_tools
-from mavfi.campaign.worker import End, RunResult, Task, Tools, forget_families
 from mavfi.errors import BadInputError
-from mavfi.mission import Scenario
+from mavfi.flight_record import End, FlightRecord
+from mavfi.hosts.host import find_host, require_level
+from mavfi.hosts.watching import detector_for
+from mavfi.mission import MissionStatus, Scenario
 
 _PACKAGES = ("numpy", "numba", "llvmlite", "mujoco-core", "scikit-learn")
+ATTEMPTS = 3
+"""How often a mission that takes its worker with it, golden runs included, is begun."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +34,7 @@ class Status:
     """How far a campaign is.
 
     Attributes:
-        done: Runs done, those of earlier sittings included.
+        done: Runs done, those of earlier sessions included.
         total: Runs of the whole campaign.
         settings: By setting: planned so far, done, done with success.
     """
@@ -65,16 +54,18 @@ class Progress(Status):
     """How far a campaign is while it is flown.
 
     Attributes:
-        flown: Runs done in this sitting.
-        seconds: Wall time of this sitting (s).
+        flown: Runs done in this session.
+        seconds: Wall time of this session since its first run was done (s).
+        compiling: Whether nothing is flown yet because kernels are being compiled.
     """
 
     flown: int = 0
     seconds: float = 0.0
+    compiling: bool = False
 
     @property
     def rate(self) -> float:
-        """Runs per second in this sitting."""
+        """Runs per second in this session."""
         return self.flown / self.seconds if self.seconds > 0 else 0.0
 
     @property
@@ -84,148 +75,96 @@ class Progress(Status):
 
 
 @dataclass(slots=True)
-class _Sitting:
+class _Session:
     """A campaign between start and stop of the process."""
 
-    campaign: Campaign
+    plan: Plan
     store: Store
-    scenarios: Mapping[str, Scenario]
     models_dir: Path | None
-    tools: Tools
-    pool: LocalPool
+    fast_forward: bool
     report: Callable[[Progress], None]
-    arms: list[Arm]
-    forking: bool
-    started: float = field(default_factory=time.perf_counter)
+    started: float = 0.0
     flown: int = 0
     counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)
 
-    def fly_phases(self) -> None:
-        """All golden runs, then the draw of all faults, then all injected runs."""
-        store, campaign, keys = self.store, self.campaign, self._keys()
-        self._fly([[self.task(run.spec)] for run in store.runs(PHASE_GOLDEN, done=False)], lambda _: [])
-        if not store.is_planned(PHASE_INJECTED):
-            store.plan(PHASE_INJECTED, plan_injected(campaign, keys, self.arms, store.profiles()))
-        self._fly([[self.task(run.spec)] for run in store.runs(PHASE_INJECTED, done=False)], lambda _: [])
+    def missions(self) -> list[MissionPlan]:
+        """What is left to fly."""
+        campaign, done, complete = self.plan.campaign, self.store.done(), self.store.complete_missions()
+        worlds = [(environment, seed) for environment in campaign.environments for seed in campaign.seeds]
+        return [
+            MissionPlan(
+                campaign, *world, self.models_dir, self.plan.models, self.fast_forward, done.get(world, frozenset())
+            )
+            for world in worlds
+            if world not in complete
+        ]
 
-    def fly_worlds(self) -> None:
-        """The same, mission by mission."""
+    def fly(self, executor: Executor, missions: list[MissionPlan]) -> None:
+        """Fly missions; what they give is in the ledger before the next item is looked at."""
         self.counts = self.store.counts()
-        worlds = _Worlds(self)
-        self._fly(worlds.left(), worlds.follow)
+        self.tell(compiling=bool(missions))
+        for _ in range(1 + ATTEMPTS):
+            lost = {mission.world: (mission, end) for mission, end in self._fly_once(executor, missions)}
+            done = self.store.done()
+            missions = [replace(m, done=done.get(m.world, frozenset()), alone=True) for m, _ in lost.values()]
+            if not missions:
+                return
+        for mission in missions:
+            self._give_up(mission, lost[mission.world][1])
 
-    def _fly(self, groups: list[list[Task]], follow: Callable[[Task], list[Task]]) -> None:
-        """Fly; every result is in the ledger before the next one is looked at, and what follows from it is planned."""
+    def _fly_once(self, executor: Executor, missions: list[MissionPlan]) -> Iterator[tuple[MissionPlan, Lost]]:
+        with closing(executor.map(fly_mission, missions)) as items:  # type: ignore[type-var]
+            for mission, item in items:
+                if isinstance(item, Lost):
+                    yield mission, item
+                elif isinstance(item, Done):
+                    continue
+                elif isinstance(item, Planned):
+                    self._plan(mission, item)
+                else:
+                    self._write(item)
+
+    def _plan(self, mission: MissionPlan, planned: Planned) -> None:
+        self.store.plan(planned.specs)
+        if planned.last:
+            self.store.end_plan(mission.world)
         self.counts = self.store.counts()
-        self._tell()
-        if not groups:
-            return
-        self._warm_up([task for group in groups for task in group])
-        with closing(self.pool.run_groups(run_any, groups, follow)) as results:
-            for task, result in results:
-                flown = _lost(result) if isinstance(result, Lost) else result
-                self.store.write(task.spec, flown.record, flown.profile, flown.note, flown.wall_s)
-                self.flown += 1
-                planned, done, success = self.counts[task.spec.setting]
-                self.counts[task.spec.setting] = (planned, done + 1, success + bool(flown.record.get("success")))
-                self._tell()
 
-    def plan_world(self, world: tuple[str, int]) -> list[RunSpec]:
-        """Draw and store the faults of a mission whose golden runs are done."""
-        campaign, keys = self.campaign, self._keys()
-        if campaign.kernels is None:
-            specs = plan_world(campaign, keys, self.arms, world, self.store.profile(*world))
+    def _write(self, flown: Flown) -> None:
+        self.store.write(flown.run_id, flown.record, flown.note, flown.wall_s)
+        if self.started == 0.0:
+            self.started = time.perf_counter()
         else:
-            golden = (run.record or {} for run in self.store.runs(PHASE_GOLDEN, done=True, world=world))
-            specs = plan_kernel_world(campaign, keys, self.arms, world, golden)
-        self.store.plan_part(PHASE_INJECTED, specs)
-        for spec in specs.values():
-            planned, done, success = self.counts.get(spec.setting, (0, 0, 0))
-            self.counts[spec.setting] = (planned + 1, done, success)
-        return list(specs.values())
+            self.flown += 1
+        setting = self.store.setting_of(flown.run_id)
+        planned, done, success = self.counts[setting]
+        self.counts[setting] = planned, done + 1, success + (flown.record.status == MissionStatus.SUCCESS.label)
+        self.tell()
 
-    def plan_golden(self) -> None:
-        """Store the golden runs."""
-        self.store.plan(PHASE_GOLDEN, plan_golden(self.campaign, self._keys(), self.arms))
+    def _give_up(self, mission: MissionPlan, lost: Lost) -> None:
+        """A mission whose golden runs take their process with them each time: nothing is drawn from these."""
+        record = FlightRecord(End.DUE if lost.died else End.UNKNOWN, error=lost.reason)
+        golden = self.plan.golden(*mission.world)
+        self.store.plan(golden)
+        for spec in golden:
+            if spec.run_id not in mission.done:
+                self._write(Flown(spec.run_id, record, lost.reason))
+        self.store.end_plan(mission.world)
 
-    def _keys(self) -> dict[str, str]:
-        return {name: scenario.key() for name, scenario in self.scenarios.items()}
-
-    def task(self, spec: RunSpec) -> Task:
-        scenario = self.scenarios[spec.scenario_name].model_copy(update={"seed": spec.seed})
-        draws = kernels_of(spec, self.campaign) if spec.phase == PHASE_GOLDEN else {}
-        return Task(spec, scenario, self.tools, self.models_dir, self.forking, draws, self.campaign.kernels)
-
-    def _warm_up(self, tasks: list[Task]) -> None:
-        """Fly one error-free run of each arm here, so that workers inherit what is compiled; results are not used."""
-        first = {task.spec.arm: task for task in reversed(tasks)}
-        for task in first.values():
-            run_any(replace(task, spec=replace(task.spec, fault=None)))
-        forget_families()
-
-    def _tell(self) -> None:
+    def tell(self, *, compiling: bool = False) -> None:
+        """Report how far it is."""
         done = sum(number for _, number, _ in self.counts.values())
-        seconds = time.perf_counter() - self.started
-        self.report(Progress(done, count_runs(self.campaign), dict(self.counts), self.flown, seconds))
+        seconds = time.perf_counter() - self.started if self.started else 0.0
+        self.report(Progress(done, self.plan.count(), dict(self.counts), self.flown, seconds, compiling))
 
 
-class _Worlds:
-    """What is left to fly, by mission: its golden runs, and once these are done its injected runs."""
-
-    def __init__(self, sitting: _Sitting) -> None:
-        self._sitting = sitting
-        self._golden: dict[tuple[str, int], list[Task]] = {}
-        self._injected: dict[tuple[str, int], list[Task]] = {}
-        for run in sitting.store.runs():
-            tasks = self._golden if run.spec.phase == PHASE_GOLDEN else self._injected
-            left = tasks.setdefault(_world(run.spec), [])
-            if run.record is None:
-                left.append(sitting.task(run.spec))
-        self._airborne = {world: len(tasks) for world, tasks in self._golden.items() if tasks}
-
-    def left(self) -> list[list[Task]]:
-        """Groups to begin with; the faults of missions whose golden runs are done are drawn here."""
-        for world, tasks in self._golden.items():
-            if not tasks and world not in self._injected:
-                self._injected[world] = self._plan(world)
-        self._end_plan()
-        groups = [tasks or with_siblings(self._injected.get(world, [])) for world, tasks in self._golden.items()]
-        return [group for group in groups if group]
-
-    def follow(self, task: Task) -> list[Task]:
-        """The injected runs of a mission, after the last of its golden runs."""
-        world = _world(task.spec)
-        if world not in self._airborne:
-            return []
-        self._airborne[world] -= 1
-        if self._airborne[world]:
-            return []
-        del self._airborne[world]
-        tasks = with_siblings(self._plan(world))
-        self._end_plan()
-        return tasks
-
-    def _plan(self, world: tuple[str, int]) -> list[Task]:
-        return [self._sitting.task(spec) for spec in self._sitting.plan_world(world)]
-
-    def _end_plan(self) -> None:
-        """Note that every mission is planned, once it is."""
-        if not self._airborne and not self._sitting.store.is_planned(PHASE_INJECTED):
-            self._sitting.store.end_plan(PHASE_INJECTED)
-
-
-def _world(spec: RunSpec) -> tuple[str, int]:
-    return spec.environment, spec.seed
-
-
-def run_campaign(  # noqa: PLR0913 - everything after the directory has a default
+def run_campaign(
     campaign: Campaign,
     directory: Path,
     *,
-    workers: int = 2,
+    executor: Executor | None = None,
     models_dir: Path | None = None,
-    tools: Tools | None = None,
-    forking: bool = True,
+    fast_forward: bool = True,
     progress: Callable[[Progress], None] | None = None,
 ) -> Status:
     """Fly a campaign, or what is left of it; stopping it at any moment loses only the flights in the air.
@@ -233,67 +172,50 @@ def run_campaign(  # noqa: PLR0913 - everything after the directory has a defaul
     Args:
         campaign: What to fly.
         directory: Where its ledger is, or will be.
-        workers: Number of processes.
+        executor: Who works; None = two local processes.
         models_dir: Folder of trained models; None = the shipped ones.
-        tools: Host and detectors; None = the in-process host.
-        forking: Whether runs begin at their golden twin's checkpoints, where the tools can do so; the ledger is the
-            same either way.
+        fast_forward: Whether runs may begin at checkpoints of their golden run; the ledger is the same either way.
         progress: Called after every run, in this process.
 
     Returns:
         The end state.
 
     Raises:
-        BadInputError: No worker; a directory that cannot be written or holds another campaign; a name that is not
-            known; a model that does not fit; versions that differ from those of the first sitting.
+        BadInputError: A directory that cannot be written or holds another campaign; a name that is not known; a model
+            that does not fit; versions that differ from those that the ledger was begun with.
     """
-    pool = LocalPool(workers)
-    tools = tools or host_tools()
-    scenarios = campaign_scenarios(campaign, tools)
-    arms = arms_of(campaign, model_hashes(campaign, scenarios, models_dir, tools))
-    identity = {
-        "campaign": campaign.to_json(),
-        "scenarios": {name: scenario.to_json() for name, scenario in scenarios.items()},
-        "models": {arm.name: arm.model for arm in arms if arm.name},
-    }
-    with Store.create(directory, identity) as store:
+    host = find_host(campaign.host)
+    require_level(host, campaign.sampling.level)
+    scenarios = scenarios_of(campaign, arms_of(campaign))
+    models = model_hashes(campaign, scenarios, models_dir)
+    plan = plan_of(campaign, models, scenarios)
+    with Store.create(directory, identity_of(campaign, scenarios, models)) as store:
         check_versions(store)
-        store.write_meta({"models_dir": None if models_dir is None else str(models_dir.absolute())})
-        forks = (forking and tools.make_family is not None) or campaign.kernels is not None
-        sitting = _Sitting(campaign, store, scenarios, models_dir, tools, pool, progress or _silent, arms, forks)
-        sitting.plan_golden()
-        if forks:
-            sitting.fly_worlds()
-        else:
-            sitting.fly_phases()
+        store.write_meta({
+            "models_dir": None if models_dir is None else str(models_dir.absolute()),
+            "missions": len(campaign.environments) * campaign.missions,
+        })  # fmt: skip
+        session = _Session(plan, store, models_dir, fast_forward, progress or _silent)
+        missions = session.missions()
+        if missions:
+            host.warm_up([scenarios[campaign.environments[0], arm.name] for arm in plan.arms])
+        session.fly(executor or LocalExecutor(2), missions)
         return status(directory)
 
 
-def campaign_scenarios(campaign: Campaign, tools: Tools) -> dict[str, Scenario]:
-    """Scenario with the campaign's first seed, by its name in the ledger.
-
-    Raises:
-        BadInputError: A name is not known.
-    """
-    planners = {"": campaign.planner, **{name: name for name in other_planners(campaign)}}
+def identity_of(
+    campaign: Campaign, scenarios: Mapping[tuple[str, str], Scenario], models: Mapping[str, str]
+) -> dict[str, Any]:
+    """What makes a ledger that of this campaign, as plain data."""
     return {
-        scenario_name(environment, arm, ""): tools.make_scenario(
-            environment,
-            campaign.first_seed,
-            stack=campaign.stack,
-            platform=campaign.platform,
-            planner=planner,
-            v_max=campaign.v_max,
-            map_kind=campaign.map,
-            vehicle=campaign.vehicle,
-        )
-        for environment in campaign.environments
-        for arm, planner in planners.items()
+        "campaign": campaign.to_json(),
+        "scenarios": {"/".join(place): scenario.to_json() for place, scenario in scenarios.items()},
+        "models": dict(models),
     }
 
 
 def model_hashes(
-    campaign: Campaign, scenarios: Mapping[str, Scenario], models_dir: Path | None, tools: Tools
+    campaign: Campaign, scenarios: Mapping[tuple[str, str], Scenario], models_dir: Path | None
 ) -> dict[str, str]:
     """Load every arm's detector for every environment, and answer the sha256 of its model.
 
@@ -301,9 +223,10 @@ def model_hashes(
         BadInputError: A detector is not known, or a model is absent or does not fit.
     """
     return {
-        name: tools.load_detector(arm.detector, arm.profile, models_dir, scenario)[1]
-        for name, arm in campaign.detectors.items()
-        for scenario in scenarios.values()
+        arm.name: detector_for(scenarios[environment, arm.name], arm.detector, arm.profile, models_dir)[1]
+        for arm in arms_of(campaign)
+        if arm.detector
+        for environment in campaign.environments
     }
 
 
@@ -316,23 +239,14 @@ def status(directory: Path) -> Status:
     with Store.open(directory) as store:
         counts = store.counts()
         done = sum(number for _, number, _ in counts.values())
-        return Status(done, _total(store), counts)
-
-
-def _total(store: Store) -> int:
-    identity = store.meta("identity")["campaign"]
-    if store.is_of_nodes:
-        return NodeCampaign.model_validate(identity).count
-    return count_runs(stored_campaign(store))
+        if store.complete:
+            return Status(done, sum(planned for planned, _, _ in counts.values()), counts)
+        campaign = stored_campaign(store)
+        return Status(done, plan_of(campaign, {}, scenarios_of(campaign, arms_of(campaign))).count(), counts)
 
 
 def stored_campaign(store: Store) -> Campaign:
-    """The campaign that a ledger holds.
-
-    Raises:
-        BadInputError: It holds trials on a ROS node, not flights.
-    """
-    store.require_flights()
+    """The campaign that a ledger holds."""
     return Campaign.model_validate(store.meta("identity")["campaign"])
 
 
@@ -366,11 +280,5 @@ def check_versions(store: Store) -> None:
         )
 
 
-def _lost(lost: Lost) -> RunResult:
-    end = End.DUE if lost.died else End.UNKNOWN
-    error = "worker died each time" if lost.died else "no answer in time"
-    return RunResult({"end": end, "error": error}, None, lost.reason)
-
-
 def _silent(_: Progress) -> None:
-    """Tell nobody."""
+    """Report to nobody."""

@@ -9,12 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from mavfi.campaign.nodes.config import KIND
-from mavfi.campaign.plan import PHASE_INJECTED, RunSpec
+from mavfi.campaign.plan import RunSpec
 from mavfi.errors import BadInputError
-from mavfi.flight_log import Profile
+from mavfi.flight_record import FlightRecord
 
-SCHEMA = 1
+SCHEMA = 2
 FILE = "campaign.sqlite"
 _LOCK = "campaign.lock"
 _TABLES = """
@@ -22,7 +21,7 @@ CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
 CREATE TABLE runs (
     run_id TEXT PRIMARY KEY,
     position INTEGER NOT NULL UNIQUE,
-    phase INTEGER NOT NULL,
+    kind TEXT NOT NULL,
     setting TEXT NOT NULL,
     environment TEXT NOT NULL,
     seed INTEGER NOT NULL,
@@ -31,8 +30,10 @@ CREATE TABLE runs (
     note TEXT NOT NULL DEFAULT '',
     wall_s REAL
 );
-CREATE TABLE profiles (environment TEXT, seed INTEGER, content BLOB NOT NULL, PRIMARY KEY (environment, seed));
+CREATE TABLE missions (environment TEXT, seed INTEGER, PRIMARY KEY (environment, seed));
 """
+_CANDIDATES = 5
+_RUN = "spec, record, note, wall_s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,7 @@ class Run:
     """A row: what was planned, and what is known of it (None = not flown yet)."""
 
     spec: RunSpec
-    record: dict[str, Any] | None
+    record: FlightRecord | None
     note: str = ""
     wall_s: float | None = None
 
@@ -134,7 +135,10 @@ class Store:
     def _check_schema(self) -> None:
         version = self._ask("PRAGMA user_version")
         if version != SCHEMA:
-            raise BadInputError(f"{self.directory / FILE}: schema version {version}; allowed: {SCHEMA}")
+            raise BadInputError(
+                f"{self.directory / FILE}: schema version {version}; allowed: {SCHEMA}"
+                + (" (it was written by an older mavfi, which still reads it)" if version < SCHEMA else "")
+            )
 
     def _check(self, identity: Mapping[str, Any]) -> None:
         self._check_schema()
@@ -157,125 +161,107 @@ class Store:
         with self._connection:
             self._connection.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", rows)
 
-    def plan(self, phase: int, specs: Iterable[RunSpec]) -> None:
-        """Store all runs of a phase at once; those that are there already are left as they are."""
-        if self.is_planned(phase):
-            return
-        self.plan_part(phase, dict(enumerate(specs)))
-        self.end_plan(phase)
-
-    def plan_part(self, phase: int, specs: Mapping[int, RunSpec]) -> None:
-        """Store some runs of a phase at once.
-
-        Args:
-            phase: The phase; those before it are planned as a whole.
-            specs: By place in the phase; those that are there already are left as they are.
-        """
-        (first,) = self._connection.execute("SELECT COUNT(*) FROM runs WHERE phase < ?", (phase,)).fetchone()
+    def plan(self, specs: Iterable[RunSpec]) -> None:
+        """Store runs before they are flown; those that are there already are left as they are."""
         rows = [
-            (s.run_id, first + place, s.phase, s.setting, s.environment, s.seed, canonical(s.to_json()))
-            for place, s in specs.items()
-        ]
-        columns = "run_id, position, phase, setting, environment, seed, spec"
+            (s.run_id, s.position, s.kind, s.setting, s.environment, s.seed, canonical(s.to_json())) for s in specs
+        ]  # fmt: skip
+        columns = "run_id, position, kind, setting, environment, seed, spec"
         with self._connection:
             self._connection.executemany(f"INSERT OR IGNORE INTO runs ({columns}) VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
 
-    def end_plan(self, phase: int) -> None:
-        """Note that all runs of a phase are stored."""
-        (count,) = self._connection.execute("SELECT COUNT(*) FROM runs WHERE phase = ?", (phase,)).fetchone()
+    def end_plan(self, world: tuple[str, int]) -> None:
+        """Note that all runs of a mission are stored."""
         with self._connection:
-            self._connection.execute("INSERT OR IGNORE INTO meta VALUES (?, ?)", (f"planned_{phase}", str(count)))
+            self._connection.execute("INSERT OR IGNORE INTO missions VALUES (?, ?)", world)
 
-    def is_planned(self, phase: int) -> bool:
-        """Whether the runs of a phase are stored."""
-        return self.meta(f"planned_{phase}") is not None
+    def planned(self) -> set[tuple[str, int]]:
+        """Missions, by environment and seed, of which all runs are stored."""
+        return set(self._connection.execute("SELECT environment, seed FROM missions"))
 
-    def runs(
-        self, phase: int | None = None, *, done: bool | None = None, world: tuple[str, int] | None = None
-    ) -> Iterator[Run]:
+    def done(self) -> dict[tuple[str, int], frozenset[str]]:
+        """Ids of the runs that are flown, by mission."""
+        found: dict[tuple[str, int], set[str]] = {}
+        rows = self._connection.execute("SELECT environment, seed, run_id FROM runs WHERE record IS NOT NULL")
+        for environment, seed, run_id in rows:
+            found.setdefault((environment, seed), set()).add(run_id)
+        return {world: frozenset(ids) for world, ids in found.items()}
+
+    def complete_missions(self) -> set[tuple[str, int]]:
+        """Missions of which every run is stored and flown."""
+        open_ones = set(self._connection.execute("SELECT DISTINCT environment, seed FROM runs WHERE record IS NULL"))
+        return self.planned() - open_ones
+
+    def runs(self, kind: str | None = None, *, done: bool | None = None) -> Iterator[Run]:
         """Rows in the order of the plan.
 
         Args:
-            phase: Only of this phase.
+            kind: Only "golden", "injected" or "null" runs.
             done: Only those that are flown, or only those that are not.
-            world: Only of this environment and seed.
         """
-        clauses = ["1"]
-        if phase is not None:
-            clauses.append(f"phase = {int(phase)}")
+        clauses, values = ["1"], []
+        if kind is not None:
+            clauses.append("kind = ?")
+            values.append(kind)
         if done is not None:
             clauses.append(f"record IS {'NOT ' if done else ''}NULL")
-        if world is not None:
-            clauses += ["environment = ?", "seed = ?"]
-        query = f"SELECT spec, record, note, wall_s FROM runs WHERE {' AND '.join(clauses)} ORDER BY position"
-        for spec, record, note, wall_s in self._connection.execute(query, world or ()):
-            parsed = None if record is None else json.loads(record)
-            yield Run(RunSpec.from_json(json.loads(spec)), parsed, note, wall_s)
+        query = f"SELECT {_RUN} FROM runs WHERE {' AND '.join(clauses)} ORDER BY position"
+        for row in self._connection.execute(query, values):
+            yield _run(*row)
 
     def run(self, run_id: str) -> Run:
         """One row by its id, or by the beginning of it.
 
         Raises:
-            BadInputError: There is none, or more than one.
+            BadInputError: There is none, or more than one; then the line lists some.
         """
-        query = "SELECT run_id, spec, record, note, wall_s FROM runs WHERE run_id = ? OR instr(run_id, ?) = 1"
+        query = f"SELECT run_id, {_RUN} FROM runs WHERE run_id = ? OR instr(run_id, ?) = 1 ORDER BY position"
         rows = self._connection.execute(query, (run_id, run_id)).fetchall()
         rows = [row for row in rows if row[0] == run_id] or rows
-        if len(rows) != 1:
-            found = "no run" if not rows else f"{len(rows)} runs"
-            raise BadInputError(f"{self.directory}: run {run_id!r}: {found} of that name")
-        _, spec, record, note, wall_s = rows[0]
-        return Run(RunSpec.from_json(json.loads(spec)), None if record is None else json.loads(record), note, wall_s)
+        if not rows:
+            raise BadInputError(f"{self.directory}: run {run_id!r}: no run of that name; `mavfi runs` lists them")
+        if len(rows) > 1:
+            some = ", ".join(row[0] for row in rows[:_CANDIDATES])
+            raise BadInputError(
+                f"{self.directory}: run {run_id!r}: {len(rows)} runs begin so; allowed, among others: {some}"
+            )
+        return _run(*rows[0][1:])
 
-    def write(self, spec: RunSpec, record: Mapping[str, Any], profile: bytes | None, note: str, wall_s: float) -> None:
-        """Store what a run left; from then on the run is done."""
+    def golden_of(self, spec: RunSpec) -> Run | None:
+        """The golden run of the same mission and arm; None for a golden run."""
+        if spec.kind == "golden":
+            return None
+        query = f"SELECT {_RUN} FROM runs WHERE kind = 'golden' AND setting = ? AND environment = ? AND seed = ?"
+        row = self._connection.execute(query, (spec.golden_setting, spec.environment, spec.seed)).fetchone()
+        return None if row is None else _run(*row)
+
+    def write(self, run_id: str, record: FlightRecord, note: str, wall_s: float) -> None:
+        """Store what a run left; from then on the run is done, and stays as it is."""
         with self._connection:
             self._connection.execute(
-                "UPDATE runs SET record = ?, note = ?, wall_s = ? WHERE run_id = ?",
-                (canonical(record), note, wall_s, spec.run_id),
+                "UPDATE runs SET record = ?, note = ?, wall_s = ? WHERE run_id = ? AND record IS NULL",
+                (canonical(record.to_json()), note, wall_s, run_id),
             )
-            if profile is not None:
-                row = (spec.environment, spec.seed, profile)
-                self._connection.execute("INSERT OR REPLACE INTO profiles VALUES (?, ?, ?)", row)
-
-    def profiles(self) -> dict[tuple[str, int], Profile]:
-        """Profiles of the golden flights, by environment and seed."""
-        rows = self._connection.execute("SELECT environment, seed, content FROM profiles")
-        return {(environment, seed): Profile.from_bytes(content) for environment, seed, content in rows}
-
-    def profile(self, environment: str, seed: int) -> Profile | None:
-        """Profile of one golden flight; None if it left none."""
-        query = "SELECT content FROM profiles WHERE environment = ? AND seed = ?"
-        row = self._connection.execute(query, (environment, seed)).fetchone()
-        return None if row is None else Profile.from_bytes(row[0])
 
     def counts(self) -> dict[str, tuple[int, int, int]]:
         """Runs by setting: planned, done, done with success."""
         query = (
-            "SELECT setting, COUNT(*), COUNT(record), TOTAL(json_extract(record, '$.success')) FROM runs "
+            "SELECT setting, COUNT(*), COUNT(record), TOTAL(json_extract(record, '$.status') = 'success') FROM runs "
             "GROUP BY setting ORDER BY MIN(position)"
         )
         rows = self._connection.execute(query)
         return {setting: (planned, done, int(success)) for setting, planned, done, success in rows}
 
-    @property
-    def is_of_nodes(self) -> bool:
-        """Whether it holds trials on a ROS node instead of flights."""
-        return bool(self.meta("identity").get("campaign", {}).get("kind") == KIND)
-
-    def require_flights(self) -> None:
-        """Refuse a ledger of trials.
-
-        Raises:
-            BadInputError: It holds trials on a ROS node.
-        """
-        if self.is_of_nodes:
-            raise BadInputError(f"{self.directory}: holds trials on a ROS node, which cannot be flown again")
+    def setting_of(self, run_id: str) -> str:
+        """Setting of a run that is stored."""
+        query = "SELECT setting FROM runs WHERE run_id = ?"
+        return str(self._connection.execute(query, (run_id,)).fetchone()[0])
 
     @property
     def complete(self) -> bool:
-        """Whether every phase is planned and every run is flown."""
-        return self.is_planned(PHASE_INJECTED) and self._ask("SELECT COUNT(*) FROM runs WHERE record IS NULL") == 0
+        """Whether every run of every mission is stored and flown."""
+        missions = self.meta("missions")
+        return missions is not None and len(self.complete_missions()) == missions
 
     def digest(self) -> str:
         """SHA-256 over plan and records: the same for any order of completion, any workers, any stop and resume.
@@ -291,6 +277,11 @@ class Store:
 def canonical(data: Any) -> str:
     """The one JSON text of plain data."""
     return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _run(spec: str, record: str | None, note: str, wall_s: float | None) -> Run:
+    parsed = None if record is None else FlightRecord.from_json(json.loads(record))
+    return Run(RunSpec.from_json(json.loads(spec)), parsed, note, wall_s)
 
 
 def _connect(path: Path, mode: str) -> sqlite3.Connection:

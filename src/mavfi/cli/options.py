@@ -109,5 +109,7 @@ def _allowed(name: str) -> str:
         return f"0 to {LARGEST_SEED}"
     if get_origin(field.annotation) is Literal:
         return ", ".join(get_args(field.annotation))
-    bounds = [bound.ge if isinstance(bound, Ge) else bound.le for bound in field.metadata if isinstance(bound, (Ge, Le))]
+    bounds = [
+        bound.ge if isinstance(bound, Ge) else bound.le for bound in field.metadata if isinstance(bound, (Ge, Le))
+    ]
     return " to ".join(f"{float(str(bound)):g}" for bound in bounds) or str(field.description)

@@ -1,17 +1,17 @@
-"""The sampling law: a seed and a golden profile become a fault, before any injected flight.
+"""The sampling scheme: a seed and a golden profile become a fault, before any injected flight.
 
 `stage_balanced` (the paper's equal number of injections per stage): state of the stage, uniform; field, uniform;
 publication, uniform; element, uniform; bit, uniform in a stratum.  The same draw serves any named group of fields.
 """
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import NO_SITE, Fault, FaultSite
+from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.faults.strata import bits_of, word_share
 from mavfi.flight_log import Profile
 from mavfi.states import MONITORED_SETS, PPC_STAGES, STACKS, STATES, StateSpec, find_state, states_with
@@ -109,7 +109,7 @@ def stream(seed: int, *key: int | str) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FAULT_PURPOSE, *numbers)))
 
 
-def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: int | str) -> Fault:
+def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: int | str) -> StateFault:
     """Draw one fault.
 
     Args:
@@ -131,16 +131,33 @@ def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: in
     field = spec.find(name)
     time_us, element = draw_publication(random, profile, FaultSite(state, name))
     bits = bits_of(field, stratum)
-    return Fault(
-        "state",
+    return StateFault(
         FaultSite(state, name, element),
         time_us,
         bit=bits[int(random.integers(len(bits)))],
         stratum=stratum,
         weight=word_share(field, stratum) * target.probability(state) / part.probability(state),
-        stage=spec.stage.value,
         seed=seed,
     )
+
+
+def share_out(shares: Mapping[str, float], count: int, seed: int, *address: str) -> list[str]:
+    """Give each of `count` faults its stratum: exact shares (largest remainder), in an order that the seed draws.
+
+    Args:
+        shares: Share of each stratum; need not add up to 1.
+        count: How many faults.
+        seed: First seed of the campaign.
+        address: Environment, and name of the target; each has an order of its own.
+    """
+    total = sum(shares.values())
+    exact = {stratum: count * share / total for stratum, share in shares.items()}
+    whole = {stratum: int(number) for stratum, number in exact.items()}
+    by_remainder = sorted(exact, key=lambda stratum: whole[stratum] - exact[stratum])
+    for stratum in by_remainder[: count - sum(whole.values())]:
+        whole[stratum] += 1
+    strata = [stratum for stratum, number in whole.items() for _ in range(number)]
+    return [strata[place] for place in stream(seed, "strata", *address).permutation(count)]
 
 
 def draw_publication(random: np.random.Generator, profile: Profile, site: FaultSite) -> tuple[int, int | None]:

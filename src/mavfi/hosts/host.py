@@ -68,6 +68,9 @@ class MissionFlights(Protocol):
             profile: Whether to record when which state was published.
         """
 
+    def know(self, arm: str, flight: Flight) -> None:
+        """Take over the golden flight of an arm that was flown elsewhere, e.g. with counted instructions."""
+
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
         """The flights with a fault, each by its place in the list, in any order.
 
@@ -99,6 +102,9 @@ class Host(Protocol):
             fast_forward: Whether flights may begin at checkpoints of known ones, and end as these did, where that
                 gives the same bytes.
         """
+
+    def warm_up(self, scenarios: Sequence[Scenario]) -> None:
+        """Compile or load what flights of such missions need, so that forked workers inherit it."""
 
 
 def find_host(name: str) -> Host:

@@ -1,54 +1,35 @@
-"""A pool of local processes that survives the death of a worker.
+"""Local processes, forked from this one: each takes one mission after the other and streams what it gives."""
 
-Workers are forked, so they inherit what the parent has compiled.  Each has a lane of its own: the items of a group, and
-what follows from them, go to one worker, which may keep what they share.  Results come back in the order of completion.
-"""
-
+import ctypes
 import multiprocessing
 import os
-from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import Future
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
-from queue import Empty, SimpleQueue
-from typing import Generic, TypeVar
+import signal
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any, Generic, TypeVar
 
-from pebble import ProcessExpired, ProcessPool
-
+from mavfi.campaign.executors.executor import Done, Lost
 from mavfi.errors import BadInputError
 
-ATTEMPTS_ALONE = 3
-"""How often an item that took a worker with it is tried again, with nothing beside it."""
-QUEUED_PER_WORKER = 2
 TIME_LIMIT = 600.0
-"""Wall time after which a worker counts as lost (s); a watchdog, hundreds of times a flight."""
+"""Wall time without an item after which a worker counts as lost (s); a watchdog, hundreds of times a flight."""
 MOST_WORKERS = 4 * (os.cpu_count() or 1)
-_POLL = 1.0
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
+_FORK = multiprocessing.get_context("fork")
 
 T = TypeVar("T")
 R = TypeVar("R")
 
 
-@dataclass(frozen=True, slots=True)
-class Lost:
-    """An item that no worker brought back.
-
-    Attributes:
-        reason: What became of the last worker.
-        died: Whether the worker died; otherwise it did not answer in time.
-    """
-
-    reason: str
-    died: bool
-
-
-class LocalPool:
-    """Flies items on local processes.
+class LocalExecutor:
+    """Works on this machine.
 
     Args:
-        workers: Number of processes, at most; there are never more than items.
-        time_limit: Wall time after which a worker counts as lost (s).
+        workers: Number of processes, at most; there are never more than missions.
+        time_limit: Wall time without an item after which a worker counts as lost (s).
 
     Raises:
         BadInputError: There would be no worker, or more than `MOST_WORKERS`.
@@ -60,156 +41,123 @@ class LocalPool:
         self._workers = workers
         self._time_limit = time_limit
 
-    def run(self, function: Callable[[T], R], items: Iterable[T]) -> Generator[tuple[T, R | Lost], None, None]:
-        """Call a function for every item; close the iterator, or leave it by an exception, to stop the workers.
-
-        Args:
-            function: Known by its module, so that a worker can be told which it is.
-            items: What it is called with.
-
-        Yields:
-            Item and result, in the order of completion.  Items that took a worker with them come last: each is tried
-            again alone, up to `ATTEMPTS_ALONE` times, and is `Lost` if it never comes back.
-
-        Raises:
-            Exception: Whatever the function raised.
-        """
-        return self.run_groups(function, [[item] for item in items], lambda _: ())
-
-    def run_groups(
-        self, function: Callable[[T], R], groups: Iterable[Sequence[T]], follow: Callable[[T], Iterable[T]]
-    ) -> Generator[tuple[T, R | Lost], None, None]:
-        """Call a function for every item of every group, and for what follows from each; otherwise as `run`.
-
-        Args:
-            function: As in `run`.
-            groups: Items of a group are taken up in order by the same worker, which then goes on to another group.
-            follow: Asked for each item when its result has been yielded: further items, for the same worker, next.
-
-        Yields:
-            See `run`.
-        """
-        waiting = [list(group) for group in groups]
-        while waiting:
-            suspects = []
-            lanes = min(self._workers, len(waiting))
-            for item, result in _stream(function, waiting, follow, lanes, self._time_limit):
-                if isinstance(result, Lost):
-                    suspects.append(item)
-                else:
-                    yield item, result
-            waiting = []
-            for item in suspects:
-                yield item, self._alone(function, item)
-                waiting.append(list(follow(item)))
-            waiting = [group for group in waiting if group]
-
-    def _alone(self, function: Callable[[T], R], item: T) -> R | Lost:
-        result: R | Lost = Lost("was never tried", died=False)
-        for _ in range(ATTEMPTS_ALONE):
-            for _, result in _stream(function, [[item]], lambda _: (), 1, self._time_limit):
-                if not isinstance(result, Lost):
-                    return result
-        return result
-
-
-@dataclass(slots=True, eq=False)
-class _Lane(Generic[T, R]):
-    """A worker, what is ahead of it, and what was handed to it."""
-
-    pool: ProcessPool
-    ahead: deque[T] = field(default_factory=deque)
-    running: "dict[Future[R], T]" = field(default_factory=dict)
-
-
-_Finished = SimpleQueue[tuple[_Lane[T, R], "Future[R]"]]
-
-
-def _stream(
-    function: Callable[[T], R], groups: Iterable[Sequence[T]], follow: Callable[[T], Iterable[T]], workers: int,
-    time_limit: float,
-) -> Iterator[tuple[T, R | Lost]]:  # fmt: skip
-    """Keep each worker busy with a few items, and replace one that breaks."""
-    waiting = iter(groups)
-    finished: _Finished[T, R] = SimpleQueue()
-    lanes: list[_Lane[T, R]] = []
-    try:
-        lanes += [_Lane(_open()) for _ in range(workers)]
-        while True:
-            broken = [lane for lane in lanes if not _fill(lane, function, waiting, finished, time_limit)]
-            if not broken and not any(lane.running for lane in lanes):
-                return
-            done = None if broken else _next(lanes, finished)
-            if done is not None:
-                yield from _told(*done, follow)
-                continue
-            for lane in broken or [lane for lane in lanes if not lane.pool.active]:
-                for item in lane.running.values():
-                    yield item, Lost("the pool of workers broke", died=True)
-                lane.running.clear()
-                _close(lane.pool)
-                lane.pool = _open()
-    finally:
-        for lane in lanes:
-            _close(lane.pool)
-
-
-def _told(lane: _Lane[T, R], future: "Future[R]", follow: Callable[[T], Iterable[T]]) -> Iterator[tuple[T, R | Lost]]:
-    """The item that is done; what follows from it is next in its lane."""
-    item = lane.running.pop(future, None)
-    if item is None:
-        return  # it was lost with its pool, and that was told
-    result = _result(future)
-    yield item, result
-    if not isinstance(result, Lost):
-        lane.ahead.extendleft(reversed(list(follow(item))))
-
-
-def _fill(
-    lane: _Lane[T, R], function: Callable[[T], R], waiting: Iterator[Sequence[T]], finished: _Finished[T, R],
-    time_limit: float,
-) -> bool:  # fmt: skip
-    """Hand items to a worker until it has enough of them; False if its pool is broken."""
-    while len(lane.running) < QUEUED_PER_WORKER:
-        while not lane.ahead:
-            group = next(waiting, None)
-            if group is None:
-                return True
-            lane.ahead.extend(group)
+    def map(
+        self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
+    ) -> Iterator[tuple[T, R | Done | Lost]]:  # fmt: skip
+        """See `Executor.map`."""
+        waiting = iter(missions)
+        workers: list[_Worker[T]] = []
         try:
-            future = lane.pool.schedule(function, args=(lane.ahead[0],), timeout=time_limit)
-        except RuntimeError:  # the pool broke since the last result; the item was not begun
-            return False
-        lane.running[future] = lane.ahead.popleft()
-        future.add_done_callback(lambda done: finished.put((lane, done)))
-    return True
+            for mission in waiting:
+                workers.append(_Worker(function))
+                workers[-1].give(mission)
+                if len(workers) == self._workers:
+                    break
+            while workers:
+                yield from self._next(workers, function, waiting)
+        finally:
+            for worker in workers:
+                worker.end()
+
+    def _next(
+        self, workers: "list[_Worker[T]]", function: Callable[[T], Iterator[R]], waiting: Iterator[T]
+    ) -> Iterator[tuple[T, Any]]:
+        """Wait for one worker or more, hand over what they give, and give those that are through the next mission."""
+        ready = wait([worker.pipe for worker in workers], timeout=1.0)
+        for place, worker in reversed(list(enumerate(workers))):
+            mission = worker.mission
+            item = worker.take() if worker.pipe in ready else worker.overdue(self._time_limit)
+            if item is None:
+                continue
+            if isinstance(item, _Raised):
+                raise item.error
+            if isinstance(item, (Done, Lost)):
+                if isinstance(item, Lost):
+                    worker.end()
+                    workers[place] = worker = _Worker(function)
+                following = next(waiting, _NOTHING)
+                if following is _NOTHING:
+                    worker.end()
+                    del workers[place]
+                else:
+                    worker.give(following)
+            yield mission, item
 
 
-def _open() -> ProcessPool:
-    return ProcessPool(max_workers=1, context=multiprocessing.get_context("fork"))
+_NOTHING: Any = object()
 
 
-def _close(pool: ProcessPool) -> None:
-    pool.stop()  # type: ignore[no-untyped-call]
-    pool.join()
+@dataclass(frozen=True, slots=True)
+class _Raised:
+    """What the function raised."""
+
+    error: Exception
 
 
-def _next(lanes: Sequence[_Lane[T, R]], finished: "_Finished[T, R]") -> "tuple[_Lane[T, R], Future[R]] | None":
-    """The next future that is done; None if a pool broke and will finish nothing more."""
+class _Worker(Generic[T]):
+    """A process, the pipe to it, and the mission that it is at."""
+
+    def __init__(self, function: Callable[[Any], Iterator[Any]]) -> None:
+        self.pipe, theirs = _FORK.Pipe()
+        self._process: BaseProcess = _FORK.Process(
+            target=_work, args=(theirs, self.pipe, function, os.getpid()), daemon=False
+        )
+        self._process.start()
+        theirs.close()
+        self.mission: T
+        self._since = time.monotonic()
+
+    def give(self, mission: T) -> None:
+        """Hand over a mission."""
+        self.mission, self._since = mission, time.monotonic()
+        self.pipe.send(mission)
+
+    def take(self) -> Any:
+        """The next item; `Lost` if the process is gone."""
+        self._since = time.monotonic()
+        try:
+            return self.pipe.recv()
+        except (EOFError, OSError):
+            self._process.join()
+            code = self._process.exitcode or 0
+            how = signal.Signals(-code).name if -code in {int(s) for s in signal.Signals} else f"exit code {code}"
+            return Lost(f"its worker died ({how})", died=True)
+
+    def overdue(self, limit: float) -> Lost | None:
+        """`Lost` if the process has given nothing for too long."""
+        if time.monotonic() - self._since < limit:
+            return None
+        return Lost(f"its worker gave nothing for {limit:g} s", died=False)
+
+    def end(self) -> None:
+        """End the process, whatever it is at."""
+        self.pipe.close()
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join(5.0)
+            if self._process.is_alive():
+                self._process.kill()
+        self._process.join()
+
+
+def _work(pipe: Connection, other_end: Connection, function: Callable[[Any], Iterator[Any]], parent: int) -> None:
+    """What a worker does: take missions until there are none."""
+    ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        return
+    other_end.close()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     while True:
         try:
-            return finished.get(timeout=_POLL)
-        except Empty:
-            if not all(lane.pool.active for lane in lanes):
-                return None
-
-
-def _result(future: "Future[R]") -> R | Lost:
-    try:
-        return future.result()
-    except ProcessExpired as error:
-        return Lost(f"its worker died with exit code {error.exitcode}", died=True)
-    except BrokenProcessPool as error:
-        return Lost(f"the pool of workers broke ({error})", died=True)
-    except TimeoutError:
-        return Lost("its worker did not answer in time", died=False)
+            mission = pipe.recv()
+        except (EOFError, OSError):
+            return
+        try:
+            for item in function(mission):
+                pipe.send(item)
+            pipe.send(Done())
+        except BrokenPipeError:
+            return
+        except Exception as error:  # whoever asked raises it
+            pipe.send(_Raised(error))

@@ -1,0 +1,242 @@
+"""The unit of work: all runs of one mission.  `fly_mission` is a pure function of a `MissionPlan`.
+
+Golden runs, the draw of the faults from them, injected runs: what is planned is handed over before it is flown.  An
+exception of ours is recorded as `unknown`, never as an effect of a fault.
+"""
+
+import pickle
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from mavfi.campaign.config import Campaign
+from mavfi.campaign.plan import Arm, Plan, RunSpec, arms_of
+from mavfi.campaign.samplers import sampler_for
+from mavfi.campaign.samplers.sampler import NULL, Draw, Sampled
+from mavfi.detectors.detector import Detector
+from mavfi.errors import SpecMismatchError
+from mavfi.faults.fault import Fault
+from mavfi.faults.instruction.forked import run_in_child
+from mavfi.flight_record import End, FlightRecord, record_of
+from mavfi.hosts.host import ArmSetup, Flight, MissionFlights, find_host
+from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.watching import detector_for
+from mavfi.mission import Scenario
+
+ATTEMPTS_ALONE = 3
+"""How often an injected run that takes its process with it is flown in a child of its own before it counts as `due`."""
+LONGEST_ALONE = 600.0
+"""Wall time after which such a child counts as dead (s)."""
+
+
+@dataclass(frozen=True, slots=True)
+class MissionPlan:
+    """A mission, and all that its runs are a function of.
+
+    Attributes:
+        campaign: The campaign.
+        environment: Name.
+        seed: Of the mission.
+        models_dir: Folder of trained models; None = the shipped ones.
+        models: sha256 of the trained model by arm; others are refused.
+        fast_forward: Whether flights may begin at checkpoints of known ones; the records are the same either way.
+        done: Runs that are in the ledger, by id.
+        alone: Whether each run with a fault is flown in a child of its own: a worker has died of this mission.
+    """
+
+    campaign: Campaign
+    environment: str
+    seed: int
+    models_dir: Path | None = None
+    models: Mapping[str, str] = field(default_factory=dict)
+    fast_forward: bool = True
+    done: frozenset[str] = frozenset()
+    alone: bool = False
+
+    @property
+    def world(self) -> tuple[str, int]:
+        """Environment and seed."""
+        return self.environment, self.seed
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """Runs of a mission that are about to be flown; `last` says that no more will be planned."""
+
+    specs: tuple[RunSpec, ...]
+    last: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """A run that is over.
+
+    Attributes:
+        run_id: Which.
+        record: A pure function of the plan.
+        note: Traceback of a run that ended in an exception of ours.
+        wall_s: What it took (s); never part of the record.
+    """
+
+    run_id: str
+    record: FlightRecord
+    note: str = ""
+    wall_s: float = field(default=0.0, compare=False)
+
+
+def scenarios_of(campaign: Campaign, arms: Sequence[Arm]) -> dict[tuple[str, str], Scenario]:
+    """Scenario with the campaign's first seed, by environment and arm.
+
+    Raises:
+        BadInputError: A name is not known, or things do not fit together.
+    """
+    return {
+        (environment, arm.name): resolve(campaign.spec(environment, campaign.first_seed, arm.overrides))
+        for environment in campaign.environments
+        for arm in arms
+    }
+
+
+def plan_of(campaign: Campaign, models: Mapping[str, str], scenarios: Mapping[tuple[str, str], Scenario]) -> Plan:
+    """The plan of a campaign."""
+    keys = {place: scenario.key() for place, scenario in scenarios.items()}
+    return Plan(campaign, sampler_for(campaign), arms_of(campaign), keys, models)
+
+
+def setup_of(plan: MissionPlan, arm: Arm, scenario: Scenario) -> ArmSetup:
+    """What an arm flies with; a model that is not the planned one is refused when its detector is first wanted."""
+    coupling = plan.campaign.spec(plan.environment, plan.seed, arm.overrides).coupling
+
+    def make() -> Detector:
+        detector, model = detector_for(scenario, arm.detector, arm.profile, plan.models_dir)
+        planned = plan.models.get(arm.name, "")
+        if model != planned:
+            raise SpecMismatchError(
+                f"arm {arm.name}: planned with the model {planned[:12]}, but {plan.models_dir} holds {model[:12]}"
+            )
+        return detector
+
+    return ArmSetup(scenario, make if arm.detector else None, coupling)
+
+
+def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
+    """Fly all runs of a mission that are not in the ledger yet.
+
+    Args:
+        mission: The mission.
+
+    Yields:
+        The golden runs as planned, their records; the runs with faults as planned, their records.
+
+    Raises:
+        BadInputError: The mission cannot be flown at all: a name is not known, a model does not fit.
+    """
+    campaign = mission.campaign
+    scenarios = scenarios_of(campaign, arms_of(campaign))
+    plan = plan_of(campaign, mission.models, scenarios)
+    setups = {
+        arm.name: setup_of(
+            mission, arm, scenarios[mission.environment, arm.name].model_copy(update={"seed": mission.seed})
+        )
+        for arm in plan.arms
+    }
+    flights = find_host(campaign.host).mission(setups, fast_forward=mission.fast_forward)
+    golden = plan.golden(*mission.world)
+    yield Planned(tuple(golden), last=False)
+    sampled: dict[str, Sampled] = {}
+    for spec in golden:
+        flown = _golden(plan, spec, flights, setups[spec.arm], sampled)
+        if spec.run_id not in mission.done:
+            yield flown
+    runs = _draw(plan, mission, sampled)
+    yield Planned(tuple(runs), last=True)
+    left = [spec for spec in runs if spec.run_id not in mission.done]
+    yield from (_alone(left, flights) if mission.alone else _injected(left, flights))
+
+
+def _golden(plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup, sampled: dict[str, Sampled]) -> Flown:
+    """A golden run; that of a variant also gives what faults are drawn from."""
+    arm = next(arm for arm in plan.arms if arm.name == spec.arm)
+
+    def fly() -> FlightRecord:
+        if arm.name and not arm.is_variant:
+            return _record(flights.golden(arm.name))
+        draws = [draw for _, draw in plan.places(*spec.world) if draw.variant == arm.name and draw.target != NULL]
+        found = plan.sampler.golden(arm.name, draws, spec.environment, flights, setup)
+        sampled[arm.name] = found
+        profile = found.flight.profile
+        acted_on = {} if profile is None else {state: len(times) for state, times in profile.times_us.items()}
+        return replace(_record(found.flight), counts=found.counts, acted_on=acted_on)
+
+    return _guarded(spec.run_id, fly)
+
+
+def _draw(plan: Plan, mission: MissionPlan, sampled: Mapping[str, Sampled]) -> list[RunSpec]:
+    """All runs with a fault of a mission, in the order of the plan."""
+    places = list(plan.places(*mission.world))
+    draws = [draw for _, draw in places if draw.target != NULL]
+    drawn = iter(plan.sampler.draw(draws, mission.environment, sampled))
+    found = []
+    for place, draw in places:
+        fault = _null(plan, draw, mission, sampled) if draw.target == NULL else next(drawn)
+        if fault is not None:
+            found += plan.injected(mission.environment, draw, place, fault)
+    return found
+
+
+def _null(plan: Plan, draw: Draw, mission: MissionPlan, sampled: Mapping[str, Sampled]) -> Fault:
+    return plan.sampler.null(draw.index, draw.seed, mission.environment, sampled)
+
+
+def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]:
+    """The runs with a fault, as the host gives them."""
+    started = time.perf_counter()
+    for place, flight in flights.injected([_request(spec) for spec in specs]):
+        wall_s, started = time.perf_counter() - started, time.perf_counter()
+        yield replace(_guarded(specs[place].run_id, lambda flight=flight: _judged(flight)), wall_s=wall_s)
+
+
+def _alone(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]:
+    """The same, each in a child of its own; one that dies each time is `due`."""
+    for spec in specs:
+        for _ in range(ATTEMPTS_ALONE):
+            ended = run_in_child(lambda spec=spec: pickle.dumps(next(_injected([spec], flights))), LONGEST_ALONE)
+            if ended.how == "done":
+                yield pickle.loads(ended.payload)
+                break
+        else:
+            record = FlightRecord(End.DUE, error="the process died each time")
+            yield Flown(spec.run_id, record, f"{ended.how} {ended.detail}".strip())
+
+
+def _request(spec: RunSpec) -> tuple[str, Fault]:
+    assert spec.fault is not None  # golden runs are flown apart
+    return spec.arm, spec.fault
+
+
+def _judged(flight: Flight | Exception) -> FlightRecord:
+    if isinstance(flight, Exception):
+        raise flight
+    return _record(flight)
+
+
+def _record(flight: Flight) -> FlightRecord:
+    return replace(record_of(flight.log), extra=dict(flight.extra))
+
+
+def _guarded(run_id: str, work: Callable[[], FlightRecord]) -> Flown:
+    """Do what flies and records a run; an exception of ours is recorded as `unknown`.
+
+    Raises:
+        SpecMismatchError: A model is not the planned one: no run of the mission can be flown.
+    """
+    started = time.perf_counter()
+    try:
+        return Flown(run_id, work(), wall_s=time.perf_counter() - started)
+    except SpecMismatchError:
+        raise
+    except Exception as error:  # whatever it is, the campaign goes on, counts it and shows it
+        record = FlightRecord(End.UNKNOWN, error=type(error).__name__)
+        return Flown(run_id, record, traceback.format_exc(), time.perf_counter() - started)

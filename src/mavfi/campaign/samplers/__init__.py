@@ -1,0 +1,28 @@
+"""How faults are drawn: one sampler for each level, all behind one protocol."""
+
+from typing import TYPE_CHECKING
+
+from mavfi.campaign.samplers.sampler import Sampler
+
+if TYPE_CHECKING:
+    from mavfi.campaign.config import Campaign
+
+
+def sampler_for(campaign: "Campaign") -> Sampler:
+    """The sampler of a campaign.
+
+    Raises:
+        BadInputError: What is to be drawn does not exist, or does not go with the rest of the campaign.
+    """
+    level = campaign.sampling.level  # imported here: each reads the campaign's configuration
+    if level == "instruction":
+        from mavfi.campaign.samplers.instructions import InstructionSampler
+
+        return InstructionSampler(campaign)
+    if level == "register":
+        from mavfi.campaign.samplers.register import RegisterSampler
+
+        return RegisterSampler(campaign)
+    from mavfi.campaign.samplers.state import StateSampler
+
+    return StateSampler(campaign)

@@ -1,0 +1,91 @@
+"""Faults in instructions of a campaign: kernels, or the kernels of stages, share them equally.
+
+A mission's golden run counts what its kernels execute, and draws.  A kernel of a planner that the campaign does not fly
+has missions of its own, flown with that planner.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mavfi.campaign.config import Campaign, InstructionSampling
+from mavfi.campaign.samplers.instruction import Request, draw_instruction_faults
+from mavfi.campaign.samplers.sampler import Draw, Sampled
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import Fault
+from mavfi.faults.sampling import share_out
+from mavfi.hosts.host import ArmSetup, MissionFlights
+from mavfi.states import KERNEL_STAGES, PLANNERS, PPC_STAGES
+
+
+class InstructionSampler:
+    """Draws one result of one dynamic instruction.
+
+    Args:
+        campaign: With an `InstructionSampling`.
+
+    Raises:
+        BadInputError: Arms and kernels do not go together.
+    """
+
+    level = "instruction"
+
+    def __init__(self, campaign: Campaign) -> None:
+        assert isinstance(campaign.sampling, InstructionSampling)  # as `sampler_for` chooses
+        self._campaign, self._sampling = campaign, campaign.sampling
+        planner = campaign.spec(campaign.environments[0], campaign.first_seed).planner
+        others = [name for name in self._sampling.kernels if name in PLANNERS and name != planner]
+        self.variants: Mapping[str, Mapping[str, Any]] = {name: {"planner": name} for name in others}
+        if campaign.arms and others:
+            raise BadInputError(
+                f"sampling.kernels: {others[0]!r}: detectors are trained with one planner; allowed with arms: kernels "
+                f"of missions with planner {planner!r}"
+            )
+        if campaign.nulls:
+            raise BadInputError(f"null_runs: {campaign.nulls}; allowed: 0 with faults in instructions")
+
+    def draws(self, environment: str) -> list[Draw]:
+        """Kernel by kernel; where stages share, the seed draws which number falls to which kernel of a stage."""
+        campaign = self._campaign
+        found = []
+        for group in kernel_groups(self._sampling):
+            stage = KERNEL_STAGES[group[0]].value
+            kernels = share_out(dict.fromkeys(group, 1.0), campaign.faults, campaign.first_seed, environment, stage)
+            for index, kernel in enumerate(kernels):
+                variant = kernel if kernel in self.variants else ""
+                found.append(Draw(kernel, index, campaign.first_seed + index % campaign.missions, variant))
+        return found
+
+    def golden(
+        self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
+    ) -> Sampled:  # fmt: skip
+        """The golden run with counted instructions; its faults are drawn on the way."""
+        targets = [draw.target for draw in draws]
+        kernels = [name for name in self._sampling.kernels if (name if name in self.variants else "") == arm]
+        if not kernels:
+            return Sampled(flights.golden(arm))
+        sampling, scenario = self._sampling, setup.scenario
+        request = Request(
+            {name: targets.count(name) for name in kernels}, sampling.which, sampling.model, sampling.restart_s,
+            sampling=sampling.scheme,
+        )  # fmt: skip
+        drawn = draw_instruction_faults(scenario, request, environment, seed=scenario.seed)
+        flights.know(arm, drawn.golden)
+        return Sampled(drawn.golden, drawn.counts, drawn.faults)
+
+    def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
+        """What was drawn in flight, in turn; a golden run that left nothing has drawn nothing."""
+        del environment
+        waiting = {kernel: iter(faults) for sampled in golden.values() for kernel, faults in sampled.faults.items()}
+        return [next(waiting.get(d.target, iter(())), None) for d in draws]
+
+    def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
+        """There are none."""
+        raise BadInputError("null runs: allowed with faults in states")
+
+
+def kernel_groups(sampling: InstructionSampling) -> list[tuple[str, ...]]:
+    """Kernels that share one number of faults: each alone, or those of each stage."""
+    if sampling.share == "kernel":
+        return [(name,) for name in sampling.kernels]
+    stages = [tuple(name for name in sampling.kernels if KERNEL_STAGES[name] is stage) for stage in PPC_STAGES]
+    return [group for group in stages if group]

@@ -1,0 +1,94 @@
+"""Faults in inter-kernel states: `stage_balanced`, the paper's equal number for each stage, or groups of fields.
+
+Exact shares of the bit strata, in an order that the seed draws; each fault has a random stream of its own.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from mavfi.campaign.config import Campaign, StateSampling
+from mavfi.campaign.samplers.sampler import Draw, Sampled
+from mavfi.faults.fault import Fault
+from mavfi.faults.sampling import Target, draw, group_target, share_out, stage_target
+from mavfi.faults.strata import HEADLINE
+from mavfi.flight_log import Profile
+from mavfi.hosts.host import ArmSetup, MissionFlights
+from mavfi.states import PPC_STAGES
+
+
+class StateSampler:
+    """Draws one bit of one field of one publication.
+
+    Args:
+        campaign: With a `StateSampling`.
+
+    Raises:
+        BadInputError: A target has no bits of one of its strata.
+    """
+
+    level = "state"
+    variants: Mapping[str, Mapping[str, Any]] = {}
+
+    def __init__(self, campaign: Campaign) -> None:
+        assert isinstance(campaign.sampling, StateSampling)  # as `sampler_for` chooses
+        spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        self._campaign, self._sampling = campaign, campaign.sampling
+        self._autopilot, self._localization = spec.autopilot, spec.localization
+        self._targets = {target.name: (target, shares) for target, shares in self._find_targets()}
+        for target, shares in self._targets.values():
+            for stratum in shares:
+                target.within(stratum)
+
+    def _find_targets(self) -> list[tuple[Target, Mapping[str, float]]]:
+        sampling = self._sampling
+        if sampling.scheme == "groups":
+            return [
+                (group_target(g.name, g.sites, self._localization), g.strata or sampling.strata)
+                for g in sampling.groups
+            ]  # fmt: skip
+        monitored = self._campaign.monitored_set if sampling.sites == "monitored" else None
+        return [
+            (stage_target(stage, self._autopilot, monitored, self._localization), sampling.strata)
+            for stage in PPC_STAGES
+        ]
+
+    def draws(self, environment: str) -> list[Draw]:
+        """Target by target; fault i in mission i modulo the number of missions."""
+        campaign = self._campaign
+        return [
+            Draw(name, index, campaign.first_seed + index % campaign.missions, stratum=stratum)
+            for name, (_, shares) in self._targets.items()
+            for index, stratum in enumerate(
+                share_out(shares, campaign.faults, campaign.first_seed, environment, name)
+            )
+        ]  # fmt: skip
+
+    def golden(
+        self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
+    ) -> Sampled:  # fmt: skip
+        """The golden run, with the profile of what it published."""
+        del draws, environment, setup
+        return Sampled(flights.golden(arm, profile=True))
+
+    def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
+        """From the profile of the golden run; without one, faults have no site."""
+        profile = _profile(golden)
+        return [
+            draw(
+                self._targets[d.target][0], d.stratum, profile, d.seed, environment, d.index // self._campaign.missions
+            )
+            for d in draws
+        ]
+
+    def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
+        """A fault with an empty mask, of each stage in turn."""
+        stage = PPC_STAGES[index % len(PPC_STAGES)]
+        target = stage_target(stage, self._autopilot, localization=self._localization)
+        fault = draw(target, HEADLINE, _profile(golden), seed, environment, index)
+        return replace(fault, bit=None, stratum="", weight=1.0)
+
+
+def _profile(golden: Mapping[str, Sampled]) -> Profile:
+    found = golden[""].flight.profile if "" in golden else None
+    return Profile() if found is None else found
