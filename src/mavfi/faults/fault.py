@@ -18,6 +18,8 @@ NO_SITE = -1
 """`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden flight has no site."""
 Model = Literal["one_bit", "bits", "random", "zero"]
 MODELS = ("one_bit", "bits", "random", "zero")
+RESTART_S = 0.57
+"""Time until a node that died is there again: a ROS 1 node killed and started again by roslaunch, measured (s)."""
 REGISTERS = ("all", "general", "fp")
 ACCESSES = ("either", "read", "write")
 DEFAULT_WALK = 16
@@ -115,7 +117,7 @@ class InstructionFault:
     kernel: str = ""
     entry: str = ""
     value_class: str = ""
-    restart_s: float = 0.57
+    restart_s: float = RESTART_S
     stratum: str = ""
     weight: float = 1.0
     seed: int = 0

@@ -1,12 +1,14 @@
 """Faults as text: `null`, `state:planning.waypoint.x`, `state:planning.trajectory.x[3]:bit=62@5.0`."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, FaultSite
+from mavfi.faults.fault import MODELS, RESTART_S, FaultSite, Model, StateFault
 from mavfi.faults.sampling import draw_publication, live_fields, stream
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight_log import Profile
@@ -22,8 +24,8 @@ _LONGEST = 1e9
 
 
 @dataclass(frozen=True, slots=True)
-class FaultRequest:
-    """A fault as a user names it; what is None is drawn.
+class StateRequest:
+    """A fault in a state as a user names it; what is None is drawn.
 
     Attributes:
         state: Row of the state table.
@@ -47,12 +49,12 @@ class FaultRequest:
         some_element = bool(self.state.elements) and self.element is None
         return self.time_us is None or some_element
 
-    def resolve(self, seed: int, stack: str, profile: Profile | None = None) -> Fault:
+    def resolve(self, seed: int, stack: str, profile: Profile | None = None) -> StateFault:
         """Draw what was not named.
 
         Args:
             seed: Seed of the fault.
-            stack: Name of the stack: a field that nothing reads is struck only if it was named.
+            stack: Name of the autopilot profile: a field that nothing reads is injected only if it was named.
             profile: Publications of the golden flight; wanted where `needs_profile`.
 
         Returns:
@@ -60,15 +62,15 @@ class FaultRequest:
         """
         random = stream(seed, "spec", self.state.name)
         field = self._field(random, stack)
-        site = FaultSite(self.state.name, field.name, self.element)
+        where = FaultSite(self.state.name, field.name, self.element)
         time_us = self.time_us or 0
         if self.needs_profile:
-            drawn, element = draw_publication(random, self._later(profile or Profile()), site)
-            site = FaultSite(self.state.name, field.name, element)
+            drawn, element = draw_publication(random, self._later(profile or Profile()), where)
+            where = FaultSite(self.state.name, field.name, element)
             time_us = drawn if self.time_us is None else self.time_us
         drawn_bit = int(random.integers(WORD_BITS[field.dtype])) if self.bit is None else self.bit
         bit = None if self.null else drawn_bit
-        return Fault("state", site, time_us, bit, stage=self.state.stage.value, seed=seed)
+        return StateFault(where, time_us, bit, seed=seed)
 
     def _field(self, random: np.random.Generator, stack: str) -> Field:
         if self.field is not None:
@@ -81,7 +83,7 @@ class FaultRequest:
         return fields[int(random.integers(len(fields)))]
 
     def _later(self, profile: Profile) -> Profile:
-        """The publications from which the element is drawn: the first one that will be struck, if the time is named."""
+        """The publications from which the element is drawn: only the first one from the named time on."""
         name = self.state.name
         if self.time_us is None or name not in profile.times_us:
             return profile
@@ -90,21 +92,30 @@ class FaultRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class KernelRequest:
-    """A fault in an instruction as a user names it; which one is drawn.
+class InstructionRequest:
+    """Faults in instructions to be drawn from one mission.
 
     Attributes:
-        kernel: Name of the kernel.
+        kernels: How many faults in each kernel, by the names of `states.INJECTABLE`.
         which: Class of instructions, see `mavfi.faults.instruction.selection`.
         model: What becomes of the value.
+        restart_s: After which time a node that died is there again (s).
+        sampling: "uniform" over dynamic instructions, or "stratified" by value class and source line, with weights.
     """
 
-    kernel: str
+    kernels: Mapping[str, int]
     which: str = "all"
-    model: str = "one_bit"
+    model: Model = "one_bit"
+    restart_s: float = RESTART_S
+    sampling: Literal["uniform", "stratified"] = "uniform"
+
+    @property
+    def kernel(self) -> str:
+        """The first kernel: the only one of a request from the command line."""
+        return next(iter(self.kernels))
 
 
-def parse(text: str, localization: str = "truth") -> FaultRequest | KernelRequest:
+def parse(text: str, localization: str = "truth") -> StateRequest | InstructionRequest:
     """Read a fault from the command line.
 
     Args:
@@ -115,12 +126,12 @@ def parse(text: str, localization: str = "truth") -> FaultRequest | KernelReques
         BadInputError: It names no state, field, element or bit that exists; the message says what does.
     """
     if text == "null":
-        return FaultRequest(STATES[_NULL_SITE.state], _NULL_SITE.field, null=True)
+        return StateRequest(STATES[_NULL_SITE.state], _NULL_SITE.field, null=True)
     level, _, rest = text.partition(":")
     if level == "register":
-        raise BadInputError(f"fault {text!r}: registers are struck by mavfi inject; allowed: state, instruction")
+        raise BadInputError(f"fault {text!r}: registers are injected by mavfi inject; allowed: state, instruction")
     if level == "instruction":
-        return _parse_kernel(text, rest)
+        return _parse_instruction(text, rest)
     match = _PATTERN.fullmatch(rest)
     if level != "state" or match is None:
         raise BadInputError(f"fault {text!r}: not understood; allowed: {FORM}")
@@ -128,24 +139,24 @@ def parse(text: str, localization: str = "truth") -> FaultRequest | KernelReques
     element, bit = (None if match[name] is None else int(match[name]) for name in ("element", "bit"))
     _check_element(text, spec, field, element)
     _check_bit(text, spec, field, bit)
-    return FaultRequest(spec, field, element, bit, _microseconds(text, match["time"]))
+    return StateRequest(spec, field, element, bit, _microseconds(text, match["time"]))
 
 
-def _parse_kernel(text: str, rest: str) -> KernelRequest:
-    from mavfi.faults.instruction.fault import MODELS
+def _parse_instruction(text: str, rest: str) -> InstructionRequest:
     from mavfi.faults.instruction.selection import parse_selection
 
     match = _INSTRUCTION.fullmatch(rest)
     if match is None:
         raise BadInputError(f"fault {text!r}: not understood; allowed: {FORM}")
-    which, model = match["which"] or "all", match["model"] or "one_bit"
+    which = match["which"] or "all"
+    model: Any = match["model"] or "one_bit"
     try:
         parse_selection(which)
     except BadInputError as error:
         raise BadInputError(f"fault {text!r}: {error}") from None
     if model not in MODELS:
         raise BadInputError(f"fault {text!r}: no model {model!r}; allowed: {', '.join(MODELS)}")
-    return KernelRequest(match["kernel"], which, model)
+    return InstructionRequest({match["kernel"]: 1}, which, model)
 
 
 def _find(text: str, path: str, localization: str) -> tuple[StateSpec, str | None]:

@@ -1,6 +1,6 @@
-"""The compiled functions that the kernels call, as a table that a host hands in: any of them can be given a twin.
+"""The compiled functions that the kernels call, as a table that a host hands in: any of them can be instrumented.
 
-A twin takes the same arguments and gives the same result, and counts instructions or strikes one of them meanwhile.
+An instrumented function takes the same arguments, gives the same result, and counts or injects instructions meanwhile.
 """
 
 from collections.abc import Callable
@@ -34,14 +34,14 @@ class KernelFunctions:
     shortcut_random: Compiled = path.shortcut_random
     track: Compiled = pid.track
 
-    def with_twins(self, names: tuple[str, ...], twin: Callable[[str, Compiled], Compiled]) -> "KernelFunctions":
-        """A table in which some functions have twins.
+    def instrumented(self, names: tuple[str, ...], make: Callable[[str, Compiled], Compiled]) -> "KernelFunctions":
+        """A table in which some functions are instrumented.
 
         Args:
             names: Attributes.
-            twin: Gives the twin of a function, from its name and itself.
+            make: Gives what takes the place of a function, from its name and itself.
         """
-        return replace(self, **{name: twin(name, getattr(self, name)) for name in names})
+        return replace(self, **{name: make(name, getattr(self, name)) for name in names})
 
     def __reduce__(self) -> tuple[Any, ...]:
         """By name: Numba would send the source, which another process then compiles again, past its cache.
@@ -51,7 +51,7 @@ class KernelFunctions:
         """
         places = [(function.__module__, function.__qualname__) for function in self._table()]
         if [_imported(*place) for place in places] != self._table():
-            raise PicklingError("kernel functions with twins stay in their process")
+            raise PicklingError("instrumented kernel functions stay in their process")
         return _from_places, (places,)
 
     def _table(self) -> list[Compiled]:
@@ -68,21 +68,3 @@ def _from_places(places: list[tuple[str, str]]) -> KernelFunctions:
 
 PLAIN = KernelFunctions()
 """The functions themselves."""
-
-_SHORTEN = ("shortcut_greedy", "shortcut_random")
-
-STRUCK: dict[str, tuple[str, ...]] = {
-    "point_cloud": ("back_project",),
-    "octomap": ("insert_scan", "collect", "update_voxels"),
-    "collision_check": ("apply_updates", "time_to_collision", "known_free_distance"),
-    "rrt": ("plan_rrt", *_SHORTEN),
-    "rrt_connect": ("plan_rrt_connect", *_SHORTEN),
-    "rrt_star": ("plan_rrt_star", *_SHORTEN),
-    "pid": ("track",),
-}
-"""The seven kernels of the instruction-level study, and the functions that each consists of.
-
-`octomap` calls the first one on a dense map, the two others on an octree.  `collision_check` keeps its own map of room,
-and `apply_updates` is the part of it that stores updates there; the planner's copy is not struck.  Of the planners only
-the one that the configuration names is flown; finding and shortening paths is struck, the choice among them is not.
-"""

@@ -3,7 +3,7 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite
-from mavfi.faults.spec import KernelRequest, parse
+from mavfi.faults.spec import InstructionRequest, parse
 from mavfi.flight_log import Profile
 from mavfi.states import STACKS
 
@@ -20,13 +20,13 @@ def test_everything_named():
     request = parse("state:planning.trajectory.x[3]:bit=62@5.0")
     assert not request.needs_profile
     fault = request.resolve(0, "published")
-    assert fault.site == FaultSite("planning.trajectory", "x", 3)
-    assert (fault.bit, fault.time_us, fault.stage) == (62, 5_000_000, "planning")
+    assert fault.where == FaultSite("planning.trajectory", "x", 3)
+    assert (fault.bit, fault.time_us) == (62, 5_000_000)
 
 
 def test_states_of_one_localization_can_be_named_with_it_alone():
     fault = parse("state:perception.odometry.x:bit=62@5.0", "estimator").resolve(0, "published")
-    assert (fault.site, fault.stage) == (FaultSite("perception.odometry", "x"), "perception")
+    assert (fault.where, fault.site) == (FaultSite("perception.odometry", "x"), "perception.odometry.x")
     for text, localization in (("state:perception.odometry.x", "truth"), ("state:sensor.odometry", "estimator")):
         with pytest.raises(BadInputError, match="is published with localization"):
             parse(text, localization)
@@ -34,7 +34,7 @@ def test_states_of_one_localization_can_be_named_with_it_alone():
 
 def test_header_field_with_bit_and_instant():
     fault = parse("state:planning.waypoint.x:bit=62@20.0").resolve(0, "published")
-    assert (str(fault.site), fault.bit, fault.time_us) == ("planning.waypoint.x", 62, 20_000_000)
+    assert (fault.site, fault.bit, fault.time_us) == ("planning.waypoint.x", 62, 20_000_000)
 
 
 def test_instant_and_bit_are_drawn_from_the_seed():
@@ -48,21 +48,21 @@ def test_instant_and_bit_are_drawn_from_the_seed():
 
 def test_the_field_is_drawn_from_those_that_are_read():
     request = parse("state:planning.waypoint")
-    drawn = {stack: {request.resolve(seed, stack, PROFILE).site.field for seed in range(300)} for stack in STACKS}
+    drawn = {stack: {request.resolve(seed, stack, PROFILE).where.field for seed in range(300)} for stack in STACKS}
     assert drawn["hardened"] - drawn["published"] == {"ax", "ay", "az"}
     assert {"x", "y", "z", "yaw", "vx", "vy", "vz", "duration"} <= drawn["published"]
 
 
 def test_a_named_bit_leaves_only_fields_that_have_it():
     request = parse("state:perception.collision_status:bit=40@1")
-    assert {request.resolve(seed, "published").site.field for seed in range(50)} == {"time_to_collision"}
+    assert {request.resolve(seed, "published").where.field for seed in range(50)} == {"time_to_collision"}
 
 
-def test_the_element_is_drawn_from_the_publication_that_will_be_struck():
+def test_the_element_is_drawn_from_the_publication_that_is_injected():
     request = parse("state:planning.trajectory.x:bit=3@0.0001")
     assert request.needs_profile
     faults = [request.resolve(seed, "published", PROFILE) for seed in range(100)]
-    assert {fault.site.element for fault in faults} == set(range(7))
+    assert {fault.where.element for fault in faults} == set(range(7))
     assert {fault.time_us for fault in faults} == {100}
 
 
@@ -100,7 +100,7 @@ def test_no_site_without_a_publication():
         ("instruction:pid:bit=3", "allowed: null, state:"),
         ("instruction:pid:which=left", "instructions 'left': not understood; allowed: all, floating_point"),
         ("instruction:pid:model=two_bits", "no model 'two_bits'; allowed: one_bit"),
-        ("register:1234", "registers are struck by mavfi inject; allowed: state, instruction"),
+        ("register:1234", "registers are injected by mavfi inject; allowed: state, instruction"),
     ],
 )
 def test_errors_are_one_line_that_says_what_is_allowed(text, names):
@@ -114,8 +114,8 @@ def test_errors_are_one_line_that_says_what_is_allowed(text, names):
 
 
 def test_faults_in_instructions_name_kernel_class_and_model():
-    assert parse("instruction:octomap") == KernelRequest("octomap")
-    assert parse("instruction:pid:which=line:pid.py:74-90:model=zero") == KernelRequest(
-        "pid", "line:pid.py:74-90", "zero"
+    assert parse("instruction:octomap") == InstructionRequest({"octomap": 1})
+    assert parse("instruction:pid:which=line:pid.py:74-90:model=zero") == InstructionRequest(
+        {"pid": 1}, "line:pid.py:74-90", "zero"
     )
-    assert parse("instruction:pid:which=opcode:fmul") == KernelRequest("pid", "opcode:fmul")
+    assert parse("instruction:pid:which=opcode:fmul") == InstructionRequest({"pid": 1}, "opcode:fmul")

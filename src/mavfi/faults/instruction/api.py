@@ -1,4 +1,4 @@
-"""What one does with a kernel: count its instructions, say what they are, draw faults, and strike.
+"""What one does with a kernel: count its instructions, say what they are, draw faults, and inject them.
 
 Kernels are functions compiled by `mavfi.numerics.jit.kernel_jit`; nothing else of mavfi is needed.
 """
@@ -13,36 +13,39 @@ from typing import Any, Literal
 import numpy as np
 
 from mavfi.errors import BadInputError
+from mavfi.faults.fault import InstructionFault, Model
 from mavfi.faults.instruction.build import name_of
-from mavfi.faults.instruction.fault import InstructionFault, Model, Strike, plan, strike_of
 from mavfi.faults.instruction.forked import Ended, run_in_child
-from mavfi.faults.instruction.refusal import BuildError, MismatchError
+from mavfi.faults.instruction.plan import budget_for, check_fault, injection_of, plan
+from mavfi.faults.instruction.refusal import BuildError
 from mavfi.faults.instruction.selection import parse_selection
 from mavfi.faults.instruction.table import Site
 from mavfi.faults.instruction.variant import Variant, variant_for
+from mavfi.flight_log import Injection
 
 _ROUNDS = 40
 _BATCH = 256
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of one struck call.
+class InjectedCall:
+    """What became of one call with a fault.
 
     Attributes:
         how: "masked": result and arguments are bit for bit as without the fault; "sdc": they are not; "crash": a
-            signal; "hang": the budget of instructions was used up; "exception"; "not_reached": there was no strike.
-        strike: What the fault did.
+            signal; "hang": the budget of instructions was used up; "exception"; "not_activated": the instruction was
+            not reached.
+        injection: What the fault did.
         detail: Name of the signal, or text of the exception.
     """
 
-    how: Literal["masked", "sdc", "crash", "hang", "exception", "not_reached"]
-    strike: Strike
+    how: Literal["masked", "sdc", "crash", "hang", "exception", "not_activated"]
+    injection: Injection
     detail: str = ""
 
 
 def count(kernel: Any, *args: Any) -> int:
-    """How many values the kernel writes: its dynamic instructions that can be struck.
+    """How many values the kernel writes: its dynamic instructions that can be injected.
 
     Args:
         kernel: A compiled function.
@@ -99,15 +102,18 @@ def draw(
     random = np.random.default_rng(seed)
     total = int(apart(lambda: variant.count(*args)[1]))
     if total == 0:
-        raise BadInputError(f"{name_of(kernel)}: it writes no value that could be struck")
+        raise BadInputError(f"{name_of(kernel)}: it writes no value that could be injected")
     found: list[InstructionFault] = []
     for _ in range(_ROUNDS):
         indices = random.integers(total, size=max(_BATCH, n)).tolist()
         sites: list[Site] = apart(partial(_sites, variant, indices, args))
         for index, site in zip(indices, sites, strict=True):
             if site in selection and len(found) < n:
-                drawn = plan(random, name_of(kernel), variant.ir_sha256, site, index, model, bits)
-                found.append(replace(drawn, which=which, budget=budget_for(total)))
+                fault = plan(
+                    random, name_of(kernel), variant.ir_sha256, site, index, model, bits, which=which,
+                    budget=budget_for(total), seed=seed,
+                )  # fmt: skip
+                found.append(fault)
         if len(found) == n:
             return found
     raise BadInputError(
@@ -116,19 +122,14 @@ def draw(
     )
 
 
-def budget_for(total: int) -> int:
-    """After how many values a call counts as hanging, if it writes `total` without a fault."""
-    return 3 * total + 10_000
-
-
-def inject(kernel: Any, fault: InstructionFault, *args: Any) -> tuple[Any, Strike]:
+def inject(kernel: Any, fault: InstructionFault, *args: Any) -> tuple[Any, Injection]:
     """Call a kernel with a fault, in this process.
 
-    A wild write, a crash or a hang (exit status 77) ends the process: strike addresses and control by `run_forked`.
+    A wild write, a crash or a hang (exit status 77) ends the process: use `run_forked` for addresses and control.
 
     Args:
         kernel: A compiled function.
-        fault: What to strike.
+        fault: What to inject.
         *args: Its arguments; they are changed as by a call with the fault.
 
     Returns:
@@ -141,15 +142,15 @@ def inject(kernel: Any, fault: InstructionFault, *args: Any) -> tuple[Any, Strik
     check_fault(fault, variant, kernel)
     budget = fault.budget or budget_for(int(apart(lambda: variant.count(*args)[1])))
     result = variant.inject(fault.index, *fault.masks, budget, *args)
-    return result, strike_of(fault, variant.report())
+    return result, injection_of(fault, variant.report())
 
 
-def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float = 60.0) -> Outcome:
+def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float = 60.0) -> InjectedCall:
     """Call a kernel with a fault in a forked child, and compare with the call without it.
 
     Args:
         kernel: A compiled function.
-        fault: What to strike.
+        fault: What to inject.
         *args: Its arguments; they stay as they are.
         timeout: Wall-clock limit (s), for what the budget of instructions does not see.
 
@@ -162,36 +163,22 @@ def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float 
     golden, total = apart(lambda: _digest_and_count(variant, args))
     armed = replace(fault, budget=fault.budget or budget_for(total))
 
-    def struck() -> bytes:
+    def injected() -> bytes:
         result = variant.inject(armed.index, *armed.masks, armed.budget, *args)
         return digest((result, args))
 
-    return judge(armed, variant, run_in_child(struck, timeout), golden)
+    return judge(armed, variant, run_in_child(injected, timeout), golden)
 
 
-def judge(fault: InstructionFault, variant: Variant, ended: Ended, golden: bytes) -> Outcome:
-    """The outcome of a struck call whose child reported the digest of what it left."""
-    strike = strike_of(fault, variant.report())
-    if strike.site is None:
-        return Outcome("not_reached", strike, ended.detail)
+def judge(fault: InstructionFault, variant: Variant, ended: Ended, golden: bytes) -> InjectedCall:
+    """What became of a call whose child reported the digest of what it left."""
+    report = variant.report()
+    injection = injection_of(fault, report)
+    if report is None:
+        return InjectedCall("not_activated", injection, ended.detail)
     if ended.how == "done":
-        return Outcome("masked" if ended.payload == golden else "sdc", strike)
-    return Outcome(ended.how, strike, ended.detail)
-
-
-def check_fault(fault: InstructionFault, variant: Variant, kernel: Any) -> None:
-    """Refuse a fault that was drawn for other machine code.
-
-    Raises:
-        MismatchError: Kernel or digest differ.
-    """
-    if fault.kernel != name_of(kernel):
-        raise MismatchError(f"fault in {fault.kernel}: given to {name_of(kernel)}")
-    if fault.ir_sha256 != variant.ir_sha256:
-        raise MismatchError(
-            f"fault in {fault.kernel}: drawn for IR {fault.ir_sha256[:12]}, this is {variant.ir_sha256[:12]}: source, "
-            "numba, llvmlite or CPU differ"
-        )
+        return InjectedCall("masked" if ended.payload == golden else "sdc", injection)
+    return InjectedCall(ended.how, injection, ended.detail)
 
 
 def digest(value: Any) -> bytes:

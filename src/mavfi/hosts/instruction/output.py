@@ -35,7 +35,7 @@ class Output:
         return self.memory == other.memory and first_difference(self, other) is None
 
 
-def first_difference(golden: Output, struck: Output) -> dict[str, Any] | None:
+def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
     """The first published field that differs.
 
     Returns:
@@ -44,9 +44,9 @@ def first_difference(golden: Output, struck: Output) -> dict[str, Any] | None:
         Where the lists differ in length: the field `elements`, with both lengths. None if nothing differs.
     """
     for state, (header, elements) in golden.states.items():
-        if state not in struck.states:
+        if state not in injected.states:
             return _difference(state, "", None, len(elements), 0, 1, math.inf)
-        other_header, other_elements = struck.states[state]
+        other_header, other_elements = injected.states[state]
         found = _in_fields(state, header, other_header, in_list=False)
         if found is None and len(elements) != len(other_elements):
             lengths = len(elements), len(other_elements)
@@ -57,9 +57,9 @@ def first_difference(golden: Output, struck: Output) -> dict[str, Any] | None:
     return None
 
 
-def _in_fields(state: str, golden: np.ndarray, struck: np.ndarray, *, in_list: bool) -> dict[str, Any] | None:
+def _in_fields(state: str, golden: np.ndarray, injected: np.ndarray, *, in_list: bool) -> dict[str, Any] | None:
     for field in golden.dtype.names or ():
-        before, after = np.ascontiguousarray(golden[field]), np.ascontiguousarray(struck[field])
+        before, after = np.ascontiguousarray(golden[field]), np.ascontiguousarray(injected[field])
         width = before.dtype.itemsize
         bits = [values.view(np.uint8).reshape(-1, width) for values in (before, after)]
         places = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
@@ -89,8 +89,3 @@ def copied(value: Any) -> Any:
         parts = [copied(part) for part in value]
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
     return value
-
-
-def plain_parts(value: Any) -> Any:
-    """Results and arguments in the form that `digest` takes."""
-    return tuple(plain_parts(part) for part in value) if isinstance(value, tuple) else value

@@ -21,16 +21,16 @@ from typing import Any
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.faults.fault import Fault
+from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction.forked import LENGTH_BYTES, framed, write_all
 from mavfi.faults.instruction.launch import with_fixed_addresses
 from mavfi.faults.instruction.refusal import MismatchError
 from mavfi.hosts.beginning import Beginning
-from mavfi.hosts.struck import Case
+from mavfi.hosts.instruction.case import Case
 from mavfi.mission import Scenario
 from mavfi.numerics.jit import code_folder
 
-_SERVER = "mavfi.hosts.template_server"
+_SERVER = "mavfi.hosts.instruction.template_server"
 _KEPT = 4
 """Templates that a process keeps waiting."""
 _PASSED = ("HOME", "LANG", "LD_LIBRARY_PATH", "PATH", "VIRTUAL_ENV", "XDG_CACHE_HOME")
@@ -63,7 +63,7 @@ class Template:
     """A process that waits to be forked.
 
     Args:
-        server: Module that is run, see `mavfi.hosts.template_server`.
+        server: Module that is run, see `mavfi.hosts.instruction.template_server`.
         kind: What it warms up with; templates of one kind are alike.
 
     Raises:
@@ -139,7 +139,7 @@ class Template:
 
 def _environment() -> dict[str, str]:
     """The same in every command: what finds the code and its cache, and nothing else."""
-    package = Path(__file__).parents[2]
+    package = Path(__file__).parents[3]
     given = [entry for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
     roots = dict.fromkeys([str(package), *(os.path.abspath(entry) for entry in given)])
     passed = {name: os.environ[name] for name in _PASSED if name in os.environ}
@@ -170,17 +170,20 @@ def template_for(server: str, kind: str) -> Template:
     return _templates[key]
 
 
-def fly_from_template(scenario: Scenario, fault: Fault, detector: Detector | None) -> tuple[Beginning, Case, bool]:
+def fly_from_template(
+    scenario: Scenario, fault: InstructionFault, detector: Detector | None, coupling: str = "inline"
+) -> tuple[Beginning, Case]:  # fmt: skip
     """Fly one mission with a fault in an instruction, in a process forked from the template of its kind.
 
     Args:
         scenario: The mission.
         fault: Anywhere in a kernel.
         detector: What watches; None = nothing.
+        coupling: Of the detector: "inline" or "observer".
 
     Returns:
-        How the golden flight began over there, what became of the fault, and whether the process had fixed addresses,
-        so that it can be replayed.
+        How the golden flight began over there, and what became of the fault; it can be replayed if the process had
+        fixed addresses.
 
     Raises:
         BadInputError: As for any flight.
@@ -191,9 +194,10 @@ def fly_from_template(scenario: Scenario, fault: Fault, detector: Detector | Non
     parts = (json.dumps(part.to_json(), sort_keys=True) for part in (scenario, fault))
     template = template_for(_SERVER, json.dumps(kind.to_json(), sort_keys=True))
     paths = sys.path if _has_parts_of_a_user(kind, detector) else []  # the mission computer's memory holds them too
-    answer = template.ask(pickle.dumps((paths, pickle.dumps((*parts, detector)))))
+    answer = template.ask(pickle.dumps((paths, pickle.dumps((*parts, detector, coupling)))))
     beginning, (case,) = answer.result
-    return beginning, case, answer.fixed
+    case.replayable = answer.fixed
+    return beginning, case
 
 
 def _has_parts_of_a_user(kind: Scenario, detector: Detector | None) -> bool:

@@ -1,27 +1,33 @@
-"""Stratified draws: every value class of every source line is struck, and weights lead back to the uniform draw.
+"""Draws of dynamic instructions: uniform over calls, or by strata whose weights lead back to the uniform draw.
 
-A uniform draw of some hundred faults hardly ever strikes a line that runs rarely.  Here the dynamic instructions are
+A uniform draw of some hundred faults hardly ever reaches a line that runs rarely.  So the dynamic instructions are also
 divided into strata by (value class, source line).  Half of the faults follow the strata's shares, half are spread
-evenly over the strata; so every stratum is struck, and hardly any weight is above 2 (a defensive mixture: Hesterberg,
+evenly over the strata; so every stratum is injected, and hardly any weight is above 2 (a defensive mixture: Hesterberg,
 Technometrics 37, 1995).  Within a stratum dynamic instructions are uniform, then bits.
 
-The estimand is that of `api.draw`: the rate for one dynamic instruction, uniform, then one of its bits, uniform.  It is
-the sum over strata of share x rate within, and so is its estimator (Cochran, Sampling Techniques, 1977, chapter 5).
+The estimand is that of the uniform draw: the rate for one dynamic instruction, uniform, then one of its bits, uniform.
+It is the sum over strata of share x rate within, and so is its estimator (Cochran, Sampling Techniques, 1977, chapter
+5).  One call has many faults, so each stratum gets some of its own (`draw_stratified`).  A mission has few faults and
+many strata: each fault falls into a stratum with a known probability, and share / probability is its weight (`pick`);
+over all missions the weighted mean is that of the uniform draw (Hansen and Hurwitz, Annals of Mathematical Statistics
+14, 1943).
 """
 
-from collections import Counter
+from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import sqrt
 from typing import Any
 
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.faults.instruction.api import apart, budget_for
+from mavfi.faults.fault import InstructionFault, Model
+from mavfi.faults.instruction.api import apart
 from mavfi.faults.instruction.build import name_of
-from mavfi.faults.instruction.fault import InstructionFault, Model, plan
-from mavfi.faults.instruction.selection import parse_selection
+from mavfi.faults.instruction.instrumented import Profiling
+from mavfi.faults.instruction.plan import budget_for, plan
+from mavfi.faults.instruction.selection import Selection, parse_selection
 from mavfi.faults.instruction.table import Site
 from mavfi.faults.instruction.variant import Passes, Variant, variant_for
 
@@ -71,6 +77,38 @@ class Stratum:
 
 
 @dataclass(frozen=True, slots=True)
+class Member:
+    """A static instruction of a stratum.
+
+    Attributes:
+        function: Which of the counted functions.
+        digest: Of its IR.
+        site: The instruction.
+        times: How often it was executed.
+    """
+
+    function: str
+    digest: str
+    site: Site
+    times: int
+
+
+@dataclass(frozen=True, slots=True)
+class Pick:
+    """A dynamic instruction.
+
+    Attributes:
+        member: The static one.
+        number: Which execution of its block, from 0.
+        weight: Share of its stratum / probability of the stratum.
+    """
+
+    member: Member
+    number: int
+    weight: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
 class Estimate:
     """A rate and its 95 % interval."""
 
@@ -83,6 +121,77 @@ class Estimate:
 def key_of(site: Site) -> StratumKey:
     """The stratum of a static instruction."""
     return StratumKey(site.value_class, site.file, site.line)
+
+
+def choose(random: np.random.Generator, counts: Sequence[int], n: int) -> list[tuple[int, int]]:
+    """Draw dynamic instructions of a whole flight, uniformly: each call has the weight of its count.
+
+    Args:
+        random: Stream.
+        counts: Of each call; those of several functions may be joined end to end.
+        n: How many.
+
+    Returns:
+        Call and index within the call, in the order of drawing.
+    """
+    ends = np.cumsum(counts).tolist()
+    drawn = random.integers(ends[-1], size=n).tolist()
+    calls = [bisect_right(ends, position) for position in drawn]
+    return [
+        (call, position - (ends[call - 1] if call else 0)) for call, position in zip(calls, drawn, strict=True)
+    ]  # fmt: skip
+
+
+def members_of(executed: Iterable[Member], selection: Selection) -> dict[StratumKey, list[Member]]:
+    """Executed static instructions of a class, by stratum."""
+    found: dict[StratumKey, list[Member]] = {}
+    for member in executed:
+        if member.times and member.site in selection:
+            found.setdefault(key_of(member.site), []).append(member)
+    return found
+
+
+def sizes_of(strata: Mapping[StratumKey, Sequence[Member]]) -> dict[StratumKey, int]:
+    """Dynamic instructions of each stratum."""
+    return {key: sum(member.times for member in own) for key, own in strata.items()}
+
+
+def pick(
+    random: np.random.Generator, counted: Mapping[str, Profiling], selection: Selection, number: int
+) -> list[Pick]:  # fmt: skip
+    """Draw dynamic instructions of one kernel in one mission, by stratum.
+
+    Strata are drawn systematically, which keeps the faults of one mission apart.
+
+    Args:
+        random: Stream.
+        counted: The golden flight's counts, by function.
+        selection: Class of instructions; shares are those within it.
+        number: How many.
+
+    Returns:
+        None where the mission executes no such instruction.
+    """
+    executed = (Member(name, *one) for name, function in counted.items() for one in function.executed())
+    strata = members_of(executed, selection)
+    sizes = sizes_of(strata)
+    if not sizes:
+        return []
+    probability, whole = densities(sizes), sum(sizes.values())
+    keys = sorted(sizes)
+    ends = np.cumsum([probability[key] for key in keys])
+    positions = random.permutation((np.arange(number) + random.random()) / number) * ends[-1]
+    places = np.minimum(np.searchsorted(ends, positions, side="right"), len(keys) - 1)
+    chosen = [keys[place] for place in places.tolist()]
+    return [uniform(random, strata[key], sizes[key] / whole / probability[key]) for key in chosen]
+
+
+def uniform(random: np.random.Generator, members: Sequence[Member], weight: float = 1.0) -> Pick:
+    """A dynamic instruction, uniform over the executions of some static ones."""
+    ends = np.cumsum([member.times for member in members])
+    position = int(random.integers(int(ends[-1])))
+    place = int(np.searchsorted(ends, position, side="right"))
+    return Pick(members[place], position - int(ends[place]) + members[place].times, weight)
 
 
 def densities(sizes: Mapping[StratumKey, int]) -> dict[StratumKey, float]:
@@ -115,7 +224,7 @@ def allocate(sizes: Mapping[StratumKey, int], n: int) -> dict[StratumKey, int]:
 
 
 def pooled(sizes: Mapping[StratumKey, int], n: int) -> dict[StratumKey, StratumKey]:
-    """The stratum in which each one is struck: its own, or `REST` for the smallest where there are more than n.
+    """The stratum in which each one is drawn: its own, or `REST` for the smallest where there are more than n.
 
     Args:
         sizes: Dynamic instructions of each stratum.
@@ -152,49 +261,37 @@ def draw_stratified(
         raise BadInputError(f"number of faults: {n}; allowed: 1 or more")
     variant = variant_for(kernel, args)
     times = np.frombuffer(apart(lambda: variant.profile(*args)[1].tobytes()), np.int64)
-    members = _members(variant, times, which)
+    executed = (
+        Member("", variant.ir_sha256, site, int(number))
+        for block, number in zip(variant.table.blocks, times, strict=True)
+        for site in block
+    )
+    members = members_of(executed, parse_selection(which))
     if not members:
         raise BadInputError(f"instructions {which!r}: {name_of(kernel)} executes none; allowed: a class that it does")
-    homes = pooled({key: sum(int(times[site.block]) for site in sites) for key, sites in members.items()}, n)
-    joined: dict[StratumKey, list[Site]] = {}
-    for key, sites in members.items():
-        joined.setdefault(homes[key], []).extend(sites)
-    sizes = {key: sum(int(times[site.block]) for site in sites) for key, sites in joined.items()}
+    homes = pooled(sizes_of(members), n)
+    joined: dict[StratumKey, list[Member]] = {}
+    for key, own in members.items():
+        joined.setdefault(homes[key], []).extend(own)
+    sizes = sizes_of(joined)
     random = np.random.default_rng(seed)
-    drawn = {
-        key: [uniform(random, joined[key], times) for _ in range(number)] for key, number in allocate(sizes, n).items()
-    }
-    passes = Passes(len(times), [(site.block, number) for own in drawn.values() for site, number in own])
+    picks = {key: [uniform(random, joined[key]) for _ in range(number)] for key, number in allocate(sizes, n).items()}
+    passes = Passes(len(times), [(one.member.site.block, one.number) for own in picks.values() for one in own])
     passes.starts[:] = np.frombuffer(apart(lambda: _located(variant, passes, args)), np.int64)
     budget = budget_for(int(times @ np.array(variant.table.sizes(), np.int64)))
     whole = sum(sizes.values())
 
-    def fault(site: Site, number: int) -> InstructionFault:
-        index = passes.start(site.block, number) + site.offset
-        planned = plan(random, name_of(kernel), variant.ir_sha256, site, index, model, bits)
-        return replace(planned, which=which, budget=budget)
+    def fault(chosen: Pick) -> InstructionFault:
+        site = chosen.member.site
+        index = passes.start(site.block, chosen.number) + site.offset
+        return plan(
+            random, name_of(kernel), variant.ir_sha256, site, index, model, bits, which=which, budget=budget, seed=seed
+        )
 
     return [
-        Stratum(key, sizes[key], sizes[key] / whole, tuple(fault(site, number) for site, number in own))
-        for key, own in drawn.items()
+        Stratum(key, sizes[key], sizes[key] / whole, tuple(fault(chosen) for chosen in own))
+        for key, own in picks.items()
     ]
-
-
-def uniform(random: np.random.Generator, sites: Sequence[Site], times: np.ndarray) -> tuple[Site, int]:
-    """A dynamic instruction, uniform over the executions of some static ones.
-
-    Args:
-        random: Stream.
-        sites: The static instructions.
-        times: How often each block was executed. Shape (blocks,).
-
-    Returns:
-        The static instruction, and which pass through its block, from 0.
-    """
-    ends = np.cumsum([times[site.block] for site in sites])
-    position = int(random.integers(int(ends[-1])))
-    place = int(np.searchsorted(ends, position, side="right"))
-    return sites[place], position - (int(ends[place - 1]) if place else 0)
 
 
 def estimate(outcomes: Iterable[tuple[float, Sequence[bool]]]) -> Estimate:
@@ -225,29 +322,6 @@ def estimate(outcomes: Iterable[tuple[float, Sequence[bool]]]) -> Estimate:
         above += (share * (high - own)) ** 2
     n = sum(len(counts) for _, counts in parts)
     return Estimate(n, rate, max(0.0, rate - sqrt(below)), min(1.0, rate + sqrt(above)))
-
-
-def sizes_of(sites: Iterable[tuple[Site, int]]) -> dict[StratumKey, int]:
-    """Dynamic instructions of each stratum.
-
-    Args:
-        sites: Static instructions, and how often each is executed.
-    """
-    found: Counter[StratumKey] = Counter()
-    for site, times in sites:
-        found[key_of(site)] += times
-    return {key: size for key, size in found.items() if size}
-
-
-def _members(variant: Variant, times: np.ndarray, which: str) -> dict[StratumKey, list[Site]]:
-    """The executed static instructions of a class, by stratum."""
-    selection = parse_selection(which)
-    found: dict[StratumKey, list[Site]] = {}
-    for block, number in zip(variant.table.blocks, times, strict=True):
-        for site in block if number else ():
-            if site in selection:
-                found.setdefault(key_of(site), []).append(site)
-    return found
 
 
 def _located(variant: Variant, passes: Passes, args: tuple[Any, ...]) -> bytes:

@@ -1,4 +1,4 @@
-"""What a template runs: `python -m mavfi.hosts.template_server SCENARIO`, see `mavfi.hosts.template`.
+"""What a template runs: `python -m mavfi.hosts.instruction.template_server SCENARIO`, see `template`.
 
 It flies one mission of the kind, with every kernel instrumented, and waits.  Each request is read and answered by a
 fork, so that the template itself stays as it is.
@@ -18,15 +18,15 @@ import numpy as np
 
 from mavfi.config import parse
 from mavfi.errors import MavfiError
-from mavfi.faults.fault import Fault
+from mavfi.faults.fault import fault_from_json
 from mavfi.faults.instruction import Counting, run_in_child
 from mavfi.faults.instruction.forked import LENGTH_BYTES, framed, write_all
 from mavfi.faults.instruction.launch import addresses_are_fixed
 from mavfi.hosts.beginning import Beginning
 from mavfi.hosts.inprocess import fly
-from mavfi.hosts.instruction import StrikingHost
-from mavfi.hosts.struck import Case
-from mavfi.hosts.template import AGAIN, ENDED, READY
+from mavfi.hosts.instruction.case import Case
+from mavfi.hosts.instruction.forking import HOSTS
+from mavfi.hosts.instruction.template import AGAIN, ENDED, READY
 from mavfi.mission import Scenario
 from mavfi.numerics.jit import code_folder
 from mavfi.pipeline.functions import PLAIN
@@ -42,7 +42,8 @@ def main() -> None:
     before = _cache()
     try:
         scenario = parse(Scenario, json.loads(sys.argv[1]), "template")
-        fly(scenario, functions=PLAIN.with_twins(tuple(PLAIN.__dataclass_fields__), lambda _, kernel: Counting(kernel)))
+        names = tuple(PLAIN.__dataclass_fields__)
+        fly(scenario, functions=PLAIN.instrumented(names, lambda _, function: Counting(function)))
     except MavfiError:
         pass  # there is no such mission; then each fork loads what it needs
     write_all(_ANSWERS, framed(READY if _cache() == before and not _wrote_bytecode() else AGAIN) + ENDED)
@@ -78,20 +79,21 @@ def _answer() -> None:
         os._exit(status)
 
 
-def fly_one(scenario: str, fault: str, detector: Any) -> tuple[Beginning, list[Case]]:
+def fly_one(scenario: str, fault: str, detector: Any, coupling: str) -> tuple[Beginning, list[Case]]:
     """Fly one mission with a fault.
 
     Args:
         scenario: As JSON.
         fault: As JSON.
         detector: What watches, or None.
+        coupling: Of the detector.
 
     Returns:
         How the golden flight began, and what became of the fault.
     """
     mission = parse(Scenario, json.loads(scenario), "request")
     with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
-        return StrikingHost(mission, [Fault.from_json(json.loads(fault))], detector).fly_to_strikes()
+        return HOSTS[coupling](mission, [fault_from_json(json.loads(fault))], detector).fly_to_injections()
 
 
 def _cache() -> bytes:

@@ -1,0 +1,185 @@
+"""Draws faults in instructions of a mission's kernels: uniformly over all that they execute, or by strata.
+
+A golden flight counts; a second one finds out what the drawn instructions are (uniform), or in which calls they are
+(stratified, see `mavfi.faults.instruction.strata`).  Both are bit for bit the golden flight, so the first one is it.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mavfi.detectors.detector import Detector
+from mavfi.faults.fault import NO_SITE, InstructionFault
+from mavfi.faults.instruction import Locating, Profiling, Resolving, Site, budget_for, choose
+from mavfi.faults.instruction.build import name_of
+from mavfi.faults.instruction.plan import plan
+from mavfi.faults.instruction.selection import parse_selection
+from mavfi.faults.instruction.strata import Pick, pick
+from mavfi.faults.sampling import stream
+from mavfi.faults.spec import InstructionRequest
+from mavfi.hosts.beginning import beginning_of, fly_until
+from mavfi.hosts.inprocess import Flight, Host, fly
+from mavfi.hosts.instruction.case import check_kernel
+from mavfi.mission import Scenario
+from mavfi.pipeline.functions import PLAIN
+from mavfi.states import INJECTABLE
+
+_ROUNDS, _SPARE = 6, 40
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A golden flight, and the faults for its injected flights.
+
+    Attributes:
+        golden: The flight.
+        counts: By kernel, as plain data: `instructions` and `calls` of the mission, and `lines`: file, line, count.
+        faults: By kernel.
+    """
+
+    golden: Flight
+    counts: dict[str, dict[str, Any]]
+    faults: dict[str, list[InstructionFault]]
+
+
+def draw_instruction_faults(
+    scenario: Scenario, request: InstructionRequest, *address: str, seed: int, detector: Detector | None = None
+) -> Drawn:  # fmt: skip
+    """Fly the golden flight, and draw.
+
+    Args:
+        scenario: The mission.
+        request: What to draw.
+        address: What tells these faults from others of the same seed, e.g. the environment.
+        seed: Of the draw.
+        detector: What watches the flight.
+
+    Returns:
+        Flight and faults. A kernel that executes no such instruction gives faults without a site.
+
+    Raises:
+        BadInputError: There is no such kernel, class or model.
+        RefusedError: A kernel cannot be instrumented exactly.
+    """
+    for kernel in request.kernels:
+        check_kernel(kernel, scenario.planner.name)
+    parse_selection(request.which)
+    names = [name for kernel in request.kernels for name in INJECTABLE[kernel]]
+    counted = {name: Profiling(getattr(PLAIN, name)) for name in dict.fromkeys(names)}
+    golden = fly(scenario, None, detector, functions=PLAIN.instrumented(tuple(counted), lambda name, _: counted[name]))
+
+    def fly_again(functions: Mapping[str, Any], enough: Callable[[], bool] = lambda: False) -> None:
+        table = PLAIN.instrumented(tuple(functions), lambda name, _: functions[name])
+        host = Host(scenario, None, detector, functions=table)
+        with np.errstate(all="ignore"):
+            fly_until(host, enough)
+        beginning_of(host).check(golden.log)
+
+    draws = [
+        _Draw(kernel, number, request, {name: counted[name] for name in INJECTABLE[kernel]}, seed, address)
+        for kernel, number in request.kernels.items()
+    ]
+    (_draw_strata if request.sampling == "stratified" else _draw_uniform)(draws, fly_again)
+    return Drawn(
+        golden,
+        {draw.kernel: _counts(list(draw.counted.values())) for draw in draws},
+        {draw.kernel: draw.faults() for draw in draws},
+    )
+
+
+_Place = tuple[str, int, int]
+"""Function, call, index."""
+_FlyAgain = Callable[..., None]
+"""Flies the golden flight with instrumented functions, until it is enough; raises a MavfiError if it was another."""
+
+
+class _Draw:
+    """The draw of one kernel's faults."""
+
+    def __init__(
+        self, kernel: str, number: int, request: InstructionRequest, counted: Mapping[str, Profiling], seed: int,
+        address: tuple[str, ...],
+    ) -> None:  # fmt: skip
+        self.kernel, self.number, self.request, self.counted, self.seed = kernel, number, request, counted, seed
+        self.random = stream(seed, "instruction", kernel, *address)
+        self.selection = parse_selection(request.which)
+        self.found: list[InstructionFault] = []
+
+    def places(self) -> list[_Place]:
+        """Dynamic instructions of the mission, uniform; spare ones where only a class is wanted; none when done."""
+        counts = [count for function in self.counted.values() for count in function.counts]
+        if len(self.found) >= self.number or not sum(counts):
+            return []
+        calls = [(name, call) for name, function in self.counted.items() for call in range(len(function.counts))]
+        number = self.number if self.request.which == "all" else _SPARE * self.number
+        return [(*calls[call], index) for call, index in choose(self.random, counts, number)]
+
+    def picks(self) -> list[Pick]:
+        """Dynamic instructions of the mission, drawn by stratum."""
+        return pick(self.random, self.counted, self.selection, self.number)
+
+    def take(self, place: _Place, site: Site | None, weight: float = 1.0) -> None:
+        """Plan a fault at a place, if it is of the class and one is still wanted."""
+        if site is None or site not in self.selection or len(self.found) >= self.number:
+            return
+        name, call, index = place
+        function, request = self.counted[name], self.request
+        self.found.append(
+            plan(
+                self.random, name_of(function.function), function.digests[call], site, index, request.model,
+                call=call, which=request.which, budget=budget_for(function.counts[call]), kernel=self.kernel,
+                entry=name, restart_s=request.restart_s, weight=weight, seed=self.seed,
+            )
+        )  # fmt: skip
+
+    def faults(self) -> list[InstructionFault]:
+        """As many as were wanted; those that were not found have no site."""
+        nothing = InstructionFault("", "", 0, NO_SITE, kernel=self.kernel, seed=self.seed)
+        return self.found + [nothing] * (self.number - len(self.found))
+
+
+def _draw_uniform(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
+    """Draw places, and let golden flights resolve them, until there are enough of the class."""
+    for _ in range(_ROUNDS):
+        places = [(draw, place) for draw in draws for place in draw.places()]
+        if not places:
+            return
+        wanted: dict[str, dict[int, list[int]]] = {}
+        for _, (name, call, index) in places:
+            wanted.setdefault(name, {}).setdefault(call, []).append(index)
+        resolving = {name: Resolving(getattr(PLAIN, name), calls) for name, calls in wanted.items()}
+        fly_again(resolving, lambda own=resolving: all(function.done for function in own.values()))
+        for draw, (name, call, index) in places:
+            draw.take((name, call, index), resolving[name].sites[call, index])
+
+
+def _draw_strata(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
+    """Draw by stratum; one more golden flight tells in which calls the drawn instructions are."""
+    picks = [(draw, chosen) for draw in draws for chosen in draw.picks()]
+    wanted: dict[str, dict[str, list[tuple[int, int]]]] = {}
+    for _, chosen in picks:
+        member = chosen.member
+        wanted.setdefault(member.function, {}).setdefault(member.digest, []).append((member.site.block, chosen.number))
+    if not wanted:
+        return
+    locating = {name: Locating(getattr(PLAIN, name), blocks) for name, blocks in wanted.items()}
+    fly_again(locating)
+    for draw, chosen in picks:
+        member = chosen.member
+        call, start = locating[member.function].place(member.digest, member.site.block, chosen.number)
+        draw.take((member.function, call, start + member.site.offset), member.site, chosen.weight)
+
+
+def _counts(functions: Sequence[Profiling]) -> dict[str, Any]:
+    lines: Counter[tuple[str, int]] = Counter()
+    for function in functions:
+        for _, site, times in function.executed():
+            lines[site.file, site.line] += times
+    return {
+        "instructions": sum(sum(function.counts) for function in functions),
+        "calls": sum(len(function.counts) for function in functions),
+        "lines": [[file, line, count] for (file, line), count in sorted(lines.items())],
+    }

@@ -1,0 +1,180 @@
+"""Instrumented functions: each takes the place of a compiled function in a flight, and counts, resolves or injects.
+
+A flight calls a function many times.  A counting flight comes first; `strata.choose` draws call and index from its
+counts, and a resolving flight tells what the drawn instructions are.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import InstructionFault
+from mavfi.faults.instruction.plan import check_fault, injection_of
+from mavfi.faults.instruction.table import Site, Table
+from mavfi.faults.instruction.variant import Passes, Variant, variant_for
+from mavfi.flight_log import Injection
+
+
+class Counting:
+    """Counts the instructions of every call.
+
+    Attributes:
+        function: The compiled function.
+        counts: Values that each call wrote.
+        digests: Digest of the IR that each call ran.
+    """
+
+    def __init__(self, function: Any) -> None:
+        self.function = function
+        self.counts: list[int] = []
+        self.digests: list[str] = []
+
+    def __call__(self, *args: Any) -> Any:
+        """As the function, bit for bit."""
+        variant = variant_for(self.function, args)
+        result, total = self._run(variant, args)
+        self.counts.append(total)
+        self.digests.append(variant.ir_sha256)
+        return result
+
+    def _run(self, variant: Variant, args: tuple[Any, ...]) -> tuple[Any, int]:
+        return variant.count(*args)
+
+
+class Profiling(Counting):
+    """Counts the instructions of every call, and how often each static one was executed in all calls."""
+
+    def __init__(self, function: Any) -> None:
+        super().__init__(function)
+        self._times: dict[str, tuple[Table, np.ndarray]] = {}
+
+    def _run(self, variant: Variant, args: tuple[Any, ...]) -> tuple[Any, int]:
+        result, times, _ = variant.profile(*args)
+        _, total = self._times.setdefault(variant.ir_sha256, (variant.table, np.zeros_like(times)))
+        total += times
+        return result, int(times @ np.array(variant.table.sizes(), np.int64))
+
+    def executed(self) -> list[tuple[str, Site, int]]:
+        """All static instructions that were executed: digest of the IR, instruction, and how often."""
+        return [
+            (digest, site, int(times))
+            for digest, (table, total) in self._times.items()
+            for block, times in zip(table.blocks, total, strict=True)
+            if times
+            for site in block
+        ]
+
+
+class Locating:
+    """Finds out in which call, and at which index in it, the drawn passes through blocks begin.
+
+    Args:
+        function: The compiled function.
+        wanted: By digest of the IR: block, and which of its executions in all calls, from 0.
+    """
+
+    def __init__(self, function: Any, wanted: Mapping[str, Sequence[tuple[int, int]]]) -> None:
+        self._function = function
+        self._wanted = wanted
+        self._passes: dict[str, Passes] = {}
+        self._calls = 0
+
+    def __call__(self, *args: Any) -> Any:
+        """As the function, bit for bit."""
+        call, self._calls = self._calls, self._calls + 1
+        variant = variant_for(self._function, args)
+        digest = variant.ir_sha256
+        if digest not in self._wanted:
+            return self._function(*args)
+        if digest not in self._passes:
+            self._passes[digest] = Passes(len(variant.table.blocks), self._wanted[digest])
+        result = variant.locate(self._passes[digest], *args)
+        self._passes[digest].close_call(call)
+        return result
+
+    def place(self, digest: str, block: int, number: int) -> tuple[int, int]:
+        """Call, and dynamic index in it at which a wanted pass begins."""
+        passes = self._passes[digest]
+        return passes.call(block, number), passes.start(block, number)
+
+
+class Resolving:
+    """Finds out what the drawn instructions are.
+
+    Args:
+        function: The compiled function.
+        wanted: By call: indices.
+
+    Attributes:
+        sites: Static instruction by call and index.
+    """
+
+    def __init__(self, function: Any, wanted: Mapping[int, Sequence[int]]) -> None:
+        self._function = function
+        self._wanted = wanted
+        self._calls = 0
+        self.sites: dict[tuple[int, int], Site | None] = {}
+
+    @property
+    def done(self) -> bool:
+        """Whether the last call of which something is wanted has been made."""
+        return self._calls > max(self._wanted, default=-1)
+
+    def __call__(self, *args: Any) -> Any:
+        """As the function, bit for bit."""
+        call, self._calls = self._calls, self._calls + 1
+        indices = self._wanted.get(call)
+        if not indices:
+            return self._function(*args)
+        result, sites = variant_for(self._function, args).resolve(indices, *args)
+        self.sites.update({(call, index): site for index, site in zip(indices, sites, strict=True)})
+        return result
+
+
+class Injecting:
+    """Runs the function as it is, but for the call with the fault.
+
+    Args:
+        function: The compiled function.
+        fault: What to inject; its budget must be set.
+        before: Called just before the injection, e.g. to fork; the fault is injected where it answers True, in other
+            processes the call is an ordinary one.
+
+    Attributes:
+        calls: How many there were.
+
+    Raises:
+        BadInputError: The fault has no budget.
+    """
+
+    def __init__(self, function: Any, fault: InstructionFault, before: Callable[[], bool] | None = None) -> None:
+        if fault.budget == 0:
+            raise BadInputError(f"fault in {fault.function}: budget 0; allowed: what `budget_for` gives for the count")
+        self._function = function
+        self._fault = fault
+        self._before = before
+        self.calls = 0
+        self._variant: Variant | None = None
+
+    def __call__(self, *args: Any) -> Any:
+        """As the function; once with the fault.
+
+        Raises:
+            MismatchError: The fault belongs to other machine code.
+        """
+        call, self.calls = self.calls, self.calls + 1
+        if call != self._fault.call:
+            return self._function(*args)
+        self._variant = variant_for(self._function, args)
+        check_fault(self._fault, self._variant, self._function)
+        self._variant.own_report()
+        if self._before is not None and not self._before():
+            return self._function(*args)
+        fault = self._fault
+        return self._variant.inject(fault.index, *fault.masks, fault.budget, *args)
+
+    def injection(self) -> Injection:
+        """What the fault did, here or in a forked child."""
+        return injection_of(self._fault, None if self._variant is None else self._variant.report())

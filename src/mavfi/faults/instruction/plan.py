@@ -1,0 +1,146 @@
+"""Faults in instructions: what becomes of the drawn value, whether a fault fits a function, and what then happened."""
+
+import re
+import struct
+from typing import Any
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import MODELS, InstructionFault, Model
+from mavfi.faults.instruction.build import name_of
+from mavfi.faults.instruction.classify import FLOATING, INTEGER
+from mavfi.faults.instruction.refusal import MismatchError
+from mavfi.faults.instruction.table import Site
+from mavfi.faults.instruction.variant import Report, Variant
+from mavfi.flight_log import Injection
+
+DATA = (FLOATING, INTEGER)
+"""Value classes from which neither an address nor a branch is computed."""
+_FORMATS = {"double": "<d", "float": "<f", "half": "<e"}
+_LAYOUTS = {"double": (63, 52), "float": (31, 23), "half": (15, 10)}
+"""Sign bit and lowest exponent bit."""
+
+
+def plan(
+    random: np.random.Generator, function: str, ir_sha256: str, site: Site, index: int, model: Model = "one_bit",
+    count: int = 2, **more: Any,
+) -> InstructionFault:  # fmt: skip
+    """Choose what becomes of the result of an instruction.
+
+    Args:
+        random: Stream of the fault.
+        function: Module and name.
+        ir_sha256: Digest of the IR.
+        site: The static instruction that has the index.
+        index: Which dynamic instruction.
+        model: "one_bit", uniform; "bits": `count` distinct ones; "random": any value; "zero".
+        count: For "bits"; no more than the value has.
+        more: Further fields of the fault.
+
+    Raises:
+        BadInputError: There is no such model.
+    """
+    if model not in MODELS:
+        raise BadInputError(f"fault model {model!r}: not known; allowed: {', '.join(MODELS)}")
+    bits: tuple[int, ...] = ()
+    value = 0
+    if model in ("one_bit", "bits"):
+        drawn = random.choice(site.width, size=min(1 if model == "one_bit" else count, site.width), replace=False)
+        bits = tuple(sorted(int(bit) for bit in drawn))
+    elif model == "random":
+        value = int.from_bytes(random.bytes(-(-site.width // 8)), "little") & ((1 << site.width) - 1)
+    return InstructionFault(
+        function, ir_sha256, index, bits=bits, value=value, model=model, value_class=site.value_class,
+        stratum=stratum_of(site.kind, bits[0] if len(bits) == 1 else None), **more,
+    )  # fmt: skip
+
+
+def stratum_of(kind: str, bit: int | None) -> str:
+    """What a bit means in a value: "sign", "exponent" or "mantissa"; "other" where it is no floating-point number.
+
+    Args:
+        kind: Type of the value, as in LLVM; of a vector the bit counts through its elements.
+        bit: None = no single bit.
+    """
+    element = re.sub(r"<\d+ x (\w+)>", r"\1", kind)
+    if bit is None or element not in _LAYOUTS:
+        return "other"
+    sign, exponent = _LAYOUTS[element]
+    place = bit % (sign + 1)
+    return "sign" if place == sign else "exponent" if place >= exponent else "mantissa"
+
+
+def budget_for(total: int) -> int:
+    """After how many values a call counts as hanging, if it writes `total` without a fault."""
+    return 3 * total + 10_000
+
+
+def check_fault(fault: InstructionFault, variant: Variant, function: Any) -> None:
+    """Refuse a fault that was drawn for other machine code.
+
+    Raises:
+        MismatchError: Function or digest differ.
+    """
+    if fault.function != name_of(function):
+        raise MismatchError(f"fault in {fault.function}: given to {name_of(function)}")
+    if fault.ir_sha256 != variant.ir_sha256:
+        raise MismatchError(
+            f"fault in {fault.function}: drawn for IR {fault.ir_sha256[:12]}, this is {variant.ir_sha256[:12]}: "
+            "source, numba, llvmlite or CPU differ"
+        )
+
+
+def is_in_data(fault: InstructionFault) -> bool:
+    """Whether neither an address nor a branch depends on the value, so that the rest of the process is safe."""
+    return not fault.has_site or fault.value_class in DATA
+
+
+def injection_of(
+    fault: InstructionFault, report: Report | None, time_s: float = 0.0, call: int | None = None
+) -> Injection:  # fmt: skip
+    """What a fault did, from what the machine code reported.
+
+    Args:
+        fault: As planned.
+        report: None = the index was not reached.
+        time_s: When, of the flight (s).
+        call: Which call was injected, if not the planned one.
+
+    Returns:
+        The injection; its values are numbers of the instruction's type (signed integers), and their bits are in the
+        details, as hexadecimal text.
+    """
+    function = fault.entry or fault.function
+    if report is None:
+        details: dict[str, Any] = {"function": function, "replayable": True}
+        return Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False, details=details)
+    site, before, after = report.site, report.before, report.after
+    keep, flip = fault.masks
+    planned = (before & keep) ^ flip
+    details = {
+        "function": function, "replayable": site.value_class in DATA, "call": fault.call if call is None else call,
+        "index": fault.index, "opcode": site.opcode, "type": site.kind, "width": site.width,
+        "value_class": site.value_class, "line_is_near": site.near,
+        "inlined": [f"{file}:{line}" for file, line in site.frames[1:]], "variable": site.variable or "",
+        "ir_sha256": fault.ir_sha256, "bits": list(fault.bits), "model": fault.model, "before_bits": hex(before),
+        "after_bits": hex(after),
+    }  # fmt: skip
+    return Injection(
+        fault.level, fault.site, time_s, fault.bit, _number(site, before), _number(site, after),
+        planned == after and not after >> site.width, site.file, site.line, details,
+    )  # fmt: skip
+
+
+def changed_nothing(report: Report | None) -> bool:
+    """Whether there was nothing to change: the index was not reached, or its value has no such bit."""
+    return report is None or not (report.before ^ report.after) & ((1 << report.site.width) - 1)
+
+
+def _number(site: Site, bits: int) -> float | int:
+    """Bits as the number that the instruction's type holds: floating point, or signed integer."""
+    if site.kind in _FORMATS:
+        layout = _FORMATS[site.kind]
+        return float(struct.unpack(layout, bits.to_bytes(struct.calcsize(layout), "little"))[0])
+    sign = 1 << (site.width - 1)
+    return bits if site.kind == "ptr" or site.width == 1 else (bits ^ sign) - sign

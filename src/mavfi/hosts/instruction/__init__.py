@@ -1,0 +1,5 @@
+"""The host of faults in instructions: flights with a fault fork from a golden flight at the injected calls."""
+
+from mavfi.hosts.instruction.flights import InjectedFlights, fly_instruction_faults
+
+__all__ = ["InjectedFlights", "fly_instruction_faults"]

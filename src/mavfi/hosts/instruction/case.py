@@ -1,0 +1,110 @@
+"""What is known of a fault in an instruction on its way through a flight, and the flight log that comes of it."""
+
+from dataclasses import dataclass, replace
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import InstructionFault
+from mavfi.faults.instruction.plan import injection_of
+from mavfi.faults.instruction.variant import Report
+from mavfi.flight_log import FlightLog, KernelEffect
+from mavfi.hosts.inprocess import Flight
+from mavfi.hosts.instruction.output import Output, first_difference
+from mavfi.mission import Scenario
+from mavfi.states import INJECTABLE, INJECTED_KERNEL, PLANNERS
+
+WAITING = "not_activated"
+"""How a case stands whose instruction has not come yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChildReport:
+    """What a child leaves.
+
+    Attributes:
+        log: Its record; None where nothing differed at the end of the injected call.
+        output: Of the injected step; None where the kernel made none.
+        call_same: Whether result and arguments of the injected call are bit for bit the golden ones.
+        missed: Whether the call ended before the instruction came, or that instruction's value has no such bit.
+    """
+
+    log: FlightLog | None
+    output: Output | None
+    call_same: bool
+    missed: bool = False
+
+
+@dataclass(slots=True)
+class Case:
+    """One fault on its way.
+
+    Attributes:
+        fault: As drawn.
+        kernel: The kernel of the pipeline that is injected.
+        call: The call of its function that is injected.
+        time_us: When (us).
+        value: What the machine code reported of the injected value.
+        how: How the call ended, or `WAITING`.
+        detail: Signal, budget or exception.
+        report: What the child left that went on flying.
+        golden: What the kernel gives in that step without the fault.
+        replayable: Whether the flight gives the same bytes in every process; None = by the value class.
+    """
+
+    fault: InstructionFault
+    kernel: str
+    call: int
+    time_us: int = 0
+    value: Report | None = None
+    how: str = WAITING
+    detail: str = ""
+    report: ChildReport | None = None
+    golden: Output | None = None
+    replayable: bool | None = None
+
+
+def check_kernel(kernel: str, planner: str) -> None:
+    """Refuse a kernel that cannot be injected in a mission.
+
+    Raises:
+        BadInputError: There is none of that name, or it is a planner and the mission flies another one.
+    """
+    if kernel not in INJECTABLE:
+        raise BadInputError(f"kernel {kernel!r}: not known; allowed: {', '.join(INJECTABLE)}")
+    if kernel in PLANNERS and kernel != planner:
+        raise BadInputError(f"kernel {kernel!r}: the planner of this mission is {planner!r}; allowed: planner {kernel}")
+
+
+def case_of(fault: InstructionFault, scenario: Scenario) -> Case:
+    """A fault that nothing has happened of yet.
+
+    Raises:
+        BadInputError: The mission has no such kernel.
+    """
+    check_kernel(fault.kernel, scenario.planner.name)
+    return Case(fault, INJECTED_KERNEL[fault.kernel], fault.call)
+
+
+def flight_of(case: Case, golden: Flight) -> Flight:
+    """The flight with the fault, beside the golden one."""
+    log = golden.log if case.report is None or case.report.log is None else case.report.log
+    injection = injection_of(case.fault, case.value, case.time_us / 1e6, case.call)
+    if case.replayable is not None:
+        injection = replace(injection, details={**injection.details, "replayable": case.replayable})
+    return Flight(replace(log, injections=[injection], kernel=_effect(case, golden.log)), None, golden.world,
+                  golden.pipeline)  # fmt: skip
+
+
+def _effect(case: Case, golden: FlightLog) -> KernelEffect:
+    """What the kernel did: against its own golden output where both made a step, else against the whole flight."""
+    report, difference = case.report, None
+    how = case.how
+    if how == "done" and report is not None:
+        output = report.output
+        if report.log is None:
+            same = True
+        elif output is not None and case.golden is not None:
+            same, difference = output.same(case.golden), first_difference(case.golden, output)
+        else:
+            same = report.call_same and report.log.digest() == golden.digest()
+        how = "masked" if same else "sdc"
+    return KernelEffect(how, case.detail, difference)

@@ -1,0 +1,271 @@
+"""Flights with a fault in an instruction of a kernel: they fork from one golden flight at the injected calls.
+
+The golden flight runs plain kernels.  At an injected call it waits while a forked child makes the call with the fault
+and finishes the flight.  Where the child dies (crash, hang, exception), a second child goes on from the same instant as
+a ROS graph would: the node's result is lost, and after the restart latency it is there again with fresh memory.  Then
+the golden flight itself goes on, to the next injected call.
+
+A detector's false alarm before the fault makes kernels run again, and so shifts the calls: the call that was drawn may
+then be shorter than the instruction's index, or have a narrower value there.  In flights with a detector the fault goes
+into the first call from there on that has such a bit, as faults in states go into the first publication at or after an
+instant.
+"""
+
+import pickle
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mavfi.detectors.detector import Detector
+from mavfi.errors import MavfiError
+from mavfi.faults.fault import InstructionFault
+from mavfi.faults.instruction import Ended, ForkPoint, MismatchError
+from mavfi.faults.instruction.api import digest
+from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
+from mavfi.faults.instruction.variant import Variant, variant_for
+from mavfi.hosts.beginning import Beginning, beginning_of, fly_until
+from mavfi.hosts.inprocess import Flight, Host
+from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, case_of, flight_of
+from mavfi.hosts.instruction.output import Output, copied
+from mavfi.hosts.observed import ObservedHost
+from mavfi.mission import Scenario
+from mavfi.pipeline.functions import PLAIN
+from mavfi.pipeline.kernel import Kernel
+from mavfi.pipeline.ppc import build_pipeline
+from mavfi.states import PERIODIC, STATES, State, in_node
+
+TIMEOUT = 60.0
+"""Wall-clock limit of an injected flight (s): for what the budget of instructions does not see."""
+
+
+@dataclass(slots=True)
+class _Child:
+    """What a forked process is there for."""
+
+    point: ForkPoint
+    case: Case
+    dead: bool
+    call_same: bool = False
+    output: Output | None = None
+
+
+class _ForkingFunction:
+    """A kernel's function: plain, but for injected calls."""
+
+    def __init__(self, host: "ForkingHost", name: str, function: Callable[..., Any]) -> None:
+        self._host, self._name, self._function, self._calls = host, name, function, 0
+
+    def __call__(self, *args: Any) -> Any:
+        call, self._calls = self._calls, self._calls + 1
+        for case in self._host.cases:
+            if case.call == call and case.fault.entry == self._name and self._host.child is None:
+                injected, result = self._host.inject(case, self._function, args)
+                if injected:
+                    return result
+        return self._function(*args)
+
+
+class ForkingHost(Host):
+    """A golden flight from which flights with faults fork.
+
+    Args:
+        scenario: The mission.
+        faults: In instructions of its kernels.
+        detector: What watches all of these flights.
+    """
+
+    def __init__(
+        self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None
+    ) -> None:  # fmt: skip
+        self.cases = [case_of(fault, scenario) for fault in faults]
+        self.child: _Child | None = None
+        self._awaited: dict[str, list[Case]] = {}
+        self._down: set[str] = set()
+        self._latest: dict[str, State] = {}
+        self._updates: list[State] = []
+        names = tuple(dict.fromkeys(case.fault.entry for case in self.cases if case.fault.has_site))
+        functions = PLAIN.instrumented(names, lambda name, function: _ForkingFunction(self, name, function))
+        super().__init__(scenario, None, detector, functions=functions)
+
+    # ---- injecting --------------------------------------------------------------------------------------------------
+    def inject(self, case: Case, function: Any, args: tuple[Any, ...]) -> tuple[bool, Any]:
+        """Fork at an injected call.
+
+        Args:
+            case: The fault.
+            function: The compiled function.
+            args: Of the call.
+
+        Returns:
+            In the golden flight False; in a child True, and the result of the call.
+        """
+        variant = variant_for(function, args)
+        try:
+            check_fault(case.fault, variant, function)
+        except MismatchError:
+            if self.detector is None:
+                raise
+            case.call += 1  # calls have shifted: this one has arguments of other types
+            return False, None
+        variant.own_report()
+        case.time_us = self.now
+        ended = self._fork(case, dead=False)
+        if ended is None:
+            return True, self._injected_call(variant, function, args)
+        case.value = variant.report()
+        case.how, case.detail = ended.how, ended.detail
+        if ended.how == "done":
+            case.report = _report_of(ended)
+            if case.report.missed:
+                case.call, case.how, case.report = case.call + 1, WAITING, None
+                return False, None
+        else:
+            ended = self._fork(case, dead=True)
+            if ended is None:
+                return True, function(*args)
+            case.report = _report_of(ended)
+        self._awaited.setdefault(case.kernel, []).append(case)
+        return False, None
+
+    def _fork(self, case: Case, *, dead: bool) -> Ended | None:
+        """In the child None; in the golden flight how it ended."""
+        point = ForkPoint()
+        ended = point.split(TIMEOUT)
+        if ended is None:
+            self.child = _Child(point, case, dead)
+        return ended
+
+    def _injected_call(self, variant: Variant, function: Any, args: tuple[Any, ...]) -> Any:
+        """The call with the fault; a child whose data came out the same ends here: the rest is the golden flight."""
+        child = self._in_child()
+        fault = child.case.fault
+        copies = tuple(copied(argument) for argument in args)
+        golden = digest(_as_tuples((function(*copies), copies)))
+        result = variant.inject(fault.index, *fault.masks, fault.budget, *args)
+        child.call_same = digest(_as_tuples((result, args))) == golden
+        report = variant.report()
+        if self.detector is not None and changed_nothing(report):
+            child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True, missed=True)))
+        if child.call_same and report is not None and report.site.value_class in DATA:
+            child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True)))
+        return result
+
+    def _in_child(self) -> _Child:
+        assert self.child is not None  # only children come here
+        return self.child
+
+    def finish(self, kernel: Kernel, states: list[State], now: int, latency_us: int) -> None:
+        """Publish a kernel's results later; those of injected steps are noted, those of dead nodes are lost."""
+        child = self.child
+        if child is None:
+            for case in self._awaited.pop(kernel.name, ()):
+                case.golden = Output.of(kernel, states)
+        elif child.case.kernel == kernel.name:
+            if child.dead:
+                child.dead = False
+                self._die(kernel.name, now, round(1e6 * child.case.fault.restart_s))
+                return
+            if child.output is None:
+                child.output = Output.of(kernel, states)
+        if kernel.name not in self._down:
+            super().finish(kernel, states, now, latency_us)
+
+    # ---- death and restart of a node --------------------------------------------------------------------------------
+    def _die(self, kernel: str, now: int, restart_us: int) -> None:
+        names = in_node(kernel)
+        self._down.update(names)
+        for name in names:
+            self.busy[name] = None
+        for state in list(self.redo):
+            if STATES[state].writer in names:
+                del self.redo[state]  # the recomputation died with the node: what it publishes next is judged anew
+        self.at(now + restart_us, "restarted", kernel)
+
+    def restarted(self, now: int, kernel: str) -> None:
+        """A node is there again: fresh memory, the whole map, and the last message of each state that it reads."""
+        names = in_node(kernel)
+        fresh = build_pipeline(self.config)
+        for name in names:
+            self.kernels[name] = fresh[name]
+            self._down.discard(name)
+            self.busy.pop(name, None)
+        for state, readers in self.readers.items():
+            self.readers[state] = [self.kernels[reader.name] for reader in readers]
+        for name in names:
+            self._resume(self.kernels[name], now)
+
+    def _resume(self, kernel: Kernel, now: int) -> None:
+        due = False
+        node = in_node(kernel.name)
+        for name in kernel.reads:
+            if STATES[name].writer in node:
+                continue  # its own outputs, or what passed within the node: a path planned long ago is not flown anew
+            messages = self._updates if name == "perception.map_update" else [self._latest.get(name)]
+            for state in messages:
+                due = (state is not None and kernel.receive(state, now)) or due
+        if self.marks:
+            kernel.mark()  # what it was sent is not taken back by a recomputation of the step under way
+        if due and kernel.name not in PERIODIC:
+            self.start(kernel, now)
+
+    def done(self, now: int, name: str, states: list[State]) -> None:
+        """The latency of a kernel has passed; what a dead node was about to publish is lost."""
+        if name not in self._down:
+            super().done(now, name, states)
+
+    def publish(self, state: State, now: int) -> None:
+        """Consumers see a value; it is kept for nodes that start again."""
+        self._latest[state.spec.name] = state
+        if state.spec.name == "perception.map_update":
+            self._updates.append(state)
+        super().publish(state, now)
+
+    # ---- ends -------------------------------------------------------------------------------------------------------
+    def fly_all(self) -> tuple[Flight, list[Flight]]:
+        """The golden flight, and the flights with the faults, in their order; children do not come back."""
+        golden = self._fly(lambda: False)
+        assert golden is not None  # it was not stopped
+        return golden, [flight_of(case, golden) for case in self.cases]
+
+    def fly_to_injections(self) -> tuple[Beginning, list[Case]]:
+        """Fly until all has happened that there is to know of the faults; children do not come back."""
+        self._fly(self._all_known)
+        return beginning_of(self), self.cases
+
+    def _all_known(self) -> bool:
+        return self.child is None and not self._awaited and all(case.how != WAITING for case in self.cases)
+
+    def _fly(self, enough: Callable[[], bool]) -> Flight | None:
+        """Fly to the end, or until it is enough; a child reports, and ends."""
+        try:
+            golden = fly_until(self, enough)
+        except BaseException:
+            if self.child is None:
+                raise
+            with self.child.point.guard():
+                raise
+        if self.child is not None:
+            assert golden is not None  # for a child it is never enough
+            report = ChildReport(golden.log, self.child.output, self.child.call_same)
+            self.child.point.finish(pickle.dumps(report))
+        return golden
+
+
+class ForkingObservedHost(ForkingHost, ObservedHost):
+    """The same with the detector as an observer."""
+
+
+HOSTS: dict[str, type[ForkingHost]] = {"inline": ForkingHost, "observer": ForkingObservedHost}
+"""By coupling of the detector."""
+
+
+def _report_of(ended: Ended) -> ChildReport:
+    if ended.how != "done":
+        raise MavfiError(f"the flight with a restarted node ended with {ended.how} ({ended.detail})")
+    report: ChildReport = pickle.loads(ended.payload)
+    return report
+
+
+def _as_tuples(value: Any) -> Any:
+    """Results and arguments in the form that `digest` takes."""
+    return tuple(_as_tuples(part) for part in value) if isinstance(value, tuple) else value
