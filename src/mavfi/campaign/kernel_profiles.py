@@ -16,7 +16,7 @@ class KernelProfile:
     """What one kernel did in one golden flight.
 
     Attributes:
-        kernel: Name, as in `mavfi.pipeline.functions.STRUCK`.
+        kernel: Name, as in `mavfi.states.INJECTABLE`.
         environment: Of the flight.
         seed: Of the flight.
         instructions: Dynamic instructions that can be struck, over the whole mission.

@@ -18,7 +18,7 @@ class KernelRun:
     """One flight with a fault in an instruction.
 
     Attributes:
-        kernel: Name, as in `mavfi.pipeline.functions.STRUCK`.
+        kernel: Name, as in `mavfi.states.INJECTABLE`.
         function: Which of its functions.
         file: Source file, relative to the folder from which it was imported.
         line: Source line; 0 = not known.

@@ -14,7 +14,7 @@ from mavfi.states import ODOMETRY
 if TYPE_CHECKING:
     from mavfi.cli.flown import Flown
     from mavfi.detectors.detector import Detector
-    from mavfi.faults.spec import FaultRequest, KernelRequest
+    from mavfi.faults.spec import InstructionRequest, StateRequest
     from mavfi.mission import Scenario
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -116,7 +116,7 @@ def known_localization(name: str) -> str:
     return name
 
 
-def _request(text: str | None, localization: str) -> FaultRequest | KernelRequest | None:
+def _request(text: str | None, localization: str) -> StateRequest | InstructionRequest | None:
     if text is None:
         return None
     from mavfi.faults.spec import parse
@@ -142,20 +142,20 @@ def load_watcher(
 
 def _fly(
     scenario: Scenario,
-    request: FaultRequest | KernelRequest | None,
+    request: StateRequest | InstructionRequest | None,
     fault_seed: int,
     detector: Detector | None,
     watching: str,
 ) -> Flown:
     """The golden twin first, then the draw of the fault from what happens in it, then the flight."""
     from mavfi.cli.flown import Flown
-    from mavfi.faults.spec import KernelRequest
+    from mavfi.faults.spec import InstructionRequest
     from mavfi.hosts.inprocess import fly as fly_mission
 
     if request is None:
         return Flown(scenario, fly_mission(scenario, None, detector), None, None, watching)
-    if isinstance(request, KernelRequest):
-        return _strike(scenario, request, fault_seed, detector, watching)
+    if isinstance(request, InstructionRequest):
+        return _fly_instruction(scenario, request, fault_seed, detector, watching)
     golden = fly_mission(scenario, None, detector, want_profile=detector is None)
     profile = golden.profile
     if request.needs_profile and detector is not None:
@@ -164,24 +164,23 @@ def _fly(
     return Flown(scenario, fly_mission(scenario, fault, detector), golden, fault, watching)
 
 
-def _strike(
-    scenario: Scenario, request: KernelRequest, fault_seed: int, detector: Detector | None, watching: str
+def _fly_instruction(
+    scenario: Scenario, request: InstructionRequest, fault_seed: int, detector: Detector | None, watching: str
 ) -> Flown:  # fmt: skip
     """The same for a fault in an instruction."""
+    from mavfi.campaign.samplers.instruction import draw_instruction_faults
     from mavfi.cli.flown import Flown
-    from mavfi.hosts.instruction import fly_struck
-    from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults
+    from mavfi.hosts.instruction import fly_instruction_faults
 
-    wish = Wish({request.kernel: 1}, request.which, request.model)
-    drawn = draw_kernel_faults(scenario, wish, seed=fault_seed)
+    drawn = draw_instruction_faults(scenario, request, seed=fault_seed)
     fault = drawn.faults[request.kernel][0]
     if not fault.has_site:
         raise BadInputError(
             f"--fault: instruction:{request.kernel}: this mission executes no instruction {request.which!r} there; "
             "allowed: a class that it executes"
         )
-    struck = fly_struck(scenario, [fault], detector, drawn.golden if detector is None else None)
-    return Flown(scenario, struck.flights[0], struck.golden, fault, watching)
+    flown = fly_instruction_faults(scenario, [fault], detector, drawn.golden if detector is None else None)
+    return Flown(scenario, flown.flights[0], flown.golden, fault, watching)
 
 
 def _draw(flown: Flown, path: Path) -> None:

@@ -16,7 +16,7 @@ from mavfi.errors import BadInputError
 if TYPE_CHECKING:
     from mavfi.cli.flown import Flown
     from mavfi.faults.fault import Fault
-    from mavfi.faults.spec import FaultRequest
+    from mavfi.faults.spec import StateRequest
     from mavfi.hosts.ros1.plan import Coupling, Plan
     from mavfi.hosts.ros1.session import RosFlight
     from mavfi.mission import Scenario
@@ -118,14 +118,14 @@ def _check_save(path: Path | None) -> None:
     check_writable(path)
 
 
-def _request(text: str | None, localization: str) -> FaultRequest | None:
+def _request(text: str | None, localization: str) -> StateRequest | None:
     if text is None:
         return None
-    from mavfi.faults.spec import FaultRequest, parse
+    from mavfi.faults.spec import StateRequest, parse
 
     request = parse(text, localization)
-    if not isinstance(request, FaultRequest):
-        raise BadInputError(f"--fault: {text!r}: on ROS faults strike states: null, or state:STATE...")
+    if not isinstance(request, StateRequest):
+        raise BadInputError(f"--fault: {text!r}: on ROS faults are injected into states: null, or state:STATE...")
     return request
 
 
@@ -137,7 +137,7 @@ def _coupling(text: str | None) -> Coupling:
     raise BadInputError(f"--coupling: {text}: allowed: inline, observer")
 
 
-def _draw(scenario: Scenario, request: FaultRequest | None, seed: int) -> Fault | None:
+def _draw(scenario: Scenario, request: StateRequest | None, seed: int) -> Fault | None:
     """The fault, drawn from the golden flight as every host draws it."""
     from mavfi.hosts.inprocess import fly as fly_here
 

@@ -21,7 +21,8 @@ from mavfi.faults.instruction.strata import Pick, pick
 from mavfi.faults.sampling import stream
 from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.beginning import beginning_of, fly_until
-from mavfi.hosts.inprocess import Flight, Host, fly
+from mavfi.hosts.host import Flight
+from mavfi.hosts.inprocess import Host, fly
 from mavfi.hosts.instruction.case import check_kernel
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN

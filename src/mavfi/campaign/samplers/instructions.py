@@ -8,11 +8,12 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mavfi.campaign.config import Campaign, InstructionSampling
-from mavfi.campaign.samplers.instruction import Request, draw_instruction_faults
+from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.campaign.samplers.sampler import Draw, Sampled
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import share_out
+from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.host import ArmSetup, MissionFlights
 from mavfi.states import KERNEL_STAGES, PLANNERS, PPC_STAGES
 
@@ -64,7 +65,7 @@ class InstructionSampler:
         if not kernels:
             return Sampled(flights.golden(arm))
         sampling, scenario = self._sampling, setup.scenario
-        request = Request(
+        request = InstructionRequest(
             {name: targets.count(name) for name in kernels}, sampling.which, sampling.model, sampling.restart_s,
             sampling=sampling.scheme,
         )  # fmt: skip

@@ -7,7 +7,7 @@ from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction.plan import injection_of
 from mavfi.faults.instruction.variant import Report
 from mavfi.flight_log import FlightLog, KernelEffect
-from mavfi.hosts.inprocess import Flight
+from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.output import Output, first_difference
 from mavfi.mission import Scenario
 from mavfi.states import INJECTABLE, INJECTED_KERNEL, PLANNERS

@@ -8,7 +8,7 @@ import numpy as np
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction.plan import is_in_data
-from mavfi.hosts.inprocess import Flight
+from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import case_of, flight_of
 from mavfi.hosts.instruction.forking import HOSTS, ForkingHost
 from mavfi.hosts.instruction.template import fly_from_template

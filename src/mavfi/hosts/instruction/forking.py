@@ -24,7 +24,8 @@ from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
 from mavfi.faults.instruction.variant import Variant, variant_for
 from mavfi.hosts.beginning import Beginning, beginning_of, fly_until
-from mavfi.hosts.inprocess import Flight, Host
+from mavfi.hosts.host import Flight
+from mavfi.hosts.inprocess import Host
 from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, case_of, flight_of
 from mavfi.hosts.instruction.output import Output, copied
 from mavfi.hosts.observed import ObservedHost
