@@ -5,7 +5,7 @@ OUT ?= out/reproduce$(if $(filter-out quick,$(SCALE)),-$(SCALE))
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-CODE := src tests examples benchmarks docs
+CODE := src tests examples benchmarks tools
 
 # One thread per process: sums keep their order, and two workers do not fight for two cores.
 export OMP_NUM_THREADS := 1
@@ -59,7 +59,7 @@ format: setup  ## format the code, sort imports
 	@$(BIN)/ruff check --fix --select I $(CODE)
 	@$(BIN)/ruff format $(CODE)
 
-bench: setup  ## measure speed
+bench: setup  ## measure speed, write docs/generated/speed.md
 	@$(BIN)/python -m benchmarks.run
 
 forking: setup  ## fly runs of table1 the long way and forked, compare every byte, print the gain (N=... missions)
@@ -74,10 +74,10 @@ coupling: setup  ## what the delay of an observer costs, against a gate; writes 
 machine-level: setup  ## faults in instructions at machine and at IR level; writes the table in docs/fault-model.md (N=400)
 	@$(BIN)/python -m benchmarks.machine_level
 
-golden-rates: setup  ## fly golden missions in every setting, write docs/golden-rates.md (N=300 HARD_N=100 ONLY=word RESUME=1)
+golden-rates: setup  ## fly golden missions in every setting, write docs/generated/golden-rates.md (N=300 HARD_N=100 ONLY=word RESUME=1)
 	@$(BIN)/python -m benchmarks.golden_rates
 
-difficulty: setup  ## golden success and fault effect against density and v_max, write docs/difficulty.md (N=40)
+difficulty: setup  ## golden success and fault effect against density and v_max, write docs/generated/difficulty.md (N=40)
 	@$(BIN)/python -m benchmarks.difficulty
 
 tune: setup  ## try the gains of the tracker of `hardened` on design seeds (N=... SEED=... ONLY=gain_p)
@@ -87,10 +87,10 @@ smoke: setup  ## a campaign of a few flights, and its report
 	@$(BIN)/mavfi campaign run configs/campaigns/smoke.yaml --out out/smoke
 	@$(BIN)/mavfi report out/smoke
 
-fault-map: setup  ## what one fault does, by site, on design seeds; writes docs/fault-map.md
+fault-map: setup  ## what one fault does, by site, on design seeds; writes docs/generated/fault-map.md
 	@$(BIN)/mavfi campaign run configs/campaigns/fault_map.yaml --out out/fault_map
 	@$(BIN)/mavfi report out/fault_map > /dev/null
-	@$(BIN)/python -m docs.build_fault_map out/fault_map
+	@$(BIN)/python -m tools.build_fault_map out/fault_map
 
 ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a folder), check them
 	@$(BIN)/python -m mavfi.hosts.ros1.install
@@ -98,14 +98,14 @@ ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a
 train: setup  ## train the detectors that are shipped
 	@$(BIN)/mavfi train --flights 100 --out src/mavfi/data/models
 
-readme: setup  ## put the tables that `make reproduce` printed into README.md
-	@$(BIN)/python -m docs.build_readme $(OUT)
+readme: setup  ## put the results of `make reproduce` into README.md and docs/results.md
+	@$(BIN)/python -m tools.build_readme $(OUT)
 
-pictures: setup  ## draw the pictures of docs/kernels anew from flights and kernel runs
-	@for script in docs/draw_*.py; do echo "$$script"; $(BIN)/python -m docs.$$(basename $$script .py) || exit 1; done
+pictures: setup  ## draw the pictures of the documentation from flights and kernel runs
+	@for script in tools/draw_*.py; do echo "$$script"; $(BIN)/python -m tools.$$(basename $$script .py) || exit 1; done
 
-docs: setup  ## write the pages that repeat the code
-	@$(BIN)/python docs/build_pages.py
+docs: setup  ## write the pages and tables that are derived from the code
+	@$(BIN)/python -m tools.build_pages
 
 wheel: setup  ## build the wheel, install it in an empty environment, run it
 	@rm -rf dist build/wheel-venv
@@ -125,4 +125,4 @@ lock:  ## renew requirements.lock from the ranges in pyproject.toml
 
 clean:  ## remove what was built (not .venv, not out)
 	@rm -rf dist build .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
-	@find src tests examples benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +
+	@find src tests examples benchmarks tools -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -11,13 +11,13 @@ from pathlib import Path
 
 import numpy as np
 
-from docs.build_pages import between
 from mavfi.campaign.tools import host_tools
 from mavfi.faults.sampling import draw, stage_target
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import Flight, fly
 from mavfi.hosts.observed import fly_observed
 from mavfi.mission import MissionStatus
+from tools.markers import between
 
 PAGE = Path(__file__).parents[1] / "docs" / "ros.md"
 FIRST_SEED = 10_000

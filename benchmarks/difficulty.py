@@ -1,9 +1,9 @@
-"""Golden success and fault effect against difficulty: flies both stacks at several v_max, writes docs/difficulty.md.
+"""Golden success and fault effect against difficulty: flies both autopilot profiles at several v_max.
 
     N=40 WORKERS=2 python -m benchmarks.difficulty
 
 N: missions per density, v_max and stack, each flown without a fault and with one fault of each kind.  Ledgers are in
-out/difficulty; what is flown is kept, and the same command goes on.
+out/difficulty; what is flown is kept, and the same command resumes.  Writes docs/generated/difficulty.md.
 """
 
 import os
@@ -29,9 +29,9 @@ from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.hosts.compose import find_environment
 from mavfi.reports import style
+from tools.markers import GENERATED, ROOT, banner
 
-ROOT = Path(__file__).parents[1]
-PAGE, PICTURE = ROOT / "docs" / "difficulty.md", ROOT / "docs" / "difficulty.png"
+PAGE, PICTURE = GENERATED / "difficulty.md", GENERATED / "difficulty.png"
 STACKS = ("published", "hardened")
 SPEEDS = (3.0, 4.5, 6.0, 8.0)
 """m/s; the last, with time limits that follow it, makes golden flights of `published` as hard as the paper's."""
@@ -42,25 +42,26 @@ _LOOKS = ((style.BLUE, "o", "-"), (style.AMBER, "s", "--"), (style.PURPLE, "^", 
 
 HEAD = """# Difficulty: golden success and fault effect
 
-How much harder missions change what a fault does. Worlds are cuboids of 10 m by [density, side] as in the paper, at
-densities from 0.05 to 0.35. With the usual gaps of 3 m no more than about 0.32 fits, so all worlds of this sweep have
-gaps of at least 2 m (the hull is 0.7 m wide): the law is the same at every density. v_max is 3 to 6 m/s, where golden
-flights hardly ever fail, and 8 m/s, where those of `published` are about as hard as the paper's hardest (85 % arrived):
-limits of time follow v_max, and a vehicle that plans anew too often exceeds them.
+How the effect of a fault changes with the difficulty of missions. Worlds are cuboids of 10 m by [density, side] as in
+the paper, at densities from 0.05 to 0.35. With the usual gaps of 3 m no more than about 0.32 fits, so all worlds of
+this sweep have gaps of at least 2 m (the vehicle is 0.7 m wide): the same rule at every density. v_max is 3 to 6 m/s,
+where golden flights hardly ever fail, and 8 m/s, where those of `published` are about as hard as the paper's hardest
+(85 % arrived):
+time limits follow v_max, and a vehicle that replans too often exceeds them.
 
 Each mission is flown without a fault and with one fault of each of three kinds; the first kind is what the paper found
 to matter, the others are the most dangerous sites of the [fault map](fault-map.md). The effect is paired: only missions
-whose golden flight arrives count, so a world that is lost anyway is not booked on the fault.
+whose golden flight arrives count, so a mission that fails without a fault is not counted as an effect of the fault.
 
 ![Golden success and fault effect against density]({picture})
 
 """
 FOOT = """## How to read it
 
-Intervals are 95 %: Wilson's, for the three kinds together with n reduced by the design effect of worlds. All rates are
+Intervals are 95 %: Wilson; for the three kinds together with n reduced by the design effect of worlds. All rates are
 conditional on one fault per mission. `{all}` pools the same number of faults of each kind; other weights give
-other figures. A golden flight on which no collision is predicted has no flag to strike; such a fault is kept as one
-without effect (intention to treat). Seeds follow each other from {seed} on; none is left out.
+other figures. A golden flight on which no collision is predicted has no flag to inject into; such a fault is kept as
+one without effect (intention to treat). Seeds follow each other from {seed} on; none is left out.
 
 Flown by `make difficulty` (N={n}); a single run again: `mavfi replay DIRECTORY RUN_ID`, with the directory of the
 ledger from the list above.
@@ -172,7 +173,7 @@ def page(cells: list[Cell], sources: list[dict[str, Any]], n: int) -> str:
     versions = ", ".join(f"{name} {found}" for name, found in sources[0]["versions"].items())
     ledgers = [f"- `{source['directory'].as_posix()}`: digest `{source['digest'][:16]}`" for source in sources]
     seeds = sorted({row.spec.seed for cell in cells for row in cell.rows})
-    return HEAD.format(picture=PICTURE.name) + "\n".join([
+    return banner("make difficulty") + HEAD.format(picture=PICTURE.name) + "\n".join([
         f"Measured: {date.today().isoformat()} ({versions}); {n} missions per density, v_max and stack (seeds "
         f"{seeds[0]} to {seeds[-1]}), {sum(len(cell.rows) for cell in cells)} flights. Ledgers:", "", *ledgers, "",
         "## Golden flights", "", *table((*CELL, "arrive, %", "median time (s)"), golden), "",

@@ -1,4 +1,4 @@
-"""Flies golden missions in all settings and writes docs/golden-rates.md.
+"""Flies golden missions in all settings and writes docs/generated/golden-rates.md.
 
     N=60 HARD_N=100 SCAN_N=20 WORKERS=1 ONLY=clutter python -m benchmarks.golden_rates
 
@@ -19,12 +19,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from docs.build_fault_map import FAULT_MAP, key_lines
-from docs.build_pages import between
 from mavfi.campaign.golden import EVALUATION_SEED, Bar, GoldenFlight, Row, Setting, fly_row
+from tools.build_fault_map import FAULT_MAP, key_lines
+from tools.markers import GENERATED, ROOT, banner, between
 
-ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "golden-rates.md"
+PAGE = GENERATED / "golden-rates.md"
 RECORD = ROOT / "out" / "golden-rates.json"
 """Every flight of every row, so that rows can be flown one after the other."""
 SCAN = "../shared/data/geb079.bt"
@@ -67,26 +66,27 @@ CORRIDOR = [
 HEAD = """# Golden rates
 
 Error-free flights: how often they arrive, and how well they fly. `make golden-rates` flies them (N=... flights of each
-setting with a bar of 300, HARD_N=... of each other one, SCAN_N=... in the scanned corridor) and writes this page. Seeds
-follow each other from {seed} on; none is left out. Stacks are tuned on seeds below 10000.
+setting with a bar of 300, HARD_N=... of the other settings, SCAN_N=... in the scanned corridor). Seeds
+follow each other from {seed} on; none is left out. Autopilot profiles are tuned on seeds below
+10000.
 
-- *closest*: smallest distance of the hull (sphere of 0.35 m, in the corridor 0.06 m) from the true nearest obstacle or
-  the ground, over all flights; below 0 is a contact.
+- *closest*: smallest distance between the vehicle (collision radius 0.35 m, in the corridor 0.06 m) and the nearest
+  true obstacle or the ground, over all flights; below 0 is a contact.
 - *replans*: plans after the first, median and largest. *alarms*: collisions that the check predicted, median.
-- *off reference*: largest distance of the vehicle from its reference. *speed*: largest, as a share of v_max.
-- Intervals are Wilson's, 95 %. Flight times are those of flights that arrived.
+- *off reference*: largest distance between vehicle and reference. *speed*: largest, as a share of v_max.
+- Intervals: Wilson, 95 %. Flight times: of flights that arrived.
 """
 FAULTS = """## What faults do to the same code
 
-A change of policy that makes golden flights better by hiding faults would show here: from the
-[fault map](fault-map.md), flown again by `make fault-map` after each change.
+A change of a rule that makes golden flights better by hiding faults would show here: rows of the
+[fault map](fault-map.md), which `make fault-map` flies again after each change.
 
 <!-- faults:begin -->
 <!-- faults:end -->
 """
 BLIND = """In the corridor the way back (x 27 → -5 m) starts 0.2 m above an obstacle that lies 68° below the horizontal.
-The camera sees down to 37°, so the map does not know of it, and planners take unknown space for free: a path that sinks
-at once touches it, or passes it by centimetres, whatever the seed.
+The camera sees down to 37°, so the obstacle is not in the map, and planners take unknown space for free: a path that
+descends at once touches it, or passes it by centimetres, at any seed.
 """
 COLUMNS = (
     "environment", "stack", "planner", "platform", "v_max", "arrived", "95 %", "wanted", "flight time (s): median",
@@ -193,7 +193,7 @@ def page(stored: list[dict[str, Any]], faults: str) -> str:
     """
     rows = [as_row(entry) for entry in stored]
     runs = sorted({f"{entry['date']} ({entry['versions']})" for entry in stored})
-    parts = [HEAD.format(seed=EVALUATION_SEED), "Measured: " + "; ".join(runs) + ".", ""]
+    parts = [banner("make golden-rates") + HEAD.format(seed=EVALUATION_SEED), "Measured: " + "; ".join(runs) + ".", ""]
     parts += [line(COLUMNS), line(["---"] * len(COLUMNS)), *(line(cells(row)) for row in rows), ""]
     scanned = any(row.setting.environment == SCAN for row in rows)
     if not scanned:
@@ -274,7 +274,7 @@ def main() -> int:
         sys.stderr.write("Stopped. Rows that are done are kept; RESUME=1 goes on.\n")
         return 130
     faults = key_lines(FAULT_MAP.read_text(encoding="utf-8"))
-    sys.stdout.write(f"\nWhat faults do (docs/fault-map.md):\n\n{faults}\n\n")
+    sys.stdout.write(f"\nWhat faults do (docs/generated/fault-map.md):\n\n{faults}\n\n")
     PAGE.write_text(page(stored, faults), encoding="utf-8")
     sys.stdout.write(f"wrote {PAGE.relative_to(ROOT)}\n")
     return 0

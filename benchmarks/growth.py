@@ -4,7 +4,6 @@ import os
 import statistics
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from matplotlib.figure import Figure
@@ -16,8 +15,9 @@ from mavfi.config import CameraConfig, MapConfig
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import fly
 from mavfi.reports.style import BLUE, GREY, ORANGE, house_style
+from tools.markers import GENERATED
 
-FIGURE = Path(__file__).with_name("growth.png")
+FIGURE = GENERATED / "growth.png"
 SEEDS = range(3)
 BOXES = (10, 30, 100, 300, 1000)
 RESOLUTIONS = (1.0, 0.5, 0.35, 0.25, 0.2)

@@ -25,7 +25,6 @@ import numba
 import numpy as np
 
 from benchmarks.run import processor
-from docs.build_pages import between
 from mavfi.campaign.statistics import Rate, wilson
 from mavfi.errors import BadInputError
 from mavfi.faults.instruction import count, draw, run_forked
@@ -35,6 +34,7 @@ from mavfi.faults.register.single_step import SteppedCall
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import fly
 from mavfi.pipeline.functions import PLAIN
+from tools.markers import between
 
 PAGE = Path(__file__).parents[1] / "docs" / "fault-model.md"
 ENVIRONMENT, STACK, SEED = "sparse", "published", 10_000

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from docs.build_pages import between
 from mavfi.faults.register import Request, inject
 from mavfi.faults.register.request import DEFAULT_WALK
+from tools.markers import between
 
 PAGE = Path(__file__).parents[1] / "docs" / "ros-attach.md"
 TARGET = "import math\nprint(flush=True)\nx = 0.0\nwhile True:\n    x = math.sin(x) + 1.0"

@@ -1,4 +1,4 @@
-"""Measures speed, prints a table, writes benchmarks/results.md and benchmarks/growth.png.
+"""Measures speed, prints a table, writes docs/generated/speed.md and growth.png.
 
 Ratios are taken within one run on one machine.  Targets stand beside what was measured; nothing fails by them, since
 what a clock shows depends on the machine and on what else it does.
@@ -27,6 +27,7 @@ from mavfi.detectors import load_detector
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import Flight, fly
 from mavfi.states import State
+from tools.markers import GENERATED, banner
 
 SEEDS = range(20)
 MODULES = {"mujoco-core": "mujoco", "octomap-python": "octomap"}
@@ -194,10 +195,11 @@ def main() -> None:
     load = ", ".join(f"{value:.2f}" for value in os.getloadavg())
     lines = [f"| {row.what} | {row.value} | {row.verdict} |" for row in rows]
     page = [
-        "# Speed", "", f"Measured by `make bench` in {took:.0f} s: {head}. Load at the end: {load}.",
+        f"{banner('make bench')}# Speed", "",
+        f"Measured by `make bench` in {took:.0f} s: {head}. Load at the end: {load}.",
         "", "| what | value | target |", "|---|---|---|", *lines, "", f"![Growth of wall time]({FIGURE.name})", "",
     ]  # fmt: skip
-    Path(__file__).with_name("results.md").write_text("\n".join(page), encoding="utf-8")
+    (GENERATED / "speed.md").write_text("\n".join(page), encoding="utf-8")
     for row in rows:
         sys.stdout.write(f"{row.what:60s} {row.value}  {row.verdict}\n")
     sys.stdout.write(f"load {load}\n")

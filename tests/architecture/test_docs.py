@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from docs import build_pages
-from tests.architecture.source import ROOT, modules
+from tests.architecture.source import ROOT
+from tools import build_pages
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 DOCS = ROOT / "docs"
@@ -17,14 +17,21 @@ def text(path: Path) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", ["whats-here.md", "fault-model.md", "ros.md"])
+@pytest.mark.parametrize("page", ["fault-model.md", "ros.md"])
 def test_written_pages_say_what_the_code_says(page):
     assert text(DOCS / page) == build_pages.pages()[DOCS / page], "run `make docs`"
 
 
-def test_whats_here_has_a_line_for_every_module():
-    named = set(re.findall(r"^- `([\w/]+\.py)` — \S", build_pages.whats_here(), flags=re.MULTILINE))
-    assert named == {name for name in modules() if not name.endswith("__init__.py")}
+@pytest.mark.parametrize("page", sorted((DOCS / "generated").glob("*.md")), ids=lambda page: page.name)
+def test_generated_pages_name_the_command_that_writes_them(page):
+    banner, target = re.match(r"(<!-- Written by `make ([a-z-]+)`; do not edit\. -->)\n\n# ", text(page)).groups()
+    assert f"\n{target}: " in text(ROOT / "Makefile"), banner
+
+
+def test_every_page_is_listed():
+    listed = set(re.findall(r"\]\(([^)#]+)", text(DOCS / "README.md")))
+    pages = {path.relative_to(DOCS).as_posix() for folder in (DOCS, DOCS / "generated") for path in folder.glob("*.md")}
+    assert pages - {"README.md"} <= listed
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
@@ -48,20 +55,3 @@ def test_decisions_are_numbered_without_gaps_and_say_their_status():
     assert [int(record.name[:4]) for record in records] == list(range(1, len(records) + 1))
     for record in records:
         assert "Status:" in text(record) and "## Consequences" in text(record), record.name
-
-
-def test_a_block_replaces_the_one_before():
-    page = "above\n<!-- table:begin -->\n<!-- table:end -->\nbelow\n"
-    filled = build_pages.between(page, "table", "| a |\n")
-    assert filled == "above\n<!-- table:begin -->\n| a |\n<!-- table:end -->\nbelow\n"
-    assert build_pages.between(filled, "table", "") == build_pages.between(page, "table", "")
-
-
-def test_the_readme_has_one_place_for_the_table():
-    assert "| a |" in build_pages.between(text(ROOT / "README.md"), "table", "| a |")
-
-
-@pytest.mark.parametrize("page", ["", "<!-- table:end --> <!-- table:begin -->", "<!-- table:begin -->"])
-def test_a_page_without_its_markers_is_refused(page):
-    with pytest.raises(ValueError, match="once each"):
-        build_pages.between(page, "table", "| a |")

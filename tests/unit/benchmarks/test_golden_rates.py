@@ -4,8 +4,8 @@ from dataclasses import asdict, replace
 import pytest
 
 from benchmarks import golden_rates
-from docs.build_fault_map import FAULT_MAP, key_lines
 from mavfi.campaign.golden import GoldenFlight, Row, Setting
+from tools.build_fault_map import FAULT_MAP, key_lines
 
 GOOD = GoldenFlight(10_000, "success", 30.0, 150.0, 0.5, 0.3, 1.05, 2, 0, 1, 0, (1.0, 2.0, 3.0), "", "")
 LOST = replace(GOOD, seed=10_001, status="timeout", cause="flew 5 m", events="1.0 s plan")

@@ -6,9 +6,9 @@ import pytest
 
 from benchmarks import machine_level
 from benchmarks.machine_level import PAGE, Study, difference, main, table, wanted_faults
-from docs.build_pages import between
 from mavfi.campaign.statistics import wilson
 from mavfi.errors import BadInputError
+from tools.markers import between
 
 STUDY = Study(
     "pid",

@@ -2,10 +2,10 @@ import json
 
 import pytest
 
-from docs import build_readme
 from mavfi.campaign.config import Campaign
 from mavfi.cli import reproduce, run
 from mavfi.cli.progress import Bar
+from tools import build_readme
 
 
 @pytest.fixture

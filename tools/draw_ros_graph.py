@@ -1,7 +1,7 @@
 """Draw docs/images/ros_graph.png, and write what ROS's own tools say beside a flight into docs/ros.md.
 
 A flight with an injector and a detector is flown on real ROS, free-running.  The picture is drawn from what the master
-says of it, not from what the project believes of itself.  Run as `python -m docs.draw_ros_graph`.
+says of it, not from what the project believes of itself.  Run as `python -m tools.draw_ros_graph`.
 """
 
 import json
@@ -18,8 +18,6 @@ from matplotlib.axes import Axes
 from matplotlib.patches import FancyBboxPatch, PathPatch
 from matplotlib.path import Path as Line
 
-from docs import drawing
-from docs.build_pages import between
 from mavfi.detectors import load_detector
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.spec import FaultRequest, parse
@@ -29,8 +27,9 @@ from mavfi.hosts.ros1.folder import JOIN
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.session import configure, fly, isolation
 from mavfi.reports import style
+from tools import drawing
+from tools.markers import DOCS, IMAGES, between
 
-DOCS = Path(__file__).parent
 FAULT = "state:planning.waypoint.x:bit=40@20"
 REPORTS = 2
 PATIENCE_S = 120.0
@@ -264,7 +263,7 @@ def draw(seen: Seen) -> None:
     draw_rest(axes, seen, bottom - 0.75)
     axes.set(xlim=(LEFT - 1.0, RIGHT + 1.0), ylim=(bottom - 1.5, 1.05))
     axes.axis("off")
-    drawing.save(figure, "ros_graph.png", DOCS / "images")
+    drawing.save(figure, "ros_graph.png", IMAGES)
 
 
 def main() -> None:

@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from docs import drawing
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import Flight
 from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import Scenario
 from mavfi.reports import style
 from mavfi.states import State, floats
+from tools import drawing
 
 SEED = 7
 ALARM = 6

@@ -24,8 +24,9 @@ from mavfi.reports import style
 from mavfi.sim.camera import pixel_directions
 from mavfi.sim.environments import World
 from mavfi.states import State, new_state
+from tools.markers import DOCS
 
-FOLDER = Path(__file__).parent / "kernels"
+FOLDER = DOCS / "kernels"
 _DOTS_PER_INCH = 110
 LARGEST_FILE = 120_000
 """Bytes of a picture, at most."""

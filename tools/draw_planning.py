@@ -9,7 +9,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from docs import drawing
 from mavfi.hosts.compose import make_scenario
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import rrt, rrt_connect, rrt_star
@@ -17,6 +16,7 @@ from mavfi.numerics.random import seed_generator
 from mavfi.pipeline.room import Room
 from mavfi.reports import style
 from mavfi.sim.environments import World
+from tools import drawing
 
 ITERATIONS = 800
 RANGE, GOAL_BIAS = 4.0, 0.05

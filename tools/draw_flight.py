@@ -9,12 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from docs import drawing
 from mavfi.hosts.compose import make_scenario
 from mavfi.kernels.perception.clearance import KNOWN_FREE
 from mavfi.mission import Scenario
 from mavfi.reports import style
 from mavfi.states import State
+from tools import drawing
 
 NUMBER = 6
 """Plan that is drawn: one in the middle of the flight."""

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from docs import drawing
 from mavfi.kernels.perception.clearance import OCCUPIED
 from tests.hosts.missions import golden, mission
+from tools import drawing
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 Run as `make pictures`.
 """
 
-from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -11,11 +10,12 @@ import numpy as np
 from matplotlib.collections import PatchCollection
 from matplotlib.patches import Rectangle
 
-from docs import drawing
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import fly
 from mavfi.kernels.perception.octree import DEPTH
 from mavfi.reports import style
+from tools import drawing
+from tools.markers import IMAGES
 
 HEIGHT = 3.0
 WINDOW = ((7.0, 52.0), (-28.0, 17.0))
@@ -69,7 +69,7 @@ def draw() -> None:
     track = flight.log.columns("x", "y")
     left.plot(track[:, 0], track[:, 1], color="black", linewidth=1.2)
     figure.colorbar(picture, ax=(left, right), label="log-odds", shrink=0.85)
-    drawing.save(figure, "octomap.png", Path(__file__).parent / "images")
+    drawing.save(figure, "octomap.png", IMAGES)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Draw docs/images/state_estimation.png: errors of the state estimator in a golden flight, and what it says of them.
 
-Run as `python docs/draw_state_estimation.py`.
+Run as `python -m tools.draw_state_estimation`.
 """
 
 from pathlib import Path
@@ -13,6 +13,7 @@ from mavfi.hosts.compose import make_scenario, pipeline_config
 from mavfi.hosts.inprocess import fly
 from mavfi.pipeline.estimation import StateEstimator
 from mavfi.states import State, floats
+from tools.markers import IMAGES
 
 PARTS = (
     ("position error (m)", ("x", "y", "z"), 0, 0.22),
@@ -61,4 +62,4 @@ def draw(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    draw(Path(__file__).parent / "images" / "state_estimation.png")
+    draw(IMAGES / "state_estimation.png")

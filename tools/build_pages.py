@@ -1,6 +1,5 @@
-"""Write the parts of the documentation that repeat the code: whats-here.md, the states, the topics of ROS."""
+"""Write the parts of the documentation that are derived from the code: the states, the graph and topics of ROS."""
 
-import ast
 from pathlib import Path
 
 from mavfi.hosts.compose import make_scenario
@@ -11,46 +10,7 @@ from mavfi.hosts.ros1.mirrors import STANDARDS
 from mavfi.hosts.ros1.session import configure
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import STACKS, STATES, Field, StateSpec
-
-DOCS = Path(__file__).parent
-PACKAGE = DOCS.parent / "src" / "mavfi"
-MODULES = ("errors", "config", "plugins", "states", "mission", "flight_log", "qof", "outcomes", "__main__")
-PACKAGES = (
-    "numerics", "kernels", "pipeline", "sim", "faults", "detectors", "platforms", "hosts", "campaign", "reports", "cli",
-)  # fmt: skip
-HEAD = """# What is here
-
-One line per module, from the bottom layer to the top. A module imports from those above it on this page, never from
-those below; `pipeline`, `sim`, `faults`, `detectors` and `platforms` do not know each other, and only `hosts` puts them
-together. Written from the docstrings by `make docs`.
-"""
-
-
-def sentence(path: Path) -> str:
-    """First paragraph of a module's docstring on one line."""
-    docstring = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
-    return " ".join(docstring.split("\n\n")[0].split())
-
-
-def line(path: Path) -> str:
-    """The line of one module."""
-    return f"- `{path.relative_to(PACKAGE).as_posix()}` — {sentence(path)}"
-
-
-def section(package: str) -> list[str]:
-    """Heading, what the package is for, and its modules."""
-    folder = PACKAGE / package
-    modules = [path for path in sorted(folder.rglob("*.py")) if path.name != "__init__.py"]
-    return ["", f"## `{package}/`", "", sentence(folder / "__init__.py"), "", *map(line, modules)]
-
-
-def whats_here() -> str:
-    """The page that has a line for every module."""
-    lines = [HEAD, "## Modules that stand alone", ""]
-    lines += [line(path) for name in MODULES if (path := PACKAGE / f"{name}.py").is_file()]
-    for package in PACKAGES:
-        lines += section(package)
-    return "\n".join(lines) + "\n"
+from tools.markers import DOCS, between
 
 
 def field_text(field: Field) -> str:
@@ -72,18 +32,6 @@ def state_table() -> str:
     """The table of states."""
     rows = ["| state | kernel | published | fields (unit) |", "|---|---|---|---|", *map(state_row, STATES.values())]
     return "\n".join(rows)
-
-
-def between(page: str, name: str, block: str) -> str:
-    """The page with the block between its markers `<!-- name:begin -->` and `<!-- name:end -->`.
-
-    Raises:
-        ValueError: The page does not have the two markers once each, in order.
-    """
-    begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
-    if page.count(begin) != 1 or page.count(end) != 1 or page.index(begin) > page.index(end):
-        raise ValueError(f"must hold {begin} and {end} once each, in this order")
-    return f"{page.split(begin)[0]}{begin}\n{block.strip()}\n{end}{page.split(end)[1]}"
 
 
 def _graph() -> Graph:
@@ -139,7 +87,6 @@ def pages() -> dict[Path, str]:
     """Every written page, as it should be."""
     fault_model = DOCS / "fault-model.md"
     return {
-        DOCS / "whats-here.md": whats_here(),
         DOCS / "ros.md": ros_page(),
         fault_model: between(fault_model.read_text(encoding="utf-8"), "states", state_table()),
     }

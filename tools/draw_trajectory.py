@@ -1,6 +1,6 @@
 """Draw docs/images/trajectory.png: a minimum-snap curve before and after it was split, its speed and acceleration.
 
-Run as `python docs/draw_trajectory.py`.
+Run as `python -m tools.draw_trajectory`.
 """
 
 from pathlib import Path
@@ -10,6 +10,7 @@ import numpy as np
 
 from mavfi.kernels.planning import course, minimum_snap, stations, trajectory
 from mavfi.numerics.voxels import Grid, offsets_within
+from tools.markers import IMAGES
 
 LAW = stations.Law(3.0, 4.5, 2.0, 3.5, 2.5, 4.0, 2.5, 1.5)
 LIMITS = trajectory.Limits(3.0, 3.0, 3.5, 2.5, 4.0, 2.5, 3.0)
@@ -86,4 +87,4 @@ def draw(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    draw(Path(__file__).parent / "images" / "trajectory.png")
+    draw(IMAGES / "trajectory.png")

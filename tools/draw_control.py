@@ -8,7 +8,6 @@ from collections.abc import Callable
 import matplotlib.pyplot as plt
 import numpy as np
 
-from docs import drawing
 from mavfi.hosts.compose import make_scenario
 from mavfi.kernels.control import pid
 from mavfi.pipeline.control import MAX_YAW_RATE
@@ -16,6 +15,7 @@ from mavfi.reports import style
 from mavfi.sim.environments.arena import arena_world
 from mavfi.sim.simulator import Simulator
 from mavfi.states import floats
+from tools import drawing
 
 DT_US = 20_000
 START = np.array([10.0, 0.0, 5.0])

@@ -1,0 +1,63 @@
+import pytest
+
+from tools import build_readme
+from tools.markers import DOCS, ROOT
+
+TABLE = """**Instruction level, the paper's Table I: success rates, one fault per mission**
+
+Generated on 2026-11-20 by mavfi 0.1.0 (numba 0.68.1): campaign `table1_instructions`.
+
+|  |  | farm | dense |
+| --- | --- | ---: | ---: |
+| Golden run | here | 100.0 [77.2, 100.0] 13/13 | 100.0 [77.2, 100.0] 13/13 |
+|  | paper | 100.0 % | 85.0 % |
+| Injection run | here, node restarts | 100.0 [95.3, 100.0] 78/78 | 96.2 [89.3, 98.7] 75/78 |
+|  | here, mission ends | 84.6 [74.6, 91.2] 66/78 | 80.8 [69.1, 88.7] 63/78 |
+| Gaussian-based | here, node restarts | 100.0 [95.3, 100.0] 78/78 | 98.7 [93.1, 99.8] 77/78 |
+
+- smaller differences are not told apart: farm 16 / 4; dense 16 / 9
+"""
+
+
+def test_rows_are_summed_over_environments():
+    assert build_readme.totals(TABLE) == {
+        ("Golden run", "here"): (26, 26), ("Injection run", "here, node restarts"): (153, 156),
+        ("Injection run", "here, mission ends"): (129, 156), ("Gaussian-based", "here, node restarts"): (155, 156),
+    }  # fmt: skip
+
+
+def test_the_headline_says_what_the_table_says():
+    line = build_readme.headline(TABLE)
+    assert "fails 27 of 156 missions (17.3 %)**" in line and "3 of 156 missions (1.9 %) if the node restarts" in line
+    assert "1 of 156 missions (0.6 %) if a Gaussian" in line and "26 of 26 missions succeed" in line
+    assert "mavfi 0.1.0, 2026-11-20" in line
+
+
+@pytest.mark.parametrize("block", ["", TABLE.replace("Gaussian-based", "Other"), TABLE.replace("Generated on", "On")])
+def test_another_table_is_refused(block):
+    with pytest.raises(ValueError, match="not a success table"):
+        build_readme.headline(block)
+
+
+def test_the_headline_of_the_readme_is_that_of_the_results():
+    results = (DOCS / "results.md").read_text(encoding="utf-8")
+    block = results.partition("<!-- instruction_table:begin -->")[2].partition("<!-- instruction_table:end -->")[0]
+    assert build_readme.headline(block) in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_both_pages_are_written(monkeypatch, tmp_path):
+    for name, markers in (("README.md", "headline"), ("results.md", "table instruction_table")):
+        blocks = "".join(f"<!-- {marker}:begin -->\n<!-- {marker}:end -->\n" for marker in markers.split())
+        (tmp_path / name).write_text(blocks, encoding="utf-8")
+    for name in ("DOCS", "ROOT", "IMAGES"):
+        monkeypatch.setattr(build_readme, name, tmp_path)
+    out = tmp_path / "out"
+    assert build_readme.main(out) == 2
+    (out / "instructions").mkdir(parents=True)
+    (out / "readme_block.md").write_text("| state level |", encoding="utf-8")
+    (out / "instructions" / "readme_block.md").write_text(TABLE, encoding="utf-8")
+    (out / "flight.png").write_bytes(b"picture")
+    assert build_readme.main(out) == 0
+    assert "27 of 156" in (tmp_path / "README.md").read_text(encoding="utf-8")
+    assert "| state level |" in (tmp_path / "results.md").read_text(encoding="utf-8")
+    assert (tmp_path / "flight.png").read_bytes() == b"picture"

@@ -1,0 +1,89 @@
+"""Put the results of `mavfi reproduce` into docs/results.md, and the headline of them into README.md.
+
+    python -m tools.build_readme out/reproduce
+
+The reports write `readme_block.md` and, if they drew one, `flight.png` into their folders. The tables are copied as
+they are, and the figures of the README are read from them, so none is typed.
+"""
+
+import re
+import shutil
+import sys
+from pathlib import Path
+
+from tools.markers import DOCS, IMAGES, ROOT, fill
+
+BLOCKS = {"table": "readme_block.md", "instruction_table": "instructions/readme_block.md"}
+"""File of each table, by the name of its markers."""
+DATE = r"Generated on (\S+) by (mavfi \S+)"
+Count = tuple[int, int]
+"""Successes, and n."""
+
+
+def totals(block: str) -> dict[tuple[str, str], Count]:
+    """Successes of our rows in a success table, over all environments, by (setting, policy).
+
+    Args:
+        block: Table in Markdown, whose cells end in `successes/n`.
+    """
+    found: dict[tuple[str, str], Count] = {}
+    setting = ""
+    for line in block.splitlines():
+        counts = [(int(a), int(b)) for a, b in re.findall(r" (\d+)/(\d+) ", line)]
+        if line.startswith("|") and counts:
+            _, name, policy, *_ = (cell.strip() for cell in line.split("|"))
+            setting = name or setting
+            found[setting, policy] = sum(a for a, _ in counts), sum(b for _, b in counts)
+    return found
+
+
+def lost(count: Count) -> str:
+    """Failed missions of a row as text: `9 of 312 missions (2.9 %)`."""
+    failed = count[1] - count[0]
+    return f"{failed} of {count[1]} missions ({100 * failed / count[1]:.1f} %)"
+
+
+def headline(block: str) -> str:
+    """What one fault costs, as a paragraph.
+
+    Args:
+        block: The success table at instruction level.
+
+    Raises:
+        ValueError: It is not a success table.
+    """
+    rows = totals(block)
+    origin = re.search(DATE, block)
+    try:
+        golden = rows["Golden run", "here"]
+        died, restarted = rows["Injection run", "here, mission ends"], rows["Injection run", "here, node restarts"]
+        watched = rows["Gaussian-based", "here, node restarts"]
+    except KeyError as error:
+        raise ValueError(f"not a success table at instruction level: no row {error}") from error
+    if origin is None:
+        raise ValueError("not a success table: its date is missing")
+    return (
+        f"**One flipped bit in one instruction fails {lost(died)}** if a dead node ends the mission, {lost(restarted)} "
+        f"if the node restarts, and {lost(watched)} if a Gaussian detector watches as well. Without a fault "
+        f"{golden[0]} of {golden[1]} missions succeed. (Four environments, one fault per mission; {origin[2]}, "
+        f"{origin[1]}; [all rows, with intervals](docs/results.md).)"
+    )
+
+
+def main(out: Path) -> int:
+    """Update README.md, docs/results.md and the picture from the folder of a report; returns the exit code."""
+    for block in BLOCKS.values():
+        if not (out / block).is_file():
+            print(f"{out / block}: not there; run `make reproduce` first", file=sys.stderr)
+            return 2
+    blocks = {name: (out / file).read_text(encoding="utf-8") for name, file in BLOCKS.items()}
+    fill(DOCS / "results.md", blocks)
+    fill(ROOT / "README.md", {"headline": headline(blocks["instruction_table"])})
+    picture = out / "flight.png"
+    if picture.is_file():
+        shutil.copyfile(picture, IMAGES / "flight.png")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(Path(sys.argv[1] if len(sys.argv) > 1 else "out/reproduce")))
