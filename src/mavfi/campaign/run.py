@@ -101,8 +101,7 @@ class _Session:
 
     def fly(self, executor: Executor, missions: list[MissionPlan]) -> None:
         """Fly missions; what they give is in the ledger before the next item is looked at."""
-        self.counts = self.store.counts()
-        self.tell(compiling=bool(missions))
+        self.tell()
         for _ in range(1 + ATTEMPTS):
             lost = {mission.world: (mission, end) for mission, end in self._fly_once(executor, missions)}
             done = self.store.done()
@@ -197,10 +196,19 @@ def run_campaign(
         })  # fmt: skip
         session = _Session(plan, store, models_dir, fast_forward, progress or _silent)
         missions = session.missions()
-        if missions:
-            host.warm_up([scenarios[campaign.environments[0], arm.name] for arm in plan.arms])
+        session.counts = store.counts()
+        if missions and host.in_process:
+            session.tell(compiling=True)
+            _warm_up(missions[0])
         session.fly(executor or LocalExecutor(2), missions)
         return status(directory)
+
+
+def _warm_up(mission: MissionPlan) -> None:
+    """Fly golden runs and draw faults here, so that workers inherit what is compiled; the results are not used."""
+    for item in fly_mission(mission):
+        if isinstance(item, Planned) and item.last:
+            return
 
 
 def identity_of(

@@ -18,7 +18,7 @@ from mavfi.plugins import load_object
 GROUP = "mavfi.hosts"
 """Entry points of this group are hosts: classes without arguments."""
 _SHIPPED = {
-    "local": "mavfi.hosts.local:LocalHost", "ros1": "mavfi.hosts.ros1.host:Ros1Host",
+    "local": "mavfi.hosts.local.mission_flights:LocalHost", "ros1": "mavfi.hosts.ros1.host:Ros1Host",
     "node": "mavfi.hosts.node.host:NodeHost",
 }  # fmt: skip
 
@@ -88,11 +88,13 @@ class Host(Protocol):
         name: As in configuration.
         levels: Levels of faults that it can inject.
         deterministic: Whether a flight is a pure function of its spec; one that is not never reports `masked`.
+        in_process: Whether flights compile and load in this process, so that forked workers inherit what is there.
     """
 
     name: str
     levels: frozenset[str]
     deterministic: bool
+    in_process: bool
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> MissionFlights:
         """Get ready for the flights of a mission; nothing is flown yet.
@@ -102,9 +104,6 @@ class Host(Protocol):
             fast_forward: Whether flights may begin at checkpoints of known ones, and end as these did, where that
                 gives the same bytes.
         """
-
-    def warm_up(self, scenarios: Sequence[Scenario]) -> None:
-        """Compile or load what flights of such missions need, so that forked workers inherit it."""
 
 
 def find_host(name: str) -> Host:

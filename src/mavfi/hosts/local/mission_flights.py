@@ -1,0 +1,101 @@
+"""All flights of one mission in this process: fast-forwarded where that gives the same bytes, flown the long way else."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from mavfi.detectors.detector import Detector
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import Fault, InstructionFault, StateFault
+from mavfi.hosts.host import ArmSetup, Flight
+from mavfi.hosts.instruction import fly_instruction_faults
+from mavfi.hosts.local.fast_forward import FastForward
+from mavfi.hosts.local.flight import fly
+
+
+class LocalHost:
+    """The deterministic host."""
+
+    name = "local"
+    levels = frozenset({"state", "instruction"})
+    deterministic = True
+    in_process = True
+
+    def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "LocalFlights":
+        """See `Host.mission`."""
+        return LocalFlights(arms, fast_forward)
+
+
+class LocalFlights:
+    """The flights of one mission; see `MissionFlights`."""
+
+    def __init__(self, arms: Mapping[str, ArmSetup], fast_forward: bool = True) -> None:
+        self._arms, self._fast = arms, fast_forward
+        self._forward: dict[str, FastForward] = {}
+        self._detectors: dict[str, Detector | None] = {}
+        self._golden: dict[str, Flight] = {}
+
+    def golden(self, arm: str, *, profile: bool = False) -> Flight:
+        """See `MissionFlights.golden`."""
+        known = self._golden.get(arm)
+        if known is None or (profile and known.profile is None):
+            self._golden[arm] = known = self._fly(arm, None, profile=profile)
+        return known
+
+    def know(self, arm: str, flight: Flight) -> None:
+        """See `MissionFlights.know`; the arms of this mission are then flown the long way."""
+        self._golden[arm] = flight
+        self._fast = False
+
+    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
+        """See `MissionFlights.injected`: state faults in their order, instruction faults arm by arm."""
+        batches: dict[str, list[tuple[int, InstructionFault]]] = {}
+        for place, (arm, fault) in enumerate(runs):
+            if isinstance(fault, InstructionFault):
+                batches.setdefault(arm, []).append((place, fault))
+                continue
+            try:
+                yield place, self._state(arm, fault)
+            except Exception as error:  # noqa: BLE001 - it ends this flight, not the others
+                yield place, error
+        for arm, batch in batches.items():
+            yield from self._instructions(arm, batch)
+
+    def _state(self, arm: str, fault: Fault) -> Flight:
+        if not isinstance(fault, StateFault):
+            raise BadInputError(f"host local: faults of level {fault.level!r}: allowed: state, instruction")
+        return self._fly(arm, fault)
+
+    def _instructions(
+        self, arm: str, batch: Sequence[tuple[int, InstructionFault]]
+    ) -> Iterator[tuple[int, Flight | Exception]]:
+        setup = self._arms[arm]
+        try:
+            found = fly_instruction_faults(
+                setup.scenario, [fault for _, fault in batch], self._detector(arm), self._golden.get(arm),
+                setup.coupling,
+            ).flights  # fmt: skip
+        except Exception as error:  # noqa: BLE001 - it ends these flights, not those of other arms
+            yield from ((place, error) for place, _ in batch)
+            return
+        yield from ((place, flight) for (place, _), flight in zip(batch, found, strict=True))
+
+    def _fly(self, arm: str, fault: StateFault | None, *, profile: bool = False) -> Flight:
+        """Fast-forwarded if possible; null faults, whose purpose is to fly through the injector, are not."""
+        setup = self._arms[arm]
+        detector = self._detector(arm)
+        if self._fast and (fault is None or fault.bit is not None):
+            key = setup.scenario.key()
+            try:
+                forward = self._forward.get(key) or FastForward(setup.scenario)
+                known = forward.fly(fault, detector, arm if detector is not None else "", setup.coupling)
+            except Exception:  # noqa: BLE001 - what cannot be copied or compared; the long way says what is recorded
+                self._forward.pop(key, None)
+            else:
+                self._forward[key] = forward
+                return Flight(known.log, known.profile)
+        return fly(setup.scenario, fault, detector, coupling=setup.coupling, profile=profile)
+
+    def _detector(self, arm: str) -> Detector | None:
+        if arm not in self._detectors:
+            make = self._arms[arm].make_detector
+            self._detectors[arm] = None if make is None else make()
+        return self._detectors[arm]
