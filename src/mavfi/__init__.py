@@ -1,6 +1,64 @@
 """Fault injection, anomaly detection and recovery for autonomous UAVs, measured on whole missions.
 
-A flight is a pure function of a scenario, a fault and a detector; a campaign is many flights, paired by seed.
+The public names below are imported when they are first used, so that `import mavfi` is quick; `mavfi.api` explains them.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+_PUBLIC = {
+    "fly": "mavfi.api", "draw": "mavfi.api", "run": "mavfi.api", "load": "mavfi.api", "table": "mavfi.api",
+    "MissionSpec": "mavfi.mission", "Scenario": "mavfi.mission", "MissionStatus": "mavfi.mission",
+    "StateFault": "mavfi.faults.fault", "InstructionFault": "mavfi.faults.fault", "MessageFault": "mavfi.faults.fault",
+    "RegisterFault": "mavfi.faults.fault", "FaultSite": "mavfi.faults.fault", "Fault": "mavfi.faults.fault",
+    "Injection": "mavfi.flight_log", "FlightLog": "mavfi.flight_log", "FlightRecord": "mavfi.flight_record",
+    "Effect": "mavfi.outcomes", "QoF": "mavfi.qof", "STATES": "mavfi.states", "KERNELS": "mavfi.states",
+    "Campaign": "mavfi.campaign.config", "Study": "mavfi.campaign.config", "Runs": "mavfi.campaign.analysis.runs",
+    "Alarm": "mavfi.detectors.detector", "Detector": "mavfi.detectors.detector",
+    "FlightResult": "mavfi.reports.flight_result", "BadInputError": "mavfi.errors", "MavfiError": "mavfi.errors",
+}  # fmt: skip
+
+__all__ = ["__version__", *_PUBLIC]
+
+if TYPE_CHECKING:
+    from mavfi.api import draw as draw
+    from mavfi.api import fly as fly
+    from mavfi.api import load as load
+    from mavfi.api import run as run
+    from mavfi.api import table as table
+    from mavfi.campaign.analysis.runs import Runs as Runs
+    from mavfi.campaign.config import Campaign as Campaign
+    from mavfi.campaign.config import Study as Study
+    from mavfi.detectors.detector import Alarm as Alarm
+    from mavfi.detectors.detector import Detector as Detector
+    from mavfi.errors import BadInputError as BadInputError
+    from mavfi.errors import MavfiError as MavfiError
+    from mavfi.faults.fault import Fault as Fault
+    from mavfi.faults.fault import FaultSite as FaultSite
+    from mavfi.faults.fault import InstructionFault as InstructionFault
+    from mavfi.faults.fault import MessageFault as MessageFault
+    from mavfi.faults.fault import RegisterFault as RegisterFault
+    from mavfi.faults.fault import StateFault as StateFault
+    from mavfi.flight_log import FlightLog as FlightLog
+    from mavfi.flight_log import Injection as Injection
+    from mavfi.flight_record import FlightRecord as FlightRecord
+    from mavfi.mission import MissionSpec as MissionSpec
+    from mavfi.mission import MissionStatus as MissionStatus
+    from mavfi.mission import Scenario as Scenario
+    from mavfi.outcomes import Effect as Effect
+    from mavfi.qof import QoF as QoF
+    from mavfi.reports.flight_result import FlightResult as FlightResult
+    from mavfi.states import KERNELS as KERNELS
+    from mavfi.states import STATES as STATES
+
+
+def __getattr__(name: str) -> Any:  # noqa: ANN401 (one of the names above)
+    if name in _PUBLIC:
+        return getattr(import_module(_PUBLIC[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

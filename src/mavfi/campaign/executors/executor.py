@@ -1,8 +1,12 @@
 """What a campaign knows of processes: `Executor.map(function, missions)`."""
 
-from collections.abc import Callable, Iterable, Iterator
+import functools
+from collections.abc import Callable, Generator, Iterable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
+
+from mavfi.errors import MavfiError
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -31,7 +35,7 @@ class Executor(Protocol):
 
     def map(
         self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
-    ) -> Iterator[tuple[T, R | Done | Lost]]:  # fmt: skip
+    ) -> Generator[tuple[T, R | Done | Lost], None, None]:  # fmt: skip
         """Call a function for every mission; close the iterator, or leave it by an exception, to stop the workers.
 
         Args:
@@ -44,3 +48,30 @@ class Executor(Protocol):
         Raises:
             Exception: Whatever the function raised.
         """
+
+
+def map_each(executor: Executor, function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[T, R]]:
+    """Call a function once for every item.
+
+    Args:
+        executor: Who works.
+        function: Known by its module; it returns one result.
+        items: What it is called with.
+
+    Yields:
+        Item and result, in the order of completion.
+
+    Raises:
+        MavfiError: A worker was lost.
+        Exception: Whatever the function raised.
+    """
+    with closing(executor.map(functools.partial(_once, function), items)) as results:
+        for item, result in results:
+            if isinstance(result, Lost):
+                raise MavfiError(f"{item}: {result.reason}")
+            if not isinstance(result, Done):
+                yield item, result
+
+
+def _once(function: Callable[[T], R], item: T) -> Iterator[R]:
+    yield function(item)

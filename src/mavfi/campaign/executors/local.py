@@ -5,7 +5,7 @@ import multiprocessing
 import os
 import signal
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -43,7 +43,7 @@ class LocalExecutor:
 
     def map(
         self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
-    ) -> Iterator[tuple[T, R | Done | Lost]]:  # fmt: skip
+    ) -> Generator[tuple[T, R | Done | Lost], None, None]:  # fmt: skip
         """See `Executor.map`."""
         waiting = iter(missions)
         workers: list[_Worker[T]] = []

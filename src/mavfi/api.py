@@ -1,0 +1,187 @@
+"""What `import mavfi` offers: fly missions, inject faults, run campaigns, ask views; the command line uses the same.
+
+    import mavfi
+
+    result = mavfi.fly(environment="dense", seed=10007, fault="state:planning.waypoint.x:bit=62@20.0")
+    result.effect, result.quality, result.frame
+
+    runs = mavfi.run("smoke", "out/smoke")
+    mavfi.table(runs, "success")
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.config import Campaign, load_campaign
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.run import Progress, run_campaign
+from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.detectors.detector import Detector
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import Fault, InstructionFault, StateFault
+from mavfi.faults.spec import InstructionRequest, StateRequest, parse
+from mavfi.hosts.instruction import fly_instruction_faults
+from mavfi.hosts.local import fly as fly_locally
+from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.watching import detector_for
+from mavfi.mission import MissionSpec, Scenario
+from mavfi.reports.flight_result import FlightResult
+
+if TYPE_CHECKING:
+    from mavfi.reports.table import Table
+
+
+def fly(
+    mission: MissionSpec | None = None, *, fault: Fault | str | None = None, fault_seed: int = 0,
+    detector: Detector | str | None = None, profile: str = "paper", models: Path | str | None = None, **options: Any,
+) -> FlightResult:  # fmt: skip
+    """Fly one mission; with a fault, its golden run too.
+
+    Args:
+        mission: What to fly; None = what the options say.
+        fault: A fault, or its text as of `mavfi fly --fault`; what the text does not name is drawn.
+        fault_seed: Draws it.
+        detector: A detector, or the name of one; None = nothing watches.
+        profile: Of a named detector.
+        models: Folder of trained models; None = the shipped ones.
+        options: Keys of `MissionSpec`, e.g. environment, seed, wind; they come before those of `mission`.
+
+    Returns:
+        Status, record, quality, effect, log, and the frame of the flight; the same arguments give the same bytes.
+
+    Raises:
+        BadInputError: Something is not known, or does not fit together.
+    """
+    spec = MissionSpec(**{**({} if mission is None else mission.model_dump()), **options})
+    scenario = resolve(spec)
+    watching, label = _watching(scenario, detector, profile, models)
+    if not isinstance(fault, str):
+        return _fly_fault(scenario, fault, watching, label, spec.coupling)
+    return fly_request(scenario, parse(fault, spec.localization), fault_seed, watching, label, spec.coupling)
+
+
+def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **options: Any) -> Fault:
+    """Draw what a fault's text does not name, from the golden run of a mission.
+
+    Args:
+        fault: As of `mavfi fly --fault`.
+        mission: The mission; None = what the options say.
+        seed: Of the draw.
+        options: As of `fly`.
+
+    Raises:
+        BadInputError: The text is not understood, or the mission has no such site.
+    """
+    spec = MissionSpec(**{**({} if mission is None else mission.model_dump()), **options})
+    return _draw(resolve(spec), parse(fault, spec.localization), seed)
+
+
+def run(
+    campaign: Campaign | str | Path, directory: Path | str, *, workers: int = 2, models: Path | str | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Runs:  # fmt: skip
+    """Fly a campaign, or what is left of it, and load its ledger.
+
+    Args:
+        campaign: A campaign, the name of a shipped one, or a path.
+        directory: Where its ledger is, or will be.
+        workers: Number of processes; the ledger does not depend on it.
+        models: Folder of trained models; None = the shipped ones.
+        progress: Called after every run.
+
+    Raises:
+        BadInputError: See `campaign.run.run_campaign`.
+    """
+    chosen = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
+    run_campaign(
+        chosen, Path(directory), executor=LocalExecutor(workers),
+        models_dir=None if models is None else Path(models), progress=progress,
+    )  # fmt: skip
+    return load(directory)
+
+
+def load(directory: Path | str) -> Runs:
+    """The runs of a ledger: `frame` has one row per run.
+
+    Raises:
+        BadInputError: There is no ledger.
+    """
+    return Runs.read(Path(directory))
+
+
+def table(runs: Runs, view: str) -> "Table":
+    """One of the tables of a report.
+
+    Args:
+        runs: See `load`.
+        view: Its name; `mavfi report DIR --view x` lists them.
+
+    Raises:
+        BadInputError: There is no such view.
+    """
+    from mavfi.campaign.analysis.views import table as table_of
+
+    return table_of(runs, view)
+
+
+def fly_request(
+    scenario: Scenario, request: StateRequest | InstructionRequest | None, seed: int, detector: Detector | None,
+    label: str, coupling: str,
+) -> FlightResult:  # fmt: skip
+    """Golden run first, then the draw of the fault from what happens in it, then the flight.
+
+    Args:
+        scenario: The mission.
+        request: The fault; None = a golden flight.
+        seed: Of the draw.
+        detector: What watches; None = nothing.
+        label: Its name, for people.
+        coupling: "inline" or "observer".
+
+    Raises:
+        BadInputError: The mission has no such site.
+    """
+    fault = None if request is None else _draw(scenario, request, seed)
+    return _fly_fault(scenario, fault, detector, label, coupling)
+
+
+def _draw(
+    scenario: Scenario, request: StateRequest | InstructionRequest, seed: int
+) -> StateFault | InstructionFault:
+    if isinstance(request, InstructionRequest):
+        drawn = draw_instruction_faults(scenario, request, seed=seed)
+        fault = drawn.faults[request.kernel][0]
+        if not fault.has_site:
+            raise BadInputError(
+                f"fault instruction:{request.kernel}: this mission executes no instruction {request.which!r} there; "
+                "allowed: a class that it executes"
+            )
+        return fault
+    # as campaigns draw: nothing watches
+    profile = fly_locally(scenario, profile=True).profile if request.needs_profile else None
+    return request.resolve(seed, scenario.stack.name, profile)
+
+
+def _fly_fault(
+    scenario: Scenario, fault: Fault | None, detector: Detector | None, label: str, coupling: str
+) -> FlightResult:
+    if isinstance(fault, InstructionFault):
+        found = fly_instruction_faults(scenario, [fault], detector, None, coupling)
+        return FlightResult(scenario, found.flights[0], found.golden, fault, label)
+    if fault is not None and not isinstance(fault, StateFault):
+        raise BadInputError(f"fault of level {fault.level!r}: a local flight takes: state, instruction")
+    golden = fly_locally(scenario, None, detector, coupling=coupling)
+    if fault is None:
+        return FlightResult(scenario, golden, None, None, label)
+    return FlightResult(scenario, fly_locally(scenario, fault, detector, coupling=coupling), golden, fault, label)
+
+
+def _watching(
+    scenario: Scenario, detector: Detector | str | None, profile: str, models: Path | str | None
+) -> tuple[Detector | None, str]:
+    if not isinstance(detector, str):
+        return detector, "" if detector is None else type(detector).__name__
+    loaded, model = detector_for(scenario, detector, profile, None if models is None else Path(models))
+    return loaded, f"{detector} ({profile})" if model else detector
