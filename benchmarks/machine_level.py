@@ -25,12 +25,12 @@ import numba
 import numpy as np
 
 from benchmarks.run import processor
+from benchmarks.single_step import SteppedCall
 from mavfi.campaign.statistics import Rate, wilson
 from mavfi.errors import BadInputError
 from mavfi.faults.instruction import count, draw, run_forked
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.variant import signature_of
-from mavfi.faults.register.single_step import SteppedCall
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import fly
 from mavfi.pipeline.functions import PLAIN
@@ -110,8 +110,8 @@ def study(name: str, function: str, args: tuple[Any, ...], n: int, tell: Callabl
     call = SteppedCall(lambda: digest((kernel(*args), args)), entry_of(kernel, args))
     machine: Counter[str] = Counter()
     for fault in call.draw(np.random.default_rng(SEED), n):
-        outcome = call.strike(fault)
-        assert outcome.hit  # a strike that did not take place must not count as masked
+        outcome = call.inject(fault)
+        assert outcome.activated  # an injection that did not take place must not count as masked
         machine[outcome.how] += 1
         tell(f"{name}, machine level: {machine.total()} of {n}")
     ir: Counter[str] = Counter()

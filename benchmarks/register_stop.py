@@ -1,7 +1,7 @@
 """Measures for how long `mavfi inject` makes a target stand still, by length of walk; `--write` puts it on the page.
 
-The target is a Python program that computes without system calls; ROS is not needed.  Nothing is flipped: a null strike
-does everything else.  Run as `.venv/bin/python -m benchmarks.register_stop [--strikes 300] [--write]`.
+The target is a Python program that computes without system calls; ROS is not needed.  Nothing is flipped: a null fault
+does everything else.  Run as `.venv/bin/python -m benchmarks.register_stop [--injections 300] [--write]`.
 """
 
 import argparse
@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mavfi.faults.register import Request, inject
-from mavfi.faults.register.request import DEFAULT_WALK
+from mavfi.faults.fault import DEFAULT_WALK, RegisterFault
+from mavfi.faults.register import inject
 from tools.markers import between
 
 PAGE = Path(__file__).parents[1] / "docs" / "ros-attach.md"
@@ -24,15 +24,16 @@ REGISTERS = ("all", "general", "fp")
 
 
 def stops(pid: int, registers: str, walk: int, count: int) -> tuple[np.ndarray, int]:
-    """For how long the target stood still at each strike (ms, shape (count,)), and at how many instructions."""
-    strikes = inject(Request(pid, registers=registers, walk=walk, null=True, timeout=30.0), count)
-    return 1e-3 * np.array([strike.stopped_us for strike in strikes]), len({strike.address for strike in strikes})
+    """For how long the target stood still at each injection (ms, shape (count,)), and at how many instructions."""
+    found = inject(pid, RegisterFault(registers=registers, walk=walk, null=True, timeout=30.0), count)
+    stopped = [injection.details["stopped_us"] for injection in found]
+    return 1e-3 * np.array(stopped), len({injection.details["address"] for injection in found})
 
 
 def measure(count: int) -> str:
-    """The table: median, 95 % quantile and maximum, and how far strikes spread."""
+    """The table: median, 95 % quantile and maximum, and how far injections spread."""
     lines = [
-        "| registers | `--walk` | p50 (ms) | p95 (ms) | max (ms) | instructions struck |",
+        "| registers | `--walk` | p50 (ms) | p95 (ms) | max (ms) | instructions injected |",
         "|---|---|---|---|---|---|",
     ]
     with subprocess.Popen([sys.executable, "-c", TARGET], stdout=subprocess.PIPE) as target:
@@ -52,12 +53,12 @@ def measure(count: int) -> str:
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--strikes", type=int, default=300, help="for each row")
+    parser.add_argument("--injections", type=int, default=300, help="for each row")
     parser.add_argument("--write", action="store_true", help="put the table into docs/ros-attach.md")
     given = parser.parse_args()
     busy = os.getloadavg()[0]
-    where = f"{given.strikes} strikes each; {os.cpu_count()} cores, load {busy:.1f}, Linux {platform.release()}"
-    block = f"{measure(given.strikes)}\n\n{where}."
+    where = f"{given.injections} injections each; {os.cpu_count()} cores, load {busy:.1f}, Linux {platform.release()}"
+    block = f"{measure(given.injections)}\n\n{where}."
     print(block)
     if given.write:
         PAGE.write_text(between(PAGE.read_text(encoding="utf-8"), "stop", block), encoding="utf-8")

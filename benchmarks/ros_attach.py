@@ -14,8 +14,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from mavfi.campaign.config import load_any
-from mavfi.faults.register import RegisterInjection, Request, inject
-from mavfi.faults.register.request import DEFAULT_WALK
+from mavfi.faults.fault import DEFAULT_WALK, RegisterFault
+from mavfi.faults.register import inject
+from mavfi.flight_log import Injection
 from mavfi.hosts.node.bench import MASTER_URI, Bench
 from mavfi.hosts.node.message import Composer
 from mavfi.hosts.node.station import Outlet
@@ -23,7 +24,7 @@ from mavfi.hosts.ros1.supervisor import loopback_up
 
 MESSAGES = 500
 ROUNDS = 3
-STRIKES = 100
+INJECTIONS = 100
 PERIOD_S = 0.002
 TOPIC = "/speed"
 READER = """
@@ -91,7 +92,7 @@ def measure_relay(bench: Bench) -> None:
 
 
 def measure_stops(bench: Bench) -> None:
-    """How long robot_state_publisher stands still for a strike at a symbol."""
+    """How long robot_state_publisher stands still for an injection at a symbol."""
     campaign = load_any("ros_robot_state_publisher")
     for name, value in campaign.parameters.items():
         bench.master.call("setParam", name, value)
@@ -101,14 +102,14 @@ def measure_stops(bench: Bench) -> None:
     outlet = bench.station().advertise(campaign.inputs.topic, composer.header)
     message = composer.pack(campaign.inputs.messages[0])
     for walk in (1, DEFAULT_WALK):
-        request = Request(process.pid, symbol="SubscriptionQueue4call", walk=walk, null=True, timeout=20.0)
-        done: list[RegisterInjection] = []
-        striking = threading.Thread(target=inject, args=(request, STRIKES, 0.0, done.append))
-        striking.start()
-        while striking.is_alive():
+        fault = RegisterFault(symbol="SubscriptionQueue4call", walk=walk, null=True, timeout=20.0)
+        done: list[Injection] = []
+        injecting = threading.Thread(target=inject, args=(process.pid, fault, INJECTIONS, 0.0, done.append))
+        injecting.start()
+        while injecting.is_alive():
             outlet.send(message)
             time.sleep(0.005)
-        show(f"stands still, walk {walk}", [injection.stopped_us for injection in done])
+        show(f"stands still, walk {walk}", [injection.details["stopped_us"] for injection in done])
 
 
 def main() -> None:

@@ -1,5 +1,10 @@
 """Errors that a user of mavfi can meet.  The command line turns each into one line and an exit code."""
 
+from collections.abc import Collection
+from difflib import get_close_matches
+
+_MOST_SHOWN = 12
+
 
 class MavfiError(Exception):
     """Base of every error that mavfi raises on purpose."""
@@ -11,3 +16,11 @@ class BadInputError(MavfiError):
 
 class SpecMismatchError(BadInputError):
     """Two things that must belong together do not, e.g. a trained model and the stack that it should watch."""
+
+
+def allowed(names: Collection[str], wanted: str = "") -> str:
+    """The names that there are, for a message: the likeliest first, not more than a line holds."""
+    likely = get_close_matches(wanted, names, 3, 0.5)
+    ordered = [*likely, *sorted(set(names) - set(likely))]
+    more = f", and {len(ordered) - _MOST_SHOWN} more" if len(ordered) > _MOST_SHOWN else ""
+    return (", ".join(ordered[:_MOST_SHOWN]) + more) if ordered else "none, there are none"

@@ -5,39 +5,40 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.markup import escape
 
 from mavfi.cli.console import JSON_HELP, check_seed, console, write_json
 from mavfi.errors import BadInputError
-from mavfi.faults.register.request import DEFAULT_WALK
+from mavfi.faults.fault import DEFAULT_WALK
 
 if TYPE_CHECKING:
-    from mavfi.faults.register import RegisterInjection
+    from mavfi.flight_log import Injection
 
 
 def inject(  # noqa: PLR0913 - one parameter per option
-    pid: Annotated[int | None, typer.Option(help="Process to strike; one of your own.")] = None,
+    pid: Annotated[int | None, typer.Option(help="Process to inject; one of your own.")] = None,
     ros_node: Annotated[
-        str | None, typer.Option(metavar="NAME", help="The ROS node to strike, instead of --pid.")
+        str | None, typer.Option(metavar="NAME", help="The ROS node to inject, instead of --pid.")
     ] = None,
     symbol: Annotated[
-        str, typer.Option(help="Strike at the next call of this function: its name, or a part that no other has.")
+        str, typer.Option(help="Inject at the next call of this function: its name, or a part that no other has.")
     ] = "",
     registers: Annotated[str, typer.Option(help="general (with the flags), fp (XMM, YMM), or all.")] = "all",
     access: Annotated[
-        str, typer.Option(help="Strike what the next instruction reads, or what it has written: read, write, either.")
+        str, typer.Option(help="Inject what the next instruction reads, or what it has written: read, write, either.")
     ] = "either",
     thread: Annotated[int, typer.Option(help="Its number; 0 = the busiest, or whichever calls the symbol.")] = 0,
     walk: Annotated[
-        int, typer.Option(help="From the stop on, fewer than this many instructions are executed before the strike.")
+        int, typer.Option(help="From the stop on, fewer than this many instructions are executed before the injection.")
     ] = DEFAULT_WALK,
-    count: Annotated[int, typer.Option(help="How many strikes.")] = 1,
-    interval: Annotated[float, typer.Option(help="Between two strikes, s.")] = 0.0,
-    timeout: Annotated[float, typer.Option(help="Longest wait for a strike, s.")] = 10.0,
+    count: Annotated[int, typer.Option(help="How many injections.")] = 1,
+    interval: Annotated[float, typer.Option(help="Between two injections, s.")] = 0.0,
+    timeout: Annotated[float, typer.Option(help="Longest wait for an injection, s.")] = 10.0,
     seed: Annotated[int, typer.Option(help="Draws length of walk, register and bit.")] = 0,
     null: Annotated[bool, typer.Option("--null", help="Do everything but flip the bit.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
 ) -> None:
-    """Flip one bit in one register of a running process (x86-64 Linux), and say what was hit.
+    """Flip one bit in one register of a running process (x86-64 Linux), and say which.
 
     The process need not know mavfi. It stands still for about a millisecond, and runs on.
 
@@ -45,13 +46,15 @@ def inject(  # noqa: PLR0913 - one parameter per option
     """
     check_seed("--seed", seed)
 
-    from mavfi.faults.register import Request
-    from mavfi.faults.register import inject as strike
+    from mavfi.faults.fault import RegisterFault
+    from mavfi.faults.register import inject as inject_register
 
-    request = Request(_process(pid, ros_node), seed, registers, access, symbol, thread, walk, timeout, null)
-    done = strike(request, count, interval, None if as_json else _tell)
+    fault = RegisterFault(registers, access, symbol, thread, walk, timeout, null, seed=seed)
+    process = _process(pid, ros_node)
+    done = inject_register(process, fault, count, interval, None if as_json else _tell)
     if as_json:
-        write_json({"request": request.to_json(), "injections": [injection.to_json() for injection in done]})
+        injections = [injection.to_json() for injection in done]
+        write_json({"pid": process, "fault": fault.to_json(), "injections": injections})
 
 
 def _process(pid: int | None, ros_node: str | None) -> int:
@@ -66,18 +69,19 @@ def _process(pid: int | None, ros_node: str | None) -> int:
     return Master().node_pid(ros_node)
 
 
-def _tell(injection: RegisterInjection) -> None:
-    """One strike in two lines."""
-    where = injection.symbol or f"{injection.offset:#x}"
-    moment = "before" if injection.access == "read" else "after"
-    struck = "struck" if injection.hit else "NOT struck as planned"
+def _tell(injection: Injection) -> None:
+    """One injection in two lines."""
+    told = injection.details
+    where = told["symbol"] or told["offset"]
+    moment = "before" if told["access"] == "read" else "after"
+    done = "injected" if injection.activated else "NOT injected as planned"
     text = console()
     text.print(
-        f"pid {injection.pid}, thread {injection.thread}: [bold]{injection.register}[/bold] bit {injection.bit} "
-        f"{struck} {moment} [bold]{injection.instruction}[/bold]: {injection.before:#x} → {injection.after:#x}"
+        f"pid {told['pid']}, thread {told['thread']}: [bold]{injection.site}[/bold] bit {injection.bit} "
+        f"{done} {moment} [bold]{escape(told['instruction'])}[/bold]: {injection.before} → {injection.after}"
     )
     text.print(
-        f"  at {injection.address:#x}, {where} in {injection.library}; "
-        f"stood still for {injection.stopped_us / 1000:.2f} ms",
+        f"  at {told['address']}, {where} in {escape(told['library'])}; "
+        f"stood still for {told['stopped_us'] / 1000:.2f} ms",
         style="dim",
     )

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich import box
+from rich.markup import escape
 from rich.table import Table
 
 from mavfi.cli.console import JSON_HELP, check_number, check_seed, console, write_json
@@ -16,14 +18,15 @@ from mavfi.errors import BadInputError, MavfiError
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
-    from mavfi.hosts.node.corrupt import Corruptor, MessageInjection
+    from mavfi.faults.message.injector import MessageInjector
+    from mavfi.flight_log import Injection
     from mavfi.hosts.node.relay import Relay
     from mavfi.hosts.node.survey import Survey
     from mavfi.hosts.node.watch import Listener, Probe
 
 _LONGEST_S = 7 * 86_400.0
 _AFTERWARDS_S = 0.2
-"""How long messages still pass through after the last strike: what was struck must arrive (s)."""
+"""How long messages still pass through after the last injection: what was changed must arrive (s)."""
 _POLL_S = 0.01
 
 
@@ -76,13 +79,13 @@ def _tables(found: Survey) -> tuple[Table, Table]:
 
 
 def corrupt(  # noqa: PLR0913 - one parameter per option
-    topic: Annotated[str, typer.Option(help="Whose messages are struck.")],
+    topic: Annotated[str, typer.Option(help="Whose messages are changed.")],
     field: Annotated[str, typer.Option(help="A number in them, e.g. position\\[0] or pose.position.x.")],
     bit: Annotated[int | None, typer.Option(help="0 = least significant; drawn by default.")] = None,
-    at: Annotated[int, typer.Option(help="First message that may be struck, counted from 1.")] = 1,
-    once: Annotated[bool, typer.Option("--once", help="Strike one message, then let go (the default).")] = False,
-    rate: Annotated[float | None, typer.Option(help="Strike each message with this probability, until Ctrl-C.")] = None,
-    node: Annotated[str | None, typer.Option(help="Only this reader gets struck messages.")] = None,
+    at: Annotated[int, typer.Option(help="First message that may be changed, counted from 1.")] = 1,
+    once: Annotated[bool, typer.Option("--once", help="Change one message, then let go (the default).")] = False,
+    rate: Annotated[float | None, typer.Option(help="Change each message with this probability, until Ctrl-C.")] = None,
+    node: Annotated[str | None, typer.Option(help="Only this reader gets changed messages.")] = None,
     to: Annotated[
         str | None, typer.Option(metavar="TOPIC", help="Publish there; the target was started with that remapping.")
     ] = None,
@@ -100,47 +103,49 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
     check_number("--duration", duration, 0.0, _LONGEST_S)
     if once and rate is not None:
         raise BadInputError("--once, --rate: allowed: one of them")
-    from mavfi.hosts.node.corrupt import Corruptor, MessageFault
+    from mavfi.faults.fault import MessageFault
+    from mavfi.faults.message.injector import MessageInjector, check_fault
     from mavfi.hosts.node.master import Master
     from mavfi.hosts.node.relay import Relay
 
-    fault = MessageFault(field, bit, at, rate, seed)
-    corruptor = Corruptor(fault, None if as_json else _tell)
-    relay = Relay(Master(), topic, corruptor, fault.check, node, to)
+    fault = MessageFault(topic, field, bit, at, rate, seed=seed)
+    injector = MessageInjector(fault, None if as_json else _tell)
+    relay = Relay(Master(), topic, injector, partial(check_fault, fault), node, to)
     with stoppable("Stopped. The graph is as it was."), relay:
         try:
-            _run(relay, corruptor, duration)
+            _run(relay, injector, duration)
         finally:
-            corruptor.stop()
+            injector.stop()
             if as_json:
-                done = [injection.to_json() for injection in corruptor.injections]
+                done = [injection.to_json() for injection in injector.injections]
                 write_json({"topic": relay.to, "passed": relay.passed, "injections": done})
     if not as_json:
-        console().print(f"{relay.passed} messages passed, {len(corruptor.injections)} struck; the graph is as it was")
+        console().print(f"{relay.passed} messages passed, {len(injector.injections)} injected; the graph is as it was")
 
 
-def _run(relay: Relay, corruptor: Corruptor, duration: float | None) -> None:
-    """Until the fault has struck, or time is over."""
+def _run(relay: Relay, injector: MessageInjector, duration: float | None) -> None:
+    """Until the fault has been injected, or time is over."""
     for failure in relay.failures:
         console(error=True).print(f"not turned: {failure}", markup=False)
     end = time.monotonic() + (_LONGEST_S if duration is None else duration)
     while time.monotonic() < end:
         if relay.error is not None:
             raise MavfiError(f"topic {relay.topic}: {relay.error}")
-        if corruptor.fault.rate is None and corruptor.struck.wait(_POLL_S):
+        if injector.fault.rate is None and injector.done.wait(_POLL_S):
             break
         time.sleep(_POLL_S)
-    corruptor.stop()
+    injector.stop()
     time.sleep(_AFTERWARDS_S)
 
 
-def _tell(injection: MessageInjection) -> None:
-    """One strike in one line."""
-    verdict = "verified" if injection.verified else "NOT verified"
+def _tell(injection: Injection) -> None:
+    """One injection in one line."""
+    told = injection.details
+    verdict = "verified" if injection.activated else "NOT verified"
     console().print(
-        f"{injection.topic} message {injection.message}: [bold]{injection.field.replace('[', chr(92) + '[')}[/bold] "
-        f"({injection.kind}) bit {injection.bit}: {injection.before!r} → {injection.after!r}, "
-        f"{injection.readers} readers, {verdict}"
+        f"{told['topic']} message {told['message']}: [bold]{escape(told['field'])}[/bold] "
+        f"({told['kind']}) bit {injection.bit}: {injection.before!r} → {injection.after!r}, "
+        f"{told['readers']} readers, {verdict}"
     )
 
 

@@ -7,11 +7,13 @@ import sys
 import threading
 import time
 from collections import Counter
+from functools import partial
 
 import pytest
 
 from mavfi.cli import run
-from mavfi.hosts.node.corrupt import Corruptor, MessageFault
+from mavfi.faults.fault import MessageFault
+from mavfi.faults.message.injector import MessageInjector, check_fault
 from mavfi.hosts.node.master import CALLER, Master, call
 from mavfi.hosts.node.relay import Relay
 from mavfi.hosts.node.tcpros import Source
@@ -20,7 +22,7 @@ from tests.hosts.node.conftest import POSITION, until
 pytestmark = pytest.mark.ros
 
 FIELD = ["--topic", "/joint_states", "--field", "position[0]"]
-STRUCK = 0.75
+CHANGED = 0.75
 """0.5 with bit 51 flipped."""
 
 
@@ -81,7 +83,7 @@ def test_list_names_nodes_processes_topics_and_rates(arm, capsys):
     assert topics["/joint_states"]["readers"] == [arm.node]
 
 
-def test_a_node_that_died_is_shown_as_such_and_cannot_be_struck(arm, capsys):
+def test_a_node_that_died_is_shown_as_such_and_cannot_be_injected(arm, capsys):
     arm.master.call("registerPublisher", "/ghost_topic", "std_msgs/String", "http://127.0.0.1:9/", caller="/ghost")
     try:
         found = run_json(capsys, "ros", "list", "--seconds", "0")
@@ -96,26 +98,26 @@ def test_a_node_that_died_is_shown_as_such_and_cannot_be_struck(arm, capsys):
         arm.master.call("unregisterPublisher", "/ghost_topic", "http://127.0.0.1:9/", caller="/ghost")
 
 
-def test_one_struck_message_changes_exactly_the_expected_transform(arm, transforms, capsys):
+def test_one_changed_message_changes_exactly_the_expected_transform(arm, transforms, capsys):
     before = graph_of(arm)
     done = run_json(capsys, "ros", "corrupt", *FIELD, "--bit", "51", "--at", "10")
     (injection,) = done["injections"]
-    assert injection["before"] == 0.5 and injection["after"] == STRUCK and injection["verified"]
+    assert injection["before"] == 0.5 and injection["after"] == CHANGED and injection["activated"]
     assert injection["message"] == 10 and injection["readers"] == 1
-    assert Counter(transforms.found).keys() == {expected(0.5), expected(STRUCK)}
-    assert Counter(transforms.found)[expected(STRUCK)] == 1
+    assert Counter(transforms.found).keys() == {expected(0.5), expected(CHANGED)}
+    assert Counter(transforms.found)[expected(CHANGED)] == 1
     assert arm.process.poll() is None
     assert graph_of(arm) == before
 
 
 @pytest.mark.slow
-def test_a_rate_strikes_as_many_transforms_as_messages(arm, transforms, capsys):
+def test_a_rate_changes_as_many_transforms_as_messages(arm, transforms, capsys):
     before = graph_of(arm)
     done = run_json(capsys, "ros", "corrupt", *FIELD, "--bit", "51", "--rate", "0.2", "--duration", "0.7")
     count = len(done["injections"])
     assert 0 < count < done["passed"]
     time.sleep(0.1)
-    assert Counter(transforms.found)[expected(STRUCK)] == count
+    assert Counter(transforms.found)[expected(CHANGED)] == count
     assert graph_of(arm) == before
 
 
@@ -134,7 +136,7 @@ def test_the_graph_is_as_before_when_the_tool_is_killed(arm, transforms):
         [sys.executable, "-m", "mavfi", "ros", "corrupt", *FIELD, "--bit", "51", "--rate", "1"],
         stdout=subprocess.DEVNULL,
     )
-    until(lambda: expected(STRUCK) in transforms.found)
+    until(lambda: expected(CHANGED) in transforms.found)
     assert graph_of(arm)[2] != before[2]
     tool.kill()
     tool.wait()
@@ -148,23 +150,23 @@ def test_the_graph_is_as_before_when_the_tool_is_killed(arm, transforms):
 def test_a_remapped_target_reads_the_relay_and_nobody_else_does(arm, transforms, bench, capsys):
     assert run(["ros", "corrupt", *FIELD, "--to", "/tf"]) == 2
     assert "published by /robot_state_publisher already" in capsys.readouterr().err
-    other = bench.start([bench_target(), "joint_states:=joint_states_struck", "__name:=other", "tf:=other_tf"])
+    other = bench.start([bench_target(), "joint_states:=joint_states_changed", "__name:=other", "tf:=other_tf"])
     bench.wait_for_node("/other", other)
     results = []
-    arguments = ["--bit", "51", "--rate", "1", "--to", "/joint_states_struck", "--duration", "3", "--json"]
+    arguments = ["--bit", "51", "--rate", "1", "--to", "/joint_states_changed", "--duration", "3", "--json"]
     tool = threading.Thread(target=lambda: results.append(run(["ros", "corrupt", *FIELD, *arguments])))
     tool.start()
     until(lambda: "/other_tf" in arm.master.graph().topics)
     source = Source("/other", arm.master.node_uri("/other"), "/other_tf")
-    struck = next(source.messages())
-    value = source.definition().locate(struck, "transforms[1].transform.rotation.z").value(struck)
+    changed = next(source.messages())
+    value = source.definition().locate(changed, "transforms[1].transform.rotation.z").value(changed)
     tool.join()
     source.close()
     other.terminate()
     other.wait()
-    assert value == pytest.approx(math.sin(STRUCK / 2), abs=1e-12) and results == [0]
+    assert value == pytest.approx(math.sin(CHANGED / 2), abs=1e-12) and results == [0]
     assert set(transforms.found) == {expected(0.5)}
-    assert "/joint_states_struck" not in arm.master.graph().publishers
+    assert "/joint_states_changed" not in arm.master.graph().publishers
 
 
 def bench_target():
@@ -199,13 +201,13 @@ def test_bad_input_is_one_line_with_what_is_allowed(arm, capsys, arguments, told
     assert told in err and err.count("\n") == 1
 
 
-def test_a_register_of_a_node_is_struck_by_its_name_and_the_node_survives_the_null_strike(arm, transforms, capsys):
+def test_a_register_of_a_node_is_injected_by_its_name_and_the_node_survives_the_null_fault(arm, transforms, capsys):
     done = run_json(
         capsys, "inject", "--ros-node", "/robot_state_publisher", "--symbol", "4TimeERSB_", "--registers", "fp",
         "--seed", "3", "--null",
     )  # fmt: skip
     (injection,) = done["injections"]
-    assert injection["pid"] == arm.process.pid and injection["hit"]
+    assert injection["details"]["pid"] == arm.process.pid and injection["activated"]
     count = len(transforms.found)
     until(lambda: len(transforms.found) > count + 20)
     assert set(transforms.found) == {expected(0.5)} and arm.process.poll() is None
@@ -221,31 +223,31 @@ def record_bag(path, seconds):
     )  # fmt: skip
 
 
-def strike_when(condition):
-    """Strike one message as soon as something is the case; in a thread."""
+def inject_when(condition):
+    """Change one message as soon as something is the case; in a thread."""
 
-    def strike():
+    def inject():
         until(condition, 30)
-        fault = MessageFault("position[0]", 55, at=5)
-        corruptor = Corruptor(fault)
-        with Relay(Master(), "/joint_states", corruptor, fault.check):
-            assert corruptor.struck.wait(10)
+        fault = MessageFault("/joint_states", "position[0]", 55, at=5)
+        injector = MessageInjector(fault)
+        with Relay(Master(), "/joint_states", injector, partial(check_fault, fault)):
+            assert injector.done.wait(10)
             time.sleep(0.2)
 
-    thread = threading.Thread(target=strike)
+    thread = threading.Thread(target=inject)
     thread.start()
     return thread
 
 
 @pytest.mark.slow
-def test_a_detector_trained_from_a_recorded_bag_raises_an_alarm_for_the_struck_message_alone(arm, tmp_path, capsys):
+def test_a_detector_trained_from_a_recorded_bag_raises_an_alarm_for_the_changed_message_alone(arm, tmp_path, capsys):
     bag = tmp_path / "normal.bag"
     record_bag(bag, 2)
-    striking = strike_when(lambda: "/mavfi/alarm" in arm.master.graph().publishers)
+    injecting = inject_when(lambda: "/mavfi/alarm" in arm.master.graph().publishers)
     found = run_json(
         capsys, "ros", "watch", "--topics", "/joint_states,/tf", "--train", str(bag), "--duration", "3"
     )  # fmt: skip
-    striking.join()
+    injecting.join()
     assert found["learned_from"] > 100 and min(found["judged"].values()) > 100
     topics = Counter(alarm["topic"] for alarm in found["alarms"])
     assert topics == {"/joint_states": 2, "/tf": 2}  # there, and back
@@ -263,9 +265,9 @@ def test_the_autoencoder_learns_online_and_publishes_its_alarms(arm, capsys):
         until(lambda: "/mavfi/alarm" in arm.master.graph().publishers, 30)
         node = arm.master.graph().publishers["/mavfi/alarm"][0]
         source = Source(node, arm.master.node_uri(node), "/mavfi/alarm")
-        striking = strike_when(lambda: True)
+        injecting = inject_when(lambda: True)
         heard.extend(json.loads(message[4:]) for message in source.messages())
-        striking.join()
+        injecting.join()
 
     hearing = threading.Thread(target=hear)
     hearing.start()

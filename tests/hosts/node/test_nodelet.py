@@ -90,14 +90,18 @@ def test_the_nodelet_computes_the_points(camera):
     assert np.allclose(camera.clouds[-1], expected(), atol=1e-6)
 
 
-def test_one_struck_pixel_moves_exactly_one_point_of_one_cloud(camera, capsys):
+def test_one_changed_pixel_moves_exactly_one_point_of_one_cloud(camera, capsys):
     del camera.clouds[:]
     byte = 4 * PIXEL + 2  # bit 22 of the pixel: 2.0 becomes 3.0
     arguments = ["--topic", "/cam/depth", "--field", f"data[{byte}]", "--bit", "6", "--at", "4", "--json"]
     capsys.readouterr()
     assert run(["ros", "corrupt", *arguments]) == 0
     (injection,) = json.loads(capsys.readouterr().out)["injections"]
-    assert injection["verified"] and injection["kind"] == "uint8" and injection["after"] == injection["before"] ^ 64
+    assert (
+        injection["activated"]
+        and injection["details"]["kind"] == "uint8"
+        and injection["after"] == injection["before"] ^ 64
+    )
     changed = [cloud for cloud in camera.clouds if not np.allclose(cloud, expected(), atol=1e-6)]
     assert len(changed) == 1
     rows = np.flatnonzero(np.abs(changed[0] - expected()).max(axis=1) > 1e-6)
@@ -106,10 +110,10 @@ def test_one_struck_pixel_moves_exactly_one_point_of_one_cloud(camera, capsys):
 
 
 @pytest.mark.slow
-def test_its_registers_can_be_struck(camera, capsys):
+def test_its_registers_can_be_injected(camera, capsys):
     capsys.readouterr()
     assert run(["inject", "--ros-node", NODE, "--symbol", SYMBOL, "--null", "--json"]) == 0
     (injection,) = json.loads(capsys.readouterr().out)["injections"]
-    assert injection["hit"] and injection["before"] == injection["after"]
+    assert injection["activated"] and injection["before"] == injection["after"]
     count = len(camera.clouds)
     until(lambda: len(camera.clouds) > count + 5)

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from mavfi.campaign.scales import at_scale
 from mavfi.config import Config
-from mavfi.faults.register.request import ACCESSES, LONGEST_WALK
+from mavfi.faults.fault import ACCESSES, LONGEST_WALK
 
 KIND = "ros_node"
 

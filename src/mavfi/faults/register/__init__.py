@@ -4,6 +4,5 @@
 """
 
 from mavfi.faults.register.front import inject
-from mavfi.faults.register.request import RegisterInjection, Request
 
-__all__ = ["RegisterInjection", "Request", "inject"]
+__all__ = ["inject"]

@@ -8,32 +8,37 @@ from collections.abc import Callable
 from typing import Any
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.faults.register.request import RegisterInjection, Request
+from mavfi.faults.fault import RegisterFault
 from mavfi.faults.register.target import check_target
+from mavfi.flight_log import Injection
 
 _LAST_WORDS = 5.0
 """How long a tracer that is no longer wanted has to let the target go (s)."""
 
 
 def inject(
-    request: Request,
+    pid: int,
+    fault: RegisterFault,
     count: int = 1,
     interval: float = 0.0,
-    tell: Callable[[RegisterInjection], None] | None = None,
-) -> list[RegisterInjection]:
-    """Strike a running process (MAVFI section III-B: the injector of the paper reaches its targets by system calls).
+    tell: Callable[[Injection], None] | None = None,
+) -> list[Injection]:
+    """Flip bits in registers of a running process.
 
-    The target is traced by a process of its own, is stopped for about a millisecond for each strike, and runs on
+    The injector of the paper reaches its targets by system calls, too (MAVFI section III-B).
+
+    The target is traced by a process of its own, is stopped for about a millisecond for each injection, and runs on
     afterwards, whatever becomes of the caller.
 
     Args:
-        request: Where and how.
-        count: How many strikes.
+        pid: The process.
+        fault: Where and how.
+        count: How many injections.
         interval: Between two of them (s).
-        tell: Called with each strike as soon as it is done.
+        tell: Called with each injection as soon as it is done.
 
     Returns:
-        The strikes; their `hit` says whether the bit was seen flipped.
+        The injections, their instants from now on (s); `activated` says whether the bit was read back flipped.
 
     Raises:
         BadInputError: Not x86-64 Linux; no such process, or one that has ended, is stopped, is traced already, is
@@ -43,9 +48,11 @@ def inject(
     if count < 1 or not 0.0 <= interval < float("inf"):
         name, value = ("count", count) if count < 1 else ("interval", interval)
         raise BadInputError(f"{name}: {value}: allowed: {'1 or more' if count < 1 else '0 s or more'}")
-    check_target(request.pid, os.getpid())
-    order = {"request": request.to_json(), "count": count, "interval": interval, "tool": os.getpid()}
-    done: list[RegisterInjection] = []
+    if pid < 1:
+        raise BadInputError(f"pid: {pid}: allowed: the number of a running process")
+    check_target(pid, os.getpid())
+    order = {"pid": pid, "fault": fault.to_json(), "count": count, "interval": interval, "tool": os.getpid()}
+    done: list[Injection] = []
     with subprocess.Popen(
         [sys.executable, "-m", "mavfi.faults.register.tracer"],
         stdin=subprocess.PIPE,
@@ -64,13 +71,13 @@ def inject(
             tracer.stdin.close()  # it then lets the target go, and ends
             tracer.wait(_LAST_WORDS)
     if len(done) < count:
-        raise MavfiError(f"pid {request.pid}: the tracer ended with exit code {tracer.returncode}")
+        raise MavfiError(f"pid {pid}: the tracer ended with exit code {tracer.returncode}")
     return done
 
 
-def _read(answer: dict[str, Any]) -> RegisterInjection:
+def _read(answer: dict[str, Any]) -> Injection:
     if "refused" in answer:
         raise BadInputError(answer["refused"])
     if "failed" in answer:
         raise MavfiError(answer["failed"])
-    return RegisterInjection(**answer["done"])
+    return Injection.from_json(answer["done"])

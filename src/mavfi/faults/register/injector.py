@@ -1,8 +1,8 @@
-"""One strike: stop the target, find an instruction, flip a bit, let go.
+"""One injection: stop the target, find an instruction, flip a bit, let go.
 
-Where the target is stopped decides what is struck.  A stop from outside comes at few instructions, always the same
-(skid): so a random number of instructions is executed one by one before the strike.  This spreads the strikes over the
-code near the stop, not over the program: for rates by instruction use the level `instruction`.
+Where the target is stopped decides where the bit is flipped.  A stop from outside comes at few instructions, always the
+same (skid): so a random number of instructions is executed one by one before the injection.  This spreads injections
+over the code near the stop, not over the program: for rates by instruction use the level `instruction`.
 """
 
 import os
@@ -13,14 +13,15 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.faults.fault import RegisterFault
 from mavfi.faults.register.addresses import AddressSpace
 from mavfi.faults.register.ptrace import WAIT_ALL, TargetGoneError, Tracee, TracerTimeoutError, await_news
 from mavfi.faults.register.registers import Instruction, Register, decode, enters_kernel, flip, value_of
-from mavfi.faults.register.request import RegisterInjection, Request
 from mavfi.faults.register.target import check_target, choose_thread, not_permitted, threads_of
+from mavfi.flight_log import Injection
 
 _REACH = 40
-"""Instructions after the walk among which the first one that qualifies is struck."""
+"""Instructions after the walk among which the first one that qualifies is injected."""
 _PAUSES = (2e-4, 5e-3)
 """Shortest and longest time between two attempts (s)."""
 _STEP_LIMIT = 2.0
@@ -38,7 +39,7 @@ class _Attempt:
         memory: File of the target's memory.
         since: When it was seen to stand still (s).
         walked: Instructions executed one by one.
-        done: What was struck.
+        done: What was injected.
         stopped: How long it stood still, once it has been let go (s).
     """
 
@@ -71,7 +72,7 @@ class _Attempt:
 
 @dataclass(frozen=True, slots=True)
 class _Done:
-    """A strike, before it is known where its address lies."""
+    """An injection, before it is known where its address lies."""
 
     address: int
     instruction: Instruction
@@ -82,51 +83,54 @@ class _Done:
     after: int
 
 
-def strike(request: Request, number: int, tool: int, cancelled: Callable[[], bool] = bool) -> RegisterInjection:
-    """Strike once.
+def inject_once(
+    pid: int, fault: RegisterFault, number: int, tool: int, cancelled: Callable[[], bool] = bool
+) -> Injection:
+    """Flip one bit.
 
     Args:
-        request: Where and how.
-        number: Of the strike; each has random choices of its own.
+        pid: The process.
+        fault: Where and how.
+        number: Of the injection; each has random choices of its own.
         tool: Process that asked; never a target.
         cancelled: Asked while waiting; True ends the wait.
 
     Returns:
-        What was done.
+        What was done; its instant is 0.
 
     Raises:
         BadInputError: The target is refused.
         MavfiError: The target ended, or did not come to an instruction that qualifies in time.
     """
-    check_target(request.pid, tool)
-    choices = random.Random(f"{request.seed}/{number}")
-    deadline = time.monotonic() + request.timeout
+    check_target(pid, tool)
+    choices = random.Random(f"{fault.seed}/{number}")
+    deadline = time.monotonic() + fault.timeout
     attempts = 0
     _warm_up()
     try:
         while True:
             attempts += 1
             with ExitStack() as after:
-                space = AddressSpace(request.pid)
+                space = AddressSpace(pid)
                 after.callback(space.close)
-                with _stopped(request, space, choices, deadline, cancelled) as attempt:
-                    attempt.done = _try(request, choices, attempt)
+                with _stopped(pid, fault, space, choices, deadline, cancelled) as attempt:
+                    attempt.done = _try(fault, choices, attempt)
                     if attempt.done is not None:
                         space.read()
                 if attempt.done is not None:
-                    return _record(request, attempt, attempts, space)
+                    return _record(pid, fault, attempt, attempts, space)
             if time.monotonic() > deadline or cancelled():
                 raise TracerTimeoutError(
-                    f"pid {request.pid}: within {request.timeout:g} s and {attempts} stops it was never at an "
-                    f"instruction with registers {request.registers!r} to {request.access}, outside of system calls"
+                    f"pid {pid}: within {fault.timeout:g} s and {attempts} stops it was never at an "
+                    f"instruction with registers {fault.registers!r} to {fault.access}, outside of system calls"
                 )
             time.sleep(choices.uniform(*_PAUSES))
     except TargetGoneError as error:
-        raise MavfiError(f"pid {request.pid}: {error} before it was struck") from None
+        raise MavfiError(f"pid {pid}: {error} before the injection") from None
     except PermissionError:
-        raise BadInputError(f"pid {request.pid}: may not be traced ({not_permitted()})") from None
+        raise BadInputError(f"pid {pid}: may not be traced ({not_permitted()})") from None
     except (ProcessLookupError, ChildProcessError, FileNotFoundError):
-        raise MavfiError(f"pid {request.pid}: ended before it was struck") from None
+        raise MavfiError(f"pid {pid}: ended before the injection") from None
 
 
 def _warm_up() -> None:
@@ -134,20 +138,20 @@ def _warm_up() -> None:
     decode(b"\x90", 0)
 
 
-def _try(request: Request, choices: random.Random, attempt: _Attempt) -> _Done | None:
-    """Walk, and strike the first instruction that qualifies; None if there is none."""
-    if attempt.in_system_call() or not attempt.walk(choices.randrange(request.walk)):
+def _try(fault: RegisterFault, choices: random.Random, attempt: _Attempt) -> _Done | None:
+    """Walk, and flip a bit at the first instruction that qualifies; None if there is none."""
+    if attempt.in_system_call() or not attempt.walk(choices.randrange(fault.walk)):
         return None
-    access = choices.choice(("read", "write")) if request.access == "either" else request.access
+    access = choices.choice(("read", "write")) if fault.access == "either" else fault.access
     for _ in range(_REACH):
         address, instruction = attempt.here()
         if instruction is None:
             return None
-        registers = _qualifying(instruction, access, request.registers)
+        registers = _qualifying(instruction, access, fault.registers)
         if registers and not (instruction.enters_kernel and access == "write"):
             register = choices.choice(registers)
             bit = choices.choice(register.bits)
-            return _flip(request, attempt.tracee, address, instruction, access, register, bit)
+            return _flip(fault, attempt.tracee, address, instruction, access, register, bit)
         if not attempt.walk(1):
             return None
     return None
@@ -158,42 +162,56 @@ def _qualifying(instruction: Instruction, access: str, wanted: str) -> list[Regi
     return [register for register in registers if wanted == "all" or register.is_vector == (wanted == "fp")]
 
 
-def _flip(  # noqa: PLR0913 - all that is known of the strike
-    request: Request, tracee: Tracee, address: int, instruction: Instruction, access: str, register: Register, bit: int,
+def _flip(  # noqa: PLR0913 - all that is known of the injection
+    fault: RegisterFault, tracee: Tracee, address: int, instruction: Instruction, access: str, register: Register,
+    bit: int,
 ) -> _Done:  # fmt: skip
     if access == "write":
         tracee.step(_STEP_LIMIT)
     before = value_of(tracee, register)
-    if not request.null:
+    if not fault.null:
         flip(tracee, register, bit)
     return _Done(address, instruction, access, register, bit, before, value_of(tracee, register))
 
 
-def _record(request: Request, attempt: _Attempt, attempts: int, space: AddressSpace) -> RegisterInjection:
-    """All that is known of a strike; the target runs again."""
+def _record(pid: int, fault: RegisterFault, attempt: _Attempt, attempts: int, space: AddressSpace) -> Injection:
+    """All that is known of an injection; the target runs again.
+
+    The register read back must be the one before with exactly this bit flipped (a null fault: not flipped).  Values and
+    addresses are hexadecimal text, since registers have up to 256 bits.
+    """
     done = attempt.done
     assert done is not None
     place = space.place(done.address)
-    return RegisterInjection(
-        request.pid, attempt.tracee.thread, done.address, place.library, place.offset, place.symbol,
-        done.instruction.text, done.access, done.register.name, done.register.width, done.bit, done.before, done.after,
-        attempts, attempt.walked, round(1e6 * attempt.stopped),
-        done.after == done.before ^ (0 if request.null else 1 << done.bit),
+    return Injection(
+        "register", done.register.name, 0.0, done.bit, f"{done.before:#x}", f"{done.after:#x}",
+        done.after == done.before ^ (0 if fault.null else 1 << done.bit),
+        details={
+            "pid": pid, "thread": attempt.tracee.thread, "address": f"{done.address:#x}", "library": place.library,
+            "offset": f"{place.offset:#x}", "symbol": place.symbol, "instruction": done.instruction.text,
+            "access": done.access, "register": done.register.name, "width": done.register.width,
+            "attempts": attempts, "walked": attempt.walked, "stopped_us": round(1e6 * attempt.stopped),
+        },
     )  # fmt: skip
 
 
 @contextmanager
 def _stopped(
-    request: Request, space: AddressSpace, choices: random.Random, deadline: float, cancelled: Callable[[], bool]
+    pid: int,
+    fault: RegisterFault,
+    space: AddressSpace,
+    choices: random.Random,
+    deadline: float,
+    cancelled: Callable[[], bool],
 ) -> Iterator[_Attempt]:
-    """The thread that is to be struck, standing still; it is let go in any case."""
+    """The thread that is to be injected, standing still; it is let go in any case."""
     with ExitStack() as cleanup:
-        memory = os.open(f"/proc/{request.pid}/mem", os.O_RDONLY)
+        memory = os.open(f"/proc/{pid}/mem", os.O_RDONLY)
         cleanup.callback(os.close, memory)
-        if request.symbol:
-            tracee, since = _stop_at(request, space, deadline, cancelled, cleanup)
+        if fault.symbol:
+            tracee, since = _stop_at(pid, fault, space, deadline, cancelled, cleanup)
         else:
-            tracee = Tracee(choose_thread(request.pid, request.thread), cancelled=cancelled)
+            tracee = Tracee(choose_thread(pid, fault.thread), cancelled=cancelled)
             cleanup.callback(tracee.detach)
             time.sleep(choices.uniform(*_PAUSES))
             since = time.perf_counter()
@@ -205,10 +223,15 @@ def _stopped(
 
 
 def _stop_at(
-    request: Request, space: AddressSpace, deadline: float, cancelled: Callable[[], bool], cleanup: ExitStack
+    pid: int,
+    fault: RegisterFault,
+    space: AddressSpace,
+    deadline: float,
+    cancelled: Callable[[], bool],
+    cleanup: ExitStack,
 ) -> tuple[Tracee, float]:
     """Stop the first thread that calls the function, since when it stands; the others are let go again."""
-    address = space.find(request.symbol)
+    address = space.find(fault.symbol)
     held: dict[int, Tracee] = {}
 
     def let_go() -> None:
@@ -216,19 +239,19 @@ def _stop_at(
             _disarm(tracee)
 
     cleanup.callback(let_go)
-    for thread in [choose_thread(request.pid, request.thread)] if request.thread else threads_of(request.pid):
+    for thread in [choose_thread(pid, fault.thread)] if fault.thread else threads_of(pid):
         try:
             held[thread] = Tracee(thread, cancelled=cancelled)
             held[thread].interrupt(_STEP_LIMIT)
-            if not request.thread:
+            if not fault.thread:
                 held[thread].follow_threads()
             held[thread].set_breakpoint(address)
             held[thread].resume()
         except (ProcessLookupError, TargetGoneError):
-            if thread in (request.pid, request.thread):
+            if thread in (pid, fault.thread):
                 raise
             held.pop(thread, None)  # a thread that came to its end since it was listed
-    arrived = _first_at(address, held, request, deadline, cancelled)
+    arrived = _first_at(address, held, pid, fault, deadline, cancelled)
     since = time.perf_counter()
     arrived.clear_breakpoint()
     del held[arrived.thread]
@@ -239,16 +262,19 @@ def _stop_at(
 
 
 def _first_at(
-    address: int, held: dict[int, Tracee], request: Request, deadline: float, cancelled: Callable[[], bool]
+    address: int,
+    held: dict[int, Tracee],
+    pid: int,
+    fault: RegisterFault,
+    deadline: float,
+    cancelled: Callable[[], bool],
 ) -> Tracee:
     """Wait for the first thread that stands at an address; threads that come up meanwhile are watched as well."""
     while held:
         thread, status = os.waitpid(-1, WAIT_ALL | os.WNOHANG)
         if not thread:
             if time.monotonic() > deadline or cancelled():
-                raise TracerTimeoutError(
-                    f"pid {request.pid}: did not call {request.symbol!r} within {request.timeout:g} s"
-                )
+                raise TracerTimeoutError(f"pid {pid}: did not call {fault.symbol!r} within {fault.timeout:g} s")
             await_news(_NAP)
             continue
         new = thread not in held

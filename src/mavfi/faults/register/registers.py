@@ -27,7 +27,7 @@ class Register:
         holder: The register of which it is a part; "" for vector registers.
         index: Number of a vector register.
         shift: Where it begins in the holder (bits).
-        bits: Bits that can be struck, counted from its begin.
+        bits: Bits that can be flipped, counted from its begin.
     """
 
     name: str
@@ -170,7 +170,7 @@ def _registers(found: capstone.CsInsn, numbers: list[int], flags: dict[str, int]
 
 
 def _vector(name: str, mnemonic: str) -> tuple[Register, ...]:
-    """A vector register that can be struck; nothing if the name is not of one."""
+    """A vector register that can be injected; nothing if the name is not of one."""
     found = _VECTOR.match(name)
     if found is None or int(found[2]) > _LAST_VECTOR:
         return ()

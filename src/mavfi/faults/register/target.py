@@ -1,4 +1,4 @@
-"""Whether a process may be struck, and which of its threads."""
+"""Whether a process may be injected, and which of its threads."""
 
 import os
 import platform
@@ -18,11 +18,11 @@ def check_machine() -> None:
         BadInputError: It is not x86-64 Linux.
     """
     if not sys.platform.startswith("linux") or platform.machine() != "x86_64":
-        raise BadInputError(f"registers are struck on x86-64 Linux; this is {sys.platform} on {platform.machine()}")
+        raise BadInputError(f"registers are injected on x86-64 Linux; this is {sys.platform} on {platform.machine()}")
 
 
 def check_target(pid: int, tool: int) -> None:
-    """Refuse a process that cannot or must not be struck.
+    """Refuse a process that cannot or must not be injected.
 
     Args:
         pid: The process.

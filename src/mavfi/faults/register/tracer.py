@@ -10,11 +10,12 @@ import select
 import signal
 import sys
 import time
+from dataclasses import replace
 from typing import TextIO
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.faults.register.injector import strike
-from mavfi.faults.register.request import Request
+from mavfi.faults.fault import RegisterFault, fault_from_json
+from mavfi.faults.register.injector import inject_once
 
 
 def _abandoned() -> bool:
@@ -24,25 +25,24 @@ def _abandoned() -> bool:
 
 
 def serve(order: dict, answers: TextIO) -> None:
-    """Strike as often as ordered; each strike, or the reason why there is none, becomes a line of JSON."""
-    request = Request(**order["request"])
+    """Inject as often as ordered; each injection, or the reason why there is none, becomes a line of JSON."""
+    began = time.monotonic()
     try:
+        fault = fault_from_json(order["fault"])
+        assert isinstance(fault, RegisterFault)
         for number in range(order["count"]):
             if number:
                 time.sleep(order["interval"])
             if _abandoned():
                 return
-            done = strike(request, number, order["tool"], _abandoned)
-            answers.write(json.dumps({"done": _as_numbers(done)}) + "\n")
+            done = inject_once(order["pid"], fault, number, order["tool"], _abandoned)
+            done = replace(done, time_s=round(time.monotonic() - began, 6))
+            answers.write(json.dumps({"done": done.to_json()}) + "\n")
             answers.flush()
     except BadInputError as error:
         answers.write(json.dumps({"refused": str(error)}) + "\n")
     except MavfiError as error:
         answers.write(json.dumps({"failed": str(error)}) + "\n")
-
-
-def _as_numbers(done: object) -> dict:
-    return {name: getattr(done, name) for name in type(done).__slots__}  # type: ignore[attr-defined]
 
 
 def main() -> None:

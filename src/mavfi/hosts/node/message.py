@@ -7,8 +7,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from mavfi.errors import BadInputError
-from mavfi.hosts.node.names import allowed
+from mavfi.errors import BadInputError, allowed
 
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms"
 _FLOATS = ("float32", "float64")

@@ -12,11 +12,11 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from types import TracebackType
 
-from mavfi.errors import BadInputError, MavfiError
-from mavfi.hosts.node.definition import Definition
+from mavfi.errors import BadInputError, MavfiError, allowed
+from mavfi.faults.message.definition import Definition
 from mavfi.hosts.node.guardian import Guardian, Registered, Turned
 from mavfi.hosts.node.master import MASTER_CALLER, Graph, Master, call
-from mavfi.hosts.node.names import absolute, allowed, check_known
+from mavfi.hosts.node.names import absolute, check_known
 from mavfi.hosts.node.station import Reader, Station
 from mavfi.hosts.node.tcpros import Source
 

@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Any
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.hosts.node.definition import Definition
+from mavfi.faults.message.definition import Definition
 from mavfi.hosts.node.master import CALLER, PATIENCE_S, call
 
 _LENGTH = struct.Struct("<I")

@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.faults.message.definition import Definition
 from mavfi.faults.register import RegisterInjection, Request, inject
 from mavfi.hosts.node.bench import Bench, Drive
-from mavfi.hosts.node.definition import Definition
 from mavfi.hosts.node.private import private_network
 from mavfi.hosts.ros1.folder import own_path
 from mavfi.hosts.ros1.supervisor import end_all, loopback_up

@@ -19,12 +19,12 @@ from rosbags.rosbag1 import Reader, ReaderError
 
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.foreign import foreign_spec, foreign_state, learn
-from mavfi.errors import BadInputError, MavfiError
-from mavfi.hosts.node.definition import AbsentError, Definition
+from mavfi.errors import BadInputError, MavfiError, allowed
+from mavfi.faults.message.definition import AbsentError, Definition
 from mavfi.hosts.node.guardian import Guardian, Registered
 from mavfi.hosts.node.master import Master
 from mavfi.hosts.node.message import Composer
-from mavfi.hosts.node.names import absolute, allowed
+from mavfi.hosts.node.names import absolute
 from mavfi.hosts.node.relay import sources_of
 from mavfi.hosts.node.station import Outlet, Station
 from mavfi.states import State, StateSpec

@@ -1,4 +1,4 @@
-"""Small C programs to strike; compiled once."""
+"""Small C programs to inject; compiled once."""
 
 import platform
 import shutil
@@ -37,7 +37,7 @@ def _folder(tmp_path_factory):
 @pytest.fixture
 def targets(_folder):
     if not sys.platform.startswith("linux") or platform.machine() != "x86_64":
-        pytest.skip("registers are struck on x86-64 Linux")
+        pytest.skip("registers are injected on x86-64 Linux")
     if COMPILER is None:
         pytest.skip("no C compiler to make targets with")
     found = Targets(_folder)

@@ -1,4 +1,4 @@
-"""Strikes on real processes, and each trap of ptrace."""
+"""Injections into real processes, and each trap of ptrace."""
 
 import ctypes
 import json
@@ -14,7 +14,8 @@ import pytest
 
 from mavfi.cli.commands import run
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.faults.register import Request, inject
+from mavfi.faults.fault import RegisterFault
+from mavfi.faults.register import inject
 
 
 def tracer_of(pid):
@@ -34,70 +35,71 @@ def has_avx():
 
 
 def only(pid, **wanted):
-    return inject(Request(pid=pid, **wanted))[0]
+    return inject(pid, RegisterFault(**wanted))[0]
 
 
 @pytest.mark.slow
-def test_a_strike_is_seen_by_the_target_as_it_is_recorded(targets):
+def test_an_injection_is_seen_by_the_target_as_it_is_recorded(targets):
     for seed in range(6):
         target, _ = targets.start("hold")
-        struck = only(target.pid, seed=seed, registers="general", access="read")
-        assert struck.hit and struck.before ^ struck.after == 1 << struck.bit
-        if struck.register == "rflags":
+        injection = only(target.pid, seed=seed, registers="general", access="read")
+        assert injection.activated and int(injection.before, 16) ^ int(injection.after, 16) == 1 << injection.bit
+        if injection.site == "rflags":
             continue  # the branch takes it: nothing is left in rbx or r12
         changed = int(target.communicate(timeout=10)[0], 16)
-        assert struck.register in ("rbx", "r12") and changed == 1 << struck.bit
+        assert injection.site in ("rbx", "r12") and changed == 1 << injection.bit
 
 
 @pytest.mark.slow
-def test_a_strike_of_a_vector_register_is_seen_by_the_target(targets):
+def test_an_injection_of_a_vector_register_is_seen_by_the_target(targets):
     if not has_avx():
         pytest.skip("this processor has no AVX")
     seen = set()
     for seed in range(8):
         target, _ = targets.start("hold", "-DVECTOR")
-        struck = only(target.pid, seed=seed, registers="fp", access="read")
-        assert struck.hit and struck.width == 256
+        injection = only(target.pid, seed=seed, registers="fp", access="read")
+        assert injection.activated and injection.details["width"] == 256
         changed = int(target.communicate(timeout=10)[0], 16)
-        assert changed == 1 << struck.bit
-        seen.add(struck.bit >= 128)
+        assert changed == 1 << injection.bit
+        seen.add(injection.bit >= 128)
     assert seen == {False, True}
 
 
-def test_a_null_strike_changes_nothing_and_says_so(spin):
-    for struck in inject(Request(pid=spin.pid, null=True), count=20):
-        assert struck.hit and struck.before == struck.after
+def test_a_null_fault_changes_nothing_and_says_so(spin):
+    for injection in inject(spin.pid, RegisterFault(null=True), count=20):
+        assert injection.activated and injection.before == injection.after
     assert spin.poll() is None
 
 
 def test_all_but_the_instant_comes_from_the_seed(spin):
-    first, again = (inject(Request(pid=spin.pid, seed=5, null=True, symbol="work"), count=3) for _ in range(2))
-    same = ("address", "instruction", "register", "bit", "walked", "symbol")
+    first, again = (inject(spin.pid, RegisterFault(seed=5, null=True, symbol="work"), count=3) for _ in range(2))
+    same = ("address", "instruction", "walked", "symbol")
     for one, other in zip(first, again, strict=True):
-        assert [getattr(one, name) for name in same] == [getattr(other, name) for name in same]
-    assert len({struck.walked for struck in first}) > 1
+        assert one.site == other.site and one.bit == other.bit
+        assert [one.details[name] for name in same] == [other.details[name] for name in same]
+    assert len({injection.details["walked"] for injection in first}) > 1
 
 
-def test_where_it_struck_is_named(spin):
-    struck = only(spin.pid, null=True)
-    assert struck.library.endswith("/spin") and struck.symbol.startswith("work+0x")
-    assert struck.offset < Path(struck.library).stat().st_size
+def test_where_it_injected_is_named(spin):
+    injection = only(spin.pid, null=True)
+    assert injection.details["library"].endswith("/spin") and injection.details["symbol"].startswith("work+0x")
+    assert int(injection.details["offset"], 16) < Path(injection.details["library"]).stat().st_size
 
 
 def test_registers_and_access_are_those_asked_for(spin):
     for registers, access in (("fp", "read"), ("general", "write")):
-        for struck in inject(Request(pid=spin.pid, null=True, registers=registers, access=access), count=10):
-            assert struck.access == access
-            assert struck.register.startswith(("xmm", "ymm")) == (registers == "fp")
+        for injection in inject(spin.pid, RegisterFault(null=True, registers=registers, access=access), count=10):
+            assert injection.details["access"] == access
+            assert injection.site.startswith(("xmm", "ymm")) == (registers == "fp")
 
 
 @pytest.mark.slow
 def test_a_walk_cures_the_skid_of_stops(spin):
-    """Stops come at few instructions; after a walk all of the loop are struck."""
-    there = Request(pid=spin.pid, null=True, walk=1)
-    walked = Request(pid=spin.pid, null=True, walk=64)
-    stood = Counter(struck.address for struck in inject(there, count=80))
-    spread = Counter(struck.address for struck in inject(walked, count=80))
+    """Stops come at few instructions; after a walk all of the loop are injected."""
+    there = RegisterFault(null=True, walk=1)
+    walked = RegisterFault(null=True, walk=64)
+    stood = Counter(injection.details["address"] for injection in inject(spin.pid, there, count=80))
+    spread = Counter(injection.details["address"] for injection in inject(spin.pid, walked, count=80))
     assert len(spread) >= 6
     assert len(stood) < len(spread)
     assert spread.most_common(1)[0][1] < 0.5 * 80 < stood.most_common(1)[0][1]
@@ -111,20 +113,23 @@ def test_a_target_in_a_system_call_is_left_alone(targets):
     assert out == "3 0 abc"  # not interrupted: no EINTR
 
 
-def test_the_thread_that_computes_is_struck_and_waited_for(targets):
+def test_the_thread_that_computes_is_injected_and_waited_for(targets):
     """It is not the first one: without __WALL, waitpid would not report it."""
     target, worker = targets.start("threads")
     time.sleep(0.3)
-    struck = only(target.pid, null=True)
-    assert struck.thread == int(worker) != target.pid
+    injection = only(target.pid, null=True)
+    assert injection.details["thread"] == int(worker) != target.pid
 
 
 @pytest.mark.slow
 def test_a_symbol_is_watched_in_threads_that_come_up_later(targets):
     target, worker = targets.start("threads")
     for seed in range(20):  # some of these threads end between being listed and being watched
-        struck = only(target.pid, null=True, symbol="brief", walk=1, seed=seed)
-        assert struck.symbol.startswith("brief") and struck.thread not in (target.pid, int(worker))
+        injection = only(target.pid, null=True, symbol="brief", walk=1, seed=seed)
+        assert injection.details["symbol"].startswith("brief") and injection.details["thread"] not in (
+            target.pid,
+            int(worker),
+        )
     assert target.poll() is None
 
 
@@ -134,7 +139,7 @@ def test_no_signal_is_lost(targets):
     count = 0
     while target.poll() is None and count < 300:
         try:
-            inject(Request(pid=target.pid, seed=count, null=True), count=5)
+            inject(target.pid, RegisterFault(seed=count, null=True), count=5)
             count += 5
         except MavfiError:
             break  # it has ended meanwhile
@@ -227,11 +232,15 @@ class TestRefusals:
             only(spin.pid, thread=1)
 
     @pytest.mark.parametrize(
-        ("name", "value"), [("registers", "mmx"), ("access", "execute"), ("walk", 0), ("timeout", 0.0), ("pid", -1)]
+        ("name", "value"), [("registers", "mmx"), ("access", "execute"), ("walk", 0), ("timeout", 0.0), ("thread", -1)]
     )
-    def test_a_request_that_makes_no_sense(self, name, value):
+    def test_a_fault_that_makes_no_sense(self, name, value):
         with pytest.raises(BadInputError, match=f"{name}: .*allowed:"):
-            Request(**{"pid": 1, name: value})
+            RegisterFault(**{name: value})
+
+    def test_no_number_of_a_process(self):
+        with pytest.raises(BadInputError, match="pid: -1: allowed:"):
+            only(-1)
 
     def test_another_machine(self, monkeypatch):
         monkeypatch.setattr("platform.machine", lambda: "aarch64")
@@ -239,13 +248,14 @@ class TestRefusals:
             only(1)
 
 
-def test_the_command_tells_what_it_struck(spin, capsys):
+def test_the_command_tells_what_it_did(spin, capsys):
     assert run(["inject", "--pid", str(spin.pid), "--null", "--count", "2", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert len(told["injections"]) == 2
-    assert {"address", "symbol", "instruction", "register", "bit", "before", "after"} <= set(told["injections"][0])
+    assert {"site", "bit", "before", "after", "details"} <= set(told["injections"][0])
+    assert {"address", "symbol", "instruction", "register"} <= set(told["injections"][0]["details"])
     assert run(["inject", "--pid", str(spin.pid), "--null"]) == 0
-    assert "struck" in capsys.readouterr().out
+    assert "injected" in capsys.readouterr().out
 
 
 def test_the_command_refuses_in_one_line(capsys):

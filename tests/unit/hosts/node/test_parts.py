@@ -1,4 +1,4 @@
-"""What attaches to ROS, as far as it needs no ROS: headers, stations that talk to each other, strikes, probes."""
+"""What attaches to ROS, as far as it needs no ROS: headers, stations that talk to each other, probes."""
 
 import os
 import threading
@@ -8,8 +8,7 @@ import pytest
 
 from mavfi.cli import run
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.hosts.node.corrupt import Corruptor, MessageFault
-from mavfi.hosts.node.definition import Definition
+from mavfi.faults.message.definition import Definition
 from mavfi.hosts.node.master import Master
 from mavfi.hosts.node.message import Composer
 from mavfi.hosts.node.station import Station
@@ -28,19 +27,6 @@ class NoMaster:
 
     def call(self, method, *arguments, caller=""):
         return []
-
-
-class FakeRelay:
-    """Somebody gets the messages."""
-
-    definition, to, readers = DEFINITION, "/t", 2
-
-    def __init__(self):
-        self.sent = []
-
-    def send(self, message):
-        self.sent.append(message)
-        return self.readers
 
 
 @pytest.fixture
@@ -102,59 +88,6 @@ def test_a_reader_follows_the_publishers_that_it_is_told_of(station):
     inlet.connect([])
     assert inlet.sources == {}
     reader.close()
-
-
-def test_one_strike_hits_the_named_message_and_no_other():
-    relay, told = FakeRelay(), []
-    corruptor = Corruptor(MessageFault("position[0]", 51, at=3), told.append)
-    for _ in range(5):
-        corruptor(MESSAGE, relay)
-    assert [message == MESSAGE for message in relay.sent] == [True, True, False, True, True]
-    (injection,) = told
-    assert (injection.message, injection.before, injection.after, injection.readers) == (3, 0.5, 0.75, 2)
-    assert injection.verified and corruptor.struck.is_set() and told == corruptor.injections
-
-
-def test_a_strike_that_nobody_got_is_not_verified():
-    relay = FakeRelay()
-    relay.readers = 0
-    corruptor = Corruptor(MessageFault("position[0]"))
-    corruptor(MESSAGE, relay)
-    assert not corruptor.injections[0].verified
-
-
-def test_a_rate_draws_from_the_seed_and_stops_when_told():
-    def strikes(seed):
-        relay, corruptor = FakeRelay(), Corruptor(MessageFault("position[0]", rate=0.3, seed=seed))
-        for _ in range(200):
-            corruptor(MESSAGE, relay)
-        corruptor.stop()
-        corruptor(MESSAGE, relay)
-        assert relay.sent[-1] == MESSAGE and len(relay.sent) == 201
-        return [(injection.message, injection.bit) for injection in corruptor.injections]
-
-    assert strikes(1) == strikes(1) != strikes(2) and 30 < len(strikes(1)) < 90
-
-
-def test_messages_without_the_element_pass_unchanged():
-    relay, corruptor = FakeRelay(), Corruptor(MessageFault("velocity[0]"))
-    corruptor(MESSAGE, relay)
-    assert relay.sent == [MESSAGE] and corruptor.too_short == 1 and not corruptor.struck.is_set()
-
-
-@pytest.mark.parametrize(
-    ("fault", "told"),
-    [
-        ({"field": "position[0]", "at": 0}, "at: 0: allowed: 1 or more"),
-        ({"field": "position[0]", "rate": 0.0}, "allowed: above 0, to 1"),
-        ({"field": "position[0]", "bit": 64}, "allowed: 0 to 63"),
-        ({"field": "header.seq", "bit": 32}, "allowed: 0 to 31"),
-    ],
-)
-def test_faults_that_cannot_be_are_refused(fault, told):
-    with pytest.raises(BadInputError) as error:
-        MessageFault(**fault).check(DEFINITION)
-    assert told in str(error.value)
 
 
 def test_fields_are_given_to_the_topics_that_have_them():

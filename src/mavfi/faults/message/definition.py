@@ -10,8 +10,7 @@ import struct
 from dataclasses import dataclass
 from functools import cache
 
-from mavfi.errors import BadInputError, MavfiError
-from mavfi.hosts.node.names import allowed
+from mavfi.errors import BadInputError, MavfiError, allowed
 
 FORMATS = {
     "bool": "B", "byte": "b", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i",

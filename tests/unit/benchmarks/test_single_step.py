@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.destinations import destinations, is_out_of_reach
 from benchmarks.machine_level import entry_of
+from benchmarks.single_step import MachineFault, SteppedCall
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.instruction.api import digest
-from mavfi.faults.register.destinations import destinations, is_out_of_reach
 from mavfi.faults.register.ptrace import Tracee
 from mavfi.faults.register.registers import decode
-from mavfi.faults.register.single_step import MachineFault, SteppedCall
 from mavfi.faults.register.target import check_machine, not_permitted
 from mavfi.numerics.jit import kernel_jit
 from tests.unit.faults.instruction.kernels import LOOP, counted_down, fill, loop, raising
@@ -66,7 +66,7 @@ def held(call, value):
     """A fault in the first register that holds a value after an instruction with this destination."""
     for step, registers in call.sites:
         for register in registers:
-            seen = call.strike(MachineFault(step, register, register.bits[0]), null=True)
+            seen = call.inject(MachineFault(step, register, register.bits[0]), null=True)
             if seen.before == value:
                 return MachineFault(step, register, 0)
     raise AssertionError(f"no register ever holds {value:#x}")
@@ -101,7 +101,7 @@ def test_a_system_that_forbids_tracing_is_refused_in_one_line(monkeypatch):
     def forbidden(thread):
         raise PermissionError(1, "Operation not permitted")
 
-    monkeypatch.setattr("mavfi.faults.register.single_step.Tracee", forbidden)
+    monkeypatch.setattr("benchmarks.single_step.Tracee", forbidden)
     with pytest.raises(BadInputError, match="single steps: may not trace a child") as refused:
         stepped(loop, *LOOP)
     assert "\n" not in str(refused.value)
@@ -112,23 +112,23 @@ def test_a_system_that_forbids_tracing_is_refused_in_one_line(monkeypatch):
 # ---- strikes --------------------------------------------------------------------------------------------------------
 @pytest.mark.slow
 def test_each_strike_flips_the_bit_that_was_drawn_and_no_other(call):
-    outcomes = [call.strike(fault) for fault in call.draw(np.random.default_rng(SEED), 25)]
-    assert all(outcome.hit and outcome.before ^ outcome.after == 1 << outcome.fault.bit for outcome in outcomes)
+    outcomes = [call.inject(fault) for fault in call.draw(np.random.default_rng(SEED), 25)]
+    assert all(outcome.activated and outcome.before ^ outcome.after == 1 << outcome.fault.bit for outcome in outcomes)
     assert len({outcome.how for outcome in outcomes}) > 1
     assert len({outcome.fault.register.name for outcome in outcomes}) > 3
 
 
 @pytest.mark.slow
 def test_an_injector_that_flips_nothing_masks_everything(call):
-    outcomes = [call.strike(fault, null=True) for fault in call.draw(np.random.default_rng(SEED), 25)]
+    outcomes = [call.inject(fault, null=True) for fault in call.draw(np.random.default_rng(SEED), 25)]
     assert {outcome.how for outcome in outcomes} == {"masked"}
-    assert not any(outcome.hit for outcome in outcomes)
+    assert not any(outcome.activated for outcome in outcomes)
 
 
 @pytest.mark.slow
 def test_the_same_fault_does_the_same(call):
     faults = call.draw(np.random.default_rng(SEED), 6)
-    once, again = ([call.strike(fault) for fault in faults] for _ in range(2))
+    once, again = ([call.inject(fault) for fault in faults] for _ in range(2))
     assert once == again
     assert faults == call.draw(np.random.default_rng(SEED), 6)
 
@@ -149,24 +149,24 @@ def test_a_wrong_number_is_silent():
     call = stepped(copy_sum, VALUES, TOTAL)
     partial_sum = int(np.array([VALUES[0] + VALUES[1]]).view(np.uint64)[0])
     fault = held(call, partial_sum)
-    outcome = call.strike(replace(fault, bit=51))
+    outcome = call.inject(replace(fault, bit=51))
     assert (outcome.how, outcome.before, outcome.after) == ("sdc", partial_sum, partial_sum ^ (1 << 51))
 
 
 @pytest.mark.slow
 def test_a_wrong_pointer_crashes():
     call = stepped(copy_sum, VALUES, TOTAL)
-    outcome = call.strike(replace(held(call, VALUES.ctypes.data), bit=62))
+    outcome = call.inject(replace(held(call, VALUES.ctypes.data), bit=62))
     assert (outcome.how, outcome.detail) == ("crash", "SIGSEGV")
-    assert outcome.before == VALUES.ctypes.data and outcome.hit
+    assert outcome.before == VALUES.ctypes.data and outcome.activated
 
 
 @pytest.mark.slow
 def test_a_loop_that_does_not_end_is_a_hang():
     call = stepped(counted_down, 2.5)
     half = int(np.array([0.5]).view(np.uint64)[0])
-    outcome = call.strike(replace(held(call, half), bit=62))  # 2^1023, from which 1 cannot be taken
-    assert (outcome.how, outcome.detail, outcome.hit) == ("hang", "instruction budget", True)
+    outcome = call.inject(replace(held(call, half), bit=62))  # 2^1023, from which 1 cannot be taken
+    assert (outcome.how, outcome.detail, outcome.activated) == ("hang", "instruction budget", True)
 
 
 @pytest.mark.slow
@@ -174,10 +174,10 @@ def test_a_call_that_raises_is_an_exception():
     values = np.ones(4)
     call = stepped(raising, values, 3)
     outcomes = [
-        call.strike(MachineFault(step, register, 63))
+        call.inject(MachineFault(step, register, 63))
         for step, registers in call.sites
         for register in registers
-        if 63 in register.bits and call.strike(MachineFault(step, register, 63), null=True).before == 3
+        if 63 in register.bits and call.inject(MachineFault(step, register, 63), null=True).before == 3
     ]
     assert "exception" in {outcome.how for outcome in outcomes}
     assert any("ValueError: negative" in outcome.detail for outcome in outcomes)
@@ -223,13 +223,13 @@ def test_destinations(codes, first):
     assert names(destinations(run_of(*codes))[0]) == first
 
 
-def test_registers_that_cannot_be_struck_are_counted_apart():
+def test_registers_that_cannot_be_injected_are_counted_apart():
     masks, high, scalar, compare = run_of("62f1c708c2cf07", "62e1fd0828c0", "c5fb10c1", CMP)
     assert masks.text.startswith("vcmp") and "xmm16" in high.text
     assert [is_out_of_reach(made) for made in (masks, high, scalar, compare)] == [True, True, False, False]
     assert destinations([masks, high]) == [(), ()]
 
 
-def test_what_is_not_the_kernels_own_is_not_struck():
+def test_what_is_not_the_kernels_own_is_not_injected():
     own = run_of(ADD)[0]
     assert [names(found) for found in destinations([None, own, None])] == [[], [("rax", 64)], []]

@@ -7,7 +7,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.hosts.node.definition import AbsentError, Definition, flip_bit, steps
+from mavfi.faults.message.definition import AbsentError, Definition, flip_bit, steps
 from mavfi.hosts.node.message import Composer
 
 STORE = get_typestore(Stores.ROS1_NOETIC)

@@ -27,16 +27,16 @@ def destinations(run: Sequence[Instruction | None]) -> list[tuple[Register, ...]
     """Destination registers of each executed instruction, in the order of execution.
 
     Args:
-        run: Instructions as executed; None where one is not the kernel's own, and nothing is struck.
+        run: Instructions as executed; None where one is not the kernel's own, and nothing is injected.
 
     Returns:
-        For each instruction the registers that may be struck after it; none where it has no destination.
+        For each instruction the registers that may be injected after it; none where it has no destination.
     """
     return [() if made is None else _of(made, run, place) for place, made in enumerate(run)]
 
 
 def is_out_of_reach(instruction: Instruction) -> bool:
-    """Whether its destination is a register that cannot be struck: the first operand, where it is not only read."""
+    """Whether its destination is a register that cannot be injected: the first operand, where it is not only read."""
     mnemonic, _, operands = instruction.text.partition(" ")
     return not mnemonic.startswith(_NO_RESULT) and _UNREACHED.match(operands) is not None
 

@@ -1,8 +1,8 @@
-"""The reference at machine level: one call of compiled code, executed instruction by instruction, struck once.
+"""The reference at machine level: one call of compiled code, executed instruction by instruction, injected once.
 
 Unlike a stop from outside, single steps make every dynamic instruction equally likely, and the same fault can be
-struck again.  It costs some ten microseconds per instruction, so it is for calls of some thousands of them.  The code
-that runs is the plain one; what it calls in files (libm, Python) is stepped through, and not struck.
+injected again.  It costs some ten microseconds per instruction, so it is for calls of some thousands of them.  The code
+that runs is the plain one; what it calls in files (libm, Python) is stepped through, and not injected.
 
 A call takes place in a forked child of this process, which traces it.  From one parent all children have the same
 addresses, so the number of an instruction means the same in all of them.
@@ -20,9 +20,9 @@ from typing import Literal
 
 import numpy as np
 
+from benchmarks.destinations import destinations, is_out_of_reach
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.instruction.forked import Ended, judge_status, run_in_child
-from mavfi.faults.register.destinations import destinations, is_out_of_reach
 from mavfi.faults.register.ptrace import TargetGoneError, Tracee, TracerTimeoutError
 from mavfi.faults.register.registers import Instruction, Register, decode, flip, value_of
 from mavfi.faults.register.target import check_machine, not_permitted
@@ -52,15 +52,15 @@ class MachineFault:
 
 @dataclass(frozen=True, slots=True)
 class MachineOutcome:
-    """What became of a struck call.
+    """What became of an injected call.
 
     Attributes:
         how: "masked": it reported what the call reports without a fault; "sdc": something else; "crash": a signal;
             "hang": it executed more instructions than its budget; "exception".
-        fault: What was struck.
+        fault: What was injected.
         instruction: Mnemonic and operands.
         before: What the register held.
-        after: What it held after the strike.
+        after: What it held after the injection.
         detail: Name of the signal, or text of the exception.
     """
 
@@ -72,7 +72,7 @@ class MachineOutcome:
     detail: str = ""
 
     @property
-    def hit(self) -> bool:
+    def activated(self) -> bool:
         """Whether the register then held what was planned."""
         return self.after == self.before ^ (1 << self.fault.bit)
 
@@ -131,12 +131,12 @@ class SteppedCall:
 
     @cached_property
     def sites(self) -> list[tuple[int, tuple[Register, ...]]]:
-        """Steps that can be struck, and the destination registers of each."""
+        """Steps that can be injected, and the destination registers of each."""
         return [(step, found) for step, found in enumerate(destinations(self._instructions)) if found]
 
     @cached_property
     def out_of_reach(self) -> int:
-        """Dynamic instructions whose destination cannot be struck: mask registers, vector registers from 16 on."""
+        """Dynamic instructions whose destination cannot be injected: mask registers, vector registers from 16 on."""
         return sum(made is not None and is_out_of_reach(made) for made in self._instructions)
 
     def text(self, step: int) -> str:
@@ -158,18 +158,18 @@ class SteppedCall:
             faults.append(MachineFault(step, register, register.bits[int(random.integers(len(register.bits)))]))
         return faults
 
-    def strike(self, fault: MachineFault, *, null: bool = False) -> MachineOutcome:
+    def inject(self, fault: MachineFault, *, null: bool = False) -> MachineOutcome:
         """Execute the call with a fault.
 
         Args:
             fault: As drawn from this call.
-            null: Do everything but flip: for proof that striking itself disturbs nothing.
+            null: Do everything but flip: for proof that injecting itself disturbs nothing.
 
         Raises:
             MavfiError: The instruction was not the one of the recorded run.
         """
         seen: list[int] = []
-        ended = self._stepped(partial(self._strike, fault, null, seen))
+        ended = self._stepped(partial(self._inject, fault, null, seen))
         if len(seen) != 2:
             raise MavfiError(f"step {fault.step}: not reached as in the recorded run ({ended.how}, {ended.detail})")
         how: How
@@ -233,8 +233,8 @@ class SteppedCall:
             address = tracee.general()["rip"]
         return True
 
-    def _strike(self, fault: MachineFault, null: bool, seen: list[int], tracee: Tracee, home: int) -> bool:
-        """Step to the fault, strike, and step on until the code returns; False where the budget is used up first."""
+    def _inject(self, fault: MachineFault, null: bool, seen: list[int], tracee: Tracee, home: int) -> bool:
+        """Step to the fault, inject, and step on until the code returns; False where the budget is used up first."""
         for _ in range(fault.step):
             tracee.step(_LIMIT)
         if tracee.general()["rip"] != self._run[fault.step]:

@@ -1,0 +1,112 @@
+"""Flips bits in numbers of messages on their way, and keeps a record of each."""
+
+import random
+import struct
+import threading
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import MessageFault
+from mavfi.faults.message.definition import FORMATS, AbsentError, Definition, Leaf, flip_bit
+from mavfi.flight_log import Injection
+
+
+class Outlet(Protocol):
+    """Where messages are passed on.
+
+    Attributes:
+        definition: Of the messages.
+        to: Name of the topic.
+    """
+
+    definition: Definition
+    to: str
+
+    def send(self, message: bytes) -> int:
+        """Pass a message on, and answer how many readers got it."""
+
+
+def check_fault(fault: MessageFault, definition: Definition) -> None:
+    """Refuse a field or bit that messages of a type do not have.
+
+    Raises:
+        BadInputError: One line with what is allowed.
+    """
+    kind = definition.check(fault.field)
+    bits = 8 * struct.calcsize(FORMATS[kind])
+    if fault.bit is not None and not 0 <= fault.bit < bits:
+        raise BadInputError(f"bit {fault.bit}: {fault.field} is a {kind}; allowed: 0 to {bits - 1}")
+
+
+class MessageInjector:
+    """What a relay does to messages.
+
+    Args:
+        fault: Which bits.
+        tell: Called with each injection.
+
+    Attributes:
+        injections: What was done, at seconds since this injector was made.  An injection is activated if the bytes sent
+            differ from those that came in this bit alone, and a reader got them.
+        done: Set when a fault that is injected once has been, and was sent.
+        too_short: Messages that should have been changed and do not hold the element.
+    """
+
+    def __init__(self, fault: MessageFault, tell: Callable[[Injection], None] | None = None) -> None:
+        self.fault, self._tell = fault, tell
+        self.injections: list[Injection] = []
+        self.done = threading.Event()
+        self.too_short = 0
+        self._began = time.monotonic()
+        self._seen = 0
+        self._stopped = False
+        self._choices = random.Random(fault.seed)
+        self._lock = threading.Lock()
+
+    def __call__(self, message: bytes, outlet: Outlet) -> bytes:
+        """Pass a message on, changed or as it is."""
+        with self._lock:
+            self._seen += 1
+            if self._is_due():
+                try:
+                    leaf = outlet.definition.locate(message, self.fault.field)
+                except AbsentError:
+                    self.too_short += 1
+                else:
+                    return self._inject(message, leaf, outlet)
+            outlet.send(message)
+            return message
+
+    def stop(self) -> None:
+        """Inject no more; messages still pass."""
+        with self._lock:
+            self._stopped = True
+
+    def _is_due(self) -> bool:
+        if self._stopped or self._seen < self.fault.at:
+            return False
+        if self.fault.rate is None:
+            return not self.done.is_set()
+        return self._choices.random() < self.fault.rate
+
+    def _inject(self, message: bytes, leaf: Leaf, outlet: Outlet) -> bytes:
+        bit = self._choices.randrange(leaf.bits) if self.fault.bit is None else self.fault.bit
+        changed = flip_bit(message, leaf, bit)
+        readers = outlet.send(changed)
+        difference = int.from_bytes(message, "little") ^ int.from_bytes(changed, "little")
+        activated = len(message) == len(changed) and difference == 1 << (8 * leaf.offset + bit) and readers > 0
+        injection = Injection(
+            "message", f"{outlet.to}.{self.fault.field}", round(time.monotonic() - self._began, 6), bit,
+            leaf.value(message), leaf.value(changed), activated,
+            details={
+                "topic": outlet.to, "message": self._seen, "field": self.fault.field, "kind": leaf.kind,
+                "readers": readers,
+            },
+        )  # fmt: skip
+        self.injections.append(injection)
+        self.done.set()
+        if self._tell is not None:
+            self._tell(injection)
+        return changed
