@@ -1,21 +1,27 @@
 """`mavfi states`: the table of inter-kernel states."""
 
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 import typer
-from rich import box
+from rich.console import Group
+from rich.padding import Padding
 from rich.table import Table
+from rich.text import Text
 
 from mavfi.cli.console import JSON_HELP, console, write_json
 from mavfi.errors import BadInputError
 from mavfi.states import MONITORED_SETS, ODOMETRY, STACKS, Field, StateSpec, states_with
 
 _DEFAULT_SET = "paper-13"
+_VEHICLE = "flight controller"
+"""Reader of what no kernel of the pipeline reads: the command."""
 
 
 def states(
-    stack: Annotated[
-        str, typer.Option(help="Stack whose dead fields are marked: published or hardened.")
+    autopilot: Annotated[
+        str,
+        typer.Option("--autopilot", "--stack", help="Profile whose dead fields are marked: published or hardened."),
     ] = "published",
     monitored: Annotated[
         str, typer.Option(help="Set of fields that detectors watch: paper-13 or published-19.")
@@ -23,62 +29,87 @@ def states(
     localization: Annotated[str, typer.Option(help="Whose states are shown: truth or estimator.")] = "truth",
     as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
 ) -> None:
-    """Print every value that one kernel hands to another: what can be struck, and what is watched.
+    """Print every value that one kernel hands to another: who writes and reads it, what can be injected and watched.
 
-    Example: [bold]mavfi states --stack hardened[/bold]
+    Example: [bold]mavfi states --autopilot hardened[/bold]
     """
-    if stack not in STACKS:
-        raise BadInputError(f"--stack: {stack!r}: allowed: {', '.join(STACKS)}")
+    if autopilot not in STACKS:
+        raise BadInputError(f"--autopilot: {autopilot!r}: allowed: {', '.join(STACKS)}")
     if monitored not in MONITORED_SETS:
         raise BadInputError(f"--monitored: {monitored!r}: allowed: {', '.join(MONITORED_SETS)}")
     if localization not in ODOMETRY:
         raise BadInputError(f"--localization: {localization!r}: allowed: {', '.join(ODOMETRY)}")
-    rows = [_state(spec, stack, monitored) for spec in states_with(localization).values()]
+    readers = _readers(autopilot, localization)
+    rows = [_state(spec, autopilot, monitored, readers) for spec in states_with(localization).values()]
     if as_json:
-        write_json({"stack": stack, "localization": localization, "monitored_set": monitored, "states": rows})
+        data = {"autopilot": autopilot, "localization": localization, "monitored_set": monitored, "states": rows}
+        write_json(data)
         return
-    console().print(_table(rows, stack, monitored))
+    console().print(_page(rows, autopilot, monitored))
 
 
-def _state(spec: StateSpec, stack: str, monitored: str) -> dict[str, Any]:
+def _readers(autopilot: str, localization: str) -> dict[str, list[str]]:
+    """Kernels by the state that they read, of a pipeline that is built but not flown."""
+    from mavfi.hosts.loop.compose import pipeline_config, resolve
+    from mavfi.mission import MissionSpec
+    from mavfi.pipeline.ppc import build_pipeline
+    from mavfi.sim.environments import build_world
+
+    scenario = resolve(MissionSpec.model_validate({"autopilot": autopilot, "localization": localization}))
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    readers: dict[str, list[str]] = {}
+    for name, kernel in build_pipeline(pipeline_config(scenario, world, None)).items():
+        for state in kernel.reads:
+            readers.setdefault(state, []).append(name)
+    return readers
+
+
+def _state(spec: StateSpec, autopilot: str, monitored: str, readers: Mapping[str, list[str]]) -> dict[str, Any]:
     watched = {field for state, field in MONITORED_SETS[monitored] if state == spec.name}
-    elements = [_field(field, spec.element, stack, set()) for field in spec.elements]
-    header = [_field(field, "", stack, watched) for field in spec.header]
+    elements = [_field(field, spec.element, autopilot, set()) for field in spec.elements]
+    header = [_field(field, "", autopilot, watched) for field in spec.header]
     return {
-        "state": spec.name, "writer": spec.writer, "stage": spec.stage.value, "rate": spec.rate,
-        "acted_on_when_grows": spec.acted_on, "only_with_localization": spec.only_with, "fields": elements + header,
+        "state": spec.name, "stage": spec.stage.value, "writer": spec.writer,
+        "readers": readers.get(spec.name, [_VEHICLE]), "rate": spec.rate, "acted_on_when_grows": spec.acted_on,
+        "only_with_localization": spec.only_with, "fields": elements + header,
     }  # fmt: skip
 
 
-def _field(field: Field, element: str, stack: str, watched: set[str]) -> dict[str, Any]:
+def _field(field: Field, element: str, autopilot: str, watched: set[str]) -> dict[str, Any]:
     return {
         "field": field.name, "of_each": element, "dtype": field.dtype, "unit": field.unit,
-        "monitored": field.name in watched, "dead": field.dead_in(stack),
+        "monitored": field.name in watched, "dead": field.dead_in(autopilot),
     }  # fmt: skip
 
 
-def _table(rows: list[dict[str, Any]], stack: str, monitored: str) -> Table:
+def _page(rows: list[dict[str, Any]], autopilot: str, monitored: str) -> Group:
     count = sum(len(row["fields"]) for row in rows)
-    table = Table(
-        title=f"Inter-kernel states · stack {stack}", box=box.SIMPLE_HEAD, title_style="bold", pad_edge=False,
-        caption=f"{len(rows)} states, {count} fields. ● watched by detectors ({monitored}). "
-        f"dead = no consumer reads it in {stack}. f8, f4 = binary64, binary32; i4 = int32; ? = flag.",
-        caption_justify="left",
-    )  # fmt: skip
-    for heading in ("state", "field", "type", "unit", "watched", "", "writer · stage · rate"):
-        table.add_column(heading, justify="center" if heading == "watched" else "left", overflow="fold")
-    for row in rows:
-        about = [f"{row['writer']} · {row['stage']}", row["rate"]]
-        if row["acted_on_when_grows"]:
-            about.append(f"acted on when {row['acted_on_when_grows']} grows")
-        if row["only_with_localization"]:
-            about.append(f"only with localization {row['only_with_localization']}")
-        for place, field in enumerate(row["fields"]):
-            each = f"[dim]\\[{field['of_each']}][/dim]" if field["of_each"] else ""
-            table.add_row(
-                f"[bold]{row['state']}[/bold]" if place == 0 else "", field["field"] + each, field["dtype"],
-                field["unit"], "●" if field["monitored"] else "", "[dim]dead[/dim]" if field["dead"] else "",
-                f"[dim]{about[place]}[/dim]" if place < len(about) else "",
-            )  # fmt: skip
-        table.add_section()
+    notes = (
+        f"{len(rows)} states, {count} fields. ● watched by detectors ({monitored}). "
+        f"dead = no consumer reads it in {autopilot}. f8, f4 = binary64, binary32; i4 = int32; ? = flag."
+    )
+    title = Text(f"Inter-kernel states · autopilot {autopilot}", style="bold")
+    parts = [part for row in rows for part in (Text(), _heading(row), Padding(_fields(row["fields"]), (0, 0, 0, 2)))]
+    return Group(title, *parts, Text(), Text(notes, style="dim"))
+
+
+def _heading(row: dict[str, Any]) -> Text:
+    about = [f"{row['writer']} → {', '.join(row['readers'])}", row["rate"]]
+    if row["acted_on_when_grows"]:
+        about.append(f"acted on when {row['acted_on_when_grows']} grows")
+    if row["only_with_localization"]:
+        about.append(f"only with localization {row['only_with_localization']}")
+    return Text.assemble((row["state"], "bold"), "\n", (f"  {' · '.join(about)}", "dim"))
+
+
+def _fields(fields: list[dict[str, Any]]) -> Table:
+    table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
+    for width in (28, 2, 7, 1, 4):
+        table.add_column(min_width=width, no_wrap=True)
+    for field in fields:
+        each = f"[{field['of_each']}]" if field["of_each"] else ""
+        table.add_row(
+            Text.assemble(field["field"], (each, "dim")), field["dtype"], field["unit"],
+            "●" if field["monitored"] else "", Text("dead" if field["dead"] else "", style="dim"),
+        )  # fmt: skip
     return table
