@@ -1,20 +1,18 @@
 """A stored run and its golden run, flown again side by side, with all that they published."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from mavfi.campaign.divergence import Departure, Difference, Publication, departure, first_difference
 from mavfi.campaign.plan import RunSpec
-from mavfi.campaign.replay import fly_again, golden_run
+from mavfi.campaign.replay import fly_again, setup_again
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.flight_record import FlightRecord, record_of
+from mavfi.hosts.host import Flight
+from mavfi.hosts.local import fly
 from mavfi.outcomes import Effect, effect_of
-
-if TYPE_CHECKING:
-    from mavfi.hosts.host import Flight
-    from mavfi.states import State
+from mavfi.states import State
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +30,8 @@ class Explanation:
     """
 
     spec: RunSpec
-    flight: "Flight"
-    golden: "Flight"
+    flight: Flight
+    golden: Flight
     same: bool
     first: Difference | None
     departure: Departure
@@ -62,28 +60,23 @@ def explain(directory: Path, run_id: str) -> Explanation:
         stored: FlightRecord | None = run.record
         if stored is None or not stored.flown:
             raise BadInputError(f"{directory}: run {run.spec.run_id}: left no flight to explain")
-        golden, injected = Recorder(), Recorder()
-        golden_flight = fly_again(store, golden_run(store, run.spec).spec, taps=(golden,))
-        flight = fly_again(store, run.spec, taps=(injected,))
-    recorded = golden.publications and injected.publications
-    return Explanation(
-        run.spec, flight, golden_flight, flight.log.digest() == stored.digest,
-        first_difference(golden.publications, injected.publications) if recorded else None,
-        departure(golden_flight.log, flight.log),
-    )  # fmt: skip
+        golden, seen_golden = _recorded(store, replace(run.spec, fault=None))
+        injected, seen = _recorded(store, run.spec)
+    first = first_difference(seen_golden, seen) if seen else None
+    same = injected.log.digest() == stored.digest
+    return Explanation(run.spec, injected, golden, same, first, departure(golden.log, injected.log))
 
 
-class Recorder:
-    """A tap that keeps a copy of all that is published."""
+def _recorded(store: Store, spec: RunSpec) -> tuple[Flight, list[Publication]]:
+    """A run, and all that it published, in order; nothing of one that ends in a forked process."""
+    seen: list[Publication] = []
+    if spec.fault is not None and spec.fault.level != "state":
+        return fly_again(store, spec), seen
+    _, setup = setup_again(store, spec)
+    detector = None if setup.make_detector is None else setup.make_detector()
 
-    def __init__(self) -> None:
-        self.publications: list[Publication] = []
+    def note(state: State, time_us: int) -> None:
+        seen.append(Publication(time_us, state.copy()))
 
-    def __call__(self, state: "State", time_us: int) -> None:
-        """Keep a publication.
-
-        Args:
-            state: What consumers see.
-            time_us: When (us).
-        """
-        self.publications.append(Publication(time_us, state.copy()))
+    flight = fly(setup.scenario, spec.fault, detector, coupling=setup.coupling, recorders=(note,))
+    return flight, seen

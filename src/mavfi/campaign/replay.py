@@ -8,7 +8,7 @@ from mavfi.campaign.plan import RunSpec, arms_of
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.errors import BadInputError
-from mavfi.hosts.host import Flight, find_host
+from mavfi.hosts.host import ArmSetup, Flight, Host, find_host
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +59,23 @@ def fly_again(store: Store, spec: RunSpec) -> Flight:
         BadInputError: Its host is not deterministic.
         SpecMismatchError: See `replay`.
     """
+    host, setup = setup_again(store, spec)
+    flights = host.mission({spec.arm: setup}, fast_forward=False)
+    if spec.fault is None:
+        return flights.golden(spec.arm)
+    _, flight = next(flights.injected([(spec.arm, spec.fault)]))
+    if isinstance(flight, Exception):
+        raise flight
+    return flight
+
+
+def setup_again(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
+    """The host of a run, and what the run's arm flew with.
+
+    Raises:
+        BadInputError: The host is not deterministic.
+        SpecMismatchError: See `replay`.
+    """
     campaign = stored_campaign(store)
     host = find_host(campaign.host)
     if not host.deterministic:
@@ -69,10 +86,4 @@ def fly_again(store: Store, spec: RunSpec) -> Flight:
     mission = MissionPlan(
         campaign, *spec.world, None if models_dir is None else Path(models_dir), store.meta("identity")["models"]
     )
-    flights = host.mission({arm.name: setup_of(mission, arm, scenario)}, fast_forward=False)
-    if spec.fault is None:
-        return flights.golden(arm.name)
-    _, flight = next(flights.injected([(arm.name, spec.fault)]))
-    if isinstance(flight, Exception):
-        raise flight
-    return flight
+    return host, setup_of(mission, arm, scenario)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from mavfi.campaign.plan import FI
-from mavfi.campaign.replay import fly_again, golden_run
+from mavfi.campaign.replay import fly_again
 from mavfi.campaign.store import Store
 
 if TYPE_CHECKING:
@@ -52,8 +52,10 @@ def fly_telling_run(store: Store, runs: pl.DataFrame) -> Telling | None:
         return None
     injected, saved = chosen
     spec = store.run(injected["run_id"]).spec
+    golden = store.golden_of(spec)
+    assert golden is not None  # it was judged against it
     return Telling(
-        injected, saved, fly_again(store, spec), fly_again(store, golden_run(store, spec).spec),
+        injected, saved, fly_again(store, spec), fly_again(store, golden.spec),
         None if saved is None else fly_again(store, store.run(saved["run_id"]).spec),
     )  # fmt: skip
 
