@@ -1,8 +1,7 @@
-"""Figures of a report: success with intervals, flight times, and what each state costs."""
+"""Figures of a report: success with intervals, flight times, and what each state or kernel costs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,13 +9,22 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from mavfi.campaign.plan import FI
-from mavfi.reports import style, text
-from mavfi.reports.tables import Analysis, Entry, populations_of
+from mavfi.campaign.analysis import paper
+from mavfi.campaign.analysis.measures import FAILS_OR_SLOWER, POPULATIONS, leading, population_names, populations
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.statistics import Rate
+from mavfi.campaign.plan import FI, GOLDEN
+from mavfi.reports import style
+
+_LEGEND = {"ncols": 4, "fontsize": 8.5, "handlelength": 1.8}
 
 
-def draw(analysis: Analysis, directory: Path) -> list[str]:
-    """Draw every figure for which there is something to show; a campaign of kernels has tables and a page of its own.
+def draw(runs: Runs, directory: Path) -> list[str]:
+    """Draw every figure for which there is something to show.
+
+    Args:
+        runs: Of a campaign.
+        directory: Where the files are written.
 
     Returns:
         Names of the files in the directory.
@@ -24,127 +32,150 @@ def draw(analysis: Analysis, directory: Path) -> list[str]:
     Raises:
         BadInputError: The directory cannot be written.
     """
-    makers: dict[str, Callable[[Analysis], Figure | None]] = {
-        "success.png": success, "flight_time.png": flight_time, "states.png": states,
+    makers: dict[str, Callable[[Runs], Figure | None]] = {
+        "success.png": success, "flight_time.png": flight_time, "sites.png": sites,
     }  # fmt: skip
-    if analysis["campaign"]["law"] == "kernels":
-        return []
     written = []
     with style.house_style():
         for name, maker in makers.items():
-            figure = maker(analysis)
+            figure = maker(runs)
             if figure is not None:
                 style.write(figure, directory / name)
                 written.append(name)
     return written
 
 
-def _headline(entries: list[Entry]) -> list[Entry]:
-    """Golden runs, and the first bit stratum of the others."""
-    populations = populations_of(entries)
-    wanted = {"all", *populations[:1]}
-    return [entry for entry in entries if entry["population"] in wanted]
-
-
-def _leading(entries: list[Entry], name: str) -> list[Entry]:
-    """Of each value and setting the leading bit stratum; groups may be drawn from strata of their own."""
-    order = populations_of(entries)
-    found: dict[tuple[str, ...], Entry] = {}
-    for entry in sorted(entries, key=lambda entry: order.index(entry["population"])):
-        found.setdefault((entry["environment"], entry[name], entry["setting"]), entry)
-    places = [(entry["environment"], entry[name], entry["setting"]) for entry in entries]
-    return [found[place] for place in dict.fromkeys(places)]
-
-
-def _names(entries: list[Entry], key: str) -> list[str]:
-    return list(dict.fromkeys(entry[key] for entry in entries))
-
-
-def success(analysis: Analysis) -> Figure | None:
-    """Success by environment and setting, with intervals and the paper's figures."""
-    entries = [entry for entry in _headline(list(analysis["success"])) if not entry["setting"].startswith("golden_")]
-    environments, settings = _names(entries, "environment"), _names(entries, "setting")
-    if not entries:
+# ---- success -----------------------------------------------------------------------------------------------------
+def success(runs: Runs) -> Figure | None:
+    """Success by environment and setting, with intervals, counts and the paper's figures, at every level of faults."""
+    chosen = _flown(runs)
+    settings, environments = _settings(chosen), chosen.values("environment")
+    if settings in ([], [GOLDEN]):
         return None
+    names = population_names(chosen, ("environment", "setting"))
     figure = Figure(figsize=(max(6.6, 1.6 + 1.7 * len(environments)), 3.9), layout="constrained")
     axes = figure.subplots()
-    colours = style.setting_colours(settings)
-    width = 0.8 / len(settings)
-    lowest = 1.0
+    looks, width, lowest = style.setting_looks(settings), 0.8 / len(settings), 1.0
+    handles: list[Line2D] = []
     for place, setting in enumerate(settings):
-        own = {entry["environment"]: entry for entry in entries if entry["setting"] == setting}
-        at = np.array([i for i, name in enumerate(environments) if name in own and own[name]["rate"] is not None])
-        shown = [own[environments[i]] for i in at]
-        if not shown:
-            continue
-        x = at - 0.4 + (place + 0.5) * width
-        rates = np.array([entry["rate"] for entry in shown])
-        bounds = np.array([[entry["low"], entry["high"]] for entry in shown])
-        errors = np.abs(bounds.T - rates)
-        axes.errorbar(
-            x, rates, errors, fmt="o", color=colours[setting], markersize=7, elinewidth=2.2, capsize=0, label=setting,
-            clip_on=False, zorder=4,
-        )  # fmt: skip
-        lowest = min(lowest, float(bounds.min()))
-        beside = [(a, entry["paper"]) for a, entry in zip(x, shown, strict=True) if entry["paper"] is not None]
-        for a, value in beside:
-            ends = [a - 0.36 * width, a + 0.36 * width]
-            axes.plot(ends, [value] * 2, color=style.INK, linewidth=2.0, zorder=3, clip_on=False)
-            lowest = min(lowest, value)
-    _frame(axes, environments, max(0.0, np.floor(10 * lowest - 0.5) / 10))
-    axes.set_title(f"Success · stack {analysis['campaign']['stack']} · one fault per mission", pad=10)
-    handles, labels = axes.get_legend_handles_labels()
-    if any(entry["paper"] is not None for entry in entries):
-        handles.append(Line2D([], [], color=style.INK, linewidth=2.0))
-        labels.append("the paper (instruction level)")
-    figure.legend(handles, labels, loc="outside lower left", ncols=6, fontsize=8.5, columnspacing=1.2, handlelength=1.2)
-    return figure
-
-
-def _frame(axes: Axes, environments: list[str], lowest: float) -> None:
-    axes.set_ylim(lowest, 1.0)
+        found = _rates(chosen, setting, names)
+        at = np.array([environments.index(name) for name in found]) - 0.4 + (place + 0.5) * width
+        rates = list(found.values())
+        look = looks[setting]
+        _points(axes, at, rates, look, vertical=True)
+        handles.append(Line2D([], [], label=style.setting_label(setting), linestyle="", markersize=7, **look))
+        lowest = min([lowest, *(rate.low for rate in rates if rate.low is not None)])
+        for x, (environment, rate) in zip(at, found.items(), strict=True):
+            if rate.high is not None:
+                axes.annotate(f"{rate.n}", (x, rate.high), (0, 3), textcoords="offset points", ha="center", **_SMALL)
+            figured = _paper(chosen, environment, setting)
+            if figured is not None:
+                axes.plot([x - 0.4 * width, x + 0.4 * width], [figured, figured], color=style.INK, zorder=5)
+                lowest = min(lowest, figured)
+    if any(_paper(chosen, name, setting) is not None for name in environments for setting in settings):
+        handles.append(Line2D([], [], color=style.INK, label="the paper's figure"))
+    axes.set_ylim(max(0.0, np.floor(10 * lowest) / 10 - 0.02), 1.0)
     axes.set_xlim(-0.5, len(environments) - 0.5)
     axes.set_xticks(range(len(environments)), environments)
     for place in range(1, len(environments)):
         axes.axvline(place - 0.5, color=style.PALE, linewidth=0.8)
     axes.tick_params(axis="x", length=0)
-    axes.yaxis.set_major_formatter(lambda share, _: f"{100 * share:.0f} %")
+    axes.yaxis.set_major_formatter(_percent)
     axes.grid(axis="y")
     axes.set_ylabel("missions that succeed")
+    bits = f"faults in {POPULATIONS.get(names[0], names[0])}; " if names else ""
+    axes.set_xlabel(f"{bits}95 % intervals, number of missions above", fontsize=8.5, color=style.GREY)
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1.06), **_LEGEND)
+    return figure
 
 
-def flight_time(analysis: Analysis) -> Figure | None:
-    """Share of missions that arrived within a flight time relative to the golden twin's; failures never arrive."""
-    entries = [entry for entry in analysis["flight_times"] if entry["n"]]
-    environments, settings = _names(entries, "environment"), _names(entries, "setting")
-    if not entries:
+_SMALL = {"fontsize": 6.5, "color": style.GREY}
+
+
+def _flown(runs: Runs) -> Runs:
+    """Golden runs without a detector, and runs with faults; those that could not be judged are left out."""
+    judged = runs.where("judged")
+    kept = [GOLDEN, *judged.injected.values("setting")]
+    return judged.where(judged.frame["setting"].is_in(kept))
+
+
+def _settings(runs: Runs) -> list[str]:
+    """Golden first, then faults without a detector, then the arms."""
+    injected = runs.settings()
+    return [GOLDEN, *injected] if len(runs.where(setting=GOLDEN)) else injected
+
+
+def _rates(runs: Runs, setting: str, names: list[str]) -> dict[str, Rate]:
+    """Success by environment; those without a rate are left out."""
+    parts = runs.where(setting=setting).groups("environment")
+    found = {environment: leading(own, names, "success") for (environment,), own in parts.items()}
+    return {environment: rate for environment, rate in found.items() if rate is not None and rate.rate is not None}
+
+
+def _paper(runs: Runs, environment: str, setting: str) -> float | None:
+    own = runs.where(environment=environment, setting=setting)
+    if not len(own) or not paper.comparable(runs.campaign, own.first("detector_profile")):
         return None
-    figure = Figure(figsize=(max(4.2, 1.2 + 2.7 * len(environments)), 3.4), layout="constrained")
+    return paper.success(environment, setting)
+
+
+def _percent(share: float, _: int) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _points(axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, str], *, vertical: bool) -> None:
+    """Rates with intervals, upright or along the x axis."""
+    values = np.array([rate.rate or 0.0 for rate in rates])
+    bounds = np.array([[rate.low or 0.0, rate.high or 0.0] for rate in rates]).reshape(-1, 2)
+    errors = np.abs(bounds.T - values)
+    common = {"fmt": "", "linestyle": "", "markersize": 6, "elinewidth": 1.8, "clip_on": False, "zorder": 4, **look}
+    if vertical:
+        axes.errorbar(at, values, yerr=errors, **common)
+    else:
+        axes.errorbar(values, at, xerr=errors, capsize=2, **common)
+
+
+# ---- flight time -------------------------------------------------------------------------------------------------
+def flight_time(runs: Runs) -> Figure | None:
+    """Share of missions that arrived within a flight time relative to the golden run's; failures never arrive."""
+    judged = runs.injected.where("judged")
+    settings, environments = judged.settings(), judged.values("environment")
+    if not settings:
+        return None
+    figure = Figure(figsize=(max(4.2, 1.2 + 2.7 * len(environments)), 3.6), layout="constrained")
     panels = figure.subplots(1, len(environments), sharey=True, squeeze=False)[0]
-    colours = style.setting_colours(settings)
-    lowest = min(_arrived(entry, -0.02) for entry in entries)
+    looks, lowest = style.setting_looks(settings), 1.0
     for axes, environment in zip(panels, environments, strict=True):
-        own = [entry for entry in entries if entry["environment"] == environment]
-        reach = max([0.1, *(x for entry in own for x in entry["inflations"])]) * 1.08
-        fastest = min([0.0, *(x for entry in own for x in entry["inflations"])])
-        for entry in own:
-            values = np.array(entry["inflations"])
-            x = np.concatenate([[-1.0], values, [reach]])
-            share = np.concatenate([[0.0], np.arange(1, len(values) + 1), [len(values)]]) / entry["n"]
-            width = 2.8 if entry["setting"] == FI else 1.4  # where arms do as fi does, both are seen
-            axes.step(x, share, where="post", color=colours[entry["setting"]], linewidth=width, label=entry["setting"])
-        axes.set_title(environment)
+        own = {setting: judged.where(environment=environment, setting=setting) for setting in settings}
+        counts = {setting: len(part) for setting, part in own.items() if len(part)}
+        values = {setting: np.sort(own[setting].frame["inflation"].drop_nulls().to_numpy()) for setting in counts}
+        reach = 1.08 * max([0.1, *(float(part.max()) for part in values.values() if len(part))])
+        fastest = min([0.0, *(float(part.min()) for part in values.values() if len(part))])
+        for setting, part in values.items():
+            n = counts[setting]
+            share = np.concatenate([[0.0], np.arange(1, len(part) + 1), [len(part)]]) / n
+            look = style.curve(looks[setting], wide=setting == FI)  # where arms do as fi does, both are seen
+            x = np.concatenate([[-1.0], part, [reach]])
+            axes.step(x, share, where="post", label=style.setting_label(setting), **look)
+            lowest = min(lowest, float((part <= -0.02).sum()) / n)
+        axes.set_title(f"{environment}, n = {_range(counts.values())}")
         axes.set_xlim(fastest - 0.02, reach)
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.xaxis.set_major_formatter(_signed)
         axes.grid(True)
-        axes.set_xlabel("flight time against golden")
+        axes.set_xlabel("flight time against the golden run's")
     panels[0].set_ylim(max(0.0, np.floor(10 * lowest) / 10 - 0.1), 1.005)
-    panels[0].yaxis.set_major_formatter(lambda share, _: f"{100 * share:.0f} %")
+    panels[0].yaxis.set_major_formatter(_percent)
     panels[0].set_ylabel("missions that arrived")
     handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper left", ncols=6, fontsize=8.5, handlelength=1.4)
+    figure.legend(handles, labels, loc="outside upper left", **_LEGEND)
     return figure
+
+
+def _range(counts: object) -> str:
+    """One number, or the smallest and the largest."""
+    numbers = sorted(set(counts))  # type: ignore[call-overload]
+    return f"{numbers[0]}" if len(numbers) == 1 else f"{numbers[0]}–{numbers[-1]}"
 
 
 def _signed(share: float, _: int) -> str:
@@ -153,48 +184,54 @@ def _signed(share: float, _: int) -> str:
     return f"{percent:+d} %" if percent else "0 %"
 
 
-def _arrived(entry: Entry, inflation: float) -> float:
-    """Share of the missions that arrived within a flight time relative to the golden twin's."""
-    return float(np.sum(np.array(entry["inflations"]) <= inflation)) / int(entry["n"])
+# ---- sites -------------------------------------------------------------------------------------------------------
+_SITES = {"state": "state", "instruction": "kernel", "message": "site", "register": "site"}
+"""Column whose values are compared, by level."""
 
 
-def states(analysis: Analysis) -> Figure | None:
-    """What each state (or group of fields) costs: share of missions that fail or take more than 5 % longer."""
-    key, name = ("by_target", "target") if analysis["campaign"]["law"] == "groups" else ("by_state", "state")
-    entries = _leading(analysis[key], name)
-    environments = _names(entries, "environment")
-    whole = "all" if "all" in environments else (environments[0] if environments else "")
-    entries = [entry for entry in entries if entry["environment"] == whole]
-    if not entries:
+def sites(runs: Runs) -> Figure | None:
+    """What each state, group of fields or kernel costs: share of missions that fail or take more than 5 % longer."""
+    judged = runs.injected.where("judged")
+    settings = judged.settings()
+    if not settings:
         return None
-    values, settings = _names(entries, name), _names(entries, "setting")
-    figure = Figure(figsize=(7.6, 1.2 + 0.2 * len(values) * (1 + 0.5 * len(settings))), layout="constrained")
+    grouped = "sampling" in judged.campaign and judged.campaign["sampling"] == "groups"
+    column = "target" if grouped else _SITES[judged.first("level")]
+    shown = _shown(judged, column)
+    names = list(dict.fromkeys(name for name, _ in shown))
+    counts = [_range(rate.n for (name, _), (_, rate) in shown.items() if name == value) for value in names]
+    figure = Figure(figsize=(7.6, 1.3 + 0.2 * len(names) * (1 + 0.5 * len(settings))), layout="constrained")
     axes = figure.subplots()
-    colours = style.setting_colours(settings)
+    looks = style.setting_looks(settings)
+    handles = []
     for place, setting in enumerate(settings):
-        own = [entry for entry in entries if entry["setting"] == setting]
+        own = {name: rate for (name, flown), (_, rate) in shown.items() if flown == setting}
         offset = 0.7 * (place - (len(settings) - 1) / 2) / len(settings)
-        y = np.array([values.index(entry[name]) for entry in own]) + offset
-        _points(axes, own, y, colours[setting], setting)
-    axes.set_yticks(range(len(values)), values)
-    axes.set_ylim(len(values) - 0.5, -0.5)
+        _points(axes, np.array([names.index(name) for name in own]) + offset, list(own.values()), looks[setting],
+                vertical=False)  # fmt: skip
+        label = style.setting_label(setting)
+        handles.append(Line2D([], [], label=label, linestyle="", markersize=6, **looks[setting]))
+    axes.set_yticks(range(len(names)), [f"{name}  (n = {count})" for name, count in zip(names, counts, strict=True)])
+    axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlim(0, None)
-    axes.xaxis.set_major_formatter(lambda share, _: f"{100 * share:.0f} %")
+    axes.xaxis.set_major_formatter(_percent)
     axes.grid(axis="x")
     axes.tick_params(axis="y", length=0)
-    bits = ", ".join(text.population(name) for name in _names(entries, "population"))
-    where = "all environments" if whole == "all" else whole
-    axes.set_xlabel(f"missions that fail or take more than 5 % longer\n({bits}; {where})")
-    axes.legend(loc="lower left", bbox_to_anchor=(0, 1.0), ncols=6, fontsize=8.5, handlelength=1.2)
+    bits = ", ".join(dict.fromkeys(POPULATIONS.get(population, population) for population, _ in shown.values()))
+    environments = judged.values("environment")
+    where = environments[0] if len(environments) == 1 else "all environments"
+    axes.set_xlabel(f"missions that fail or take more than 5 % longer\n(faults in {bits}; {where}; 95 % intervals)")
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1.0), **_LEGEND)
     return figure
 
 
-def _points(axes: Axes, entries: list[Entry], y: np.ndarray, colour: str, label: str) -> None:
-    shown: list[dict[str, Any]] = [entry["fails_or_slower"] for entry in entries]
-    rates = np.array([0.0 if hurt["rate"] is None else hurt["rate"] for hurt in shown])
-    bounds = np.array([[hurt["low"] or 0.0, hurt["high"] or 0.0] for hurt in shown])
-    errors = np.abs(bounds.T - rates)
-    axes.errorbar(
-        rates, y, xerr=errors, fmt="o", color=colour, markersize=4.5, elinewidth=1.2, capsize=2, label=label,
-        clip_on=False, zorder=4,
-    )  # fmt: skip
+def _shown(judged: Runs, column: str) -> dict[tuple[str, str], tuple[str, Rate]]:
+    """Population and rate by site and setting: of each the leading bit stratum; groups may have strata of their own."""
+    order = population_names(judged, (column, "setting"))
+    found = {}
+    for (name, setting), own in judged.groups(column, "setting").items():
+        rates = populations(own, FAILS_OR_SLOWER)
+        population = min(rates, key=order.index)
+        if rates[population].rate is not None:
+            found[name, setting] = population, rates[population]
+    return found

@@ -38,7 +38,8 @@ _SETTINGS: Any = {
     "figure.facecolor": "white",
     "svg.hashsalt": "mavfi",
 }
-_ARMS = (GREEN, AMBER, PURPLE, SKY)
+_ARMS = ((GREEN, "^", "--"), (PURPLE, "D", "-."), (AMBER, "v", ":"), (SKY, "P", (0, (1, 1))))
+"""Colour, marker and dashes of each detector's arm: they differ in grey, too."""
 
 
 @contextmanager
@@ -48,16 +49,27 @@ def house_style() -> Iterator[None]:
         yield
 
 
-def setting_colours(settings: list[str]) -> dict[str, str]:
-    """Colour of each setting: golden blue, faults orange, then one for each detector's arm."""
-    colours: dict[str, str] = {}
-    arms = [setting for setting in settings if not setting.startswith("golden") and setting != "fi"]
-    for setting in settings:
-        if setting in arms:
-            colours[setting] = _ARMS[arms.index(setting) % len(_ARMS)]
-        else:
-            colours[setting] = ORANGE if setting == "fi" else BLUE
-    return colours
+def setting_looks(settings: list[str]) -> dict[str, dict[str, str]]:
+    """Colour and marker of each setting: golden runs blue discs, faults orange squares, then one for each arm."""
+    arms = [setting for setting in settings if setting not in ("golden", "fi")]
+    looks = {"golden": {"color": BLUE, "marker": "o"}, "fi": {"color": ORANGE, "marker": "s"}}
+    for place, setting in enumerate(arms):
+        colour, marker, _ = _ARMS[place % len(_ARMS)]
+        looks[setting] = {"color": colour, "marker": marker}
+    return {setting: looks[setting] for setting in settings}
+
+
+def curve(look: dict[str, str], *, wide: bool) -> dict[str, Any]:
+    """Colour, dashes and width of a curve of a setting."""
+    dashes = {colour: line for colour, _, line in _ARMS}
+    return {"color": look["color"], "linestyle": dashes.get(look["color"], "-"), "linewidth": 2.8 if wide else 1.4}
+
+
+def setting_label(setting: str) -> str:
+    """A setting in words: "golden run", "fault", "fault + gaussian"."""
+    kind, _, arm = setting.partition("_")
+    words = {"golden": "golden run", "fi": "fault", "dr": "fault", "null": "null fault"}.get(kind, kind)
+    return f"{words} + {arm}" if arm else words
 
 
 def write(figure: Figure, path: Path) -> Path:
