@@ -1,4 +1,4 @@
-"""Write the parts of the documentation that are derived from the code: the states, the graph and topics of ROS."""
+"""Write what the documentation derives from the code: the states, the graph and topics of ROS, the reference pages."""
 
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from mavfi.hosts.ros1.mirrors import STANDARDS
 from mavfi.hosts.ros1.session import configure
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import STACKS, STATES, Field, StateSpec
+from tools import build_reference
 from tools.markers import DOCS, between
 
 
@@ -89,6 +90,7 @@ def pages() -> dict[Path, str]:
     return {
         DOCS / "ros.md": ros_page(),
         fault_model: between(fault_model.read_text(encoding="utf-8"), "states", state_table()),
+        **build_reference.pages(),
     }
 
 

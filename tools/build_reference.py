@@ -1,0 +1,185 @@
+"""Write the reference pages of docs/generated from the models that read YAML and the command line.
+
+A page is a table of keys per model: type, default, meaning, all from the model itself.
+"""
+
+import inspect
+from collections.abc import Iterable
+from dataclasses import MISSING, fields
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from mavfi import config
+from mavfi.campaign import config as campaigns
+from mavfi.faults.fault import LEVELS
+from mavfi.mission import MissionSpec
+from tools.markers import GENERATED, banner
+
+COMMAND = "make docs"
+HEAD = ("| key | type | default | meaning |", "|---|---|---|---|")
+NAMES = {"str": "text", "int": "integer", "float": "number", "bool": "true or false", "Any": "any value"}
+SIGNS = {Ge: "≥", Gt: ">", Le: "≤", Lt: "<"}
+
+MISSION = """# Keys of a mission
+
+One model, `mavfi.MissionSpec`, is read by the command line (`--v-max 5`), by campaigns (`mission:` and `arms:`), by
+`mavfi ros fly`, by training, and from Python. `stack` is accepted for `autopilot`.
+
+"""
+CAMPAIGN = """# Keys of a campaign and of a study
+
+A campaign is a YAML file: `mavfi campaign run FILE`. An unknown key is an error that names file and key. Shipped ones
+are in `configs/campaigns` and `configs/studies`. Keys under `mission` and the overrides of an arm are the
+[keys of a mission](mission-keys.md).
+
+"""
+FAULTS = """# Fault specifications
+
+As text, for `--fault` of `mavfi fly` and `mavfi ros fly`; whatever is left out is drawn from `--fault-seed`:
+
+| text | meaning |
+|---|---|
+| `null` | null fault: the whole way through the injector, with an empty mask |
+| `state:planning.waypoint` | one bit of one field of one publication |
+| `state:planning.waypoint.x` | of this field |
+| `state:planning.trajectory.x[3]` | of this element |
+| `state:planning.waypoint.x:bit=62@20.0` | bit 62 of the first publication at or after 20 s |
+| `instruction:octomap` | one bit in the result of one instruction that the kernel executes |
+| `instruction:pid:which=floating_point` | of this class of instructions ([fault model](../fault-model.md)) |
+| `instruction:pid:model=zero` | the value becomes zero; other models: `one_bit`, `bits`, `random` |
+
+As data, in ledgers, in `mavfi explain --json`, and in Python:
+
+"""
+CONFIGS = """# Keys of vehicles, platforms, autopilot profiles, planners, environments
+
+Files of `configs/`, and of one's own: every option that takes a name takes a path to such a file too.
+
+"""
+SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {
+    "mission-keys.md": (MISSION, (MissionSpec,)),
+    "campaign-keys.md": (
+        CAMPAIGN,
+        (
+            campaigns.Campaign, campaigns.StateSampling, campaigns.SiteGroup, campaigns.InstructionSampling,
+            campaigns.RegisterSampling, campaigns.ArmConfig, campaigns.Scale, campaigns.NodeConfig,
+            campaigns.NodeInputs, campaigns.NodeOutputs, campaigns.Study,
+        ),
+    ),
+    "config-keys.md": (
+        CONFIGS,
+        (
+            config.VehicleConfig, config.PlatformConfig, config.StackConfig, config.PlannerConfig,
+            config.EnvironmentConfig, config.CameraConfig, config.MapConfig, config.WindConfig,
+            config.LocalizationConfig,
+        ),
+    ),
+}  # fmt: skip
+
+
+def kind(annotation: Any) -> str:
+    """A type in words: "list of text", "number or integer", a link to the section of a model."""
+    inner = get_args(annotation)
+    words = {
+        Literal: lambda: ", ".join(f"`{value}`" for value in inner),
+        Union: lambda: " or ".join(dict.fromkeys(kind(part) for part in inner if part is not NoneType)),
+        Annotated: lambda: kind(inner[0]),
+        tuple: lambda: f"list of {kind(inner[0])}" if Ellipsis in inner else f"{len(inner)} × {kind(inner[0])}",
+        dict: lambda: "keys and values" if inner[1] is Any else f"{kind(inner[1])} by name",
+    }
+    origin = Union if isinstance(annotation, UnionType) else get_origin(annotation)
+    if origin in words:
+        return words[origin]()
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return f"[{annotation.__name__}](#{annotation.__name__.lower()})"
+    name = getattr(annotation, "__name__", str(annotation))
+    return NAMES.get(name, name)
+
+
+def limits(field: FieldInfo) -> str:
+    """Range of a number as text, e.g. "≥ 1, ≤ 100"; "" where there is none."""
+    found = (
+        (SIGNS[type(rule)], getattr(rule, type(rule).__name__.lower()))
+        for rule in field.metadata
+        if type(rule) in SIGNS
+    )
+    return ", ".join(f"{sign} {bound:g}" for sign, bound in found)
+
+
+def shown(value: Any) -> str:
+    """A default as it would be written in YAML."""
+    if value is None or value in ("", (), {}):
+        return ""
+    if isinstance(value, BaseModel):
+        return "its defaults"
+    if isinstance(value, dict):
+        return ", ".join(f"`{name}: {item:g}`" for name, item in value.items())
+    if isinstance(value, tuple):
+        return f"`[{', '.join(map(str, value))}]`"
+    return f"`{str(value).lower() if isinstance(value, bool) else value}`"
+
+
+def model_section(model: type[BaseModel]) -> list[str]:
+    """Heading, docstring and table of keys of one model."""
+    lines = [f"## {model.__name__}", "", *inspect.cleandoc(model.__doc__ or "").splitlines(), "", *HEAD]
+    for name, field in model.model_fields.items():
+        default = "required" if field.is_required() else shown(field.get_default(call_default_factory=True))
+        words = "; ".join(filter(None, ((field.description or "").rstrip("."), limits(field))))
+        lines.append(row(name, kind(field.annotation), default, words))
+    return [*lines, ""]
+
+
+def attributes(docstring: str) -> dict[str, str]:
+    """The section `Attributes:` of a docstring, by name."""
+    found: dict[str, str] = {}
+    name = ""
+    _, _, section = inspect.cleandoc(docstring).partition("Attributes:\n")
+    for line in section.partition("\n\n")[0].splitlines():
+        head, colon, rest = line.strip().partition(": ")
+        if line.startswith("    ") and not line.startswith("     ") and colon:
+            name = head
+            found[name] = rest
+        else:
+            found[name] += " " + line.strip()
+    return found
+
+
+def fault_section(level: str, fault: Any) -> list[str]:
+    """Heading, first sentence and table of attributes of one type of fault."""
+    hints, words = get_type_hints(fault), attributes(fault.__doc__)
+    lines = [f"## Level `{level}`: {fault.__name__}", "", inspect.cleandoc(fault.__doc__).splitlines()[0], "", *HEAD]
+    for field in fields(fault):
+        default = "required" if field.default is MISSING else shown(field.default)
+        named = NAMES.get(hints[field.name].__name__) if isinstance(hints[field.name], type) else None
+        of_type = named or (kind(hints[field.name]) if not _is_site(hints[field.name]) else "state, field, element")
+        lines.append(row(field.name, of_type, default, words[field.name]))
+    return [*lines, ""]
+
+
+def _is_site(annotation: Any) -> bool:
+    return getattr(annotation, "__name__", "") == "FaultSite"
+
+
+def row(*cells: str) -> str:
+    """One line of a table; bars inside cells are escaped."""
+    name, *rest = (" ".join(cell.split()).replace("|", "\\|") for cell in cells)
+    return "| " + " | ".join((f"`{name}`", *rest)) + " |"
+
+
+def pages() -> dict[Path, str]:
+    """Every reference page with its path."""
+    written = {
+        GENERATED / name: _page(head, (model_section(model) for model in models))
+        for name, (head, models) in SECTIONS.items()
+    }
+    sections = (fault_section(level, fault) for level, fault in LEVELS.items())
+    return {**written, GENERATED / "fault-specs.md": _page(FAULTS, sections)}
+
+
+def _page(head: str, sections: Iterable[list[str]]) -> str:
+    return banner(COMMAND) + head + "\n".join(line for section in sections for line in section).rstrip() + "\n"
