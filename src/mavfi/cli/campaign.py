@@ -2,12 +2,15 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mavfi.cli.console import JSON_HELP, console, write_json
 from mavfi.cli.stopping import stoppable
+
+if TYPE_CHECKING:
+    from mavfi.campaign.config import Campaign
 
 app = typer.Typer(
     help="Fly a campaign, see how far it is, prove what came out.\n\n"
@@ -26,39 +29,69 @@ def run(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the ledger; made if absent, gone on with if it holds this campaign.  out/<name> by default."
+            help="Folder of the ledger; made if absent, resumed if it holds this campaign.  out/<name> by default."
         ),
     ] = None,
     workers: Annotated[int, typer.Option(help="Processes; the result does not depend on them.")] = DEFAULT_WORKERS,
     scale: Annotated[str, typer.Option(help="quick, or another size that the campaign names, e.g. paper.")] = "quick",
     models: Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")] = None,
-    forking: Annotated[
-        bool, typer.Option(help="Begin faulty flights where their golden twins were; the result does not depend on it.")
+    fast_forward: Annotated[
+        bool,
+        typer.Option(
+            "--fast-forward/--no-fast-forward", "--forking/--no-forking",
+            help="Begin injected runs at checkpoints of their golden run; the result does not depend on it.",
+        ),
     ] = True,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be flown, and stop.")] = False,
 ) -> None:
     """Fly a campaign, or what is left of it.  Ctrl-C stops it (exit code 130); the same command goes on.
 
     Example: [bold]mavfi campaign run configs/campaigns/states.yaml --out out/states[/bold]
     """
-    from mavfi.campaign.config import load_any
-    from mavfi.campaign.nodes.config import NodeCampaign
-    from mavfi.campaign.nodes.run import run_node_campaign
+    from mavfi.campaign.config import load_campaign
+    from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.run import run_campaign
-    from mavfi.cli.progress import Bar, import_host
+    from mavfi.cli.progress import Bar
 
-    campaign = load_any(config).at_scale(scale)
+    campaign = load_campaign(config).at_scale(scale)
     ledger = out or Path("out") / campaign.name
-    told = f"Stopped. What is done is kept in {ledger}; the same command goes on."
-    if isinstance(campaign, NodeCampaign):
-        with stoppable(told), Bar(f"campaign {campaign.name}", "trials") as bar:
-            run_node_campaign(campaign, ledger, workers=workers, progress=bar.show_campaign)
-    else:
-        import_host()
-        with stoppable(told), Bar(f"campaign {campaign.name}") as bar:
-            run_campaign(
-                campaign, ledger, workers=workers, models_dir=models, forking=forking, progress=bar.show_campaign
-            )
-    console().print(f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]")
+    executor = LocalExecutor(workers)
+    if dry_run:
+        for line in _what(campaign, ledger):
+            typer.echo(line)
+        return
+    kept = f"Stopped. What is done is kept in {ledger}; the same command resumes."
+    with stoppable(kept), Bar(f"campaign {campaign.name}", "runs") as bar:
+        run_campaign(
+            campaign, ledger, executor=executor, models_dir=models, fast_forward=fast_forward,
+            progress=bar.show_campaign,
+        )  # fmt: skip
+    console().print(f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]", soft_wrap=True)
+
+
+def _what(campaign: "Campaign", ledger: Path) -> list[str]:
+    """What a campaign would fly, in lines; names are checked, nothing is written."""
+    from mavfi.campaign.mission import plan_of, scenarios_of
+    from mavfi.campaign.plan import arms_of
+    from mavfi.campaign.run import model_hashes
+    from mavfi.campaign.store import FILE, Store
+
+    arms = arms_of(campaign)
+    scenarios = scenarios_of(campaign, arms)
+    plan = plan_of(campaign, model_hashes(campaign, scenarios, None), scenarios)
+    draws = plan.sampler.draws(campaign.environments[0])
+    targets = list(dict.fromkeys(draw.target for draw in draws))
+    done = 0
+    if (ledger / FILE).is_file():
+        with Store.open(ledger) as store:
+            done = sum(number for _, number, _ in store.counts().values())
+    return [
+        f"{plan.count()} runs at most, {done} of them done in {ledger}",
+        f"host {campaign.host} · {campaign.missions} missions in each of: {', '.join(campaign.environments)}"
+        f" · seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}",
+        f"faults of level {campaign.sampling.level}, {len(draws)} per environment: {', '.join(targets)}",
+        f"arms: {', '.join(arm.name or 'golden and fi' for arm in arms)} · null runs per environment: {campaign.nulls}",
+    ]
 
 
 @app.command("status")
@@ -82,7 +115,7 @@ def status(
         write_json({**asdict(found), "complete": found.complete, "settings": settings})
         return
     out = console()
-    out.print(f"{found.done} of {found.total} flights" + (", complete" if found.complete else ""))
+    out.print(f"{found.done} of {found.total} runs" + (", complete" if found.complete else ""))
     out.print(success_counts(found.settings))
 
 
@@ -111,5 +144,5 @@ def digest(
     typer.echo(found)
     if not progress.complete:
         console(error=True).print(
-            f"partial: {progress.done} of {progress.total} flights are flown; the rest will change this digest"
+            f"partial: {progress.done} of {progress.total} runs are flown; the rest will change this digest"
         )

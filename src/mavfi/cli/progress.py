@@ -1,8 +1,10 @@
 """Progress of long work: a bar with rate and time left in a terminal, a line now and then elsewhere."""
 
 import math
+import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from types import TracebackType
 
 from rich.console import Group
@@ -50,7 +52,7 @@ class Bar:
             self._live.stop()
 
     def show(self, done: int, total: int) -> None:
-        """Tell how much is done; what the first call finds done was so before, and is no part of the rate."""
+        """Show how much is done; what the first call finds done was so before, and is no part of the rate."""
         if self._held is None:
             self._held, self._begun = done, time.perf_counter()
         seconds = time.perf_counter() - self._begun
@@ -58,14 +60,26 @@ class Bar:
         self._tell(done, total, rate, (total - done) / rate if rate > 0 else math.inf, None)
 
     def show_campaign(self, progress: CampaignProgress) -> None:
-        """Tell how far a campaign is, and how many missions succeeded in each setting."""
+        """Show how far a campaign is, and how many missions succeeded in each setting."""
+        if progress.compiling and not progress.flown:
+            self._say("compiling kernels and flying the first mission ...")
+            return
         left = progress.remaining_s
         self._tell(progress.done, progress.total, progress.rate, left, progress.settings or None)
+
+    def _say(self, text: str) -> None:
+        """What is done before the first flight counts."""
+        if self._console.is_terminal:
+            self._bar.update(self._task, pace=text)
+            self._live.update(self._bar)
+        else:
+            self._console.print(f"{self._label}: {text}")
 
     def _tell(
         self, done: int, total: int, rate: float, left: float, settings: Mapping[str, tuple[int, int, int]] | None
     ) -> None:
-        pace = f"{rate:.1f} {self._unit}/s · {duration(left)} left" if done < total else ""
+        known = rate > 0 and math.isfinite(left)
+        pace = f"{rate:.1f} {self._unit}/s · {duration(left)} left" if done < total and known else ""
         if self._console.is_terminal:
             self._bar.update(self._task, completed=done, total=total, pace=pace)
             self._live.update(Group(self._bar, success_counts(settings)) if settings else self._bar)
@@ -76,12 +90,47 @@ class Bar:
             self._console.print(f"{self._label} {done}/{total} {self._unit}  {pace}".rstrip())
 
 
-def import_host(*, training: bool = False) -> None:
-    """Import what flies (and trains) before work begins that Ctrl-C stops: no import is to be broken off half-way."""
-    import mavfi.hosts.inprocess
+@contextmanager
+def compiling(*, instrumented: bool = False) -> Iterator[None]:
+    """Say on stderr that kernels are being compiled, where they are: the first flight on a machine is silent otherwise.
 
-    if training:
-        import mavfi.detectors.training  # noqa: F401 - wanted for its being imported
+    Args:
+        instrumented: Whether instrumented variants are compiled too.
+    """
+    from mavfi.numerics.jit import code_folder
+
+    folder = code_folder()
+
+    def count() -> int:
+        return sum(1 for path in folder.rglob("*") if path.suffix in (".nbc", ".bin"))
+
+    def ready() -> bool:
+        return any(folder.rglob("*.nbc")) and (not instrumented or any(folder.rglob("*.bin")))
+
+    if ready():
+        yield
+        return
+    out = console(error=True)
+    about = "two minutes" if instrumented else "40 s"
+    text = f"compiling kernels for this machine, once (about {about})"
+    if not out.is_terminal:
+        out.print(f"{text} ...")
+        yield
+        return
+    stop = threading.Event()
+    with out.status(f"{text} ...") as shown:
+
+        def follow() -> None:
+            while not stop.wait(0.5):
+                shown.update(f"{text}: {count()} functions")
+
+        watcher = threading.Thread(target=follow, daemon=True)
+        watcher.start()
+        try:
+            yield
+        finally:
+            stop.set()
+            watcher.join()
 
 
 def success_counts(settings: Mapping[str, tuple[int, int, int]]) -> Table:

@@ -1,4 +1,4 @@
-"""`mavfi reproduce`: train the detectors, fly the paper's table at both levels, print and write the reports."""
+"""`mavfi reproduce`: train the detectors, fly the campaigns of a study, write its reports, end with the headline."""
 
 import time
 from pathlib import Path
@@ -13,97 +13,95 @@ from mavfi.errors import BadInputError
 if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
 
-TRAINING_FLIGHTS = 100
-_STATES, _INSTRUCTIONS = "table1", "table1_instructions"
-INSTRUCTIONS_FOLDER = "instructions"
-"""Where in the folder the instruction level is; the state level is in the folder itself."""
+MODELS = "models"
+"""Folder of the trained models, in the folder of the study."""
 
 
-def reproduce(
+def reproduce(  # noqa: PLR0913 - one parameter per option
+    study: Annotated[str, typer.Argument(metavar="[STUDY.yaml]", help="A YAML file, or a shipped study.")] = "paper",
     scale: Annotated[
         str, typer.Option(help="quick: 30 missions per environment (instruction level: 13); paper: 100.")
     ] = "quick",
     out: Annotated[Path, typer.Option(help="Folder of everything that is written.")] = Path("out/reproduce"),
     workers: Annotated[int, typer.Option(help="Processes; the result does not depend on them.")] = 2,
+    show_all: Annotated[bool, typer.Option("--all", help="Print all tables, not only the headline.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
 ) -> None:
-    """Train the detectors, fly the paper's success table, print it, write the reports.
+    """Train the detectors, fly the paper's success table at both levels, write the reports.
 
-    It is flown twice: with faults in the values between kernels (state level), and with faults in executed
-    instructions (instruction level, as the paper did).
+    The campaigns of the study are flown one after the other, each into a folder of its own.
 
-    Ctrl-C stops (exit code 130); the same command goes on where it stopped.
+    Ctrl-C stops (exit code 130); the same command resumes.
 
     Example: [bold]mavfi reproduce --scale quick --out out/reproduce[/bold]
     """
-    from mavfi.campaign.config import load_campaign
-    from mavfi.campaign.executors.local import LocalPool
-    from mavfi.cli.progress import import_host
+    from mavfi.campaign.config import load_campaign, load_study
+    from mavfi.campaign.executors.local import LocalExecutor
+    from mavfi.campaign.run import run_campaign
+    from mavfi.cli.progress import Bar
 
     begun = time.perf_counter()
-    campaigns = {
-        out: load_campaign(_STATES).at_scale(scale),
-        out / INSTRUCTIONS_FOLDER: load_campaign(_INSTRUCTIONS).at_scale(scale),
-    }
-    LocalPool(workers)  # refuses a number that is none
+    chosen = load_study(study)
+    campaigns = {out / folder: load_campaign(name).at_scale(scale) for folder, name in chosen.campaigns.items()}
+    executor = LocalExecutor(workers)
     for folder, campaign in campaigns.items():
         _check_ledger(campaign, folder)
     check_folder(out)
-    trained = all(_trained(campaign, out / "models") for campaign in campaigns.values())
-    import_host(training=not trained)
-    with stoppable(f"Stopped. What is done is kept in {out}; the same command goes on."):
-        if not trained:
-            _train(campaigns[out], out / "models", workers)
+    watched = [campaign for campaign in campaigns.values() if any(arm.detector for arm in campaign.arms.values())]
+    with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
+        if not all(_trained(campaign, out / MODELS, chosen.training_flights) for campaign in watched):
+            _train(watched[0], out / MODELS, chosen.training_flights, workers)
         for folder, campaign in campaigns.items():
-            _fly(campaign, folder, out / "models", workers)
-    _report(list(campaigns), begun, as_json)
+            with Bar(f"{campaign.name}, {campaign.missions} missions per environment", "runs") as bar:
+                run_campaign(
+                    campaign, folder, executor=executor, models_dir=out / MODELS, progress=bar.show_campaign
+                )  # fmt: skip
+    _report(list(campaigns), begun, show_all, as_json)
 
 
-def _check_ledger(campaign: "Campaign", out: Path) -> None:
+def _check_ledger(campaign: "Campaign", folder: Path) -> None:
     """Refuse a folder with another campaign before anything is trained or written there.
 
     Raises:
         BadInputError: It holds another campaign, or what is no ledger.
     """
-    from mavfi.campaign.run import campaign_scenarios
+    from mavfi.campaign.mission import scenarios_of
+    from mavfi.campaign.plan import arms_of
+    from mavfi.campaign.run import identity_of
     from mavfi.campaign.store import FILE, Store
-    from mavfi.campaign.tools import host_tools
 
-    if not (out / FILE).is_file():
+    if not (folder / FILE).is_file():
         return
-    with Store.open(out) as store:
+    with Store.open(folder) as store:
         held = store.meta("identity")
-    scenarios = campaign_scenarios(campaign, host_tools())
-    wanted = {
-        "campaign": campaign.to_json(),
-        "scenarios": {name: scenario.to_json() for name, scenario in scenarios.items()},
-    }
-    differing = [key for key, value in wanted.items() if held.get(key) != value]
+    wanted = identity_of(campaign, scenarios_of(campaign, arms_of(campaign)), {})
+    differing = [key for key in ("campaign", "scenarios") if held.get(key) != wanted[key]]
     if differing:
         raise BadInputError(
-            f"{out}: holds another campaign (differs in: {', '.join(differing)}); choose another directory"
+            f"{folder}: holds another campaign (differs in: {', '.join(differing)}); choose another directory"
         )
 
 
-def _train(campaign: "Campaign", folder: Path, workers: int) -> None:
+def _train(campaign: "Campaign", folder: Path, flights: int, workers: int) -> None:
     from mavfi.campaign.training import train
     from mavfi.cli.progress import Bar
 
     with Bar("training flights") as bar:
         train(
-            folder, TRAINING_FLIGHTS, stack=campaign.stack, platform=campaign.platform, planner=campaign.planner,
-            v_max=campaign.v_max, workers=workers, progress=bar.show,
+            folder, flights, campaign.spec(campaign.environments[0], campaign.first_seed), workers=workers,
+            progress=bar.show,
         )  # fmt: skip
 
 
-def _trained(campaign: "Campaign", folder: Path) -> bool:
+def _trained(campaign: "Campaign", folder: Path, flights: int) -> bool:
     """Whether the folder holds the models that training would give."""
     from mavfi.campaign.run import versions
     from mavfi.detectors.model import Model
 
-    here = versions()
-    wanted = {"stack": campaign.stack, "platform": campaign.platform, "planner": campaign.planner,
-              "flights": TRAINING_FLIGHTS}  # fmt: skip
+    here, mission = versions(), campaign.spec(campaign.environments[0], campaign.first_seed)
+    wanted = {
+        "stack": mission.autopilot, "platform": mission.platform, "planner": mission.planner, "flights": flights,
+    }  # fmt: skip
     held = set()
     for path in sorted(folder.glob("*.json")):
         try:
@@ -114,32 +112,25 @@ def _trained(campaign: "Campaign", folder: Path) -> bool:
         fresh = all(here.get(name) == version for name, version in origin.get("versions", {}).items())
         if fresh and all(origin.get(key) == value for key, value in wanted.items()):
             held.add((model.kind, model.profile))
-    return all((arm.detector, arm.profile) in held for arm in campaign.detectors.values())
+    return all((arm.detector, arm.profile) in held for arm in campaign.arms.values() if arm.detector)
 
 
-def _fly(campaign: "Campaign", folder: Path, models: Path, workers: int) -> None:
-    from mavfi.campaign.run import run_campaign
-    from mavfi.cli.progress import Bar
-
-    with Bar(f"{campaign.name}, {campaign.flights} missions per environment") as bar:
-        run_campaign(campaign, folder, workers=workers, models_dir=models, progress=bar.show_campaign)
-
-
-def _report(folders: list[Path], begun: float, as_json: bool) -> None:
-    """Write the report of each level, print them one after the other; as JSON the second is inside the first."""
+def _report(folders: list[Path], begun: float, show_all: bool, as_json: bool) -> None:
+    """Write the report of each campaign, and end with the headline."""
     from mavfi.cli.progress import duration
-    from mavfi.reports.campaign_report import write_report
-    from mavfi.reports.terminal import show
+    from mavfi.cli.report import show_report, write_reports
 
-    text = console()
-    written = []
-    for folder in folders:
-        written.append(write_report(folder, shown=None if as_json else lambda analysis: show(analysis, text)))
-    states, instructions = written
+    written = {folder: write_reports(folder) for folder in folders}
     if as_json:
-        write_json({**states.analysis, INSTRUCTIONS_FOLDER: instructions.analysis})
+        write_json({folder.name: report.to_json() for folder, report in written.items()})
         return
-    text.print()
-    for folder, report in zip(folders, written, strict=True):
-        text.print(f"[bold]{folder}[/bold] holds the ledger, and: {', '.join(path.name for path in report.files)}")
-    text.print(f"The models are in {folders[0] / 'models'}. It took {duration(time.perf_counter() - begun)}.")
+    for report in written.values():
+        show_report(report, show_all)
+    text = console()
+    for folder, report in written.items():
+        text.print(
+            f"[bold]{folder}[/bold] holds the ledger, and: {', '.join(path.name for path in report.files)}",
+            soft_wrap=True,
+        )
+    where = folders[0].parent / MODELS
+    text.print(f"The models are in {where}. It took {duration(time.perf_counter() - begun)}.", soft_wrap=True)
