@@ -39,8 +39,8 @@ class KernelSpec:
         stage: The stage that is recomputed on an alarm about its states.
         node: The process that it runs in, and dies with; also the name of its ROS node.
         trigger: "periodic" = stepped at every control period; "input" = by what it receives.
-        counts: Whether its latency is part of the stage's, and of the modelled computer at all: hand-over costs
-            nothing, and the state estimator runs on the flight controller.
+        counts: Whether its latency is part of the stage's.
+        on_flight_controller: Whether it runs there (some 10 us a step), and costs the modelled computer nothing.
         functions: Attributes of `pipeline.functions.KernelFunctions` whose instructions can be injected.
         only_with: Localization with which alone the kernel exists; "" = always.
     """
@@ -50,13 +50,15 @@ class KernelSpec:
     node: str
     trigger: Literal["periodic", "input"] = "input"
     counts: bool = True
+    on_flight_controller: bool = False
     functions: tuple[str, ...] = ()
     only_with: str = ""
 
 
 _KERNEL_TABLE = (
     KernelSpec(
-        "state_estimation", Stage.PERCEPTION, "state_estimation", counts=False, only_with="estimator"
+        "state_estimation", Stage.PERCEPTION, "state_estimation", counts=False, on_flight_controller=True,
+        only_with="estimator",
     ),
     KernelSpec("point_cloud", Stage.PERCEPTION, "point_cloud", functions=("back_project",)),
     KernelSpec("octomap", Stage.PERCEPTION, "octomap", functions=("insert_scan", "collect", "update_voxels")),
@@ -86,7 +88,7 @@ PLANNERS: dict[str, tuple[str, ...]] = {
 """What the kernel `planner` calls, by the planner of the mission: finding and shortening paths."""
 
 INJECTABLE: dict[str, tuple[str, ...]] = {}
-"""Functions by the name under which instruction faults name a kernel, as in the paper's Fig. 3: a planner by its own."""
+"""Functions by the name under which instruction faults name a kernel, as in the paper's Fig. 3; planners by their own."""
 INJECTED_KERNEL: dict[str, str] = {}
 """Row of `KERNELS` by that name."""
 for _spec in _KERNEL_TABLE:

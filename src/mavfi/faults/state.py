@@ -2,12 +2,11 @@
 
 from copy import copy
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, FaultSite, Injection
+from mavfi.faults.fault import FaultSite, Injection, StateFault
 from mavfi.faults.strata import WORD_BITS
 from mavfi.states import STATES, State, StateSpec, find_state
 
@@ -25,16 +24,16 @@ def flip(state: State, site: FaultSite, bit: int | None) -> tuple[State, float |
         A copy with the bit flipped, the field's value before, and after.
 
     Raises:
-        BadInputError: The field has no such bit, or the state has no element to strike.
+        BadInputError: The field has no such bit, or the state has no element.
     """
     described = state.spec.find(site.field)
     if bit is not None and not 0 <= bit < WORD_BITS[described.dtype]:
         raise BadInputError(f"{site}: no bit {bit}; allowed: 0 to {WORD_BITS[described.dtype] - 1}")
-    struck = state.copy()
+    changed = state.copy()
     in_elements = state.spec.in_elements(site.field)
-    container = struck.elements if in_elements else struck.header
+    container = changed.elements if in_elements else changed.header
     if len(container) == 0:
-        raise BadInputError(f"{site}: the state carries no {state.spec.element} to strike")
+        raise BadInputError(f"{site}: the state carries no {state.spec.element} to change")
     row = min(site.element or 0, len(container) - 1) if in_elements else 0
     before = container[site.field][row].item()
     if bit is not None:
@@ -42,11 +41,11 @@ def flip(state: State, site: FaultSite, bit: int | None) -> tuple[State, float |
         assert names is not None  # states are structured arrays
         offset = row * container.dtype.itemsize + names[site.field][1] + bit // 8
         container.view(np.uint8)[offset] ^= np.uint8(1 << bit % 8)
-    return struck, before, container[site.field][row].item()
+    return changed, before, container[site.field][row].item()
 
 
 class ActedOn:
-    """Tells which publications of one state consumers act upon: the same rule for drawing and for striking.
+    """Tells which publications of one state consumers act upon: the same rule for drawing and for injecting.
 
     Where `StateSpec.acted_on` names a counter, these are the publications in which it grew; elsewhere all.
     """
@@ -63,20 +62,6 @@ class ActedOn:
         grew = value > self._last
         self._last = value
         return grew
-
-
-class Injector(Protocol):
-    """The tap through which every published value goes first."""
-
-    @property
-    def spent(self) -> bool:
-        """Whether it leaves everything that comes untouched."""
-
-    def __call__(self, state: State, time_us: int) -> State:
-        """What is published instead."""
-
-    def finish(self) -> list[Injection]:
-        """All that it did."""
 
 
 class CounterWatch:
@@ -105,13 +90,13 @@ class CounterWatch:
 
 
 class StateInjector:
-    """A tap that strikes as one fault says, once; every other publication passes untouched.
+    """A tap that injects one fault, once; every other publication passes untouched.
 
     Attributes:
         injections: What it did so far.
     """
 
-    def __init__(self, fault: Fault, watch: CounterWatch | None = None) -> None:
+    def __init__(self, fault: StateFault, watch: CounterWatch | None = None) -> None:
         """Get ready.
 
         Args:
@@ -120,11 +105,11 @@ class StateInjector:
         """
         self.injections: list[Injection] = []
         self._fault = fault
-        self._spec = find_state(fault.site.state)
+        self._spec = find_state(fault.where.state)
         known = None if watch is None else watch.acted_on.get(self._spec.name)
         self._acted_on = ActedOn(self._spec) if known is None else copy(known)
-        self._in_elements = self._spec.in_elements(fault.site.field)
-        self._spec.find(fault.site.field)
+        self._in_elements = self._spec.in_elements(fault.where.field)
+        self._spec.find(fault.where.field)
         self._armed = fault.has_site
 
     @property
@@ -148,22 +133,22 @@ class StateInjector:
         if not acted_on or time_us < self._fault.time_us or (self._in_elements and len(state.elements) == 0):
             return state
         self._armed = False
-        return self._strike(state, time_us)
+        return self._inject(state, time_us)
 
-    def _strike(self, state: State, time_us: int) -> State:
-        fault, site = self._fault, self._fault.site
+    def _inject(self, state: State, time_us: int) -> State:
+        fault, site = self._fault, self._fault.where
         if self._in_elements:
-            # the list may be shorter than in the golden flight; the record names what was struck
+            # the list may be shorter than in the golden flight; the record names what was injected
             site = replace(site, element=min(site.element or 0, len(state.elements) - 1))
-        struck, before, after = flip(state, site, fault.bit)
-        hit = struck.same_bits(state) == (fault.bit is None)
-        self.injections.append(Injection(fault.level, str(site), time_us / 1e6, fault.bit, before, after, hit))
-        return struck
+        injected, before, after = flip(state, site, fault.bit)
+        activated = injected.same_bits(state) == (fault.bit is None)
+        self.injections.append(Injection(fault.level, str(site), time_us / 1e6, fault.bit, before, after, activated))
+        return injected
 
     def finish(self) -> list[Injection]:
         """All that it did; if the publication never came, one record that says so."""
         if not self.injections:
             fault = self._fault
             time_s = fault.time_us / 1e6 if fault.has_site else 0.0
-            self.injections.append(Injection(fault.level, str(fault.site), time_s, fault.bit, None, None, hit=False))
+            self.injections.append(Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False))
         return self.injections

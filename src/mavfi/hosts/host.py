@@ -12,6 +12,7 @@ from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.flight_log import FlightLog, Profile
+from mavfi.hosts.loop.recovery import Coupling
 from mavfi.mission import Scenario
 from mavfi.plugins import load_object
 
@@ -49,12 +50,12 @@ class ArmSetup:
     Attributes:
         scenario: The mission.
         make_detector: Gives the detector, ready to start; None = nothing watches.
-        coupling: "inline" or "observer".
+        coupling: Of the detector, see `hosts.loop.recovery`.
     """
 
     scenario: Scenario
     make_detector: Callable[[], Detector] | None = None
-    coupling: str = "inline"
+    coupling: Coupling = "inline"
 
 
 class MissionFlights(Protocol):

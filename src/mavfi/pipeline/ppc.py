@@ -8,9 +8,6 @@ from mavfi.pipeline.planning import MotionPlanner
 from mavfi.pipeline.trajectories import TrajectoryGenerator
 from mavfi.pipeline.waypoints import WaypointHandOver
 
-PERIODIC = ("waypoint", "pid")
-"""Kernels that are stepped at the control period, in this order; the others by what they receive."""
-
 
 def build_pipeline(config: PipelineConfig) -> dict[str, Kernel]:
     """All kernels by name: seven, and the state estimator where the pipeline is not told the truth."""

@@ -2,16 +2,7 @@
 
 from mavfi.config import PlatformConfig
 from mavfi.errors import BadInputError
-from mavfi.states import Stage
-
-STAGE_KERNELS: dict[Stage, tuple[str, ...]] = {
-    Stage.PERCEPTION: ("point_cloud", "octomap", "collision_check"),
-    Stage.PLANNING: ("planner", "trajectory"),
-    Stage.CONTROL: ("pid",),
-}
-"""Kernels whose latencies make up a stage's (hand-over itself costs nothing)."""
-UNCHARGED = ("state_estimation",)
-"""Kernels that run on the flight controller: some 10 us a step there, nothing on the modelled computer."""
+from mavfi.states import KERNELS, STAGE_KERNELS, Stage
 
 
 def latency(platform: PlatformConfig, kernel: str) -> int:
@@ -20,7 +11,7 @@ def latency(platform: PlatformConfig, kernel: str) -> int:
     Raises:
         BadInputError: The platform does not say.
     """
-    if kernel in UNCHARGED:
+    if KERNELS[kernel].on_flight_controller:
         return 0
     try:
         return platform.latency_us[kernel]
@@ -31,8 +22,8 @@ def latency(platform: PlatformConfig, kernel: str) -> int:
 
 
 def redo_latency(platform: PlatformConfig, kernel: str, stage: Stage) -> int:
-    """What answering an alarm at a kernel's result costs (microseconds): its stage, or nothing if it is uncharged."""
-    return 0 if kernel in UNCHARGED else stage_latency(platform, stage)
+    """What answering an alarm at a kernel's result costs (microseconds): its stage; nothing on the flight controller."""
+    return 0 if KERNELS[kernel].on_flight_controller else stage_latency(platform, stage)
 
 
 def stage_latency(platform: PlatformConfig, stage: Stage) -> int:

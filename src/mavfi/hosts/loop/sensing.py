@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from mavfi.config import LocalizationConfig
+from mavfi.hosts.loop.plant import Plant
 from mavfi.sim.scene import STEP_US
-from mavfi.sim.simulator import Simulator
 from mavfi.states import ODOMETRY, State, floats, new_state
 
 _ESTIMATE = ODOMETRY["estimator"]
@@ -22,15 +22,15 @@ class Sensors:
         estimating: Whether there is an estimator.
     """
 
-    def __init__(self, sim: Simulator, localization: LocalizationConfig) -> None:
+    def __init__(self, plant: Plant, localization: LocalizationConfig) -> None:
         """Nothing is measured yet.
 
         Args:
-            sim: What they measure.
+            plant: What they measure.
             localization: Truth, or an estimator and the period of its fixes.
         """
         self.estimating = localization.kind == "estimator"
-        self._sim = sim
+        self._plant = plant
         self._period_us = localization.position_period_us
         self._next_fix_us = 0
         self._estimate = np.zeros(7)
@@ -42,7 +42,7 @@ class Sensors:
 
     def depth(self) -> State:
         """A depth image with the pose that it is believed to be from."""
-        ranges, pose = self._sim.depth()
+        ranges, pose = self._plant.depth()
         state = new_state("sensor.depth", len(ranges))
         floats(state.header, 7)[:] = self._estimate if self.estimating else pose
         state.elements["range"] = ranges
@@ -51,12 +51,12 @@ class Sensors:
     def motion(self, now: int) -> list[State]:
         """Where the vehicle is: the true odometry; or a position fix where one is due, and a sample of the IMU."""
         if not self.estimating:
-            return [_state(ODOMETRY["truth"], self._sim.odometry)]
+            return [_state(ODOMETRY["truth"], self._plant.odometry)]
         measured = []
         if now >= self._next_fix_us:
             self._next_fix_us += self._period_us
-            measured.append(_state("sensor.position", self._sim.position_fix()))
-        return [*measured, _state("sensor.imu", self._sim.imu())]
+            measured.append(_state("sensor.position", self._plant.position_fix()))
+        return [*measured, _state("sensor.imu", self._plant.imu())]
 
     def see(self, state: State) -> None:
         """Note the last estimate that consumers have seen."""

@@ -12,15 +12,15 @@ from mavfi.config import (
     PlannerConfig,
     PlatformConfig,
     StackConfig,
-    Vector,
     WindConfig,
     names,
     parse,
     shipped,
 )
 from mavfi.errors import BadInputError
+from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.kernels.perception.state_estimation import Noise
-from mavfi.mission import Scenario
+from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.maps import find_map
@@ -30,7 +30,6 @@ from mavfi.sim.environments import SCAN_ENDINGS, World, environment_for_file
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.states import Stage
 
-CONTROL_PERIOD_US = 20_000
 DEFAULT_V_MAX = 3.0
 NOMINAL_HULL = 0.35
 """Hull that the radii of a stack are meant for (m)."""
@@ -59,62 +58,28 @@ def find_planner(name: str) -> PlannerConfig:
     return PlannerConfig(name=name)
 
 
-def make_scenario(  # noqa: PLR0913 (one keyword for each option of the command line)
-    environment: str,
-    seed: int,
-    *,
-    stack: str = "published",
-    platform: str = "i9-9940x",
-    planner: str = "rrt_connect",
-    vehicle: str | None = None,
-    v_max: float | None = None,
-    start: Vector | None = None,
-    goal: Vector | None = None,
-    depth_noise: float = 0.0,
-    map_kind: str = "dense",
-    map_resolution: float | None = None,
-    wind: float = 0.0,
-    localization: str = "truth",
-) -> Scenario:
-    """A scenario from names; what is not given comes from the environment, then from the defaults.
-
-    Args:
-        environment: Name or path.
-        seed: Mission seed.
-        stack: "published", "hardened", or a path to a YAML file.
-        platform: Name or path.
-        planner: Name, path to a YAML file, entry point or "package:Class".
-        vehicle: Name or path to a YAML file; None = the environment's.
-        v_max: m/s.
-        start: World frame (m); None = the environment's.
-        goal: Same.
-        depth_noise: Standard deviation / range.
-        map_kind: "dense", "octree", entry point or "package:Class".
-        map_resolution: Edge of a voxel (m).
-        wind: Amplitude of gusts (m/s).
-        localization: "truth" or "estimator".
+def resolve(spec: MissionSpec) -> Scenario:
+    """The scenario that a user asks for; what is not given comes from the environment, then from the defaults.
 
     Raises:
         BadInputError: Something is not known, or does not fit together.
     """
-    if seed < 0:
-        raise BadInputError(f"seed: {seed}: must be 0 or more")
-    world = find_environment(environment)
-    if vehicle is not None:
-        world = world.model_copy(update={"vehicle": vehicle})
-    speed = v_max if v_max is not None else (world.v_max or DEFAULT_V_MAX)
+    world = find_environment(spec.environment)
+    if spec.vehicle is not None:
+        world = world.model_copy(update={"vehicle": spec.vehicle})
+    speed = spec.v_max if spec.v_max is not None else (world.v_max or DEFAULT_V_MAX)
     if not 0.1 <= speed <= 20.0:
         raise BadInputError(f"v_max: {speed}: must lie between 0.1 and 20 m/s")
-    camera = CameraConfig(noise=depth_noise) if world.camera_range is None else CameraConfig(
-        noise=depth_noise, range=world.camera_range
+    camera = CameraConfig(noise=spec.depth_noise) if world.camera_range is None else CameraConfig(
+        noise=spec.depth_noise, range=world.camera_range
     )  # fmt: skip
+    resolution = spec.map_resolution if spec.map_resolution is not None else world.map_resolution
     return Scenario(
-        environment=world, seed=seed, stack=shipped("stacks", StackConfig, stack),
-        vehicle=find_vehicle(world.vehicle),
-        platform=shipped("platforms", PlatformConfig, platform), planner=find_planner(planner), camera=camera,
-        map=_map_config(map_kind, map_resolution if map_resolution is not None else world.map_resolution),
-        v_max=speed, start=start, goal=goal, wind=parse(WindConfig, {"gust": wind}, "wind"),
-        localization=parse(LocalizationConfig, {"kind": localization}, "localization"),
+        environment=world, seed=spec.seed, stack=shipped("stacks", StackConfig, spec.autopilot),
+        vehicle=find_vehicle(world.vehicle), platform=shipped("platforms", PlatformConfig, spec.platform),
+        planner=find_planner(spec.planner), camera=camera, map=_map_config(spec.map, resolution),
+        v_max=speed, start=spec.start, goal=spec.goal, wind=parse(WindConfig, {"gust": spec.wind}, "wind"),
+        localization=parse(LocalizationConfig, {"kind": spec.localization}, "localization"),
     )  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """The flights of one mission, without flying twice what is the same: with faults, and under several detectors.
 
-`Family.fly` answers what `mavfi.hosts.inprocess.fly` answers, bit for bit.  It saves work in three ways:
+`FastForward.fly` answers what `mavfi.hosts.local.fly` answers, bit for bit.  It saves work in three ways:
 
 - A flight with a fault begins at the golden twin's last checkpoint before the fault.
 - At each checkpoint at which vehicle, kernels and queue are what they are in a twin's flight, the rest is the twin's.
@@ -16,13 +16,14 @@ import numpy as np
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import MavfiError
-from mavfi.faults.fault import Fault
+from mavfi.faults.fault import StateFault
 from mavfi.faults.state import CounterWatch, StateInjector
 from mavfi.flight_log import FlightLog, Profile
 from mavfi.hosts import memory
-from mavfi.hosts.checkpoints import Checkpoint, Moment, counts_of, is_at, put, set_counts, take
-from mavfi.hosts.compose import CONTROL_PERIOD_US
-from mavfi.hosts.inprocess import Host
+from mavfi.hosts.local.checkpoints import Checkpoint, Instant, is_at, put, take
+from mavfi.hosts.loop.assemble import new_loop
+from mavfi.hosts.loop.recovery import Coupling, Watch
+from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.mission import Scenario
 from mavfi.states import State
 
@@ -85,7 +86,7 @@ class Track:
         return pairwise([*chosen, self.end])
 
 
-class Family:
+class FastForward:
     """All flights of one mission.
 
     Args:
@@ -102,21 +103,27 @@ class Family:
     def __init__(self, scenario: Scenario) -> None:
         if scenario.localization.kind != "truth":
             raise MavfiError("flights with an estimator are not forked")
-        self.host = Host(scenario, want_profile=True, rewindable=True)
+        self.loop = new_loop(scenario, profile=True, rewindable=True)
         self.pitch = TICKS.get(scenario.map.kind, TICKS["octree"])
         self.share = Share()
         self._golden: dict[str, Track] = {}
         self._profile: Profile | None = None
-        self._last: tuple[Fault, Track] | None = None
+        self._last: tuple[StateFault, Track] | None = None
+        self.coupling: Coupling = "inline"
 
-    def fly(self, fault: Fault | None = None, detector: Detector | None = None, arm: str = "") -> Forked:
+    def fly(
+        self, fault: StateFault | None = None, detector: Detector | None = None, arm: str = "",
+        coupling: Coupling = "inline",
+    ) -> Forked:  # fmt: skip
         """Fly, as far as it is not known yet.
 
         Args:
             fault: What to inject; None = golden flight.
             detector: What watches; None = nothing.  It is told to `start` where its flights begin.
-            arm: Name of the detector: the same name always comes with the same detector.
+            arm: Name of the detector: the same name always comes with the same detector and coupling.
+            coupling: Of the detector.
         """
+        self.coupling = coupling
         with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
             if fault is None:
                 track = self.golden(detector, arm)
@@ -134,14 +141,14 @@ class Family:
 
     def _first(self) -> Track:
         """The golden flight without a detector, from take-off."""
-        host = self.host
+        loop = self.loop
         branch = _Branch(self, None, keeps=True)
-        host.injector = CounterWatch()
-        host.begin()
-        branch.keep(take(host))
+        loop.taps.injector = CounterWatch()
+        loop.begin()
+        branch.keep(take(loop))
         track = branch.fly()
-        self._profile = host.publications.profile()
-        host.publications.wanted = False
+        self._profile = loop.record.publications.profile()
+        loop.record.publications.wanted = False
         return track
 
     def _watched(self, detector: Detector) -> Track:
@@ -150,28 +157,28 @@ class Family:
         branch = _Branch(self, detector, [plain], keeps=True)
         detector.start()
         branch.begin(plain, plain.checkpoints[0])
-        branch.host.injector = CounterWatch()
+        branch.loop.taps.injector = CounterWatch()
         branch.keep(plain.checkpoints[0].here)
         branch.follow(plain, 0)
         return branch.fly()
 
-    def _struck(self, fault: Fault) -> Track:
+    def _struck(self, fault: StateFault) -> Track:
         """The flight with a fault and no detector; of the last fault it is known."""
         if self._last is None or self._last[0] != fault:
             self._last = fault, self._injected(fault, None, "")
         return self._last[1]
 
-    def _injected(self, fault: Fault, detector: Detector | None, arm: str) -> Track:
+    def _injected(self, fault: StateFault, detector: Detector | None, arm: str) -> Track:
         own, plain = self.golden(detector, arm), self.golden()
         rows = own.before(fault.time_us)
         start = own.checkpoints[rows]
         injector = StateInjector(fault, memory.restored(start.injector))
-        as_plain = rows in plain.checkpoints and start.moment is plain.checkpoints[rows].moment
+        as_plain = rows in plain.checkpoints and start.instant is plain.checkpoints[rows].instant
         # where nothing has alarmed yet, the flight without a detector shows what happens until it does
         along = self._struck(fault) if detector is not None and as_plain and not injector.spent else None
         branch = _Branch(self, detector, [plain] if along is None else [along, plain], own, keeps=detector is None)
         branch.begin(own, start)
-        branch.host.injector = injector
+        branch.loop.taps.injector = injector
         if detector is not None:
             memory.restored(start.detector)
         if injector.spent:
@@ -179,7 +186,7 @@ class Family:
         elif along is not None:
             branch.follow(along, rows)
         else:
-            put(branch.host, start.here)
+            put(branch.loop, start.here)
             if detector is None:
                 branch.keep(start.here)
         return branch.fly()
@@ -197,52 +204,53 @@ class _Branch:
     """
 
     def __init__(
-        self, family: Family, detector: Detector | None, twins: Sequence[Track] = (), own: Track | None = None,
+        self, family: FastForward, detector: Detector | None, twins: Sequence[Track] = (), own: Track | None = None,
         keeps: bool = False,
     ) -> None:  # fmt: skip
-        self.host = family.host
+        self.loop = family.loop
         self._share, self._pitch = family.share, family.pitch
         self._detector, self._twins, self._own, self._keeps = detector, twins, own, keeps
         self._checkpoints: dict[int, Checkpoint] = {}
         self._shown: list[tuple[State, int]] = []
         self._flown = False
         self._log: FlightLog | None = None
-        self.host.detector, self.host.status = detector, None
+        self.loop.status, taps = None, self.loop.taps
+        taps.detector = None if detector is None else Watch(self.loop, detector, family.coupling)
         shows = keeps and detector is None
-        self.host.observer = (lambda state, now: self._shown.append((state, now))) if shows else None
+        taps.recorders[:] = [lambda state, now: self._shown.append((state, now))] if shows else []
 
     # ---- the record -------------------------------------------------------------------------------------------------
     def begin(self, track: Track, start: Checkpoint) -> None:
         """Take the record of a flight over until a checkpoint."""
-        host = self.host
-        host.rows, host.events = track.rows[: start.rows], track.log.events[: start.events]
-        host.alarms, self._shown = list(start.alarms), track.shown[: start.shown]
-        set_counts(host, start.counts)
+        record = self.loop.record
+        record.rows, record.events = track.rows[: start.rows], track.log.events[: start.events]
+        record.alarms, self._shown = list(start.alarms), track.shown[: start.shown]
+        record.set_counts(start.counts)
 
-    def keep(self, moment: Moment) -> None:
+    def keep(self, instant: Instant) -> None:
         """Note a checkpoint here."""
-        self._checkpoints[len(self.host.rows)] = self._checkpoint(moment)
+        self._checkpoints[len(self.loop.record.rows)] = self._checkpoint(instant)
 
-    def _checkpoint(self, moment: Moment | None = None) -> Checkpoint:
-        host = self.host
-        spent = host.injector is not None and host.injector.spent
+    def _checkpoint(self, instant: Instant | None = None) -> Checkpoint:
+        record, injector = self.loop.record, self.loop.taps.injector
+        spent = injector is not None and injector.spent
         return Checkpoint(
-            moment, len(host.rows), len(host.events), len(self._shown), tuple(host.alarms), counts_of(host), spent,
-            memory.save(host.injector), memory.save(self._detector),
+            instant, len(record.rows), len(record.events), len(self._shown), tuple(record.alarms), record.counts(),
+            spent, memory.save(injector), memory.save(self._detector),
         )  # fmt: skip
 
     def _append(self, track: Track, here: Checkpoint, there: Checkpoint) -> None:
         """Go on as another flight did from one of its checkpoints to another one."""
-        host, log = self.host, track.log
-        host.rows += track.rows[here.rows : there.rows]
-        host.events += log.events[here.events : there.events]
-        host.alarms += log.alarms[len(here.alarms) : len(there.alarms)]
+        record, log = self.loop.record, track.log
+        record.rows += track.rows[here.rows : there.rows]
+        record.events += log.events[here.events : there.events]
+        record.alarms += log.alarms[len(here.alarms) : len(there.alarms)]
         if self._keeps and self._detector is None:
             self._shown += track.shown[here.shown : there.shown]
-        so_far = counts_of(host)
-        set_counts(host, (n + b - a for n, a, b in zip(so_far, here.counts, there.counts, strict=True)))
+        so_far = record.counts()
+        record.set_counts(n + b - a for n, a, b in zip(so_far, here.counts, there.counts, strict=True))
         if there is track.end:
-            self._log = host.log(log.status, log.meta["rejected_commands"])
+            self._log = self.loop.log(log.status, log.meta["rejected_commands"])
         elif self._keeps:
             self.keep(there.here)
 
@@ -266,10 +274,10 @@ class _Branch:
             known = memory.save(self._detector)
             if self._alarms(track.shown[here.shown : there.shown]):
                 memory.restored(known)
-                return put(self.host, here.here)
+                return put(self.loop, here.here)
             self._share.shown += there.rows - here.rows
-            if not self._flown or isinstance(self.host.injector, CounterWatch):
-                self.host.injector = memory.restored(there.injector)
+            if not self._flown or isinstance(self.loop.taps.injector, CounterWatch):
+                self.loop.taps.injector = memory.restored(there.injector)
             self._append(track, here, there)
 
     def _is_own(self, here: Checkpoint, own: Track) -> bool:
@@ -277,14 +285,15 @@ class _Branch:
         known = own.checkpoints.get(here.rows)
         return (
             known is not None
-            and known.moment is here.moment
+            and known.instant is here.instant
             and self._is_through()
             and memory.same(self._detector, known.detector)
         )
 
     def _is_through(self) -> bool:
         """Whether nothing is to come of the tap and of the last alarm."""
-        return not self.host.redo and self.host.injector is not None and self.host.injector.spent
+        injector = self.loop.taps.injector
+        return not self.loop.awaited and not self.loop.requests and injector is not None and injector.spent
 
     def _alarms(self, shown: list[tuple[State, int]]) -> bool:
         detector = self._detector
@@ -298,41 +307,42 @@ class _Branch:
     # ---- flying -----------------------------------------------------------------------------------------------------
     def fly(self) -> Track:
         """Go on to the end, by simulation where nothing else will do."""
-        host = self.host
+        loop, record = self.loop, self.loop.record
         while self._log is None:
             self._flown = True
-            before = len(host.rows)
-            host.run((before // self._pitch + 1) * self._pitch)
-            self._share.flown += len(host.rows) - before
-            if host.status is None:
+            before = len(record.rows)
+            loop.run((before // self._pitch + 1) * self._pitch)
+            self._share.flown += len(record.rows) - before
+            if loop.status is None:
                 self._arrive()
             else:
-                self._log = host.flight().log
-        host.observer = None
-        return Track(self._log, host.rows, self._shown, self._checkpoints, self._checkpoint())
+                self._log = loop.flight().log
+        loop.taps.recorders.clear()
+        return Track(self._log, record.rows, self._shown, self._checkpoints, self._checkpoint())
 
     def _arrive(self) -> None:
         """At the instant of a checkpoint: go on as another flight, if one is in the same state."""
+        rows = len(self.loop.record.rows)
         twin = self._twin() if self._is_through() else None
         if self._keeps:
-            self.keep(take(self.host) if twin is None else twin.checkpoints[len(self.host.rows)].here)
+            self.keep(take(self.loop) if twin is None else twin.checkpoints[rows].here)
         if twin is not None and twin is self._own:
-            self.join(twin, len(self.host.rows))
+            self.join(twin, rows)
         elif twin is not None:
-            self.follow(twin, len(self.host.rows))
+            self.follow(twin, rows)
 
     def _twin(self) -> Track | None:
         """A flight that is in the same state now."""
-        host, seen = self.host, set()
+        loop, seen = self.loop, set()
         for track in (*self._twins, self._own):
-            here = None if track is None else track.checkpoints.get(len(host.rows))
-            if track is None or here is None or not here.spent or id(here.moment) in seen:
+            here = None if track is None else track.checkpoints.get(len(loop.record.rows))
+            if track is None or here is None or not here.spent or id(here.instant) in seen:
                 continue  # a twin that is still to be struck would be struck for this flight, too
-            seen.add(id(here.moment))
+            seen.add(id(here.instant))
             if track is self._own and not memory.same(self._detector, here.detector):
                 continue
-            if isinstance(host.injector, CounterWatch) and not memory.same(host.injector, here.injector):
+            if isinstance(loop.taps.injector, CounterWatch) and not memory.same(loop.taps.injector, here.injector):
                 continue
-            if is_at(host, here.here):
+            if is_at(loop, here.here):
                 return track
         return None

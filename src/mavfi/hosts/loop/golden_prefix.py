@@ -1,4 +1,4 @@
-"""Golden flights that go on only until enough is known: how they began must be how the whole golden flight began."""
+"""Golden flights that are stopped once enough is known: a prefix, which must equal that of the whole golden flight."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -7,12 +7,13 @@ import numpy as np
 
 from mavfi.errors import MavfiError
 from mavfi.flight_log import FlightLog
-from mavfi.hosts.inprocess import Flight, Host
+from mavfi.hosts.host import Flight
+from mavfi.hosts.loop.scheduler import Loop
 from mavfi.mission import MissionStatus
 
 
 @dataclass(frozen=True, slots=True)
-class Beginning:
+class GoldenPrefix:
     """A flight that may have been stopped before its end.
 
     Attributes:
@@ -35,22 +36,22 @@ class Beginning:
             raise MavfiError("two golden flights of one mission differ: no fault can be addressed")
 
 
-def fly_until(host: Host, enough: Callable[[], bool]) -> Flight | None:
+def fly_until(loop: Loop, enough: Callable[[], bool]) -> Flight | None:
     """Fly until it is enough, which is asked after each control period.
 
     Args:
-        host: Of a flight that has not begun.
+        loop: Of a flight that has not begun.
         enough: Whether to stop.
 
     Returns:
         The flight; None if it was stopped before the mission had a status.
     """
-    host.begin()
-    while host.status is None and not enough():
-        host.run(len(host.rows) + 1)
-    return None if host.status is None else host.flight()
+    loop.begin()
+    while loop.status is None and not enough():
+        loop.run(len(loop.record.rows) + 1)
+    return None if loop.status is None else loop.flight()
 
 
-def beginning_of(host: Host) -> Beginning:
-    """What a host has flown."""
-    return Beginning(np.asarray(host.rows), host.status)
+def prefix_of(loop: Loop) -> GoldenPrefix:
+    """What a loop has flown."""
+    return GoldenPrefix(np.asarray(loop.record.rows), loop.status)

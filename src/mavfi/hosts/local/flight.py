@@ -1,0 +1,43 @@
+"""One flight in one process, deterministic to the bit."""
+
+from collections.abc import Sequence
+
+from mavfi.detectors.detector import Detector
+from mavfi.faults.fault import StateFault
+from mavfi.faults.state import StateInjector
+from mavfi.hosts.host import Flight
+from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.recovery import Coupling
+from mavfi.hosts.loop.taps import Recorder
+from mavfi.mission import Scenario
+from mavfi.pipeline.functions import PLAIN, KernelFunctions
+
+
+def fly(
+    scenario: Scenario, fault: StateFault | None = None, detector: Detector | None = None, *,
+    coupling: Coupling = "inline", profile: bool = False, recorders: Sequence[Recorder] = (),
+    functions: KernelFunctions = PLAIN,
+) -> Flight:  # fmt: skip
+    """Fly one mission.
+
+    Args:
+        scenario: The mission.
+        fault: What to inject; None = golden flight.
+        detector: What watches; None = nothing.
+        coupling: Of the detector, see `hosts.loop.recovery`.
+        profile: Whether to note when which state was published.
+        recorders: See what consumers see.
+        functions: What the kernels call: the compiled functions, or instrumented ones.
+
+    Returns:
+        The flight; the same arguments give the same bytes.
+
+    Raises:
+        BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
+    """
+    loop = new_loop(scenario, profile=profile, functions=functions)
+    if fault is not None:
+        loop.taps.injector = StateInjector(fault)
+    watch(loop, detector, coupling)
+    loop.taps.recorders.extend(recorders)
+    return loop.fly()

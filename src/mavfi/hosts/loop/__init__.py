@@ -1,0 +1,1 @@
+"""One flight on integer microseconds: scheduler, plant, taps, recovery; every host composes its flights from these."""

@@ -1,0 +1,51 @@
+"""Puts a flight together: world, plant, kernels and loop."""
+
+from collections.abc import Callable
+from functools import partial
+
+from mavfi.detectors.detector import Detector
+from mavfi.hosts.loop.compose import pipeline_config
+from mavfi.hosts.loop.plant import MakePlant
+from mavfi.hosts.loop.recovery import Coupling, Watch
+from mavfi.hosts.loop.scheduler import Loop
+from mavfi.mission import Scenario
+from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.pipeline.kernel import Kernel, PipelineConfig
+from mavfi.pipeline.ppc import build_pipeline
+from mavfi.sim.environments import build_world
+from mavfi.sim.simulator import Simulator
+
+MakeKernels = Callable[[PipelineConfig], dict[str, Kernel]]
+
+
+def new_loop(
+    scenario: Scenario, *, profile: bool = False, functions: KernelFunctions = PLAIN, rewindable: bool = False,
+    make_plant: MakePlant = Simulator, make_kernels: MakeKernels = build_pipeline,
+) -> Loop:  # fmt: skip
+    """A flight at its start, without taps.
+
+    Args:
+        scenario: The mission.
+        profile: Whether to note when which state was published.
+        functions: What the kernels call: the compiled functions, or instrumented ones.
+        rewindable: Whether the flight can be put back to earlier instants (see `hosts.local.checkpoints`): maps keep
+            their changes, and kernels are marked even if nothing can alarm yet.
+        make_plant: What moves.
+        make_kernels: Makes the kernels, which may be proxies of kernels elsewhere.
+
+    Raises:
+        BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
+    """
+    world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+    plant = make_plant(world, scenario)
+    config = pipeline_config(scenario, world, plant.ray_directions, rewindable, functions)
+    return Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
+
+
+def watch(loop: Loop, detector: Detector | None, coupling: Coupling = "inline") -> None:
+    """Put a detector into a flight that has not begun; None = nothing watches."""
+    if detector is None:
+        return
+    loop.marks = True
+    loop.taps.detector = Watch(loop, detector, coupling)
+    detector.start()

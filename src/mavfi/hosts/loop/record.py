@@ -1,0 +1,66 @@
+"""What a flight leaves while it is flown: rows, events, alarms, and modelled times of kernels."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from mavfi.flight_log import COLUMNS, AlarmRecord, Event
+from mavfi.hosts.loop.publications import Publications
+from mavfi.states import STAGE_KERNELS, State
+
+
+class Record:
+    """The record of one flight.
+
+    Attributes:
+        rows: One for each control period.
+        events: In the order in which they happened.
+        alarms: With the outcomes known so far.
+        compute_us: Modelled time by kernel.
+        recompute_us: Modelled time of recomputations by stage.
+        publications: Their numbers and, if wanted, their instants.
+    """
+
+    def __init__(self, kernels: Iterable[str], publications: Publications) -> None:
+        self.rows: list[np.ndarray] = []
+        self.events: list[Event] = []
+        self.alarms: list[AlarmRecord] = []
+        self.compute_us = dict.fromkeys(kernels, 0)
+        self.recompute_us = {stage.value: 0 for stage in STAGE_KERNELS}
+        self.publications = publications
+
+    def write_row(self, now: int, odometry: np.ndarray, command: np.ndarray, reference: np.ndarray) -> None:
+        """Note a control period: vehicle, shape (13,), command in force, shape (4,), and reference, shape (3,)."""
+        row = np.empty(len(COLUMNS))
+        row[0] = 1e-6 * now
+        row[1:14] = odometry
+        row[14:18] = command
+        row[18:21] = reference
+        self.rows.append(row)
+
+    def note(self, now: int, kind: str, data: dict[str, object]) -> None:
+        """Note an event."""
+        self.events.append(Event(now, kind, data))
+
+    def published(self, state: State, now: int) -> None:
+        """Note a publication, and the event that it is."""
+        self.publications.note(state, now)
+        name, header = state.spec.name, state.header
+        if name == "planning.path":
+            kind = "plan" if len(state.elements) else "plan_failed"
+            self.note(now, kind, {"vertices": len(state.elements)})
+        elif name == "planning.trajectory":
+            self.note(now, "trajectory", {"seq": int(header["trajectory_seq"][0]), "points": len(state.elements)})
+        elif name == "perception.collision_status" and bool(header["collision"][0]):
+            self.note(now, "collision_predicted", {"time_to_collision": float(header["time_to_collision"][0])})
+
+    def counts(self) -> tuple[int, ...]:
+        """What it counts: modelled compute and recompute time of each kernel and stage, publications."""
+        return (*self.compute_us.values(), *self.recompute_us.values(), *self.publications.count.values())
+
+    def set_counts(self, counts: Iterable[int]) -> None:
+        """Inverse of `counts`; what was handed out before does not change."""
+        rest = iter(counts)
+        self.compute_us = {name: next(rest) for name in self.compute_us}
+        self.recompute_us = {name: next(rest) for name in self.recompute_us}
+        self.publications.count = {name: next(rest) for name in self.publications.count}

@@ -1,0 +1,295 @@
+"""The loop of one flight, on integer microseconds: plant, kernels and taps are handed in.
+
+The plant advances to now; a kernel whose period or input is due steps; what it gives is published after the latency of
+its platform, through the taps; the control kernel's command goes to the plant; a status ends the flight.
+"""
+
+import heapq
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from mavfi.flight_log import FlightLog
+from mavfi.hosts.host import Flight
+from mavfi.hosts.loop.judge import Judge
+from mavfi.hosts.loop.plant import Plant
+from mavfi.hosts.loop.publications import Publications
+from mavfi.hosts.loop.record import Record
+from mavfi.hosts.loop.recovery import SCANNING, Action, Awaited
+from mavfi.hosts.loop.sensing import Sensors
+from mavfi.hosts.loop.taps import Taps
+from mavfi.mission import MissionStatus, Scenario
+from mavfi.pipeline.kernel import Kernel
+from mavfi.platforms.compute import latency, redo_latency, stage_latency
+from mavfi.sim.environments import World
+from mavfi.states import KERNELS, ODOMETRY, PERIODIC, STATES, Stage, State, floats, states_with
+
+CONTROL_PERIOD_US = 20_000
+_PHYSICS_US = 4_000
+_TICK = "tick"
+_REQUESTED_AT_TICKS = tuple(
+    name for name, spec in KERNELS.items() if spec.stage is Stage.PLANNING and spec.trigger == "input"
+)
+"""Kernels of which a requested recomputation waits for the next control period, not for an input."""
+
+
+class Loop:
+    """One flight.
+
+    Args:
+        scenario: The mission.
+        world: Its world.
+        plant: What moves, at the start.
+        make_kernels: Makes the kernels by name; they may be proxies of kernels elsewhere.
+        want_profile: Whether to note when which state was published.
+        marks: Whether kernels are marked before their steps, so that they can be recomputed.
+
+    Attributes:
+        taps: What every published state passes; hosts put theirs in before the flight.
+        actions: What can be put into the queue, by name; hosts add theirs.
+        before_tick: Called with the instant (us) before each control period.
+        after_tick: The same after it.
+        after_step: Called with a kernel, what it gave, and the instant, before that is published.
+        before_end: Called when the mission has a status.
+        record: What the flight leaves.
+        busy: Kernels whose latency has not passed, and an input that waits for it.
+        awaited: Recomputations on their way, by state.
+        requests: Recomputations that wait for the kernel's next step, by kernel (coupling `observer`).
+        down: Kernels whose node is dead.
+    """
+
+    # configuration; what is judged, counted or recorded; and the taps, which a checkpoint holds beside the memory
+    not_memory = (
+        "scenario", "world", "plant", "make_kernels", "latency", "readers", "marks", "status", "record", "taps",
+        "actions", "before_tick", "after_tick", "after_step", "before_end", "judge", "sensors", "down",
+    )  # fmt: skip
+
+    def __init__(
+        self, scenario: Scenario, world: World, plant: Plant, make_kernels: Callable[[], dict[str, Kernel]], *,
+        want_profile: bool = False, marks: bool = False,
+    ) -> None:  # fmt: skip
+        self.scenario, self.world, self.plant, self.make_kernels, self.marks = (
+            scenario, world, plant, make_kernels, marks,
+        )  # fmt: skip
+        self.kernels = make_kernels()
+        self.latency = {name: latency(scenario.platform, name) for name in self.kernels}
+        self.readers: dict[str, list[Kernel]] = {
+            name: [kernel for kernel in self.kernels.values() if name in kernel.reads] for name in STATES
+        }
+        self.sensors = Sensors(plant, scenario.localization)
+        self.judge = Judge.of(scenario, world)
+        self.record = Record(self.kernels, Publications(want_profile, states_with(scenario.localization.kind)))
+        self.taps = Taps()
+        self.actions: dict[str, Callable[..., None]] = {
+            _TICK: self.tick, "capture": self.capture, "sense": self.sense, "done": self.done
+        }  # fmt: skip
+        self.before_tick: list[Callable[[int], None]] = []
+        self.after_tick: list[Callable[[int], None]] = []
+        self.after_step: list[Callable[[Kernel, list[State], int], None]] = []
+        self.before_end: list[Callable[[], None]] = []
+        self.queue: list[tuple[int, int, str, tuple[Any, ...]]] = []
+        self.order, self.now = 0, 0
+        self.busy: dict[str, State | None] = {}
+        self.awaited: dict[str, Awaited] = {}
+        self.requests: dict[str, Action] = {}
+        self.down: set[str] = set()
+        self.mapped, self.captured_us, self.failed_plans = False, 0, 0
+        self.command = np.zeros(4)
+        self.reference = plant.odometry[:3].copy()
+        self.status: MissionStatus | None = None
+
+    # ---- time -------------------------------------------------------------------------------------------------------
+    def at(self, time_us: int, action: str, *arguments: Any) -> None:  # noqa: ANN401 (as the action wants)
+        """Do something later, by its name in `actions`; what was asked for first is done first."""
+        self.order += 1
+        heapq.heappush(self.queue, (time_us, self.order, action, arguments))
+
+    def fly(self) -> Flight:
+        """Run until the mission has a status; the same mission gives the same bytes."""
+        with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
+            self.begin()
+            self.run()
+            return self.flight()
+
+    def begin(self) -> None:
+        """Put into the queue what a flight begins with; with an estimator, images need its first estimate."""
+        for action in (_TICK, "capture") if self.sensors.estimating else ("capture", _TICK):
+            self.at(0, action)
+
+    def run(self, until: int = sys.maxsize) -> None:
+        """Go on until the mission has a status, or a control tick is next and so many have been."""
+        while self.status is None:
+            if self.queue[0][2] == _TICK and len(self.record.rows) >= until:
+                return
+            self.now, _, action, arguments = heapq.heappop(self.queue)
+            # the vehicle is where the first physics step at or after this instant leaves it
+            self.plant.advance(-(-self.now // _PHYSICS_US) * _PHYSICS_US)
+            self.actions[action](self.now, *arguments)
+
+    def flight(self) -> Flight:
+        """What became of it, once the mission has a status."""
+        assert self.status is not None  # `run` has come to the end
+        for listener in self.before_end:
+            listener()
+        for text in self.plant.warnings():
+            self.record.note(self.now, "warning", {"text": text})
+        log = self.log(self.status, self.plant.rejected_commands)
+        return Flight(log, self.record.publications.profile(), self.world, self.kernels)
+
+    # ---- sensors and the control period -----------------------------------------------------------------------------
+    def capture(self, now: int) -> None:
+        """Take a depth image, or use the last one again where a recomputation of perception is requested."""
+        self.captured_us, self.mapped = now, False
+        request = self.requests.pop(SCANNING[0], None)
+        if request is not None:
+            self.recompute(request, now)
+            return
+        if self.marks:
+            for name in SCANNING:
+                self.kernels[name].mark()
+        self.deliver(self.sensors.depth(), now)
+
+    def tick(self, now: int) -> None:
+        """One control period: judge, measure where the vehicle is, hand over, track."""
+        for listener in self.before_tick:
+            listener(now)
+        self.status = self.judge.status(self.plant, self.failed_plans, now)
+        self.record.write_row(now, self.plant.odometry, self.command, self.reference)
+        if self.status is None:
+            self._control_period(now)
+        for listener in self.after_tick:
+            listener(now)
+
+    def _control_period(self, now: int) -> None:
+        self.sense(now)
+        for later in self.sensors.samples_between(now, now + CONTROL_PERIOD_US):
+            self.at(later, "sense")
+        for name in PERIODIC:
+            if name not in self.busy:
+                self.start(self.kernels[name], now)
+        self.at(now + CONTROL_PERIOD_US, _TICK)
+        for name in _REQUESTED_AT_TICKS:
+            if name in self.requests and name not in self.busy:
+                self.start(self.kernels[name], now)
+
+    def sense(self, now: int) -> None:
+        """Publish what says where the vehicle is."""
+        for state in self.sensors.motion(now):
+            self.deliver(state, now)
+
+    # ---- kernels ----------------------------------------------------------------------------------------------------
+    def start(self, kernel: Kernel, now: int, latency_us: int | None = None) -> None:
+        """Run a kernel, again if that is requested; what it gives is published when its latency has passed.
+
+        Args:
+            kernel: It is not busy.
+            now: Instant (us).
+            latency_us: Instead of the kernel's.
+        """
+        request = None if kernel.name in SCANNING else self.requests.pop(kernel.name, None)  # those: see `capture`
+        if request is not None:
+            if request.kind != "recompute":
+                kernel.mark()  # it takes the place of the period's step
+            self.recompute(request, now)
+            return
+        if self.marks and kernel.name not in SCANNING:
+            kernel.mark()
+        self.finish(kernel, kernel.step(now), now, self.latency[kernel.name] if latency_us is None else latency_us)
+
+    def finish(self, kernel: Kernel, states: list[State], now: int, latency_us: int) -> None:
+        """Publish a kernel's results when its latency has passed; those of a dead node are lost."""
+        for listener in self.after_step:
+            listener(kernel, states, now)
+        if kernel.name in self.down:
+            return
+        self.record.compute_us[kernel.name] += self.latency[kernel.name]
+        if latency_us == 0:
+            for state in states:
+                self.deliver(state, now)
+            return
+        self.busy[kernel.name] = None
+        self.at(now + latency_us, "done", kernel.name, states)
+
+    def done(self, now: int, name: str, states: list[State]) -> None:
+        """The latency of a kernel has passed."""
+        if name in self.down:
+            return
+        waiting = self.busy.pop(name, None)
+        for state in states:
+            self.deliver(state, now)
+        if waiting is None:
+            return
+        kernel = self.kernels[name]
+        if name in self.busy:  # it is run again: what waits goes on waiting
+            self.busy[name] = self.busy[name] or waiting
+        elif kernel.receive(waiting, now):
+            self.start(kernel, now)
+
+    # ---- publications -----------------------------------------------------------------------------------------------
+    def deliver(self, state: State, now: int) -> None:
+        """Send a value through the taps to its consumers."""
+        seen = self.taps(state, now)
+        if seen is not None:
+            self.publish(seen, now)
+
+    def publish(self, state: State, now: int) -> None:
+        """Show a value to its consumers; steps that it makes due begin."""
+        name = state.spec.name
+        self.record.published(state, now)
+        if name == "planning.path":
+            self.failed_plans = 0 if len(state.elements) else self.failed_plans + 1
+        for kernel in self.readers[name]:
+            if kernel.receive(state, now) and kernel.name not in PERIODIC:
+                if kernel.name in self.busy:
+                    self.busy[kernel.name] = state
+                else:
+                    self.start(kernel, now)
+        if name == "control.command":
+            values = floats(state.header, 5)
+            self.command = values[:4].copy()
+            self.plant.command(self.command, float(values[4]))
+        elif name == ODOMETRY["estimator"]:
+            self.sensors.see(state)
+        elif name == "planning.waypoint":
+            self.reference = floats(state.header, 3).copy()
+        elif name == "perception.map_update":
+            self.mapped = True
+        elif name == "perception.collision_status" and self.mapped:
+            self.mapped = False
+            self.at(max(now, self.captured_us + self.scenario.camera.period_us), "capture")
+
+    # ---- recovery ---------------------------------------------------------------------------------------------------
+    def recompute(self, action: Action, now: int) -> None:
+        """Put memory back and step again, or ask hand-over for another way-point; the latency is charged again."""
+        kernel: Any = self.kernels[action.kernel]
+        cost = self.charge(action)
+        if action.kind != "recompute":
+            self.finish(kernel, kernel.stop() if action.kind == "stop" else kernel.abandon(now), now, cost)
+            return
+        for name in action.restores:
+            self.kernels[name].rollback()
+        self.start(kernel, now, None if action.kernel in SCANNING else cost)
+
+    def charge(self, action: Action) -> int:
+        """Charge a recomputation; gives its modelled time (us)."""
+        platform = self.scenario.platform
+        cost = redo_latency(platform, action.kernel, action.stage) if action.kernel else stage_latency(
+            platform, action.stage
+        )  # fmt: skip
+        self.record.recompute_us[action.stage.value] += cost
+        return cost
+
+    # ---- record -----------------------------------------------------------------------------------------------------
+    def log(self, status: MissionStatus, rejected_commands: int) -> FlightLog:
+        """The record of a flight that is over."""
+        record, injector = self.record, self.taps.injector
+        meta = {
+            "scenario": self.scenario.to_json(), "start": self.world.start.tolist(), "goal": self.world.goal.tolist(),
+            "course_m": self.world.course, "time_limit_s": 1e-6 * self.judge.limit_us, "world": self.world.digest(),
+            "compute_us": record.compute_us, "recompute_us": record.recompute_us,
+            "publications": record.publications.count, "rejected_commands": rejected_commands,
+        }  # fmt: skip
+        injections = [] if injector is None else injector.finish()
+        return FlightLog(np.array(record.rows), status, record.events, injections, record.alarms, meta)

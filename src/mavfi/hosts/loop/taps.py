@@ -1,0 +1,48 @@
+"""The functions that every published state passes, in a fixed order: injector, detector, recorders."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from mavfi.flight_log import Injection
+from mavfi.states import State
+
+Tap = Callable[[State, int], State | None]
+"""Takes a publication and the instant (us); gives what is published instead, or None = held back."""
+Recorder = Callable[[State, int], None]
+"""Sees what consumers will see, and the instant (us)."""
+
+
+class Injector(Protocol):
+    """The first tap."""
+
+    @property
+    def spent(self) -> bool:
+        """Whether it leaves everything that comes untouched."""
+
+    def __call__(self, state: State, time_us: int) -> State | None:
+        """What is published instead; None = it got lost."""
+
+    def finish(self) -> list[Injection]:
+        """All that it did."""
+
+
+@dataclass(slots=True)
+class Taps:
+    """The taps of one flight, in their order."""
+
+    injector: Injector | None = None
+    detector: Tap | None = None
+    recorders: list[Recorder] = field(default_factory=list)
+
+    def __call__(self, state: State, time_us: int) -> State | None:
+        """What consumers see of a publication; None = nothing."""
+        seen: State | None = state
+        if self.injector is not None:
+            seen = self.injector(state, time_us)
+        if self.detector is not None and seen is not None:
+            seen = self.detector(seen, time_us)
+        if seen is not None:
+            for record in self.recorders:
+                record(seen, time_us)
+        return seen
