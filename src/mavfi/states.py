@@ -88,7 +88,7 @@ PLANNERS: dict[str, tuple[str, ...]] = {
 """What the kernel `planner` calls, by the planner of the mission: finding and shortening paths."""
 
 INJECTABLE: dict[str, tuple[str, ...]] = {}
-"""Functions by the name under which instruction faults name a kernel, as in the paper's Fig. 3; planners by their own."""
+"""Functions by the name under which instruction faults name a kernel, as in the paper's Fig. 3; planners by theirs."""
 INJECTED_KERNEL: dict[str, str] = {}
 """Row of `KERNELS` by that name."""
 for _spec in _KERNEL_TABLE:
