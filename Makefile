@@ -66,7 +66,7 @@ forking: setup  ## fly runs of table1 the long way and forked, compare every byt
 	@$(BIN)/python benchmarks/forking.py --missions $(or $(N),3)
 
 many-strikes: setup  ## strike a kernel 100,000 times in forked children, and look for what is left behind (N=...)
-	@$(BIN)/python -m benchmarks.many_strikes $(N)
+	@$(BIN)/python -m benchmarks.many_injections $(N)
 
 coupling: setup  ## what the delay of an observer costs, against a gate; writes the table in docs/ros.md (N=...)
 	@$(BIN)/python -m benchmarks.coupling

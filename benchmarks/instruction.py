@@ -1,8 +1,8 @@
-"""What instruction-level injection costs: a struck call, a fork, a warm start; and that golden flights pay nothing.
+"""What instruction-level injection costs: an injected call, a fork, a warm start; and that golden flights pay nothing.
 
     python benchmarks/instruction.py
 
-A struck call is compared with the same call of the plain kernel, on arguments recorded in flights.  Forks and starts
+An injected call is compared with the same call of the plain kernel, on arguments recorded in flights.  Forks and starts
 are given in CPU time, too: on a busy machine their wall time tells how long the queue is.
 """
 
@@ -17,14 +17,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from mavfi.faults.instruction import Counting, Injecting, InstructionFault, run_in_child
-from mavfi.faults.instruction.api import name_of
+from mavfi.faults.fault import InstructionFault
+from mavfi.faults.instruction import Counting, Injecting, run_in_child
+from mavfi.faults.instruction.build import name_of
 from mavfi.faults.instruction.runtime import NEVER
 from mavfi.faults.instruction.variant import signature_of, variant_for
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import fly
 from mavfi.kernels.control import pid
-from mavfi.pipeline.functions import PLAIN, STRUCK
+from mavfi.pipeline.functions import PLAIN
+from mavfi.states import INJECTABLE
 
 REPEATS = 15
 FLIGHTS = 7
@@ -61,16 +63,22 @@ class Recorder:
 
 
 def recorded() -> dict[str, tuple[Any, ...]]:
-    """Arguments of the longest call of each struck function in three flights."""
+    """Arguments of the longest call of each function that can be injected in three flights."""
     found: dict[str, tuple[Any, ...]] = {}
     for planner, stack, kind in (
         ("rrt_connect", "hardened", "dense"), ("rrt", "published", "octree"), ("rrt_star", "hardened", "dense")
     ):  # fmt: skip
-        twins = {name: Recorder(getattr(PLAIN, name)) for name in PLAIN.__dataclass_fields__}
+        recorders = {name: Recorder(getattr(PLAIN, name)) for name in PLAIN.__dataclass_fields__}
         scenario = make_scenario("sparse", 7, planner=planner, stack=stack, map_kind=kind)
         fly(scenario)  # compiles, or reads the cache
-        fly(scenario, functions=replace(PLAIN, **twins))
-        found.update({name: twin.args for name, twin in twins.items() if twin.args is not None and name not in found})
+        fly(scenario, functions=replace(PLAIN, **recorders))
+        found.update(
+            {
+                name: recorder.args
+                for name, recorder in recorders.items()
+                if recorder.args is not None and name not in found
+            }
+        )
     return found
 
 
@@ -99,7 +107,7 @@ def _cpu() -> float:
 
 
 def warm_start(args: dict[str, tuple[Any, ...]]) -> Row:
-    """A fresh process that has every struck function instrumented and ready."""
+    """A fresh process that has every function instrumented and ready."""
     wanted = pickle.dumps([(name, signature_of(values)) for name, values in args.items()])
     walls = []
     for _ in range(3):
@@ -116,7 +124,7 @@ def warm_start(args: dict[str, tuple[Any, ...]]) -> Row:
 def call_rows(args: dict[str, tuple[Any, ...]], fork: float) -> list[Row]:
     """For each kernel the longest call, plain and instrumented, and what a flight with a fault costs more."""
     rows = []
-    for kernel, names in STRUCK.items():
+    for kernel, names in INJECTABLE.items():
         for name in names:
             plain, variant = getattr(PLAIN, name), variant_for(getattr(PLAIN, name), args[name])
             walls = (
@@ -144,17 +152,17 @@ def flight_rows() -> list[Row]:
         name_of(pid.track), counting.digests[call], NEVER - 1, call=call, bits=(0,), budget=NEVER
     )  # fmt: skip
     walls: dict[str, list[float]] = {"golden": [], "armed": []}
-    for _ in range(FLIGHTS):  # in turn, so that the machine's load strikes both
+    for _ in range(FLIGHTS):  # in turn, so that the machine's load falls on both
         for name, functions in (("golden", PLAIN), ("armed", None)):
-            twins = functions or replace(PLAIN, track=Injecting(pid.track, fault))
+            table = functions or replace(PLAIN, track=Injecting(pid.track, fault))
             start = time.process_time()
-            fly(scenario, functions=twins)
+            fly(scenario, functions=table)
             walls[name].append(time.process_time() - start)
     golden, armed = min(walls["golden"]), min(walls["armed"])
     same = PLAIN.track is pid.track
     return [
         ("golden flights call the compiled kernels themselves", "yes" if same else "no"),
-        ("golden flight / flight with an injector that never strikes", f"{golden:.3f} / {armed:.3f} s CPU"),
+        ("golden flight / flight with an injector that never injects", f"{golden:.3f} / {armed:.3f} s CPU"),
     ]
 
 

@@ -116,9 +116,9 @@ def study(name: str, function: str, args: tuple[Any, ...], n: int, tell: Callabl
         tell(f"{name}, machine level: {machine.total()} of {n}")
     ir: Counter[str] = Counter()
     for fault in draw(kernel, n, *args, seed=SEED):
-        struck = run_forked(kernel, fault, *args)
-        assert struck.strike.hit
-        ir[struck.how] += 1
+        injected = run_forked(kernel, fault, *args)
+        assert injected.injection.activated
+        ir[injected.how] += 1
         tell(f"{name}, IR level: {ir.total()} of {n}")
     values = count(kernel, *copy.deepcopy(args))
     outcomes = {"machine": machine, "IR": ir}

@@ -22,9 +22,9 @@ def main() -> None:
     print(f"{instruction.count(mean_square, values)} dynamic instructions")
     for fault in instruction.draw(mean_square, 8, values, seed=1):
         outcome = instruction.run_forked(mean_square, fault, values)
-        strike = outcome.strike
-        before, after = strike.number(strike.before), strike.number(strike.after)
-        print(f"{outcome.how:9} index {fault.index}, bit {fault.bits[0]}: {strike.site}: {before} -> {after}")
+        injection, details = outcome.injection, outcome.injection.details
+        where = f"{injection.file}:{injection.line} {details['opcode']} {details['type']}"
+        print(f"{outcome.how:9} index {fault.index}, bit {fault.bit}: {where}: {injection.before} -> {injection.after}")
 
 
 if __name__ == "__main__":

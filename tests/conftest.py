@@ -23,8 +23,8 @@ def pytest_addoption(parser):
 
 @pytest.fixture(autouse=True, scope="module")
 def _no_templates_are_left():
-    """Processes from which struck flights are forked wait for more; the next module may count its children."""
+    """Processes from which injected flights are forked wait for more; the next module may count its children."""
     yield
-    template = sys.modules.get("mavfi.hosts.template")
+    template = sys.modules.get("mavfi.hosts.instruction.template")
     if template is not None:
         template.close_templates()

@@ -22,6 +22,6 @@ def test_another_process_has_its_own_compiled_functions_not_copies_to_be_compile
     assert done.stdout.split() == [b"True", b"True"]
 
 
-def test_twins_stay_in_their_process():
+def test_instrumented_functions_stay_in_their_process():
     with pytest.raises(pickle.PicklingError):
-        pickle.dumps(PLAIN.with_twins(("track",), lambda name, plain: lambda *arguments: plain(*arguments)))
+        pickle.dumps(PLAIN.instrumented(("track",), lambda name, plain: lambda *arguments: plain(*arguments)))

@@ -25,7 +25,7 @@ class Built:
 
     Attributes:
         code: Object file.
-        table: What can be struck.
+        table: What can be injected.
         ir_sha256: Digest of the fault space.
         wrapper: Name of the function that Python calls.
         environment: Name of the global that points to Numba's environment of the kernel.

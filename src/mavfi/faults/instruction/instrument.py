@@ -4,10 +4,10 @@ Each block with n sites becomes
 
     B:       its phis; counter += n; beyond the threshold? -> B.slow, else -> B.fast
     B.fast:  the instructions as they were                                           -> B.join
-    B.slow:  the same ones, each followed by (value & keep) ^ flip where it is struck -> B.join
+    B.slow:  the same ones, each followed by (value & keep) ^ flip where it is injected -> B.join
     B.join:  a phi for each value that is used elsewhere; the terminator
 
-so that all but the struck block run as before.  Nothing is optimised after this, only translated.
+so that all but the injected block run as before.  Nothing is optimised after this, only translated.
 """
 
 import hashlib
@@ -37,7 +37,7 @@ class Instrumented:
 
     Attributes:
         text: Its IR.
-        table: What can be struck.
+        table: What can be injected.
         ir_sha256: Digest of the fault space, the same in every process.
     """
 
@@ -161,13 +161,13 @@ class _Rewriter:
 
     def _slow(self, block: Block, names: dict[str, str], after: str, number: int) -> dict[str, str]:
         self.lines.append(f"{block.label[1:]}.slow:")
-        struck = self._let(f"call i64 @mavfi_slow(i64 {after}, i64 {len(block.sites)}, i64 {number})")
+        injected = self._let(f"call i64 @mavfi_slow(i64 {after}, i64 {len(block.sites)}, i64 {number})")
         self.seen = self._let(
             f"getelementptr i64, ptr {self._let(f'load ptr, ptr {address(Control.REPORT)}')}, i64 {REPORT_WORDS}"
         )
         offset = 0
         for phi in block.phis:
-            names[str(phi.result)] = self._strike(phi, f"{phi.result}.p", struck, offset)
+            names[str(phi.result)] = self._injected(phi, f"{phi.result}.p", injected, offset)
             offset += 1
         for instruction in block.body:
             text = instruction.text(names)
@@ -175,21 +175,21 @@ class _Rewriter:
                 self.lines.append(f"  {text}")
                 continue
             self.lines.append(f"  {instruction.result}.r = {text}")
-            names[instruction.result] = self._strike(instruction, f"{instruction.result}.r", struck, offset)
+            names[instruction.result] = self._injected(instruction, f"{instruction.result}.r", injected, offset)
             offset += 1
         self.lines.append(f"  br label {block.label}.join")
         return names
 
-    def _strike(self, site: Instruction, raw: str, struck: str, offset: int) -> str:
-        """Emit what changes a value if it is the struck one, and notes it before and after; gives its new name."""
+    def _injected(self, site: Instruction, raw: str, chosen: str, offset: int) -> str:
+        """Emit what changes a value if it is the chosen one, and notes it before and after; gives its new name."""
         bits = width(site.kind)
         word, room = f"i{bits}", f"i{-(-bits // 8) * 8}"
-        hit = self._let(f"icmp eq i64 {struck}, {offset}")
+        here = self._let(f"icmp eq i64 {chosen}, {offset}")
         value = self._to_bits(raw, site.kind, bits)
         keep, flip = (self._resized(self._let(f"load {room}, ptr @mavfi_{m}"), room, word) for m in ("keep", "flip"))
         changed = self._let(f"xor {word} {self._let(f'and {word} {value}, {keep}')}, {flip}")
-        result = self._let(f"select i1 {hit}, {word} {changed}, {word} {value}")
-        seen = self._let(f"select i1 {hit}, ptr {self.seen}, ptr @mavfi_unseen")
+        result = self._let(f"select i1 {here}, {word} {changed}, {word} {value}")
+        seen = self._let(f"select i1 {here}, ptr {self.seen}, ptr @mavfi_unseen")
         self.lines.append(f"  store {room} {self._resized(value, word, room)}, ptr {seen}, align 1")
         later = self._let(f"getelementptr i8, ptr {seen}, i64 {MASK_BYTES}")
         self.lines.append(f"  store {room} {self._resized(result, word, room)}, ptr {later}, align 1")

@@ -1,4 +1,4 @@
-"""The part of an instrumented kernel that counts, resolves and strikes: hand-written IR, and where its memory lies.
+"""The part of an instrumented kernel that counts, resolves and injects: hand-written IR, and where its memory lies.
 
 A counter runs over the values that the kernel writes.  Each block adds the number of its sites before it runs and
 compares with a threshold; only beyond it `mavfi_slow` is called, which decides by the mode.
@@ -15,7 +15,7 @@ class Control(IntEnum):
     MODE = 2
     TARGET = 3
     BUDGET = 4
-    STRUCK = 5
+    INJECTED = 5
     REPORT = 6
     STOP = 7
     HISTOGRAM = 8
@@ -44,7 +44,7 @@ NEVER = 2**63 - 1
 MASK_BYTES = 512
 """Room for each of the masks `mavfi_keep` and `mavfi_flip`, and of the values before and after in the report."""
 REPORT_WORDS = 3
-"""The report begins with: struck?, block, offset.  It lies in memory that a parent shares with its forked children, so
+"""The report begins with: injected?, block, offset.  It lies in memory that a parent shares with its forked children, so
 that it outlives a crash."""
 REPORT_BYTES = 8 * REPORT_WORDS + 2 * MASK_BYTES
 HANG_EXIT = 77
@@ -77,13 +77,13 @@ entry:
                                     i64 {Mode.RESOLVE:d}, label %resolve
                                     i64 {Mode.LOCATE:d}, label %locate ]
 inject:
-{_load("done", Control.STRUCK)}
+{_load("done", Control.INJECTED)}
   %over = icmp ne i64 %done, 0
-  br i1 %over, label %exhausted, label %strike
-strike:
+  br i1 %over, label %exhausted, label %change
+change:
 {_load("target", Control.TARGET)}
   %offset = sub i64 %target, %base
-{_store("1", Control.STRUCK)}
+{_store("1", Control.INJECTED)}
 {_load("report", Control.REPORT, "ptr")}
   store volatile i64 1, ptr %report
   %report.block = getelementptr i64, ptr %report, i64 1

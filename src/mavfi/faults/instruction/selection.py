@@ -1,4 +1,4 @@
-"""Which instructions may be struck: all, floating point, data, one class or opcode, or some source lines."""
+"""Which instructions may be injected: all, floating point, data, one class or opcode, or some source lines."""
 
 import re
 from dataclasses import dataclass

@@ -13,7 +13,7 @@ from mavfi.faults.instruction.metadata import Frame, Locations
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """A static instruction whose result can be struck.
+    """A static instruction whose result can be injected.
 
     Attributes:
         block: Number of its block in the kernel.

@@ -1,4 +1,4 @@
-"""The instrumented variant of one signature of a kernel, in memory: its modes, and what a strike reported.
+"""The instrumented variant of one signature of a kernel, in memory: its modes, and what an injection reported.
 
 A variant is one piece of code with one control block: it is not for several threads at once.
 """
@@ -25,12 +25,12 @@ _CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, c
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a strike reported.
+    """What an injection reported.
 
     Attributes:
         site: Which static instruction.
         before: Bits of its result, as an integer.
-        after: The same after the strike.
+        after: The same after the injection.
     """
 
     site: Site
@@ -86,7 +86,7 @@ class Variant:
     """Instrumented machine code that takes the arguments of its kernel.
 
     Attributes:
-        table: What can be struck.
+        table: What can be injected.
         ir_sha256: Digest of the fault space.
     """
 
@@ -109,7 +109,7 @@ class Variant:
         self._set(Mode.INJECT, NEVER)
 
     def own_report(self) -> None:
-        """Let strikes from here on report to this process: called by the one that will read, before it forks.
+        """Let injections from here on report to this process: called by the one that will read, before it forks.
 
         The memory outlives a child that dies, so forks share it: two workers of one parent must not use the parent's.
         """
@@ -117,7 +117,7 @@ class Variant:
             return
         self._reader = os.getpid()
         report = np.frombuffer(mmap.mmap(-1, REPORT_BYTES), np.uint8)
-        self._struck = report[: 8 * REPORT_WORDS].view(np.int64)
+        self._injected = report[: 8 * REPORT_WORDS].view(np.int64)
         self._values = report[8 * REPORT_WORDS :]
         self._control[Control.REPORT] = report.ctypes.data
 
@@ -130,7 +130,7 @@ class Variant:
 
     def _set(self, mode: Mode, threshold: int) -> None:
         control = self._control
-        control[Control.COUNTER] = control[Control.STRUCK] = 0
+        control[Control.COUNTER] = control[Control.INJECTED] = 0
         control[Control.MODE] = mode
         control[Control.THRESHOLD] = threshold
 
@@ -210,7 +210,7 @@ class Variant:
             self._set(Mode.INJECT, NEVER)
 
     def inject(self, index: int, keep: int, flip: int, budget: int, *args: Any) -> Any:
-        """Run and strike once: the value with dynamic index `index` becomes (value & keep) ^ flip.
+        """Run and inject once: the value with dynamic index `index` becomes (value & keep) ^ flip.
 
         Args:
             index: From 0.
@@ -221,7 +221,7 @@ class Variant:
         """
         for memory, mask in ((self._keep, keep), (self._flip, flip)):
             memory[:] = np.frombuffer((mask % (1 << 8 * MASK_BYTES)).to_bytes(MASK_BYTES, "little"), np.uint8)
-        self._struck[:] = 0
+        self._injected[:] = 0
         control = self._control
         control[Control.TARGET], control[Control.BUDGET] = index, budget
         self._set(Mode.INJECT, index)
@@ -231,9 +231,9 @@ class Variant:
             self._set(Mode.INJECT, NEVER)
 
     def report(self) -> Report | None:
-        """What the last strike did, here or in a forked child; None if the index was not reached."""
-        struck, block, offset = self._struck.tolist()
-        if not struck:
+        """What the last injection did, here or in a forked child; None if the index was not reached."""
+        injected, block, offset = self._injected.tolist()
+        if not injected:
             return None
         site = self.table.blocks[block][offset]
         size = -(-site.width // 8)

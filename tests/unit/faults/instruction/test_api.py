@@ -1,4 +1,4 @@
-"""Counting, drawing and striking kernels of one's own; outcomes; records."""
+"""Counting, drawing and injecting in kernels of one's own; outcomes; records."""
 
 import json
 import runpy
@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavfi.faults.instruction import InstructionFault, count, draw, histogram, inject, resolve, run_forked
-from mavfi.faults.instruction.api import budget_for, digest
+from mavfi.faults.fault import InstructionFault, fault_from_json
+from mavfi.faults.instruction import budget_for, count, draw, histogram, inject, resolve, run_forked
+from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.variant import variant_for
 from tests.architecture.source import ROOT
 from tests.unit.faults.instruction.kernels import LOOP, counted_down, double, fill, loop, raising
@@ -29,6 +30,11 @@ def first(kernel, opcode, *args):
     return InstructionFault(name, variant.ir_sha256, index, bits=(0,))
 
 
+def flipped(injection):
+    """Which bits of the value differ."""
+    return int(injection.details["before_bits"], 16) ^ int(injection.details["after_bits"], 16)
+
+
 @pytest.mark.slow
 def test_a_kernel_of_ones_own_in_a_few_lines(capsys):
     runpy.run_path(str(ROOT / "examples" / "instruction_fault.py"), run_name="__main__")
@@ -42,14 +48,14 @@ def test_a_kernel_of_ones_own_in_a_few_lines(capsys):
 def test_an_injected_call_changes_its_arguments_and_tells():
     values = numbers()
     fault = replace(first(fill, "fmul", values, 2.0), bits=(62,))
-    result, strike = inject(fill, fault, values, 2.0)
+    result, injection = inject(fill, fault, values, 2.0)
     plain = numbers()
     fill(plain, 2.0)
     changed = np.flatnonzero(values != plain)
-    assert strike.hit and len(changed) > 0
-    assert strike.after == strike.before ^ (1 << 62)
-    assert strike.number(strike.before) == numbers()[1] * 2.0
-    assert strike.site.opcode == "fmul" and strike.site.file.endswith("kernels.py")
+    assert injection.activated and len(changed) > 0
+    assert flipped(injection) == 1 << 62
+    assert injection.before == numbers()[1] * 2.0
+    assert injection.details["opcode"] == "fmul" and injection.file.endswith("kernels.py")
     assert isinstance(result, int)
 
 
@@ -57,17 +63,17 @@ def test_outcomes_are_told_apart_and_arguments_stay():
     values = numbers()
     before = digest(values)
     sdc = run_forked(fill, replace(first(fill, "fmul", values, 2.0), bits=(62,)), values, 2.0)
-    assert (sdc.how, sdc.strike.hit) == ("sdc", True)
+    assert (sdc.how, sdc.injection.activated) == ("sdc", True)
     crash = run_forked(fill, replace(first(fill, "getelementptr", values, 2.0), bits=(60,)), values, 2.0)
-    assert (crash.how, crash.detail, crash.strike.hit) == ("crash", "SIGSEGV", True)
-    assert crash.strike.after == crash.strike.before ^ (1 << 60)  # known although the child is gone
+    assert (crash.how, crash.detail, crash.injection.activated) == ("crash", "SIGSEGV", True)
+    assert flipped(crash.injection) == 1 << 60  # known although the child is gone
     beyond = run_forked(fill, replace(first(fill, "fmul", values, 2.0), index=10**6), values, 2.0)
-    assert (beyond.how, beyond.strike.hit, beyond.strike.site) == ("not_reached", False, None)
+    assert (beyond.how, beyond.injection.activated, beyond.injection.before) == ("not_activated", False, None)
     assert digest(values) == before
 
 
 @pytest.mark.slow
-def test_the_lanes_of_a_vector_are_struck_one_by_one():
+def test_the_lanes_of_a_vector_are_injected_one_by_one():
     sites = [site for site, times in histogram(double, np.ones(64)) if site.opcode == "fmul" and times]
     vector = next((site for site in sites if site.kind.startswith("<")), None)
     if vector is None:
@@ -80,17 +86,17 @@ def test_the_lanes_of_a_vector_are_struck_one_by_one():
         assert len(changed) == 1 and changed[0] % lanes == lane
 
 
-def test_a_bit_that_is_not_there_is_no_hit():
+def test_a_bit_that_is_not_there_is_not_activated():
     values = numbers()
     outcome = run_forked(fill, replace(first(fill, "fcmp", values, 2.0), bits=(5,)), values, 2.0)
-    assert (outcome.how, outcome.strike.hit) == ("masked", False)
+    assert (outcome.how, outcome.injection.activated) == ("masked", False)
 
 
 def test_a_loop_that_does_not_end_is_a_hang():
     fault = replace(first(counted_down, "fadd", 1.5), bits=(62,))  # 0.5 becomes 2^1023, from which 1 cannot be taken
     outcome = run_forked(counted_down, fault, 1.5)
     assert (outcome.how, outcome.detail) == ("hang", "instruction budget")
-    assert outcome.strike.hit and outcome.strike.number(outcome.strike.after) == 2.0**1023
+    assert outcome.injection.activated and outcome.injection.after == 2.0**1023
 
 
 def test_exceptions_are_told_apart():
@@ -106,7 +112,7 @@ def test_exceptions_are_told_apart():
 def test_data_faults_give_the_same_bytes_every_time():
     faults = draw(fill, 8, numbers(), 2.0, which="data", seed=2)
     once, again = ([run_forked(fill, fault, numbers(), 2.0) for fault in faults] for _ in range(2))
-    assert once == again
+    assert [(o.how, o.injection.to_json()) for o in once] == [(o.how, o.injection.to_json()) for o in again]
     assert {outcome.how for outcome in once} <= {"masked", "sdc"}
 
 
@@ -154,27 +160,29 @@ def test_draws_are_uniform_over_dynamic_instructions_and_bits():
 def test_models(model, after):
     values = numbers()
     for fault in draw(fill, 3, values, 2.0, which="floating_point", model=model, seed=7, bits=3):
-        strike = run_forked(fill, fault, values, 2.0).strike
-        assert strike.hit
+        injection = run_forked(fill, fault, values, 2.0).injection
+        assert injection.activated
         if after is not None:
-            assert strike.after in after
+            assert injection.after in after
         if model == "bits":
-            assert (strike.before ^ strike.after).bit_count() == 3
+            assert flipped(injection).bit_count() == 3
 
 
 # ---- records --------------------------------------------------------------------------------------------------------
 def test_faults_survive_json():
     for model in ("one_bit", "bits", "random", "zero"):
         for fault in draw(fill, 3, numbers(), 2.0, model=model):
-            assert InstructionFault.from_json(json.loads(json.dumps(fault.to_json()))) == fault
+            assert fault_from_json(json.loads(json.dumps(fault.to_json()))) == fault
 
 
-def test_a_strike_names_line_instruction_and_value():
+def test_an_injection_names_line_instruction_and_value():
     fault = draw(fill, 1, numbers(), 2.0, which="opcode:fmul", seed=1)[0]
-    record = run_forked(fill, fault, numbers(), 2.0).strike.to_json()
+    injection = run_forked(fill, fault, numbers(), 2.0).injection
+    record = injection.to_json()
     assert json.loads(json.dumps(record)) == record
-    assert record["file"] == "tests/unit/faults/instruction/kernels.py"
-    assert record["line"] == fill.py_func.__code__.co_firstlineno + 4
-    assert (record["opcode"], record["type"], record["value_class"]) == ("fmul", "double", "floating_point")
-    assert int(record["before"], 16) ^ int(record["after"], 16) == 1 << fault.bits[0]
-    assert record["ir_sha256"] == fault.ir_sha256 and record["hit"]
+    assert injection.file == "tests/unit/faults/instruction/kernels.py"
+    assert injection.line == fill.py_func.__code__.co_firstlineno + 4
+    details = injection.details
+    assert (details["opcode"], details["type"], details["value_class"]) == ("fmul", "double", "floating_point")
+    assert details["ir_sha256"] == fault.ir_sha256 and flipped(injection) == 1 << fault.bits[0]
+    assert injection.activated

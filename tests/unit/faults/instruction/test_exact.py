@@ -46,16 +46,16 @@ def budget(trace):
     return 20 * len(trace)
 
 
-def strike(variant, args, index, bit, limit=10**9):
+def injected(variant, args, index, bit, limit=10**9):
     return variant.inject(index, KEEP_ALL, 1 << bit, limit, *args)
 
 
 # ---- a kernel without branches --------------------------------------------------------------------------------------
-def by_hand(struck, bit, a, b, c, i, j):
+def by_hand(chosen, bit, a, b, c, i, j):
     """`straight`, with one bit of one intermediate value flipped."""
 
     def written(name, value, kind):
-        return flipped(value, kind, bit) if name == struck else value
+        return flipped(value, kind, bit) if name == chosen else value
 
     total = written("fadd", written("fmul", a * b, "double") + c, "double")
     with np.errstate(all="ignore"):
@@ -71,7 +71,7 @@ def test_every_fault_in_a_straight_kernel_is_as_by_hand():
     assert sorted(site.opcode for site in sites) == ["add", "call", "fadd", "fdiv", "fmul", "mul", "sitofp"]
     for index, site in enumerate(sites):
         for bit in range(site.width):
-            wanted, got = by_hand(site.opcode, bit, *STRAIGHT), strike(variant, STRAIGHT, index, bit)
+            wanted, got = by_hand(site.opcode, bit, *STRAIGHT), injected(variant, STRAIGHT, index, bit)
             assert same(wanted, got), (site, bit)
 
 
@@ -115,10 +115,12 @@ def disagreements(variant, oracle, trace, faults):
     for index, bit in faults:
         wanted = oracle.run(LOOP, (index, bit), budget(trace))
         if wanted == HANG:
-            ended = run_in_child(lambda fault=(index, bit): str(strike(variant, LOOP, *fault, budget(trace))).encode())
+            ended = run_in_child(
+                lambda fault=(index, bit): str(injected(variant, LOOP, *fault, budget(trace))).encode()
+            )
             agreed = ended.how == "hang" and ended.detail == "instruction budget"
         else:
-            agreed = same(strike(variant, LOOP, index, bit, budget(trace)), wanted)
+            agreed = same(injected(variant, LOOP, index, bit, budget(trace)), wanted)
         if not agreed:
             wrong.append((index, bit))
     return wrong
@@ -140,9 +142,9 @@ def test_every_fault_in_a_loop_is_as_interpreted(oracle, trace):
 
 def test_a_fault_beyond_the_end_is_not_hit(trace):
     variant = variant_for(loop, LOOP)
-    assert strike(variant, LOOP, len(trace), 0) == loop(*LOOP)
+    assert injected(variant, LOOP, len(trace), 0) == loop(*LOOP)
     assert variant.report() is None
-    strike(variant, LOOP, len(trace) - 1, 63)
+    injected(variant, LOOP, len(trace) - 1, 63)
     assert variant.report() is not None
 
 
@@ -151,12 +153,12 @@ def test_values_before_and_after_are_those_that_were_there(oracle, trace):
     for index in range(0, len(trace), 7):
         if oracle.run(LOOP, (index, 0), budget(trace)) == HANG:
             continue
-        strike(variant, LOOP, index, 0, budget(trace))
+        injected(variant, LOOP, index, 0, budget(trace))
         report = variant.report()
         assert (report.site.opcode, report.site.kind) == trace[index]
         assert report.before ^ report.after == 1
     last = [index for index, (op, _) in enumerate(trace) if op == "fadd"][-1]
-    strike(variant, LOOP, last, 0)
+    injected(variant, LOOP, last, 0)
     assert math.isclose(np.array(variant.report().before, np.uint64).view(float), loop(*LOOP))
 
 
@@ -187,8 +189,8 @@ def never(text):
     return re.sub(r"^(  %t\d+ = select i1) %t\d+(, i\d+)", r"\1 false\2", text, flags=re.MULTILINE)
 
 
-def struck_again(text, still):
-    """An injector that stays armed after its strike, as long as `still` (IR that sets %still) says so."""
+def injected_again(text, still):
+    """An injector that stays armed after its injection, as long as `still` (IR that sets %still) says so."""
     store = r"  store volatile i64 %budget, ptr [^\n]*\n"
     stop = re.search(r"exhausted:\n(.*?)profile:", text, re.DOTALL)
     again = (
@@ -204,14 +206,14 @@ def word(control):
 
 def sticky(text):
     load = f"  %limit = load volatile i64, {word(Control.BUDGET)}\n"
-    return struck_again(text, load + "  %still = icmp ult i64 %after, %limit")
+    return injected_again(text, load + "  %still = icmp ult i64 %after, %limit")
 
 
 def twice(text):
     first = "  %still = icmp eq i64 %done, 1\n"
     limit = f"  %limit = load volatile i64, {word(Control.BUDGET)}\n"
     disarm = f"  store volatile i64 %limit, {word(Control.THRESHOLD)}\n"
-    return struck_again(text, f"{first}{limit}{disarm}  store volatile i64 2, {word(Control.STRUCK)}")
+    return injected_again(text, f"{first}{limit}{disarm}  store volatile i64 2, {word(Control.INJECTED)}")
 
 
 MUTANTS = {"bit + 1": next_bit, "index + 1": next_index, "never": never, "sticky": sticky, "twice": twice}
@@ -241,7 +243,7 @@ def mismatches(prepared, change, sample, limit):
     assert change is same_text or changed.text != made.text
     loop(*LOOP)
     variant = Variant(assemble(changed, wrapper, environment), loop.overloads[signature(LOOP)].environment)
-    wrong = sum(not same(strike(variant, LOOP, index, bit, limit), wanted) for index, bit, wanted in sample)
+    wrong = sum(not same(injected(variant, LOOP, index, bit, limit), wanted) for index, bit, wanted in sample)
     return bytes([min(wrong, 255)])
 
 

@@ -16,7 +16,8 @@ from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import fly
 from mavfi.kernels.control import pid
 from mavfi.numerics.jit import uncached_copy
-from mavfi.pipeline.functions import PLAIN, STRUCK
+from mavfi.pipeline.functions import PLAIN
+from mavfi.states import INJECTABLE
 from tests.unit.kernels.cases import CASES
 
 COMPILED = {name: case for name, case in CASES.items() if hasattr(case.function, "py_func")}
@@ -102,19 +103,19 @@ def test_machine_code_is_as_without_line_tables():
 
 # ---- whole flights --------------------------------------------------------------------------------------------------
 def counted_flight(scenario, names):
-    twins = {}
+    counting = {}
 
-    def twin(name, function):
-        twins[name] = Counting(function)
-        return twins[name]
+    def make(name, function):
+        counting[name] = Counting(function)
+        return counting[name]
 
-    return fly(scenario, functions=PLAIN.with_twins(names, twin)), twins
+    return fly(scenario, functions=PLAIN.instrumented(names, make)), counting
 
 
 def test_the_table_that_is_handed_in_holds_the_kernels_themselves():
     assert PLAIN.track is pid.track
-    assert {name for names in STRUCK.values() for name in names} == set(PLAIN.__dataclass_fields__)
-    assert PLAIN.with_twins((), lambda name, function: None) == PLAIN
+    assert {name for names in INJECTABLE.values() for name in names} == set(PLAIN.__dataclass_fields__)
+    assert PLAIN.instrumented((), lambda name, function: None) == PLAIN
 
 
 def short(planner="rrt_connect", stack="hardened", map_kind="dense"):
@@ -124,10 +125,10 @@ def short(planner="rrt_connect", stack="hardened", map_kind="dense"):
 
 
 def test_a_counted_flight_is_the_golden_one():
-    golden, (flight, twins) = fly(short()), counted_flight(short(), STRUCK["pid"] + STRUCK["point_cloud"])
+    golden, (flight, counting) = fly(short()), counted_flight(short(), INJECTABLE["pid"] + INJECTABLE["point_cloud"])
     assert flight.log.digest() == golden.log.digest()
-    assert all(twin.counts and min(twin.counts) > 0 for twin in twins.values())
-    assert all(len(set(twin.digests)) == 1 for twin in twins.values())
+    assert all(own.counts and min(own.counts) > 0 for own in counting.values())
+    assert all(len(set(own.digests)) == 1 for own in counting.values())
 
 
 @pytest.mark.slow
@@ -138,8 +139,8 @@ def test_a_counted_flight_is_the_golden_one():
 def test_every_kernel_counted_in_a_flight_changes_nothing(planner, stack, map_kind):
     scenario = short(planner, stack, map_kind)
     others = {"rrt", "rrt_connect", "rrt_star"} - {planner}
-    names = tuple({name for kernel, names in STRUCK.items() if kernel not in others for name in names})
-    flight, twins = counted_flight(scenario, names)
+    names = tuple({name for kernel, names in INJECTABLE.items() if kernel not in others for name in names})
+    flight, counting = counted_flight(scenario, names)
     assert flight.log.digest() == fly(scenario).log.digest()
-    called = {name for name, twin in twins.items() if twin.counts}
-    assert all(called & set(names) for kernel, names in STRUCK.items() if kernel not in others)
+    called = {name for name, own in counting.items() if own.counts}
+    assert all(called & set(names) for kernel, names in INJECTABLE.items() if kernel not in others)

@@ -1,20 +1,20 @@
-"""Strikes leave nothing behind, and what looks for it sees it where something is left."""
+"""Injections leave nothing behind, and what looks for it sees it where something is left."""
 
 import os
 from dataclasses import replace
 
 import pytest
 
-from benchmarks.many_strikes import Look, children, leaks, look, strike_often
+from benchmarks.many_injections import Look, children, inject_often, leaks, look
 
 NOTHING = Look(0, 6, 0, 100_000, 3)
 
 
 @pytest.mark.slow
-def test_hundreds_of_strikes_of_all_kinds_leave_nothing_behind(tmp_path, monkeypatch):
+def test_hundreds_of_injections_of_all_kinds_leave_nothing_behind(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    outcomes, seen = strike_often(200, looks=5)
-    assert outcomes.total() == seen[-1].strikes == 200
+    outcomes, seen = inject_often(200, looks=5)
+    assert outcomes.total() == seen[-1].injections == 200
     assert outcomes["crash"] > 0 and outcomes["sdc"] > 0 and outcomes["masked"] > 0
     assert len(seen) == 6
     assert leaks(seen) == []
@@ -23,14 +23,14 @@ def test_hundreds_of_strikes_of_all_kinds_leave_nothing_behind(tmp_path, monkeyp
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"children": 1}, "1 children at strike 500"),
+        ({"children": 1}, "1 children at injection 500"),
         ({"files": 7}, "open files: 6 before, 7 after"),
-        ({"memory_kib": 103_000}, "memory: 100,000 KiB at strike 250, 103,000 KiB after"),
+        ({"memory_kib": 103_000}, "memory: 100,000 KiB at injection 250, 103,000 KiB after"),
         ({"left_behind": 4}, "temporary files: 3 before, 4 after"),
     ],
 )
 def test_what_is_left_is_told(change, told):
-    seen = [NOTHING, replace(NOTHING, strikes=250), replace(NOTHING, strikes=500)]
+    seen = [NOTHING, replace(NOTHING, injections=250), replace(NOTHING, injections=500)]
     assert leaks(seen) == []
     assert leaks([*seen[:2], replace(seen[2], **change)]) == [told]
 

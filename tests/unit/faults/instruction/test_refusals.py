@@ -134,17 +134,17 @@ def fault():
     return draw(loop, 1, *LOOP, which="floating_point", seed=3)[0]
 
 
-@pytest.mark.parametrize("strike", [inject, run_forked])
-def test_a_fault_for_other_machine_code_is_refused(strike, fault):
+@pytest.mark.parametrize("call", [inject, run_forked])
+def test_a_fault_for_other_machine_code_is_refused(call, fault):
     with pytest.raises(MismatchError, match="drawn for IR 000"):
-        strike(loop, replace(fault, ir_sha256="000"), *LOOP)
+        call(loop, replace(fault, ir_sha256="000"), *LOOP)
     with pytest.raises(MismatchError, match=r"kernels\.loop: given to .*kernels\.fill"):
-        strike(fill, fault, np.zeros(3), 1.0)
+        call(fill, fault, np.zeros(3), 1.0)
     with pytest.raises(MismatchError):
         Injecting(loop, replace(fault, ir_sha256="000"))(*LOOP)
 
 
-def test_a_twin_wants_a_budget(fault):
+def test_an_injecting_function_wants_a_budget(fault):
     with pytest.raises(BadInputError, match="budget 0"):
         Injecting(loop, replace(fault, budget=0))
 

@@ -5,18 +5,19 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.errors import MavfiError
-from mavfi.faults.fault import Fault
 from mavfi.faults.instruction import MismatchError, launch
-from mavfi.hosts import beginning, template
+from mavfi.faults.instruction.plan import is_in_data
+from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.instruction import fly_struck
-from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults, is_in_data
+from mavfi.hosts.instruction import case, fly_instruction_faults, template
 from mavfi.kernels.perception.point_cloud import back_project
 from mavfi.numerics.jit import code_folder
 
@@ -27,10 +28,10 @@ SEEDS = (3, 4)
 ELSEWHERE = """
 import json, sys
 sys.path[:0] = {roots!r}
-from mavfi.faults.fault import Fault
-from tests.hosts.test_template import flown
+from mavfi.faults.fault import fault_from_json
+from tests.hosts.instruction.test_template import flown
 blocks = [bytearray(size) for size in range(1, 200_000, 977)]
-print(json.dumps(flown([Fault.from_json(data) for data in json.loads(sys.stdin.read())])))
+print(json.dumps(flown([fault_from_json(data) for data in json.loads(sys.stdin.read())])))
 """
 
 
@@ -40,14 +41,17 @@ def scenario():
 
 def flown(faults):
     """All that a flight leaves, as text."""
-    logs = [flight.log for flight in fly_struck(scenario(), faults).flights]
-    told = [(log.digest(), log.injections, log.meta["kernel_outcome"], log.meta.get("due_end")) for log in logs]
+    logs = [flight.log for flight in fly_instruction_faults(scenario(), faults).flights]
+    told = [(log.digest(), log.injections[0].to_json(), asdict(log.kernel)) for log in logs]
     return json.loads(json.dumps(told))
 
 
 @pytest.fixture(scope="module")
 def faults():
-    drawn = [draw_kernel_faults(scenario(), Wish(KERNELS, which="address"), seed=seed).faults for seed in SEEDS]
+    drawn = [
+        draw_instruction_faults(scenario(), InstructionRequest(KERNELS, which="address"), seed=seed).faults
+        for seed in SEEDS
+    ]
     return [fault for faults in drawn for own in faults.values() for fault in own]
 
 
@@ -58,15 +62,15 @@ def told(faults):
 
 def test_they_are_faults_in_addresses_that_crash_corrupt_and_are_masked(faults, told):
     assert not any(is_in_data(fault) for fault in faults)
-    assert {outcome["outcome"] for _, _, outcome, _ in told} >= {"crash", "sdc", "masked"}
-    assert all(record["hit"] and record["value_class"] == "address" for _, (record,), _, _ in told)
-    assert any(record["type"] == "ptr" for _, (record,), _, _ in told)
+    assert {kernel["effect"] for _, _, kernel in told} >= {"crash", "sdc", "masked"}
+    assert all(record["activated"] and record["details"]["value_class"] == "address" for _, record, _ in told)
+    assert any(record["details"]["type"] == "ptr" for _, record, _ in told)
 
 
 def test_order_and_company_do_not_matter(faults, told):
     assert flown(faults[::-1]) == told[::-1]
-    crashed = next(i for i, row in enumerate(told) if row[2]["outcome"] == "crash")
-    corrupted = next(i for i, row in enumerate(told) if row[2]["outcome"] == "sdc")
+    crashed = next(i for i, row in enumerate(told) if row[2]["effect"] == "crash")
+    corrupted = next(i for i, row in enumerate(told) if row[2]["effect"] == "sdc")
     for number in (crashed, corrupted):
         assert flown([faults[number]]) == [told[number]]
 
@@ -87,7 +91,7 @@ def test_a_fresh_process_with_another_past_gives_the_same_bytes(faults, told, tm
 
 def test_a_template_that_had_to_compile_modules_is_not_the_one_that_is_forked(faults, told, monkeypatch):
     """The first process after an update compiles them to bytecode, all later ones load it: their memory differs."""
-    compiled = Path(importlib.util.cache_from_source(beginning.__file__))
+    compiled = Path(importlib.util.cache_from_source(case.__file__))
     said = []
     receive = template.Template._receive
 
@@ -129,20 +133,19 @@ def test_where_addresses_cannot_be_fixed_the_rows_say_so(faults, told, monkeypat
         rows = flown(faults[:2])
     finally:
         template.close_templates()
-    assert [row[1][0]["replayable"] for row in rows] == [False, False]
-    assert all(row[1][0]["replayable"] for row in told)
+    assert [row[1]["details"]["replayable"] for row in rows] == [False, False]
+    assert all(row[1]["details"]["replayable"] for row in told)
 
 
 def test_faults_in_data_are_replayable_anywhere():
-    fault = draw_kernel_faults(scenario(), Wish({"pid": 1}, which="data"), seed=3).faults["pid"][0]
+    fault = draw_instruction_faults(scenario(), InstructionRequest({"pid": 1}, which="data"), seed=3).faults["pid"][0]
     assert is_in_data(fault)
-    assert flown([fault])[0][1][0]["replayable"]
+    assert flown([fault])[0][1]["details"]["replayable"]
 
 
 def test_errors_come_back_as_what_they_are(faults):
-    other = Fault.from_json({**faults[0].to_json(), "instruction": {**faults[0].instruction, "ir_sha256": "0" * 64}})
     with pytest.raises(MismatchError, match="drawn for IR 000000000000"):
-        fly_struck(scenario(), [other])
+        fly_instruction_faults(scenario(), [replace(faults[0], ir_sha256="0" * 64)])
 
 
 def test_nothing_is_left_of_templates(faults):

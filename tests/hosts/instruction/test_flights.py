@@ -1,4 +1,4 @@
-"""Flights with a fault in an instruction of a kernel: drawn, struck in a forked child, judged; the node restarted."""
+"""Flights with a fault in an instruction of a kernel: drawn, injected in a forked child, judged; the node restarted."""
 
 import os
 from dataclasses import replace
@@ -6,17 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.errors import BadInputError
 from mavfi.faults import instruction
 from mavfi.faults.instruction import MismatchError
+from mavfi.faults.instruction.plan import stratum_of
 from mavfi.faults.instruction.variant import variant_for
+from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import fly
-from mavfi.hosts.instruction import fly_struck
-from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults, stratum_of
-from mavfi.hosts.kernel_output import Output, first_difference
+from mavfi.hosts.instruction import fly_instruction_faults
+from mavfi.hosts.instruction.output import Output, first_difference
+from mavfi.hosts.instruction.template import close_templates
 from mavfi.hosts.memory import fingerprint
-from mavfi.hosts.template import close_templates
 from mavfi.numerics.jit import kernel_jit
 
 
@@ -31,27 +33,23 @@ def golden():
 
 @pytest.fixture(scope="module")
 def drawn():
-    return draw_kernel_faults(scenario(), Wish({"pid": 12, "point_cloud": 4}, which="data"), seed=3)
+    return draw_instruction_faults(scenario(), InstructionRequest({"pid": 12, "point_cloud": 4}, which="data"), seed=3)
 
 
 @pytest.fixture(scope="module")
 def flown(drawn):
-    return fly_struck(scenario(), [*drawn.faults["pid"], *drawn.faults["point_cloud"]])
-
-
-def with_bits(fault, *bits):
-    return replace(fault, bit=bits[0], instruction={**fault.instruction, "bits": list(bits)})
+    return fly_instruction_faults(scenario(), [*drawn.faults["pid"], *drawn.faults["point_cloud"]])
 
 
 def in_addresses(kernel, number, bit=46):
-    wish = Wish({kernel: number}, which="opcode:getelementptr", restart_s=0.2)
-    faults = draw_kernel_faults(scenario(), wish, seed=1).faults[kernel]
-    return [with_bits(fault, bit) for fault in faults]
+    wish = InstructionRequest({kernel: number}, which="opcode:getelementptr", restart_s=0.2)
+    faults = draw_instruction_faults(scenario(), wish, seed=1).faults[kernel]
+    return [replace(fault, bits=(bit,)) for fault in faults]
 
 
-def test_counting_and_striking_leave_the_golden_flight_as_it_is(golden, drawn, flown):
+def test_counting_and_injecting_leave_the_golden_flight_as_it_is(golden, drawn, flown):
     assert drawn.golden.log.digest() == flown.golden.log.digest() == golden.digest()
-    counted = drawn.kernels["pid"]
+    counted = drawn.counts["pid"]
     assert counted["calls"] == len(golden.rows) - 1
     assert sum(count for _, _, count in counted["lines"]) == counted["instructions"] > 100 * counted["calls"]
     assert {file for file, _, _ in counted["lines"]} <= {"mavfi/kernels/control/pid.py", "mavfi/numerics/rotations.py"}
@@ -60,39 +58,39 @@ def test_counting_and_striking_leave_the_golden_flight_as_it_is(golden, drawn, f
 def test_the_same_faults_give_the_same_bytes_alone_and_together(drawn, flown):
     for number in (0, 7, 13):
         fault = [*drawn.faults["pid"], *drawn.faults["point_cloud"]][number]
-        alone = fly_struck(scenario(), [fault]).flights[0].log
+        alone = fly_instruction_faults(scenario(), [fault]).flights[0].log
         together = flown.flights[number].log
         assert alone.digest() == together.digest()
-        assert alone.injections == together.injections
-        assert alone.meta["kernel_outcome"] == together.meta["kernel_outcome"]
+        assert [i.to_json() for i in alone.injections] == [i.to_json() for i in together.injections]
+        assert alone.kernel == together.kernel
 
 
 def test_the_draw_is_the_same_twice_and_another_with_another_seed(drawn):
-    again = draw_kernel_faults(scenario(), Wish({"pid": 12, "point_cloud": 4}, which="data"), seed=3)
-    other = draw_kernel_faults(scenario(), Wish({"pid": 12}, which="data"), seed=4)
+    again = draw_instruction_faults(scenario(), InstructionRequest({"pid": 12, "point_cloud": 4}, which="data"), seed=3)
+    other = draw_instruction_faults(scenario(), InstructionRequest({"pid": 12}, which="data"), seed=4)
     assert again.faults == drawn.faults
     assert other.faults["pid"] != drawn.faults["pid"]
 
 
-def test_every_record_is_of_a_strike_and_names_the_source(drawn, flown):
+def test_every_record_is_of_an_injection_and_names_the_source(drawn, flown):
     for flight in flown.flights:
         (injection,) = flight.log.injections
-        assert injection["hit"]
-        assert injection["value_class"] in ("floating_point", "integer")
-        assert injection["file"].startswith("mavfi/") and injection["line"] > 0
-        assert len(injection["ir_sha256"]) == 64
-        assert repr(injection["before"]) != repr(injection["after"])
-    assert {flight.log.injections[0]["kernel"] for flight in flown.flights} == {"pid", "point_cloud"}
+        assert injection.activated
+        assert injection.details["value_class"] in ("floating_point", "integer")
+        assert injection.file.startswith("mavfi/") and injection.line > 0
+        assert len(injection.details["ir_sha256"]) == 64
+        assert repr(injection.before) != repr(injection.after)
+    assert {flight.log.injections[0].site for flight in flown.flights} == {"pid.track", "point_cloud.back_project"}
 
 
 def test_masked_means_the_golden_flight_and_sdc_of_a_command_another_one(golden, flown):
-    outcomes = [(f.log.meta["kernel_outcome"], f.log.digest() == golden.digest()) for f in flown.flights]
-    assert all(same for outcome, same in outcomes if outcome["outcome"] == "masked")
-    assert {outcome["outcome"] for outcome, _ in outcomes} == {"masked", "sdc"}
+    effects = [(f.log.kernel, f.log.digest() == golden.digest()) for f in flown.flights]
+    assert all(same for kernel, same in effects if kernel.effect == "masked")
+    assert {kernel.effect for kernel, _ in effects} == {"masked", "sdc"}
     commands = [
-        same for outcome, same in outcomes
-        if (outcome["first_difference"] or {}).get("state") == "control.command"
-        and outcome["first_difference"]["field"] in ("vx", "vy", "vz")
+        same for kernel, same in effects
+        if (kernel.first_difference or {}).get("state") == "control.command"
+        and kernel.first_difference["field"] in ("vx", "vy", "vz")
     ]  # fmt: skip
     assert commands and not any(commands)
 
@@ -102,16 +100,15 @@ def test_a_crash_ends_the_mission_or_restarts_the_node(golden):
     faults = in_addresses("point_cloud", 2)
     close_templates()
     before = len(os.listdir("/proc/self/fd"))
-    flights = fly_struck(scenario(), faults).flights
+    flights = fly_instruction_faults(scenario(), faults).flights
     close_templates()
     assert len(os.listdir("/proc/self/fd")) <= before + 1, "a pipe or a process handle was left open"
     with pytest.raises(ChildProcessError):
         os.waitpid(-1, os.WNOHANG)
-    crashed = [flight.log for flight in flights if flight.log.meta["kernel_outcome"]["outcome"] == "crash"]
+    crashed = [flight.log for flight in flights if flight.log.kernel.effect == "crash"]
     assert crashed
     for log in crashed:
-        assert log.meta["kernel_outcome"]["detail"] in ("SIGSEGV", "SIGBUS")
-        assert log.meta["due_end"] == {"status": "due", "success": False}
+        assert log.kernel.detail in ("SIGSEGV", "SIGBUS")
         assert len(log.rows) > 1
         clouds = [flight.meta["publications"]["perception.point_cloud"] for flight in (log, golden)]
         assert 0 < clouds[0] <= clouds[1], "the node came back, and what it computed when it died was lost"
@@ -120,9 +117,9 @@ def test_a_crash_ends_the_mission_or_restarts_the_node(golden):
 @pytest.mark.slow
 def test_a_node_that_never_comes_back_is_missed(golden):
     fault = in_addresses("pid", 1)[0]
-    dead = replace(fault, instruction={**fault.instruction, "restart_s": 60.0})
-    log = fly_struck(scenario(), [dead]).flights[0].log
-    if log.meta["kernel_outcome"]["outcome"] != "crash":
+    dead = replace(fault, restart_s=60.0)
+    log = fly_instruction_faults(scenario(), [dead]).flights[0].log
+    if log.kernel.effect != "crash":
         pytest.skip("this bit of the address does not crash here")
     assert log.status is not golden.status
     assert log.meta["publications"]["control.command"] < golden.meta["publications"]["control.command"]
@@ -131,16 +128,18 @@ def test_a_node_that_never_comes_back_is_missed(golden):
 def test_a_fault_of_other_machine_code_is_refused(drawn):
     fault = drawn.faults["pid"][0]
     with pytest.raises(MismatchError, match="drawn for IR 000000000000"):
-        fly_struck(scenario(), [replace(fault, instruction={**fault.instruction, "ir_sha256": "0" * 64})])
+        fly_instruction_faults(scenario(), [replace(fault, ir_sha256="0" * 64)])
 
 
 def test_a_class_that_is_not_executed_has_no_site(golden):
-    fault = draw_kernel_faults(scenario(), Wish({"pid": 1}, which="opcode:udiv"), seed=1).faults["pid"][0]
+    fault = draw_instruction_faults(scenario(), InstructionRequest({"pid": 1}, which="opcode:udiv"), seed=1).faults[
+        "pid"
+    ][0]
     assert not fault.has_site
-    log = fly_struck(scenario(), [fault]).flights[0].log
+    log = fly_instruction_faults(scenario(), [fault]).flights[0].log
     assert log.digest() == golden.digest()
-    assert log.meta["kernel_outcome"]["outcome"] == "not_reached"
-    assert not log.injections[0]["hit"]
+    assert log.kernel.effect == "not_activated"
+    assert not log.injections[0].activated
 
 
 @pytest.mark.parametrize(
@@ -150,9 +149,9 @@ def test_a_class_that_is_not_executed_has_no_site(golden):
         ("lidar", "not known; allowed: point"),
     ],
 )
-def test_kernels_that_cannot_be_struck_are_named(kernel, message):
+def test_kernels_that_cannot_be_injected_are_named(kernel, message):
     with pytest.raises(BadInputError, match=message):
-        draw_kernel_faults(scenario(), Wish({kernel: 1}), seed=1)
+        draw_instruction_faults(scenario(), InstructionRequest({kernel: 1}), seed=1)
 
 
 @pytest.mark.parametrize(
@@ -172,15 +171,15 @@ def test_first_difference_names_field_element_and_size():
     header, elements = np.zeros(1, dtype), np.zeros(4, dtype)
     other = elements.copy()
     other["x"][[1, 3]] = 2.0, -5.0
-    golden, struck = Output({"a.b": (header, elements)}, b""), Output({"a.b": (header, other)}, b"")
-    found = first_difference(golden, struck)
+    golden, injected = Output({"a.b": (header, elements)}, b""), Output({"a.b": (header, other)}, b"")
+    found = first_difference(golden, injected)
     assert (found["state"], found["field"], found["element"]) == ("a.b", "x", 1)
     assert (found["before"], found["after"], found["elements"], found["largest"]) == (0.0, 2.0, 2, 5.0)
     assert first_difference(golden, golden) is None
     shorter = first_difference(golden, Output({"a.b": (header, elements[:3])}, b""))
     assert (shorter["field"], shorter["before"], shorter["after"]) == ("elements", 4, 3)
     other["x"][3] = np.nan
-    assert first_difference(golden, struck)["largest"] == np.inf
+    assert first_difference(golden, injected)["largest"] == np.inf
     assert not golden.same(Output({"a.b": (header, elements)}, b"other"))
 
 
@@ -202,7 +201,7 @@ def test_fingerprints_see_what_is_remembered_and_not_the_scratch():
 
 
 def test_workers_do_not_report_into_each_other():
-    """Forks of one parent share what it has mapped; a worker that strikes makes memory of its own first."""
+    """Forks of one parent share what it has mapped; a worker that injects makes memory of its own first."""
     numbers = np.arange(3.0)
 
     @kernel_jit
@@ -213,9 +212,9 @@ def test_workers_do_not_report_into_each_other():
         return result
 
     here, there = instruction.draw(total, 2, numbers, which="floating_point", seed=1)
-    assert instruction.run_forked(total, here, numbers).strike.hit
+    assert instruction.run_forked(total, here, numbers).injection.activated
     variant = variant_for(total, (numbers,))
     before = variant.report()
-    ended = instruction.run_in_child(lambda: bytes([instruction.run_forked(total, there, numbers).strike.hit]))
+    ended = instruction.run_in_child(lambda: bytes([instruction.run_forked(total, there, numbers).injection.activated]))
     assert ended.payload == b"\x01"
     assert variant.report() == before

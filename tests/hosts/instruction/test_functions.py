@@ -1,4 +1,4 @@
-"""Instruction-level faults in whole flights: counted, drawn, struck in place and in a forked child."""
+"""Instruction-level faults in whole flights: counted, drawn, injected in place and in a forked child."""
 
 import json
 from dataclasses import replace
@@ -6,17 +6,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mavfi.faults.fault import fault_from_json
 from mavfi.faults.instruction import (
     Counting,
     ForkPoint,
     Injecting,
-    InstructionFault,
     Resolving,
-    Strike,
     budget_for,
     choose,
-    plan_flight,
 )
+from mavfi.faults.instruction.build import name_of
+from mavfi.faults.instruction.plan import plan
+from mavfi.faults.instruction.selection import parse_selection
 from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.inprocess import fly
 from mavfi.kernels.control import pid
@@ -27,8 +28,8 @@ def scenario():
     return make_scenario("sparse", 7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0))
 
 
-def flown_with(twin):
-    return fly(scenario(), functions=replace(PLAIN, track=twin))
+def flown_with(function):
+    return fly(scenario(), functions=replace(PLAIN, track=function))
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +39,9 @@ def golden():
 
 @pytest.fixture(scope="module")
 def counted():
-    twin = Counting(pid.track)
-    flown_with(twin)
-    return twin
+    counting = Counting(pid.track)
+    flown_with(counting)
+    return counting
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +55,9 @@ def resolved(places, golden):
     wanted = {}
     for call, index in places:
         wanted.setdefault(call, []).append(index)
-    twin = Resolving(pid.track, wanted)
-    assert flown_with(twin).log.digest() == golden.digest()
-    return twin
+    resolving = Resolving(pid.track, wanted)
+    assert flown_with(resolving).log.digest() == golden.digest()
+    return resolving
 
 
 @pytest.fixture(scope="module")
@@ -64,20 +65,14 @@ def planned(counted, resolved, places):
     """The first fault of a class, with another bit if one is given."""
 
     def make(which, bit=None):
-        fault = plan_flight(np.random.default_rng(0), pid.track, counted, resolved, places, 1, which)[0]
+        call, index = next(place for place in places if resolved.sites[place] in parse_selection(which))
+        fault = plan(
+            np.random.default_rng(0), name_of(pid.track), counted.digests[call], resolved.sites[call, index], index,
+            call=call, which=which, budget=budget_for(counted.counts[call]),
+        )  # fmt: skip
         return fault if bit is None else replace(fault, bits=(bit,))
 
     return make
-
-
-def test_calls_are_drawn_with_the_weight_of_their_counts():
-    counts = [10, 0, 1000, 10]
-    drawn = choose(np.random.default_rng(1), counts, 5_000)
-    calls = np.bincount([call for call, _ in drawn], minlength=4)
-    assert calls[1] == 0
-    assert abs(calls[2] - 5_000 * 1000 / 1020) < 200
-    assert all(0 <= index < counts[call] for call, index in drawn)
-    assert {index for call, index in drawn if call == 0} == set(range(10))
 
 
 def test_every_drawn_instruction_has_a_site(resolved, places):
@@ -86,36 +81,29 @@ def test_every_drawn_instruction_has_a_site(resolved, places):
     assert len({site.opcode for site in sites}) > 3
 
 
-def test_planned_faults_are_of_their_class(counted, resolved, places):
-    arguments = pid.track, counted, resolved, places, 1000
-    everything = plan_flight(np.random.default_rng(0), *arguments)
-    floating = plan_flight(np.random.default_rng(0), *arguments, which="floating_point", model="zero")
-    assert len(everything) == len(places) > len(floating) > 0
-    assert all(resolved.sites[fault.call, fault.index].floating and fault.masks == (0, 0) for fault in floating)
-    assert all(fault.budget == budget_for(counted.counts[fault.call]) for fault in everything)
-
-
-def test_a_fault_in_a_flight_strikes_once_and_again_the_same(planned):
+def test_a_fault_in_a_flight_is_injected_once_and_again_the_same(planned):
     fault = planned("floating_point", bit=61)
-    digests, strikes = [], []
+    digests, injections = [], []
     for _ in range(2):
-        twin = Injecting(pid.track, fault)
-        digests.append(flown_with(twin).log.digest())
-        strikes.append(twin.strike())
-        assert twin.calls > fault.call
+        injecting = Injecting(pid.track, fault)
+        digests.append(flown_with(injecting).log.digest())
+        injections.append(injecting.injection().to_json())
+        assert injecting.calls > fault.call
     assert digests[0] == digests[1]
-    assert strikes[0] == strikes[1]
-    assert strikes[0].hit and strikes[0].before ^ strikes[0].after == 1 << 61
-    record = strikes[0].to_json()
+    assert injections[0] == injections[1]
+    record = json.loads(json.dumps(injections[0]))
+    details = record["details"]
+    assert record["activated"] and int(details["before_bits"], 16) ^ int(details["after_bits"], 16) == 1 << 61
     assert record["file"].startswith(("mavfi/", "numba/"))
-    assert json.loads(json.dumps(record))["call"] == fault.call
+    assert details["call"] == fault.call
 
 
 def test_a_fault_beyond_the_last_call_changes_nothing(planned, counted, golden):
     fault = replace(planned("all"), call=len(counted.counts) + 5)
-    twin = Injecting(pid.track, fault)
-    assert flown_with(twin).log.digest() == golden.digest()
-    assert twin.strike() == Strike(fault, hit=False)
+    injecting = Injecting(pid.track, fault)
+    assert flown_with(injecting).log.digest() == golden.digest()
+    injection = injecting.injection()
+    assert not injection.activated and injection.before is None
 
 
 @pytest.mark.parametrize(("which", "bit"), [("floating_point", 61), ("address", None)])
@@ -129,13 +117,13 @@ def test_a_fault_in_a_forked_child_leaves_the_parent_golden(planned, golden, whi
         ends.append(ended)
         return ended is None
 
-    twin = Injecting(pid.track, fault, before=split)
+    injecting = Injecting(pid.track, fault, before=split)
     with point.guard():
-        flight = flown_with(twin)
+        flight = flown_with(injecting)
         if point.in_child:
             point.finish(flight.log.digest().encode())
     assert flight.log.digest() == golden.digest()
-    assert twin.strike().hit
+    assert injecting.injection().activated
     assert len(ends) == 1
     assert ends[0].how in ("done", "crash", "exception", "hang")
     if which != "address":
@@ -144,4 +132,4 @@ def test_a_fault_in_a_forked_child_leaves_the_parent_golden(planned, golden, whi
 
 def test_faults_of_a_flight_survive_json(planned):
     fault = planned("all")
-    assert InstructionFault.from_json(json.loads(json.dumps(fault.to_json()))) == fault
+    assert fault_from_json(json.loads(json.dumps(fault.to_json()))) == fault

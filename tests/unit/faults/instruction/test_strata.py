@@ -1,11 +1,24 @@
-"""Stratified draws: exact places, every stratum struck, and rates that are those of the uniform draw."""
+"""Stratified draws: exact places, every stratum injected, and rates that are those of the uniform draw."""
+
+from collections import Counter
 
 import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.instruction import count, draw_stratified, estimate, histogram, resolve, run_forked
-from mavfi.faults.instruction.stratified import REST, StratumKey, allocate, key_of, pooled, sizes_of
+from mavfi.faults.instruction import (
+    Locating,
+    Profiling,
+    Resolving,
+    count,
+    draw_stratified,
+    estimate,
+    histogram,
+    resolve,
+    run_forked,
+)
+from mavfi.faults.instruction.selection import parse_selection
+from mavfi.faults.instruction.strata import REST, StratumKey, allocate, choose, densities, key_of, pick, pooled
 from mavfi.faults.instruction.variant import Passes, variant_for
 from tests.unit.faults.instruction.kernels import LOOP, MASKING, fill, loop, masking
 
@@ -16,6 +29,14 @@ SEEDS = 120
 
 def numbers():
     return np.linspace(0.0, 4.0, 12)
+
+
+def sizes_of(executed):
+    """Dynamic instructions of each stratum."""
+    found = Counter()
+    for site, times in executed:
+        found[key_of(site)] += times
+    return {key: size for key, size in found.items() if size}
 
 
 # ---- places ---------------------------------------------------------------------------------------------------------
@@ -57,10 +78,10 @@ def test_faults_lie_in_their_strata_and_arguments_stay():
         for site in resolve(fill, [fault.index for fault in stratum.faults], numbers(), 2.0):
             assert key_of(site) == stratum.key
     assert all(0 <= fault.bits[0] < 64 for stratum in strata for fault in stratum.faults)
-    assert run_forked(fill, strata[0].faults[0], values, 2.0).strike.hit
+    assert run_forked(fill, strata[0].faults[0], values, 2.0).injection.activated
 
 
-def test_all_strata_are_struck_and_shares_are_those_of_the_call():
+def test_all_strata_are_injected_and_shares_are_those_of_the_call():
     strata = draw_stratified(fill, 60, numbers(), 2.0, seed=3)
     sizes = sizes_of(histogram(fill, numbers(), 2.0))
     assert {stratum.key: stratum.instructions for stratum in strata} == sizes
@@ -124,7 +145,7 @@ def test_weighted_rates_are_those_of_the_uniform_draw(known):
         outcomes = [(s.share, [table[f.index][f.bits[0]] for f in s.faults]) for s in strata]
         found = estimate(outcomes)
         weighted.append(found.rate)
-        plain.append(np.mean([hit for _, hits in outcomes for hit in hits]))
+        plain.append(np.mean([counts for _, own in outcomes for counts in own]))
         by_fault = [s.weight(N) * table[f.index][f.bits[0]] for s in strata for f in s.faults]
         assert np.mean(by_fault) == pytest.approx(found.rate)
         covered += found.low <= truth <= found.high
@@ -185,3 +206,83 @@ def test_the_smallest_strata_are_taken_together_where_there_are_too_many():
 def test_what_cannot_be_drawn_is_refused(n, which, text):
     with pytest.raises(BadInputError, match=text):
         draw_stratified(fill, n, numbers(), 2.0, which=which)
+
+
+# ---- several calls --------------------------------------------------------------------------------------------------
+DRAWS, FEW = 2500, 3
+CALLS = (4, 23, 11)
+
+
+@pytest.fixture(scope="module")
+def counted():
+    """Two functions of a kernel, called several times."""
+    functions = {"loop": Profiling(loop), "fill": Profiling(fill)}
+    for n in CALLS:
+        functions["loop"](LOOP[0], n)
+    functions["fill"](np.linspace(0.0, 4.0, 12), 2.0)
+    return functions
+
+
+def test_calls_are_drawn_with_the_weight_of_their_counts():
+    counts = [10, 0, 1000, 10]
+    drawn = choose(np.random.default_rng(1), counts, 5_000)
+    calls = np.bincount([call for call, _ in drawn], minlength=4)
+    assert calls[1] == 0
+    assert abs(calls[2] - 5_000 * 1000 / 1020) < 200
+    assert all(0 <= index < counts[call] for call, index in drawn)
+    assert {index for call, index in drawn if call == 0} == set(range(10))
+
+
+@pytest.mark.slow
+def test_weighted_picks_are_uniform_over_dynamic_instructions(counted):
+    """Of few picks at a time, the mean weight of each stratum is its share; without weights it is the density."""
+    sizes = sizes_of((site, times) for own in counted.values() for _, site, times in own.executed())
+    whole, wanted = sum(sizes.values()), densities(sizes)
+    random = np.random.default_rng(8)
+    picks = [chosen for _ in range(DRAWS) for chosen in pick(random, counted, parse_selection("all"), FEW)]
+    assert len(picks) == DRAWS * FEW
+    weights, hits = Counter(), Counter()
+    for chosen in picks:
+        weights[key_of(chosen.member.site)] += chosen.weight
+        hits[key_of(chosen.member.site)] += 1
+    for key, size in sizes.items():
+        error = np.sqrt(wanted[key] / len(picks))
+        assert abs(hits[key] / len(picks) - wanted[key]) < 5 * error
+        share = size / whole
+        assert abs(weights[key] / len(picks) - share) < 5 * error * share / wanted[key]
+    assert max(chosen.weight for chosen in picks) <= 2.0
+
+
+def test_picks_of_one_mission_are_kept_apart(counted):
+    together = Counter()
+    for seed in range(200):
+        picks = pick(np.random.default_rng(seed), counted, parse_selection("all"), FEW)
+        together[len({key_of(chosen.member.site) for chosen in picks})] += 1
+    assert together[FEW] > 150
+
+
+def test_picks_are_of_the_class_that_was_asked_for_or_none(counted):
+    random = np.random.default_rng(1)
+    picks = pick(random, counted, parse_selection("floating_point"), 50)
+    assert len(picks) == 50 and all(chosen.member.site.floating for chosen in picks)
+    assert pick(random, counted, parse_selection("opcode:fdiv"), 5) == []
+    assert pick(random, counted, parse_selection("all"), 0) == []
+
+
+def test_picks_are_found_again_in_their_calls(counted):
+    own = {"loop": counted["loop"]}
+    picks = pick(np.random.default_rng(2), own, parse_selection("all"), 60)
+    digest = picks[0].member.digest
+    locating = Locating(loop, {digest: [(chosen.member.site.block, chosen.number) for chosen in picks]})
+    for n in CALLS:
+        assert locating(LOOP[0], n) == loop(LOOP[0], n)
+    places = [locating.place(digest, chosen.member.site.block, chosen.number) for chosen in picks]
+    assert {call for call, _ in places} == {0, 1, 2}
+    wanted = {}
+    for (call, start), chosen in zip(places, picks, strict=True):
+        wanted.setdefault(call, []).append(start + chosen.member.site.offset)
+    resolving = Resolving(loop, wanted)
+    for n in CALLS:
+        resolving(LOOP[0], n)
+    for (call, start), chosen in zip(places, picks, strict=True):
+        assert resolving.sites[call, start + chosen.member.site.offset] == chosen.member.site

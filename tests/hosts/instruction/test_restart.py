@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import pytest
 
+from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.instruction import fly_struck
-from mavfi.hosts.kernel_faults import Wish, draw_kernel_faults
+from mavfi.hosts.instruction import fly_instruction_faults
 
 pytestmark = pytest.mark.slow
 
@@ -18,14 +19,14 @@ SEED = 500
 def died():
     """Flights whose planner died while it answered a predicted collision."""
     scenario = make_scenario("sparse", SEED, stack="published")
-    wish = Wish({"rrt_connect": 40}, which="opcode:getelementptr", restart_s=0.57)
+    wish = InstructionRequest({"rrt_connect": 40}, which="opcode:getelementptr", restart_s=0.57)
     faults = [
-        replace(fault, bit=46, instruction={**fault.instruction, "bits": [46]})
-        for fault in draw_kernel_faults(scenario, wish, seed=1).faults["rrt_connect"]
-        if fault.instruction["call"] > 0
+        replace(fault, bits=(46,))
+        for fault in draw_instruction_faults(scenario, wish, seed=1).faults["rrt_connect"]
+        if fault.call > 0
     ]
-    logs = [flight.log for flight in fly_struck(scenario, faults[:4]).flights]
-    return [log for log in logs if log.meta["kernel_outcome"]["outcome"] == "crash"]
+    logs = [flight.log for flight in fly_instruction_faults(scenario, faults[:4]).flights]
+    return [log for log in logs if log.kernel.effect == "crash"]
 
 
 def test_no_old_path_is_flown_anew_after_a_restart(died):
@@ -37,7 +38,7 @@ def test_no_old_path_is_flown_anew_after_a_restart(died):
 
 
 def test_plans_of_a_fresh_planner_have_old_counters_and_are_refused(died):
-    """What costs most of these missions, as in the published code: consumers refuse an epoch below the last one."""
+    """What costs most of these missions, as in the published code: they refuse a sequence number below the last one."""
     hovering = [log for log in died if log.status.label == "timeout"]
     assert hovering
     for log in hovering:

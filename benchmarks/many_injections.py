@@ -1,9 +1,9 @@
-"""Strikes a kernel a great many times in forked children, and watches what that leaves behind: nothing, if all is well.
+"""Injects a kernel a great many times in forked children, and watches what that leaves behind: nothing, if all is well.
 
-    python -m benchmarks.many_strikes [N]
+    python -m benchmarks.many_injections [N]
 
-Counted every few strikes: children that nobody waited for, open files, memory of this process, files in the temporary
-folder, which is one of its own.  The strikes are of all kinds, so children end by themselves, by a signal and by
+Counted now and then: children that nobody waited for, open files, memory of this process, files in the temporary folder,
+which is one of its own.  The faults are of all kinds, so children end by themselves, by a signal and by
 their budget of instructions.
 """
 
@@ -26,8 +26,8 @@ LOOKS = 20
 """How often is looked."""
 _FAULTS = 500
 _GROWTH_KIB, _GROWTH_BYTES = 2_048, 256
-"""Growth of memory that counts as a leak, after the first look: at all (KiB), and per strike. A child's report alone is
-longer; what stays below are pages of what is loaded already, touched for the first time."""
+"""Growth of memory that counts as a leak, after the first look: at all (KiB), and per injection. A child's report alone
+is longer; what stays below are pages of what is loaded already, touched for the first time."""
 
 
 @kernel_jit
@@ -46,26 +46,26 @@ class Look:
     """What this process has at an instant.
 
     Attributes:
-        strikes: So far.
+        injections: So far.
         files: Open in this process.
         children: That ended and were not waited for, or still run.
         memory_kib: Resident (KiB).
         left_behind: Entries of the temporary folder.
     """
 
-    strikes: int
+    injections: int
     files: int
     children: int
     memory_kib: int
     left_behind: int
 
 
-def look(strikes: int) -> Look:
+def look(injections: int) -> Look:
     """Count all of it."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     memory = pages * os.sysconf("SC_PAGE_SIZE") // 1024
     left = len(os.listdir(tempfile.gettempdir()))
-    return Look(strikes, len(os.listdir("/proc/self/fd")), children(), memory, left)
+    return Look(injections, len(os.listdir("/proc/self/fd")), children(), memory, left)
 
 
 def children() -> int:
@@ -80,11 +80,11 @@ def children() -> int:
     return found
 
 
-def strike_often(count: int, looks: int = LOOKS) -> tuple[Counter[str], list[Look]]:
-    """Strike, again and again; gives the outcomes, and what was there: before, from time to time, and at the end.
+def inject_often(count: int, looks: int = LOOKS) -> tuple[Counter[str], list[Look]]:
+    """Inject, again and again; gives the outcomes, and what was there: before, from time to time, and at the end.
 
     Args:
-        count: Number of strikes.
+        count: Number of injections.
         looks: How often is looked between.
     """
     args = np.linspace(-1.0, 1.0, 64), np.random.default_rng(1).permutation(64)
@@ -103,34 +103,36 @@ def strike_often(count: int, looks: int = LOOKS) -> tuple[Counter[str], list[Loo
 def leaks(seen: list[Look]) -> list[str]:
     """What was left behind, in words; empty if nothing was."""
     first, settled, last = seen[0], seen[min(1, len(seen) - 1)], seen[-1]
-    found = [f"{later.children} children at strike {later.strikes}" for later in seen if later.children][:1]
+    found = [f"{later.children} children at injection {later.injections}" for later in seen if later.children][:1]
     if last.files > first.files:
         found.append(f"open files: {first.files} before, {last.files} after")
-    room = max(_GROWTH_KIB, _GROWTH_BYTES * (last.strikes - settled.strikes) // 1024)
+    room = max(_GROWTH_KIB, _GROWTH_BYTES * (last.injections - settled.injections) // 1024)
     if last.memory_kib > settled.memory_kib + room:
-        found.append(f"memory: {settled.memory_kib:,} KiB at strike {settled.strikes}, {last.memory_kib:,} KiB after")
+        found.append(
+            f"memory: {settled.memory_kib:,} KiB at injection {settled.injections}, {last.memory_kib:,} KiB after"
+        )
     if last.left_behind > first.left_behind:
         found.append(f"temporary files: {first.left_behind} before, {last.left_behind} after")
     return found
 
 
 def main() -> int:
-    """Strike, and tell."""
-    parser = argparse.ArgumentParser(description="Strike a kernel often, and look for what is left behind.")
-    parser.add_argument("count", nargs="?", type=int, default=N, help=f"number of strikes (default {N:,})")
+    """Inject, and tell."""
+    parser = argparse.ArgumentParser(description="Inject a kernel often, and look for what is left behind.")
+    parser.add_argument("count", nargs="?", type=int, default=N, help=f"number of injections (default {N:,})")
     count = parser.parse_args().count
     if count < 1:
         parser.error(f"{count}: allowed: 1 and more")
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
         os.environ["TMPDIR"] = tempfile.tempdir = folder
-        outcomes, seen = strike_often(count)
+        outcomes, seen = inject_often(count)
         tempfile.tempdir = None
     wall = time.perf_counter() - start
-    print(f"{count:,} strikes in {wall:.0f} s: {', '.join(f'{n:,} {how}' for how, n in outcomes.most_common())}")
-    print(f"{'strikes':>10} {'children':>9} {'files':>6} {'memory KiB':>11} {'temporary files':>16}")
+    print(f"{count:,} injections in {wall:.0f} s: {', '.join(f'{n:,} {how}' for how, n in outcomes.most_common())}")
+    print(f"{'injections':>10} {'children':>9} {'files':>6} {'memory KiB':>11} {'temporary files':>16}")
     for one in seen:
-        print(f"{one.strikes:>10,} {one.children:>9} {one.files:>6} {one.memory_kib:>11,} {one.left_behind:>16}")
+        print(f"{one.injections:>10,} {one.children:>9} {one.files:>6} {one.memory_kib:>11,} {one.left_behind:>16}")
     found = leaks(seen)
     print("left behind: " + ("; ".join(found) or "nothing"))
     return 1 if found else 0
