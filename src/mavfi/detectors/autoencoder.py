@@ -1,25 +1,30 @@
-"""AAD: one autoencoder for all stages (MAVFI section IV-D), with two recovery policies."""
+"""AAD: one autoencoder for all stages (MAVFI section IV-D).  Only its training needs scikit-learn."""
 
 import math
-from typing import NamedTuple
+import warnings
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.detector import Alarm
+from mavfi.detectors.deltas import DeltaScorer
 from mavfi.detectors.features import Watch
 from mavfi.detectors.model import Model
+from mavfi.detectors.parts import ScoringDetector, Threshold, Verdict, make_policy
 from mavfi.detectors.preprocess import Preprocessor
-from mavfi.errors import BadInputError
+from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics.jit import kernel_jit
-from mavfi.states import State
+
+if TYPE_CHECKING:
+    from sklearn.neural_network import MLPRegressor
 
 SOURCE = "autoencoder"
-POLICIES = ("paper", "keyed")
 INPUT_LIMIT = 10.0
 """Inputs are clamped to this many training peaks: a huge one would spill through the decoder into all outputs."""
-NOT_FINITE = 1e9
-"""Score of a value that is not finite: an alarm whatever was learned."""
+WEIGHT_DIGITS = 8
+"""Significant digits of weights that are kept; those after them depend on the linear algebra of the machine."""
+_TRAINING_STREAM = 4
 
 
 class Network(NamedTuple):
@@ -81,138 +86,201 @@ def residuals(vector: np.ndarray, network: Network, errors: np.ndarray) -> None:
 
 
 @kernel_jit
-def excess(errors: np.ndarray, regime: int, limit: np.ndarray, first: int, last: int) -> float:
-    """Score of residuals in units of what is allowed; > 1 is an alarm.
-
-    The mean is over all outputs, as in the paper.  Limits per output judge the renewed ones only: a delta that was let
-    pass would otherwise raise the same alarm again with every publication until it is renewed.
-
-    Args:
-        errors: Residuals. Shape (n,).
-        regime: Regime of the publication.
-        limit: Largest mean squared error, shape (1, 1); or largest error of each output and regime, shape (n, 3).
-        first: First output that the publication renews.
-        last: One past the last.
-    """
-    worst = 0.0
-    if len(limit) == 1:
-        for error in errors:
-            worst += error * error
-        return float(worst / len(errors) / limit[0, 0])
-    for index in range(first, last):
-        worst = max(worst, errors[index] / limit[index, regime])
-    return worst
-
-
-@kernel_jit
-def judge(
-    content: np.ndarray, slot: int, watch: Watch, network: Network, limit: np.ndarray,
-    vector: np.ndarray, errors: np.ndarray,
-) -> float:  # fmt: skip
-    """Score of all last deltas, of which this publication renews its own.
+def read_residuals(
+    content: np.ndarray, slot: int, watch: Watch, network: Network, vector: np.ndarray, errors: np.ndarray
+) -> int:
+    """Residuals of all last deltas, of which this publication renews its own.
 
     Args:
         content: As of `features.measure`.
         slot: As of `features.measure`.
         watch: As of `features.measure`.
         network: The network.
-        limit: As of `excess`.
         vector: Last deltas; those of this publication are filled in. Shape (n,), int16.
         errors: Filled in: residuals. Shape (n,).
 
     Returns:
-        Score; > 1 is an alarm.
+        As of `features.measure`.
     """
     regime = features.measure(content, slot, watch, vector)
     residuals(vector, network, errors)
-    if regime < 0:
-        return NOT_FINITE
-    first, last = watch.places[slot, features.FIRST], watch.places[slot, features.LAST]
-    return excess(errors, regime, limit, first, last)
+    return regime
 
 
-class AutoencoderDetector:
-    """AAD in either profile and policy.
-
-    Profile `paper`: mean squared error against its upper bound on error-free flights.  `tuned`: each output's residual
-    against its largest in training, per regime.  Policy `paper`: the control stage is recomputed and a struck way-point
-    is abandoned for the next; where the way-point published last was anomalous as well, alarms persist: stop and plan
-    anew.  Policy `keyed`: the stage with the largest residual, relative to its largest in training, is recomputed.
+class AutoencoderScorer(DeltaScorer):
+    """Reconstruction errors of all last deltas.
 
     Every delta is judged once: one that is published in spite of an alarm is not held for the vectors that follow.
+
+    Args:
+        preprocessor: Of the fields.
+        network: Trained on their deltas.
+    """
+
+    adapts = True
+
+    def __init__(self, preprocessor: Preprocessor, network: Network) -> None:
+        super().__init__(preprocessor)
+        self._network = network
+        self._held = np.zeros_like(self._deltas)
+
+    def start(self) -> None:
+        """Forget the last flight."""
+        super().start()
+        self._held[:] = 0
+
+    def measure(self, content: np.ndarray, slot: int) -> int:
+        """See `read_residuals`."""
+        self._deltas[:] = self._held
+        return int(read_residuals(content, slot, self.features.watch, self._network, self._deltas, self._distance))
+
+    def learn(self, content: np.ndarray, slot: int, verdict: Verdict) -> None:
+        """Hold normal deltas."""
+        first, last = self.features.range_of(slot)
+        self._held[first:last] = self._deltas[first:last] if verdict.score <= 1.0 else 0
+
+    def memory(self) -> Any:  # noqa: ANN401
+        """What is remembered of the flight."""
+        return super().memory(), self._held.tobytes()
+
+    def restore(self, memory: Any) -> None:  # noqa: ANN401
+        """Inverse of `memory`."""
+        super().restore(memory[0])
+        self._held[:] = np.frombuffer(memory[1], np.int16)
+
+
+class AutoencoderDetector(ScoringDetector):
+    """AAD in either profile.
+
+    `paper`: mean squared error against its upper bound on error-free flights.  `tuned`: each output's residual against
+    its largest in training, per regime.
+
+    Args:
+        model: A model of kind "autoencoder".
+        policy: "paper" or "keyed", see `parts.POLICIES`.
+        preprocessor: Of the fields that the model was trained on, if they are no monitored set.
+
+    Raises:
+        BadInputError: The policy is not known.
     """
 
     model_kind = SOURCE
 
-    def __init__(self, model: Model, policy: str | None = None, preprocessor: Preprocessor | None = None) -> None:
-        """Take over what was trained.
+    def __init__(self, model: Model, policy: str = "keyed", preprocessor: Preprocessor | None = None) -> None:
+        deltas = preprocessor or Preprocessor(model.monitored, model.profile, model.prediction)
+        numbers = {name: np.array(values, np.float64) for name, values in model.parameters.items() if name != "sizes"}
+        sizes = np.array(model.parameters["sizes"], np.int64)
+        network = Network(numbers["scale"], sizes, numbers["weights"], np.zeros((3, int(sizes.max()))))
+        threshold = Threshold(numbers["limit"], len(deltas.fields), numbers["key"])
+        super().__init__(SOURCE, AutoencoderScorer(deltas, network), threshold, make_policy(policy))
 
-        Args:
-            model: A model of kind "autoencoder".
-            policy: "paper" or "keyed"; default: "paper" for profile `paper`, "keyed" for `tuned`.
-            preprocessor: Of the fields that the model was trained on, if they are no monitored set.
+    @staticmethod
+    def fit(sample: Sample, preprocessor: Preprocessor, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters of a model, see `fit_autoencoder`."""
+        return fit_autoencoder(sample, **figures)
 
-        Raises:
-            BadInputError: The policy is not known.
-        """
-        self._policy = policy or {"paper": "paper"}.get(model.profile, "keyed")
-        if self._policy not in POLICIES:
-            raise BadInputError(f"recovery policy {policy!r}: not known; allowed: {', '.join(POLICIES)}")
-        parameters = model.parameters
-        self._features = preprocessor or Preprocessor(model.monitored, model.profile, model.prediction)
-        sizes = np.array(parameters["sizes"], np.int64)
-        scale, weights = np.array(parameters["scale"], np.float64), np.array(parameters["weights"], np.float64)
-        self._network = Network(scale, sizes, weights, np.zeros((3, int(sizes.max()))))
-        self._limit = np.array(parameters["limit"], np.float64)
-        self._key = np.array(parameters["key"], np.float64)
-        size = len(self._features.fields)
-        self._held = np.zeros(size, np.int16)
-        self._vector = np.zeros(size, np.int16)
-        self._errors = np.zeros(size)
-        self._anomalous_waypoint = False
 
-    def start(self) -> None:
-        """Forget the last flight."""
-        self._features.start()
-        self._held[:] = 0
-        self._anomalous_waypoint = False
+def fit_autoencoder(  # noqa: PLR0913 - the figures of a YAML file
+    sample: Sample, *, hidden_layers: Sequence[int], epochs: int, learning_rate: float, largest_class: int,
+    margin: float | None = None, smallest_regime: int = 0,
+) -> dict[str, Any]:  # fmt: skip
+    """Weights and limits of the AAD.
 
-    def check(self, state: State, time_us: int) -> Alarm | None:
-        """Judge a publication."""
-        slot = self._features.slots.get(state.spec.name)
-        if slot is None:
-            return None
-        content = state.header.view(np.uint8)
-        score = self._judge(content, slot)
-        return None if score <= 1.0 else self._alarm(slot, score, content)
+    Args:
+        sample: Error-free flights.
+        hidden_layers: Neurons of each.
+        epochs: Of training.
+        learning_rate: Of Adam.
+        largest_class: Vectors of one state and regime that the network is trained on; rarer ones are all taken.
+        margin: Limit / largest error in training, by output and regime; None = one limit, the largest mean squared
+            error, without a margin.
+        smallest_regime: Samples below which a regime takes the largest limit of its field's regimes.
+    """
+    scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
+    inputs = sample.vectors[representative(sample, largest_class)] / scale
+    network = export(train_network(inputs, hidden_layers, epochs, learning_rate), scale)
+    errors = all_residuals(sample.vectors, network)
+    usual = np.maximum(errors.max(axis=0), 1.0 / scale)
+    if margin is None:
+        limit = [[float((errors**2).mean(axis=1).max())]]
+    else:
+        limit = regime_limits(*_regime_peaks(errors, sample.regimes, scale), margin, smallest_regime)
+    return {
+        "scale": scale.tolist(), "sizes": network.sizes.tolist(), "weights": network.weights.tolist(), "limit": limit,
+        "key": usual.tolist(),
+    }  # fmt: skip
 
-    def accept(self, state: State, time_us: int) -> None:
-        """Take note of a value that was published."""
-        known = self._features
-        slot = known.slots.get(state.spec.name)
-        if slot is None:
-            known.note(state)
-            return
-        content = state.header.view(np.uint8)
-        normal = self._judge(content, slot) <= 1.0
-        first, last = known.range_of(slot)
-        self._held[first:last] = self._vector[first:last] if normal else 0
-        if known.is_waypoint(slot):
-            self._anomalous_waypoint = not normal
-        features.commit(content, slot, known.watch)
 
-    def _judge(self, content: np.ndarray, slot: int) -> float:
-        self._vector[:] = self._held
-        watch = self._features.watch
-        return judge(content, slot, watch, self._network, self._limit, self._vector, self._errors)
+def _regime_peaks(errors: np.ndarray, regimes: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Largest residual of each output and regime, and of how many; the residual of one code is always allowed."""
+    peaks = np.repeat((1.0 / scale)[:, None], features.REGIMES, axis=1)
+    counts = np.bincount(regimes, minlength=features.REGIMES)
+    for regime in np.flatnonzero(counts):
+        peaks[:, regime] = np.maximum(peaks[:, regime], errors[regimes == regime].max(axis=0))
+    return peaks, np.broadcast_to(counts, peaks.shape)
 
-    def _alarm(self, slot: int, score: float, content: np.ndarray) -> Alarm:
-        worst = int(np.argmax(self._errors / self._key))
-        if score == NOT_FINITE:
-            first, last = self._features.range_of(slot)
-            worst = first + int(np.argmax(features.not_finite(content, self._features.watch.table[first:last])))
-        fields = (self._features.fields[worst],)
-        if self._policy == "keyed":
-            return Alarm(SOURCE, self._features.stage(worst), score=float(score), fields=fields)
-        waypoint = self._features.is_waypoint(slot)
-        return Alarm(SOURCE, "control", waypoint, waypoint and self._anomalous_waypoint, float(score), fields)
+
+def representative(sample: Sample, largest_class: int) -> np.ndarray:
+    """Rows to train the network on: of each state and regime all, or so many drawn ones. Ascending, int64."""
+    generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(0, spawn_key=(_TRAINING_STREAM,))))
+    classes = sample.slots * features.REGIMES + sample.regimes
+    rows = []
+    for label in np.unique(classes):
+        own = np.flatnonzero(classes == label)
+        rows.append(generator.choice(own, largest_class, replace=False) if len(own) > largest_class else own)
+    return np.sort(np.concatenate(rows))
+
+
+def train_network(
+    inputs: np.ndarray, hidden_layers: Sequence[int], epochs: int, learning_rate: float
+) -> "MLPRegressor":  # fmt: skip
+    """A network that reproduces its inputs; Adam, mean squared error, a fixed number of epochs on one thread.
+
+    Args:
+        inputs: Scaled deltas. Shape (m, n).
+        hidden_layers: Neurons of each; the paper's encoder "of size 13, 6 and 3" counts the input as a layer, and the
+            decoder mirrors it.
+        epochs: How many.
+        learning_rate: Of Adam.
+    """
+    from sklearn.exceptions import ConvergenceWarning
+    from sklearn.neural_network import MLPRegressor
+    from threadpoolctl import threadpool_limits
+
+    network = MLPRegressor(
+        hidden_layer_sizes=tuple(hidden_layers), activation="tanh", solver="adam", learning_rate_init=learning_rate,
+        batch_size=min(256, len(inputs)), max_iter=epochs, tol=0.0, n_iter_no_change=epochs, random_state=0,
+    )  # fmt: skip
+    with threadpool_limits(1), warnings.catch_warnings():
+        warnings.simplefilter("ignore", ConvergenceWarning)  # the number of epochs is the stopping rule
+        network.fit(inputs, inputs if inputs.shape[1] > 1 else inputs.ravel())
+    return network
+
+
+def export(network: "MLPRegressor", scale: np.ndarray) -> Network:
+    """A trained network as detectors fly it; its inputs are deltas / `scale`.
+
+    Weights are rounded, so that training on another machine gives the same file (2e-14 lay between two of them).
+    """
+    sizes = [network.coefs_[0].shape[0], *(len(intercepts) for intercepts in network.intercepts_)]
+    layers = zip(network.coefs_, network.intercepts_, strict=True)
+    weights = [part for coefficients, intercepts in layers for part in (coefficients.ravel(), intercepts)]
+    rounded = np.array([float(f"{weight:.{WEIGHT_DIGITS - 1}e}") for weight in np.concatenate(weights)])
+    return Network(scale, np.array(sizes, np.int64), rounded, np.zeros((3, max(sizes))))
+
+
+@kernel_jit
+def all_residuals(vectors: np.ndarray, network: Network) -> np.ndarray:
+    """Residuals of many vectors.
+
+    Args:
+        vectors: Shape (m, n), int16.
+        network: The network.
+
+    Returns:
+        Shape (m, n), float64.
+    """
+    errors = np.zeros(vectors.shape)
+    for row in range(len(vectors)):
+        residuals(vectors[row], network, errors[row])
+    return errors

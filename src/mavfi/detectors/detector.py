@@ -37,6 +37,9 @@ class Detector(Protocol):
     The host calls `check` with every publication before it is seen by a consumer (coupling `inline`).  On an alarm the
     host recomputes the stage and then calls `accept` with the value that is really published; without one it calls
     `accept` right away.  So references for deltas are always values that were published.
+
+    A detector may also have `memory()` and `restore(memory)`: what it remembers, as plain data that `==` compares bit
+    for bit, and its inverse.  A host that goes back to an earlier instant copies a detector without them as a whole.
     """
 
     def start(self) -> None:

@@ -9,18 +9,21 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mavfi.detectors import features, training
-from mavfi.detectors.autoencoder import SOURCE as AUTOENCODER
 from mavfi.detectors.autoencoder import AutoencoderDetector
 from mavfi.detectors.detector import Detector
-from mavfi.detectors.gaussian import SOURCE as GAUSSIAN
+from mavfi.detectors.features import Events
 from mavfi.detectors.gaussian import GaussianDetector
 from mavfi.detectors.model import Model
 from mavfi.detectors.preprocess import Preprocessor
+from mavfi.detectors.registry import settings_of
+from mavfi.detectors.samples import sample_of
 from mavfi.errors import BadInputError
 from mavfi.states import Field, Stage, State, StateSpec
 
-KINDS = (GAUSSIAN, AUTOENCODER)
+_DETECTORS: dict[str, type[GaussianDetector | AutoencoderDetector]] = {
+    found.model_kind: found for found in (GaussianDetector, AutoencoderDetector)
+}
+KINDS = tuple(_DETECTORS)
 SMALLEST_SAMPLE = 50
 """Messages of each source without which nothing can be learned."""
 _SMALLEST_EXPONENT, _LARGEST_EXPONENT = -1000, 1000
@@ -66,16 +69,11 @@ def learn(kind: str, profile: str, states: Sequence[State], specs: Mapping[str, 
         for threshold in _thresholds(spec, [state for state in states if state.spec is spec], profile)
     ]
     preprocessor = Preprocessor.of(specs, profile, thresholds)
-    sample = _sample(states, slots, preprocessor)
-    if kind == GAUSSIAN:
-        fit = training.fit_online if profile == "paper" else training.fit_frozen
-        return GaussianDetector(_model(kind, profile, fit(sample, preprocessor)), preprocessor=preprocessor)
-    parameters = training.fit_autoencoder(sample, per_output=profile == "tuned")
-    return AutoencoderDetector(_model(kind, profile, parameters), "keyed", preprocessor)
-
-
-def _model(kind: str, profile: str, parameters: dict) -> Model:
-    return Model(kind, profile, "", "", parameters, {})
+    contents = [state.header.tobytes() for state in states]
+    events = Events(slots, np.cumsum([len(part) for part in contents]), np.frombuffer(b"".join(contents), np.uint8))
+    detector = _DETECTORS[kind]
+    parameters = detector.fit(sample_of(events, preprocessor), preprocessor, settings_of(kind, profile).fit)
+    return detector(Model(kind, profile, "", "", parameters, {}), preprocessor=preprocessor)
 
 
 def _thresholds(spec: StateSpec, states: Sequence[State], profile: str) -> list[int]:
@@ -92,19 +90,3 @@ def _thresholds(spec: StateSpec, states: Sequence[State], profile: str) -> list[
     largest = np.minimum(largest, np.finfo(np.float64).max)
     exponents = np.where(largest > 0, np.frexp(largest)[1] - 1, np.frexp(np.abs(values).max(axis=0))[1] - 1 - 20)
     return [int(exponent) for exponent in np.clip(exponents - _BELOW[profile], _SMALLEST_EXPONENT, _LARGEST_EXPONENT)]
-
-
-def _sample(states: Sequence[State], slots: np.ndarray, preprocessor: Preprocessor) -> training.Sample:
-    """What a detector would have seen."""
-    contents = [state.header.tobytes() for state in states]
-    events = features.Events(
-        slots, np.cumsum([len(part) for part in contents]), np.frombuffer(b"".join(contents), np.uint8)
-    )
-    vectors = np.zeros((len(states), len(preprocessor.fields)), np.int16)
-    regimes = np.zeros(len(states), np.int64)
-    preprocessor.start()
-    features.replay(events, preprocessor.watch, vectors, regimes)
-    preprocessor.start()
-    first = np.zeros(len(states), bool)
-    first[np.unique(slots, return_index=True)[1]] = True
-    return training.Sample(vectors, slots, regimes, first)

@@ -1,12 +1,14 @@
 """The physics gate: what no vehicle of this kind can do, known without training.  It is its own source of alarms."""
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.detector import Alarm, Detector
+from mavfi.detectors.parts import Reading, Scorer, ScoringDetector, Threshold, Verdict
 from mavfi.numerics.jit import kernel_jit
-from mavfi.states import State, StateSpec
+from mavfi.states import STATES, State, StateSpec
 
 SOURCE = "physics_gate"
 SPEED_MARGIN = 1.5
@@ -19,6 +21,8 @@ LARGEST_YAW = 2.0 * math.pi
 """Largest plausible yaw (rad)."""
 UNKNOWN_ARENA = ((-1e4, -1e4, -1e4), (1e4, 1e4, 1e4))
 """Bounds of positions where the arena is not known (m)."""
+IMPLAUSIBLE = 2.0
+"""Score of what cannot be."""
 _FINE = -1
 _SPEED, _LOWER, _UPPER = 0, 1, 4
 
@@ -78,22 +82,29 @@ def implausible_waypoint(values: np.ndarray, before: np.ndarray, limits: np.ndar
     return _FINE if found < 0 else found + 4
 
 
-class PhysicsGate:
-    """Finite numbers, the arena, speeds, steps of way-points, a collision counter that goes up by 0 or 1."""
+class PlausibilityScorer(Scorer):
+    """Finite numbers, the arena, speeds, steps of way-points, a collision counter that goes up by 0 or 1.
 
-    def __init__(self, v_max: float, arena: tuple[tuple[float, ...], tuple[float, ...]] = UNKNOWN_ARENA) -> None:
-        """Set the limits.
+    A field is IMPLAUSIBLE away from what can be, or 0.
 
-        Args:
-            v_max: Speed limit of the mission (m/s).
-            arena: Lower and upper corner that way-points must stay within (m).
-        """
+    Args:
+        v_max: Speed limit of the mission (m/s).
+        arena: Lower and upper corner that way-points must stay within (m).
+    """
+
+    def __init__(self, v_max: float, arena: tuple[tuple[float, ...], tuple[float, ...]]) -> None:
         self._limits = np.array([SPEED_MARGIN * v_max, *arena[0], *arena[1]], np.float64)
-        self._rules = {
+        self._rules: dict[str, Callable[[State], int]] = {
             "perception.collision_status": self._judge_status,
             "planning.waypoint": self._judge_waypoint,
             "control.command": self._judge_command,
         }
+        watched = [(STATES[name], field.name) for name in self._rules for field in STATES[name].header]
+        self.fields = tuple(f"{spec.name}.{field}" for spec, field in watched)
+        self.stages = tuple(spec.stage.value for spec, _ in watched)
+        owners = [spec.name for spec, _ in watched]
+        self._ranges = {name: (owners.index(name), owners.index(name) + owners.count(name)) for name in self._rules}
+        self._distance, self._unit = np.zeros(len(owners)), np.ones(len(owners))
         self.start()
 
     def start(self) -> None:
@@ -102,22 +113,38 @@ class PhysicsGate:
         self._trajectory: int | None = None
         self._position = np.zeros(3)
 
-    def check(self, state: State, time_us: int) -> Alarm | None:
-        """Judge a publication."""
+    def read(self, state: State) -> Reading | None:
+        """Measure a publication."""
         rule = self._rules.get(state.spec.name)
-        found = _FINE if rule is None else rule(state)
-        if found < 0:
+        if rule is None:
             return None
-        name = state.spec.name
-        return Alarm(SOURCE, state.spec.stage.value, score=2.0, fields=(f"{name}.{state.spec.header[found].name}",))
+        first, last = self._ranges[state.spec.name]
+        self._distance[first:last] = 0.0
+        found = rule(state)
+        if found >= 0:
+            self._distance[first + found] = IMPLAUSIBLE
+        return Reading(self._distance, self._unit, first, last, 0)
 
-    def accept(self, state: State, time_us: int) -> None:
+    def accept(self, state: State, verdict: Verdict | None) -> None:
         """Take note of a value that was published."""
         if state.spec.name == "perception.collision_status":
             self._sequence = int(state.header["future_collision_seq"][0])
         elif state.spec.name == "planning.waypoint":
             self._trajectory = int(state.header["trajectory_seq"][0])
             self._position[:] = _reals(state)[:3]
+
+    def not_finite(self, state: State) -> np.ndarray:
+        """None: a number that is not finite is one that cannot be."""
+        return np.zeros(0, np.int64)
+
+    def memory(self) -> Any:  # noqa: ANN401
+        """What is remembered of the flight."""
+        return self._sequence, self._trajectory, self._position.tobytes()
+
+    def restore(self, memory: Any) -> None:  # noqa: ANN401
+        """Inverse of `memory`."""
+        self._sequence, self._trajectory, position = memory
+        self._position[:] = np.frombuffer(position)
 
     def _judge_status(self, state: State) -> int:
         if not (0.0 <= float(state.header["time_to_collision"][0]) <= LONGEST_TIME_TO_COLLISION):
@@ -133,30 +160,13 @@ class PhysicsGate:
         return int(implausible_command(_reals(state), self._limits))
 
 
-class Chain:
-    """Several detectors in a row: the first alarm counts."""
+class PhysicsGate(ScoringDetector):
+    """What cannot be is an alarm for its own stage; arguments as of `PlausibilityScorer`."""
 
-    def __init__(self, *detectors: Detector) -> None:
-        """Ask these, in this order."""
-        self._detectors = detectors
-
-    def start(self) -> None:
-        """Forget the last flight."""
-        for detector in self._detectors:
-            detector.start()
-
-    def check(self, state: State, time_us: int) -> Alarm | None:
-        """The first alarm that one of them raises."""
-        for detector in self._detectors:
-            alarm = detector.check(state, time_us)
-            if alarm is not None:
-                return alarm
-        return None
-
-    def accept(self, state: State, time_us: int) -> None:
-        """Tell all of them."""
-        for detector in self._detectors:
-            detector.accept(state, time_us)
+    def __init__(self, v_max: float, arena: tuple[tuple[float, ...], tuple[float, ...]] = UNKNOWN_ARENA) -> None:
+        scorer = PlausibilityScorer(v_max, arena)
+        size = len(scorer.fields)
+        super().__init__(SOURCE, scorer, Threshold(np.ones((size, 1)), size))
 
 
 def _index(spec: StateSpec, field: str) -> int:

@@ -1,183 +1,193 @@
 """GAD: one Gaussian detector per watched field, an alarm for the field's stage (MAVFI section IV-C)."""
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.detector import Alarm
+from mavfi.detectors.deltas import DeltaScorer
 from mavfi.detectors.features import Watch
 from mavfi.detectors.model import Model
+from mavfi.detectors.parts import NOT_FINITE, ScoringDetector, Threshold, Verdict
 from mavfi.detectors.preprocess import Preprocessor
+from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics import welford
 from mavfi.numerics.jit import kernel_jit
-from mavfi.states import State
 
 SOURCE = "gaussian"
 SIGMA_FLOOR = 0.5
 """Smallest standard deviation, in codes: deltas are integers, and some never change in training."""
-NOT_FINITE = 1e9
-"""Score of a value that is not finite: an alarm whatever was learned."""
-
-
-class Online(NamedTuple):
-    """What the `paper` profile judges by.
-
-    Attributes:
-        statistics: k, M, S of each field. Shape (n, 3).
-        sigmas: The paper's n.
-        min_count: Samples before a field is judged.
-    """
-
-    statistics: np.ndarray
-    sigmas: float
-    min_count: float
-
-
-class Frozen(NamedTuple):
-    """What the `tuned` profile judges by.
-
-    Attributes:
-        centre: Mean of each field and regime. Shape (n, 3).
-        limit: Largest distance from it that is no alarm, > 0. Shape (n, 3).
-    """
-
-    centre: np.ndarray
-    limit: np.ndarray
 
 
 @kernel_jit
-def judge_online(
-    content: np.ndarray, slot: int, watch: Watch, rule: Online, deltas: np.ndarray, scores: np.ndarray
-) -> float:
-    """Distance from the running mean in units of n standard deviations.
+def deviations(
+    content: np.ndarray, slot: int, watch: Watch, statistics: np.ndarray, min_count: float,
+    deltas: np.ndarray, distance: np.ndarray, unit: np.ndarray,
+) -> int:  # fmt: skip
+    """Distance of each delta from its running mean, and its standard deviation.
 
     Args:
         content: As of `features.measure`.
         slot: As of `features.measure`.
         watch: As of `features.measure`.
-        rule: What to judge by.
+        statistics: k, M, S of each field. Shape (n, 3).
+        min_count: Samples before a field is judged.
         deltas: Filled in for the fields of this state. Shape (n,), int16.
-        scores: Filled in likewise; > 1 is an alarm. Shape (n,).
+        distance: Likewise. Shape (n,).
+        unit: Likewise; 0 where there are too few samples. Shape (n,).
 
     Returns:
-        The largest score.
+        As of `features.measure`.
     """
     regime = features.measure(content, slot, watch, deltas)
-    worst = 0.0
     for index in range(watch.places[slot, features.FIRST], watch.places[slot, features.LAST]):
-        count, mean, squares = rule.statistics[index]
-        scores[index] = 0.0
-        if count >= rule.min_count:
-            sigma = max(welford.deviation(count, squares), SIGMA_FLOOR)
-            scores[index] = abs(deltas[index] - mean) / (rule.sigmas * sigma)
-        worst = max(worst, scores[index])
-    return worst if regime >= 0 else NOT_FINITE
+        count, mean, squares = statistics[index]
+        distance[index] = abs(deltas[index] - mean)
+        unit[index] = max(welford.deviation(count, squares), SIGMA_FLOOR) if count >= min_count else 0.0
+    return regime
 
 
 @kernel_jit
-def learn_online(
-    content: np.ndarray, slot: int, watch: Watch, rule: Online, deltas: np.ndarray, scores: np.ndarray
-) -> None:
-    """Update the statistics with a published value, except where it would have raised an alarm, and remember it.
+def update(statistics: np.ndarray, deltas: np.ndarray, ratios: np.ndarray, first: int, last: int) -> None:
+    """Update the statistics of the fields [first, last) with their deltas, except those beyond their limits."""
+    for index in range(first, last):
+        if ratios[index] <= 1.0:
+            count, mean, squares = statistics[index]
+            statistics[index] = welford.update(count, mean, squares, float(deltas[index]))
 
-    Arguments as of `judge_online`; `rule.statistics` and `watch` change.
-    """
-    worst = judge_online(content, slot, watch, rule, deltas, scores)
-    if worst < NOT_FINITE and watch.memory[slot, features.SEEN] != 0.0:
+
+@kernel_jit
+def distances(
+    content: np.ndarray, slot: int, watch: Watch, centre: np.ndarray, deltas: np.ndarray, distance: np.ndarray
+) -> int:
+    """Distance of each delta from the centre of its regime, shape (n, regimes); else as `deviations`."""
+    regime = features.measure(content, slot, watch, deltas)
+    if regime >= 0:
         for index in range(watch.places[slot, features.FIRST], watch.places[slot, features.LAST]):
-            if scores[index] <= 1.0:
-                count, mean, squares = rule.statistics[index]
-                rule.statistics[index] = welford.update(count, mean, squares, float(deltas[index]))
-    features.commit(content, slot, watch)
+            distance[index] = abs(deltas[index] - centre[index, regime])
+    return regime
 
 
-@kernel_jit
-def judge_frozen(
-    content: np.ndarray, slot: int, watch: Watch, rule: Frozen, deltas: np.ndarray, scores: np.ndarray
-) -> float:
-    """Distance from the trained mean of the regime in units of its trained limit; arguments as of `judge_online`."""
-    regime = features.measure(content, slot, watch, deltas)
-    if regime < 0:
-        return NOT_FINITE
-    worst = 0.0
-    for index in range(watch.places[slot, features.FIRST], watch.places[slot, features.LAST]):
-        scores[index] = abs(deltas[index] - rule.centre[index, regime]) / rule.limit[index, regime]
-        worst = max(worst, scores[index])
-    return worst
+class OnlineScorer(DeltaScorer):
+    """Standard deviations from means that go on from the trained ones; a value is judged before it is learned.
+
+    Args:
+        preprocessor: Of the fields.
+        statistics: Trained k, M, S of each field. Shape (n, 3).
+        min_count: Samples before a field is judged.
+    """
+
+    adapts = True
+
+    def __init__(self, preprocessor: Preprocessor, statistics: np.ndarray, min_count: float) -> None:
+        super().__init__(preprocessor)
+        self._trained, self._statistics, self._min_count = statistics, statistics.copy(), min_count
+
+    def start(self) -> None:
+        """Forget the last flight."""
+        super().start()
+        self._statistics[:] = self._trained
+
+    def measure(self, content: np.ndarray, slot: int) -> int:
+        """See `deviations`."""
+        watch, statistics = self.features.watch, self._statistics
+        return int(
+            deviations(content, slot, watch, statistics, self._min_count, self._deltas, self._distance, self._unit)
+        )
+
+    def learn(self, content: np.ndarray, slot: int, verdict: Verdict) -> None:
+        """Learn normal deltas; a first publication has none."""
+        if verdict.score < NOT_FINITE and self.features.watch.memory[slot, features.SEEN] != 0.0:
+            update(self._statistics, self._deltas, verdict.ratios, *self.features.range_of(slot))
+
+    def memory(self) -> Any:  # noqa: ANN401
+        """What is remembered of the flight."""
+        return super().memory(), self._statistics.tobytes()
+
+    def restore(self, memory: Any) -> None:  # noqa: ANN401
+        """Inverse of `memory`."""
+        super().restore(memory[0])
+        self._statistics[:] = np.frombuffer(memory[1]).reshape(-1, 3)
 
 
-class GaussianDetector:
-    """GAD in either profile.
+class FrozenScorer(DeltaScorer):
+    """Distances from a trained centre of each field and regime, shape (n, regimes)."""
 
-    `paper`: one n for all fields; mean and deviation go on online from the trained ones, a value is tested before
-    they are updated, and they are never updated with one that raised an alarm.  `tuned`:
-    limits per field and regime, frozen.
+    def __init__(self, preprocessor: Preprocessor, centre: np.ndarray) -> None:
+        super().__init__(preprocessor)
+        self._centre = centre
+
+    def measure(self, content: np.ndarray, slot: int) -> int:
+        """See `distances`."""
+        return int(distances(content, slot, self.features.watch, self._centre, self._deltas, self._distance))
+
+
+class GaussianDetector(ScoringDetector):
+    """GAD in either profile: `paper` learns online with one n for all fields, `tuned` has frozen limits.
+
+    Args:
+        model: A model of kind "gaussian".
+        sigmas: The paper's n instead of the model's; `paper` only.
+        preprocessor: Of the fields that the model was trained on, if they are no monitored set.
     """
 
     model_kind = SOURCE
 
     def __init__(self, model: Model, sigmas: float | None = None, preprocessor: Preprocessor | None = None) -> None:
-        """Take over what was trained.
-
-        Args:
-            model: A model of kind "gaussian".
-            sigmas: The paper's n instead of the model's; `paper` only.
-            preprocessor: Of the fields that the model was trained on, if they are no monitored set.
-        """
-        self._features = preprocessor or Preprocessor(model.monitored, model.profile, model.prediction)
-        size = len(self._features.fields)
-        self._deltas = np.zeros(size, np.int16)
-        self._scores = np.zeros(size)
-        self._trained = np.zeros((0, 3))
-        self._rule = self._online(model, sigmas) if model.profile == "paper" else _frozen(model)
-
-    def _online(self, model: Model, sigmas: float | None) -> Online:
-        parameters = model.parameters
-        self._trained = np.array(parameters["statistics"], np.float64)
-        chosen = parameters["sigmas"] if sigmas is None else sigmas
-        return Online(self._trained.copy(), float(chosen), float(parameters["min_count"]))
-
-    def start(self) -> None:
-        """Forget the last flight."""
-        self._features.start()
-        if isinstance(self._rule, Online):
-            self._rule.statistics[:] = self._trained
-
-    def check(self, state: State, time_us: int) -> Alarm | None:
-        """Judge a publication."""
-        slot = self._features.slots.get(state.spec.name)
-        if slot is None:
-            return None
-        content, watch = state.header.view(np.uint8), self._features.watch
-        if isinstance(self._rule, Online):
-            score = judge_online(content, slot, watch, self._rule, self._deltas, self._scores)
+        deltas = preprocessor or Preprocessor(model.monitored, model.profile, model.prediction)
+        parameters, size = model.parameters, len(deltas.fields)
+        if "statistics" in parameters:
+            statistics = np.array(parameters["statistics"], np.float64)
+            scorer: DeltaScorer = OnlineScorer(deltas, statistics, float(parameters["min_count"]))
+            limit = np.full((size, features.REGIMES), float(parameters["sigmas"] if sigmas is None else sigmas))
         else:
-            score = judge_frozen(content, slot, watch, self._rule, self._deltas, self._scores)
-        return None if score <= 1.0 else self._alarm(slot, score, content)
+            scorer = FrozenScorer(deltas, np.array(parameters["centre"], np.float64))
+            limit = np.array(parameters["limit"], np.float64)
+        super().__init__(SOURCE, scorer, Threshold(limit, size))
 
-    def accept(self, state: State, time_us: int) -> None:
-        """Take note of a value that was published."""
-        slot = self._features.slots.get(state.spec.name)
-        if slot is None:
-            self._features.note(state)
-            return
-        content, watch = state.header.view(np.uint8), self._features.watch
-        if isinstance(self._rule, Online):
-            learn_online(content, slot, watch, self._rule, self._deltas, self._scores)
-        else:
-            features.commit(content, slot, watch)
-
-    def _alarm(self, slot: int, score: float, content: np.ndarray) -> Alarm:
-        first, last = self._features.range_of(slot)
-        if score == NOT_FINITE:
-            found = features.not_finite(content, self._features.watch.table[first:last])
-        else:
-            found = self._scores[first:last] > 1.0
-        names = tuple(self._features.fields[first + index] for index in np.flatnonzero(found))
-        return Alarm(SOURCE, self._features.stage(first), score=float(score), fields=names)
+    @staticmethod
+    def fit(sample: Sample, preprocessor: Preprocessor, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters of a model, online where the figures hold `sigmas`; see `fit_online` and `fit_frozen`."""
+        found: dict[str, Any] = (fit_online if "sigmas" in figures else fit_frozen)(sample, preprocessor, **figures)
+        return found
 
 
-def _frozen(model: Model) -> Frozen:
-    parameters = model.parameters
-    return Frozen(np.array(parameters["centre"], np.float64), np.array(parameters["limit"], np.float64))
+def fit_online(sample: Sample, preprocessor: Preprocessor, sigmas: float, min_count: float) -> dict[str, Any]:
+    """Statistics from which the `paper` GAD goes on: k, M, S of each field.
+
+    Args:
+        sample: Error-free flights.
+        preprocessor: Of the fields.
+        sigmas: The paper's n.
+        min_count: Samples before a field is judged.
+    """
+    statistics = []
+    for index in range(len(preprocessor.fields)):
+        values = sample.vectors[(sample.slots == preprocessor.slot_of(index)) & ~sample.first, index]
+        statistics.append([float(number) for number in welford.accumulate(values.astype(np.float64))])
+    return {"statistics": statistics, "sigmas": float(sigmas), "min_count": float(min_count)}
+
+
+def fit_frozen(
+    sample: Sample, preprocessor: Preprocessor, margin: float, smallest_regime: int
+) -> dict[str, Any]:  # fmt: skip
+    """Centre and limit of the `tuned` GAD, of each field and regime; a distance of one code is always allowed.
+
+    Args:
+        sample: Error-free flights.
+        preprocessor: Of the fields.
+        margin: Limit / largest distance in training.
+        smallest_regime: Samples below which a regime takes the largest limit of its field's regimes.
+    """
+    shape = len(preprocessor.fields), features.REGIMES
+    centre, limit, counts = np.zeros(shape), np.ones(shape), np.zeros(shape, np.int64)
+    for index in range(shape[0]):
+        own = (sample.slots == preprocessor.slot_of(index)) & ~sample.first
+        for regime in range(features.REGIMES):
+            values = sample.vectors[own & (sample.regimes == regime), index].astype(np.float64)
+            counts[index, regime] = len(values)
+            if len(values):
+                centre[index, regime] = values.mean()
+                limit[index, regime] = max(1.0, float(np.abs(values - values.mean()).max()))
+    return {"centre": centre.tolist(), "limit": regime_limits(limit, counts, margin, smallest_regime)}

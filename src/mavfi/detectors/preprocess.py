@@ -27,6 +27,7 @@ class Preprocessor:
 
     Attributes:
         fields: Names of the watched fields, "state.field", in the order of the vector.
+        stages: Stage of each.
         slots: Number of each watched state, by name.
         watch: Tables and memory.
     """
@@ -71,8 +72,8 @@ class Preprocessor:
         self, specs: Mapping[str, StateSpec], watched: tuple[tuple[str, str], ...],
         rows: Sequence[tuple[int, int, int, int, int]],
     ) -> None:  # fmt: skip
-        self._specs = specs
         self.fields = tuple(f"{state}.{field}" for state, field in watched)
+        self.stages = tuple(specs[state].stage.value for state, _ in watched)
         self.slots = {name: slot for slot, name in enumerate(specs)}
         size = max(spec.header_dtype.itemsize for spec in specs.values())
         self.watch = features.Watch(
@@ -99,18 +100,21 @@ class Preprocessor:
         first, last = self.watch.places[slot, : features.LAST + 1]
         return int(first), int(last)
 
-    def is_waypoint(self, slot: int) -> bool:
-        """Whether a watched state is the way-point in force."""
-        return bool(self.watch.places[slot, features.TRAJECTORY] >= 0)
+    def slot_of(self, index: int) -> int:
+        """Number of the state of the field at an index of the vector."""
+        return int(np.searchsorted(self.watch.places[:, features.LAST], index, side="right"))
 
-    def stage(self, index: int) -> str:
-        """Stage of the field at an index of the vector."""
-        return self._specs[self.state(index)].stage.value
+    def memory(self) -> tuple[bytes, ...]:
+        """What is remembered of the flight."""
+        return tuple(part.tobytes() for part in self._remembered())
 
-    def state(self, index: int) -> str:
-        """Name of the state of the field at an index of the vector."""
-        lasts = self.watch.places[:, features.LAST]
-        return list(self.slots)[int(np.searchsorted(lasts, index, side="right"))]
+    def restore(self, memory: tuple[bytes, ...]) -> None:
+        """Inverse of `memory`."""
+        for part, kept in zip(self._remembered(), memory, strict=True):
+            part[...] = np.frombuffer(kept, part.dtype).reshape(part.shape)
+
+    def _remembered(self) -> tuple[np.ndarray, ...]:
+        return self.watch.memory, self.watch.last, self.watch.vehicle
 
 
 def _known(name: str, allowed: Collection[str], what: str) -> str:

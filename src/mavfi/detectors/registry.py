@@ -5,23 +5,44 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
+from mavfi.config import Config, names, shipped
 from mavfi.detectors.detector import Alarm, Detector
-from mavfi.detectors.gate import UNKNOWN_ARENA, Chain, PhysicsGate
+from mavfi.detectors.gate import UNKNOWN_ARENA, PhysicsGate
 from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
+from mavfi.detectors.parts import Chain
 from mavfi.detectors.preprocess import PROFILES
 from mavfi.errors import BadInputError
 from mavfi.plugins import build, known, load_object
 from mavfi.states import State
 
 GROUP = "mavfi.detectors"
-"""Entry points of this group are detectors: classes without arguments, or, where a class says its `model_kind`, with a
-trained model of that kind and profile."""
+"""Entry points of this group are detectors: classes without arguments; or, where a class says its `model_kind`, with a
+trained model of that kind and profile.  `mavfi train` fits those that have `fit(sample, preprocessor, figures)`, which
+gives the model's parameters; the figures are those of configs/detectors/<name>.yaml."""
 SHIPPED_MODELS = Path(__file__).parents[1] / "data" / "models"
 _SHIPPED = {
-    "autoencoder": "mavfi.detectors.autoencoder:AutoencoderDetector",
     "gaussian": "mavfi.detectors.gaussian:GaussianDetector",
+    "autoencoder": "mavfi.detectors.autoencoder:AutoencoderDetector",
     "none": "mavfi.detectors.registry:NoDetector",
 }
+
+
+class ProfileSettings(Config):
+    """A detector in one profile."""
+
+    policy: str | None = None
+    """Recovery policy, where there is a choice."""
+    gate: bool = False
+    """Whether the physics gate stands in front."""
+    fit: dict[str, float | int | list[int]] = {}
+    """Figures of training, by argument of the detector's `fit`."""
+
+
+class DetectorConfig(Config):
+    """A trained detector: configs/detectors/<name>.yaml; of one without such a file, the defaults."""
+
+    paper: ProfileSettings = ProfileSettings()
+    tuned: ProfileSettings = ProfileSettings(gate=True)
 
 
 class NoDetector:
@@ -30,6 +51,9 @@ class NoDetector:
     def start(self) -> None:
         """Nothing to forget."""
 
+    def score(self, state: State, time_us: int) -> None:
+        """No score."""
+
     def check(self, state: State, time_us: int) -> Alarm | None:
         """No alarm."""
         return None
@@ -37,10 +61,35 @@ class NoDetector:
     def accept(self, state: State, time_us: int) -> None:
         """Nothing to remember."""
 
+    def memory(self) -> None:
+        """Nothing."""
+
+    def restore(self, memory: None) -> None:
+        """Nothing to put back."""
+
 
 def detector_names() -> list[str]:
     """Every name that `load_detector` knows."""
     return sorted(known(GROUP, _SHIPPED))
+
+
+def trainable() -> dict[str, Any]:
+    """The detectors that learn, by name: those of mavfi, then those of other packages."""
+    every = {name: load_object("detector", name, GROUP, _SHIPPED) for name in _SHIPPED | known(GROUP, _SHIPPED)}
+    return {name: found for name, found in every.items() if hasattr(found, "model_kind") and hasattr(found, "fit")}
+
+
+def settings_of(name: str, profile: str) -> ProfileSettings:
+    """What a profile says of a detector.
+
+    Raises:
+        BadInputError: The profile is not known, or the detector's file cannot be read.
+    """
+    if profile not in PROFILES:
+        raise BadInputError(f"detector profile {profile!r}: not known; allowed: {', '.join(PROFILES)}")
+    config = shipped("detectors", DetectorConfig, name) if name in names("detectors") else DetectorConfig()
+    found: ProfileSettings = getattr(config, profile)
+    return found
 
 
 def load_detector(
@@ -55,8 +104,8 @@ def load_detector(
         models_dir: Folder of trained models; None = the shipped ones.
         fits: What the model must have been trained for: stack, platform, v_max (m/s), planner; `arena`, if given, is
             the lower and upper corner that the physics gate lets way-points be in (m).
-        policy: Recovery policy of the autoencoder instead of the profile's.
-        gate: Whether the physics gate stands in front; None = for `tuned` only.
+        policy: Recovery policy instead of the profile's.
+        gate: Whether the physics gate stands in front; None = as the profile says.
         sigmas: The paper's n instead of the model's.
 
     Returns:
@@ -66,8 +115,7 @@ def load_detector(
         BadInputError: No such detector, profile or model.
         SpecMismatchError: The model was trained for something else.
     """
-    if profile not in PROFILES:
-        raise BadInputError(f"detector profile {profile!r}: not known; allowed: {', '.join(PROFILES)}")
+    settings = settings_of(name, profile)
     if name == "none":
         return NoDetector(), ""
     factory = load_object("detector", name, GROUP, _SHIPPED)
@@ -75,8 +123,8 @@ def load_detector(
     if kind is None:
         return _build(name, factory), ""
     model = _load_model(str(kind), profile, models_dir or SHIPPED_MODELS, fits)
-    detector = _build(name, factory, model, **{"policy": policy, "sigmas": sigmas})
-    if profile == "tuned" if gate is None else gate:
+    detector = _build(name, factory, model, policy=policy or settings.policy, sigmas=sigmas)
+    if settings.gate if gate is None else gate:
         detector = Chain(PhysicsGate(float(fits["v_max"]), fits.get("arena", UNKNOWN_ARENA)), detector)
     return detector, model.sha256
 

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from mavfi.detectors.autoencoder import NOT_FINITE, AutoencoderDetector
+from mavfi.detectors.autoencoder import AutoencoderDetector
+from mavfi.detectors.parts import NOT_FINITE
 from mavfi.errors import BadInputError
 from tests.unit.detectors.streams import command, flight, fly, later, status, strike, waypoint
 
@@ -13,7 +14,7 @@ def events():
 
 @pytest.mark.slow
 def test_the_paper_policy_recomputes_control_and_abandons_a_struck_way_point(models, events):
-    detector = AutoencoderDetector(models["autoencoder-paper"])
+    detector = AutoencoderDetector(models["autoencoder-paper"], "paper")
     struck = later(events, "planning.waypoint", 20)
     alarms = dict(fly(detector, strike(events, struck, "x", -1e30)))
     assert (alarms[struck].stage, alarms[struck].abandon_waypoint, alarms[struck].stop) == ("control", True, False)
@@ -24,7 +25,7 @@ def test_the_paper_policy_recomputes_control_and_abandons_a_struck_way_point(mod
 
 
 def test_alarms_persist_when_the_way_point_in_force_was_anomalous_too(models, events):
-    detector = AutoencoderDetector(models["autoencoder-paper"])
+    detector = AutoencoderDetector(models["autoencoder-paper"], "paper")
     first, second = (later(events, "planning.waypoint", count) for count in (20, 21))
     alarms = dict(fly(detector, strike(strike(events, first, "x", -1e30), second, "x", 1e30)))
     assert (alarms[first].stop, alarms[second].stop) == (False, True)
@@ -99,15 +100,14 @@ def test_tuned_is_silent_in_golden_flights_and_sees_two_metres(models):
 
 
 def test_check_remembers_nothing(models):
-    detector, undisturbed = (AutoencoderDetector(models["autoencoder-paper"]) for _ in range(2))
+    detector, undisturbed = (AutoencoderDetector(models["autoencoder-paper"], "paper") for _ in range(2))
     for state, time_us in flight(77, ticks=200):
         for strange in (command([np.nan, 1e300, 0]), waypoint([5e5, 0, 0], [0, 0, 0], trajectory=9), status(0, 7)):
             detector.check(strange, time_us + 3)
         assert detector.check(state, time_us) == undisturbed.check(state, time_us)
         detector.accept(state, time_us)
         undisturbed.accept(state, time_us)
-    assert detector._held.tobytes() == undisturbed._held.tobytes()
-    assert detector._features.watch.memory.tobytes() == undisturbed._features.watch.memory.tobytes()
+        assert detector.memory() == undisturbed.memory()
 
 
 def test_a_new_flight_starts_anew(models, events):

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 
 from mavfi.detectors import training
-from mavfi.detectors.autoencoder import AutoencoderDetector
-from mavfi.detectors.gaussian import GaussianDetector
+from mavfi.detectors.autoencoder import AutoencoderDetector, representative
+from mavfi.detectors.gaussian import GaussianDetector, fit_frozen
 from mavfi.detectors.preprocess import Preprocessor
+from mavfi.detectors.samples import Sample
 from mavfi.errors import BadInputError
 from tests.unit.detectors.streams import PROVENANCE, command, flight, fly, record, status, waypoint
 
@@ -46,8 +47,8 @@ def test_every_rare_publication_is_trained_on():
     slots = np.repeat([0, 1, 2], [50, 30_000, 20_000])
     regimes = np.zeros_like(slots)
     regimes[100:110] = 2
-    sample = training.Sample(np.zeros((len(slots), 13), np.int16), slots, regimes, np.zeros(len(slots), bool))
-    rows = training.representative(sample)
+    sample = Sample(np.zeros((len(slots), 13), np.int16), slots, regimes, np.zeros(len(slots), bool))
+    rows = representative(sample, 20_000)
     assert np.bincount(slots[rows]).tolist() == [50, 20_010, 20_000]
     assert set(range(100, 110)) <= set(rows.tolist())
 
@@ -57,8 +58,8 @@ def test_a_regime_with_few_samples_takes_the_largest_limit_of_its_field():
     slots = np.repeat([0, 1, 2], 200)
     vectors = np.zeros((600, 13), np.int16)
     vectors[400:, 9] = np.tile([4, -4], 100)
-    sample = training.Sample(vectors, slots, np.zeros(600, np.int64), np.zeros(600, bool))
-    parameters = training.fit_frozen(sample, preprocessor)
+    sample = Sample(vectors, slots, np.zeros(600, np.int64), np.zeros(600, bool))
+    parameters = fit_frozen(sample, preprocessor, margin=1.25, smallest_regime=50)
     assert parameters["limit"][9] == [5.0, 5.0, 5.0]
     assert parameters["limit"][10] == [1.25, 1.25, 1.25]
 

@@ -1,0 +1,350 @@
+"""The parts of a detector: scorer, threshold and policy.
+
+A scorer says how far a publication is from normal, a threshold when that is an alarm, a policy what it asks for.
+"""
+
+from abc import ABC, abstractmethod
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mavfi.detectors.detector import Alarm
+from mavfi.errors import BadInputError
+from mavfi.numerics.jit import kernel_jit
+from mavfi.states import State
+
+NOT_FINITE = 1e9
+"""Score of a publication with a value that is not finite: an alarm whatever was learned."""
+_WAYPOINT = "planning.waypoint"
+_NONE = np.zeros(0, np.int64)
+
+
+class Reading(NamedTuple):
+    """How far a publication is from normal, field by field.
+
+    Attributes:
+        distance: Of each watched field from what is normal, >= 0. Shape (n,).
+        unit: What each distance is measured in, e.g. a standard deviation; 0 where nothing is judged yet. Shape (n,).
+        first: First field that the publication renews.
+        last: One past the last.
+        regime: Which column of the limits holds; negative if a value is not finite.
+    """
+
+    distance: np.ndarray
+    unit: np.ndarray
+    first: int
+    last: int
+    regime: int
+
+
+class Verdict(NamedTuple):
+    """What a threshold says of a reading.
+
+    Attributes:
+        score: In units of the threshold; > 1 is an alarm.
+        ratios: Of each renewed field; > 1 is beyond its limit. Shape (n,).
+    """
+
+    score: float
+    ratios: np.ndarray
+
+
+class Scorer(ABC):
+    """Measures publications; it knows what is normal, and neither thresholds nor alarms.
+
+    Attributes:
+        fields: Watched fields, "state.field".
+        stages: Stage of each.
+        adapts: Whether `accept` needs the verdict on what was published.
+    """
+
+    fields: tuple[str, ...]
+    stages: tuple[str, ...]
+    adapts = False
+
+    @abstractmethod
+    def start(self) -> None:
+        """Forget the last flight."""
+
+    @abstractmethod
+    def read(self, state: State) -> Reading | None:
+        """Measure a publication, None if it is not watched; changes nothing that is remembered.
+
+        The arrays hold until the next call.
+        """
+
+    @abstractmethod
+    def accept(self, state: State, verdict: Verdict | None) -> None:
+        """Take note of a value that was published.
+
+        Args:
+            state: The value, of any state.
+            verdict: On it, if it is watched and the scorer adapts; `read` was called with it last.
+        """
+
+    @abstractmethod
+    def not_finite(self, state: State) -> np.ndarray:
+        """Indices of the watched fields of a publication that are not finite."""
+
+    @abstractmethod
+    def memory(self) -> Any:  # noqa: ANN401 - whatever `==` compares
+        """What is remembered of the flight, see `Detector`."""
+
+    @abstractmethod
+    def restore(self, memory: Any) -> None:  # noqa: ANN401
+        """Inverse of `memory`."""
+
+
+@kernel_jit
+def largest_ratio(reading: Reading, limit: np.ndarray, ratios: np.ndarray) -> float:
+    """Largest distance of the renewed fields in units of its limit.
+
+    Only renewed fields are judged: a delta that was let pass would otherwise raise the same alarm again with every
+    publication until it is renewed.
+
+    Args:
+        reading: Of a publication.
+        limit: Largest distance that is no alarm, by field and regime, in units of the reading. Shape (n, regimes).
+        ratios: Filled in for the renewed fields. Shape (n,).
+    """
+    worst = 0.0
+    for index in range(reading.first, reading.last):
+        ratios[index] = 0.0
+        if reading.unit[index] > 0.0:
+            ratios[index] = reading.distance[index] / (limit[index, reading.regime] * reading.unit[index])
+        worst = max(worst, ratios[index])
+    return worst
+
+
+@kernel_jit
+def mean_square_ratio(reading: Reading, limit: np.ndarray, ratios: np.ndarray) -> float:
+    """Mean squared distance of all fields, renewed or not, in units of its limit, shape (1, 1); see `largest_ratio`."""
+    total = 0.0
+    for value in reading.distance:
+        total += value * value
+    score = float(total / len(reading.distance) / limit[0, 0])
+    ratios[reading.first : reading.last] = score
+    return score
+
+
+class Threshold:
+    """Makes scores of readings.
+
+    Args:
+        limit: By field and regime, shape (n, regimes); or of the mean squared distance, shape (1, 1).
+        size: Number of watched fields.
+        usual: Largest distance of each field in normal flights, shape (n,): the field that exceeds its own most stands
+            out, renewed or not.  None: all fields beyond their limits stand out.
+    """
+
+    def __init__(self, limit: np.ndarray, size: int, usual: np.ndarray | None = None) -> None:
+        self._limit, self._usual = limit, usual
+        self._ratio = mean_square_ratio if limit.shape == (1, 1) else largest_ratio
+        self._ratios = np.zeros(size)
+
+    def judge(self, reading: Reading) -> Verdict:
+        """The score of a reading."""
+        if reading.regime < 0:
+            return Verdict(NOT_FINITE, self._ratios)
+        return Verdict(self._ratio(reading, self._limit, self._ratios), self._ratios)
+
+    def standing_out(self, reading: Reading, verdict: Verdict, not_finite: np.ndarray) -> np.ndarray:
+        """Indices of the fields that an alarm names.
+
+        Args:
+            reading: Of a publication.
+            verdict: On it.
+            not_finite: Indices of fields that are not finite; where there are any, they stand out.
+        """
+        if self._usual is not None:
+            return not_finite[:1] if len(not_finite) else np.array([np.argmax(reading.distance / self._usual)])
+        if len(not_finite):
+            return not_finite
+        return reading.first + np.flatnonzero(verdict.ratios[reading.first : reading.last] > 1.0)
+
+
+class Keyed:
+    """Policy: the stage of the field that stands out is recomputed."""
+
+    remembers = False
+
+    def start(self) -> None:
+        """Nothing to forget."""
+
+    def alarm(self, source: str, state: State, score: float, fields: tuple[str, ...], stage: str) -> Alarm:
+        """What to ask for.
+
+        Args:
+            source: Name of the detector.
+            state: The publication.
+            score: Its score.
+            fields: What stands out.
+            stage: Of the first of these fields.
+        """
+        return Alarm(source, stage, score=score, fields=fields)
+
+    def note(self, state: State, normal: bool) -> None:
+        """Take note of what was published, and of whether it was normal; nothing here."""
+
+    def memory(self) -> Any:  # noqa: ANN401
+        """What is remembered."""
+        return None
+
+    def restore(self, memory: Any) -> None:  # noqa: ANN401
+        """Inverse of `memory`."""
+
+
+class AbandonWaypoint(Keyed):
+    """Policy of the paper's AAD: control is recomputed, and an anomalous way-point is abandoned for the next one.
+
+    Where the way-point published last was anomalous as well, alarms persist: stop and plan anew.
+    """
+
+    remembers = True
+
+    def __init__(self) -> None:
+        self._anomalous = False
+
+    def start(self) -> None:
+        """Forget the last flight."""
+        self._anomalous = False
+
+    def alarm(self, source: str, state: State, score: float, fields: tuple[str, ...], stage: str) -> Alarm:
+        """What to ask for, see `Keyed`."""
+        waypoint = state.spec.name == _WAYPOINT
+        return Alarm(source, "control", waypoint, waypoint and self._anomalous, score, fields)
+
+    def note(self, state: State, normal: bool) -> None:
+        """Keep whether the way-point in force is normal."""
+        if state.spec.name == _WAYPOINT:
+            self._anomalous = not normal
+
+    def memory(self) -> Any:  # noqa: ANN401
+        """Whether the way-point in force is anomalous."""
+        return self._anomalous
+
+    def restore(self, memory: Any) -> None:  # noqa: ANN401
+        """Inverse of `memory`."""
+        self._anomalous = memory
+
+
+POLICIES = {"paper": AbandonWaypoint, "keyed": Keyed}
+
+
+def make_policy(name: str) -> Keyed:
+    """A recovery policy by name.
+
+    Raises:
+        BadInputError: The name is not known.
+    """
+    if name not in POLICIES:
+        raise BadInputError(f"recovery policy {name!r}: not known; allowed: {', '.join(POLICIES)}")
+    return POLICIES[name]()
+
+
+class ScoringDetector:
+    """A detector made of its parts.
+
+    Args:
+        source: Name in alarms.
+        scorer: Measures publications.
+        threshold: Makes scores of what was measured.
+        policy: Says what an alarm asks for.
+    """
+
+    def __init__(self, source: str, scorer: Scorer, threshold: Threshold, policy: Keyed | None = None) -> None:
+        self.source, self.scorer, self.threshold = source, scorer, threshold
+        self.policy = policy or Keyed()
+        self._learns = scorer.adapts or self.policy.remembers
+        self._judged: tuple[State, Reading, Verdict] | None = None
+
+    def start(self) -> None:
+        """Forget the last flight."""
+        self._judged = None
+        self.scorer.start()
+        self.policy.start()
+
+    def score(self, state: State, time_us: int) -> float | None:
+        """Score of a publication, in units of the threshold: > 1 is an alarm; None if it is not watched."""
+        judged = self._judge(state)
+        return None if judged is None else float(judged[1].score)
+
+    def check(self, state: State, time_us: int) -> Alarm | None:
+        """Judge a publication."""
+        judged = self._judge(state)
+        if judged is None or judged[1].score <= 1.0:
+            return None
+        reading, verdict = judged
+        lacking = self.scorer.not_finite(state) if reading.regime < 0 else _NONE
+        found = self.threshold.standing_out(reading, verdict, lacking)
+        names = tuple(self.scorer.fields[index] for index in found)
+        return self.policy.alarm(self.source, state, float(verdict.score), names, self.scorer.stages[found[0]])
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Take note of a value that was published."""
+        judged = self._judge(state) if self._learns else None
+        self._judged = None
+        verdict = None if judged is None else judged[1]
+        self.scorer.accept(state, verdict)
+        if verdict is not None:
+            self.policy.note(state, verdict.score <= 1.0)
+
+    def memory(self) -> Any:  # noqa: ANN401
+        """What is remembered, see `Detector`."""
+        return self.scorer.memory(), self.policy.memory()
+
+    def restore(self, memory: Any) -> None:  # noqa: ANN401
+        """Inverse of `memory`."""
+        self._judged = None
+        self.scorer.restore(memory[0])
+        self.policy.restore(memory[1])
+
+    def _judge(self, state: State) -> tuple[Reading, Verdict] | None:
+        """Reading and verdict; a publication is checked and then accepted, and is measured once for both."""
+        if self._judged is not None and self._judged[0] is state:
+            return self._judged[1:]
+        self._judged = None
+        reading = self.scorer.read(state)
+        if reading is None:
+            return None
+        self._judged = state, reading, self.threshold.judge(reading)
+        return self._judged[1:]
+
+
+class Chain:
+    """Several detectors in a row: the first alarm counts."""
+
+    def __init__(self, *detectors: Any) -> None:  # noqa: ANN401 - `Detector`s; those of ours have memory and score
+        self._detectors = detectors
+
+    def start(self) -> None:
+        """Forget the last flight."""
+        for detector in self._detectors:
+            detector.start()
+
+    def score(self, state: State, time_us: int) -> float | None:
+        """The largest of their scores."""
+        scores = [detector.score(state, time_us) for detector in self._detectors]
+        return max((score for score in scores if score is not None), default=None)
+
+    def check(self, state: State, time_us: int) -> Alarm | None:
+        """The first alarm that one of them raises."""
+        for detector in self._detectors:
+            alarm: Alarm | None = detector.check(state, time_us)
+            if alarm is not None:
+                return alarm
+        return None
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Tell all of them."""
+        for detector in self._detectors:
+            detector.accept(state, time_us)
+
+    def memory(self) -> Any:  # noqa: ANN401
+        """What they remember."""
+        return tuple(detector.memory() for detector in self._detectors)
+
+    def restore(self, memory: Any) -> None:  # noqa: ANN401
+        """Inverse of `memory`."""
+        for detector, kept in zip(self._detectors, memory, strict=True):
+            detector.restore(kept)
