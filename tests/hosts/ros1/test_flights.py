@@ -13,7 +13,7 @@ import pytest
 
 from mavfi.cli import run
 from mavfi.detectors import load_detector
-from mavfi.detectors.gate import Chain
+from mavfi.detectors.parts import Chain
 from mavfi.errors import MavfiError
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.compose import make_scenario
