@@ -22,8 +22,8 @@ from mavfi.faults.instruction import Counting, Injecting, run_in_child
 from mavfi.faults.instruction.build import name_of
 from mavfi.faults.instruction.runtime import NEVER
 from mavfi.faults.instruction.variant import signature_of, variant_for
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.control import pid
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE
@@ -36,6 +36,7 @@ import pickle, sys, time
 start = time.perf_counter()
 from mavfi.faults.instruction.variant import variant_of
 from mavfi.pipeline.functions import PLAIN
+from mavfi.mission import MissionSpec
 imported = time.perf_counter() - start
 for name, signature in pickle.loads(sys.stdin.buffer.read()):
     variant_of(getattr(PLAIN, name), signature)
@@ -69,7 +70,7 @@ def recorded() -> dict[str, tuple[Any, ...]]:
         ("rrt_connect", "hardened", "dense"), ("rrt", "published", "octree"), ("rrt_star", "hardened", "dense")
     ):  # fmt: skip
         recorders = {name: Recorder(getattr(PLAIN, name)) for name in PLAIN.__dataclass_fields__}
-        scenario = make_scenario("sparse", 7, planner=planner, stack=stack, map_kind=kind)
+        scenario = resolve(MissionSpec(environment="sparse", seed=7, planner=planner, autopilot=stack, map=kind))
         fly(scenario)  # compiles, or reads the cache
         fly(scenario, functions=replace(PLAIN, **recorders))
         found.update(
@@ -144,7 +145,7 @@ def call_rows(args: dict[str, tuple[Any, ...]], fork: float) -> list[Row]:
 
 def flight_rows() -> list[Row]:
     """Whole flights: golden, with a fault in place, with one in a forked child."""
-    scenario = make_scenario("sparse", 7)
+    scenario = resolve(MissionSpec(environment="sparse", seed=7))
     counting = Counting(pid.track)
     fly(scenario, functions=replace(PLAIN, track=counting))
     call = len(counting.counts) // 2
@@ -168,7 +169,7 @@ def flight_rows() -> list[Row]:
 
 def fork_row() -> tuple[float, Row]:
     """CPU time of a child that only reports (s), in a process that has flown."""
-    flight = fly(make_scenario("sparse", 7))
+    flight = fly(resolve(MissionSpec(environment="sparse", seed=7)))
     wall = best(lambda: run_in_child(lambda: b""), repeats=50)
     fork = cpu_of(lambda: run_in_child(lambda: b""), 50)
     with open("/proc/self/statm", encoding="ascii") as memory:

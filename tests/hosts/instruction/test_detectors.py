@@ -8,16 +8,17 @@ import pytest
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.faults.instruction import Counting
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.instruction.forking import ForkingHost
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from tests.hosts.missions import Scripted
 
 
 def scenario():
-    return make_scenario("sparse", 7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0))
+    return resolve(MissionSpec(environment="sparse", seed=7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0)))
 
 
 @pytest.fixture(scope="module")

@@ -13,17 +13,18 @@ from mavfi.faults.instruction import MismatchError
 from mavfi.faults.instruction.plan import stratum_of
 from mavfi.faults.instruction.variant import variant_for
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.instruction.output import Output, first_difference
 from mavfi.hosts.instruction.template import close_templates
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.memory import fingerprint
+from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import kernel_jit
 
 
 def scenario(**options):
-    return make_scenario("sparse", 7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0), **options)
+    return resolve(MissionSpec(environment="sparse", seed=7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0), **options))
 
 
 @pytest.fixture(scope="module")

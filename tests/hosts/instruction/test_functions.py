@@ -18,14 +18,15 @@ from mavfi.faults.instruction import (
 from mavfi.faults.instruction.build import name_of
 from mavfi.faults.instruction.plan import plan
 from mavfi.faults.instruction.selection import parse_selection
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.control import pid
+from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 
 
 def scenario():
-    return make_scenario("sparse", 7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0))
+    return resolve(MissionSpec(environment="sparse", seed=7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0)))
 
 
 def flown_with(function):

@@ -6,8 +6,9 @@ import pytest
 
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.instruction import fly_instruction_faults
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
 
 pytestmark = pytest.mark.slow
 
@@ -18,7 +19,7 @@ SEED = 500
 @pytest.fixture(scope="module")
 def died():
     """Flights whose planner died while it answered a predicted collision."""
-    scenario = make_scenario("sparse", SEED, stack="published")
+    scenario = resolve(MissionSpec(environment="sparse", seed=SEED, autopilot="published"))
     wish = InstructionRequest({"rrt_connect": 40}, which="opcode:getelementptr", restart_s=0.57)
     faults = [
         replace(fault, bits=(46,))

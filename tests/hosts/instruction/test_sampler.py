@@ -8,12 +8,13 @@ from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.faults.fault import fault_from_json
 from mavfi.faults.instruction import budget_for
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.instruction import fly_instruction_faults
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
 
 
 def scenario():
-    return make_scenario("sparse", 7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0))
+    return resolve(MissionSpec(environment="sparse", seed=7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0)))
 
 
 def test_faults_are_of_their_class_and_model():

@@ -16,8 +16,8 @@ from mavfi.errors import MavfiError
 from mavfi.faults.instruction import MismatchError, launch
 from mavfi.faults.instruction.plan import is_in_data
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.compose import make_scenario
 from mavfi.hosts.instruction import case, fly_instruction_faults, template
+from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.perception.point_cloud import back_project
 from mavfi.numerics.jit import code_folder
 
@@ -29,6 +29,7 @@ ELSEWHERE = """
 import json, sys
 sys.path[:0] = {roots!r}
 from mavfi.faults.fault import fault_from_json
+from mavfi.mission import MissionSpec
 from tests.hosts.instruction.test_template import flown
 blocks = [bytearray(size) for size in range(1, 200_000, 977)]
 print(json.dumps(flown([fault_from_json(data) for data in json.loads(sys.stdin.read())])))
@@ -36,7 +37,7 @@ print(json.dumps(flown([fault_from_json(data) for data in json.loads(sys.stdin.r
 
 
 def scenario():
-    return make_scenario("sparse", 7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0))
+    return resolve(MissionSpec(environment="sparse", seed=7, start=(2.0, 0.0, 3.0), goal=(9.0, 0.0, 3.0)))
 
 
 def flown(faults):

@@ -20,10 +20,11 @@ from mavfi.faults.instruction.selection import parse_selection
 from mavfi.faults.instruction.strata import Pick, pick
 from mavfi.faults.sampling import stream
 from mavfi.faults.spec import InstructionRequest
-from mavfi.hosts.beginning import beginning_of, fly_until
 from mavfi.hosts.host import Flight
-from mavfi.hosts.inprocess import Host, fly
 from mavfi.hosts.instruction.case import check_kernel
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.golden_prefix import fly_until, prefix_of
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE
@@ -74,10 +75,11 @@ def draw_instruction_faults(
 
     def fly_again(functions: Mapping[str, Any], enough: Callable[[], bool] = lambda: False) -> None:
         table = PLAIN.instrumented(tuple(functions), lambda name, _: functions[name])
-        host = Host(scenario, None, detector, functions=table)
+        loop = new_loop(scenario, functions=table)
+        watch(loop, detector)
         with np.errstate(all="ignore"):
-            fly_until(host, enough)
-        beginning_of(host).check(golden.log)
+            fly_until(loop, enough)
+        prefix_of(loop).check(golden.log)
 
     draws = [
         _Draw(kernel, number, request, {name: counted[name] for name in INJECTABLE[kernel]}, seed, address)

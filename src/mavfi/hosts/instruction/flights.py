@@ -10,8 +10,9 @@ from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction.plan import is_in_data
 from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import case_of, flight_of
-from mavfi.hosts.instruction.forking import HOSTS, ForkingHost
+from mavfi.hosts.instruction.forking import Forks
 from mavfi.hosts.instruction.template import fly_from_template
+from mavfi.hosts.loop.recovery import Coupling
 from mavfi.mission import Scenario
 
 
@@ -31,7 +32,7 @@ class InjectedFlights:
 
 def fly_instruction_faults(
     scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None,
-    golden: Flight | None = None, coupling: str = "inline",
+    golden: Flight | None = None, coupling: Coupling = "inline",
 ) -> InjectedFlights:  # fmt: skip
     """Fly one mission with each of some faults in instructions.
 
@@ -56,7 +57,7 @@ def fly_instruction_faults(
     in_data: Iterator[Flight] = iter(())
     if golden is None or own:
         with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
-            golden, flights = _fork(HOSTS[coupling](scenario, own, detector), golden)
+            golden, flights = _fork(Forks(scenario, own, detector, coupling), golden)
         in_data = iter(flights)
     return InjectedFlights(
         golden,
@@ -67,18 +68,18 @@ def fly_instruction_faults(
     )
 
 
-def _fork(host: ForkingHost, golden: Flight | None) -> tuple[Flight, list[Flight]]:
+def _fork(forks: Forks, golden: Flight | None) -> tuple[Flight, list[Flight]]:
     if golden is None:
-        return host.fly_all()
-    beginning, cases = host.fly_to_injections()
-    beginning.check(golden.log)
+        return forks.fly_all()
+    prefix, cases = forks.fly_to_injections()
+    prefix.check(golden.log)
     return golden, [flight_of(case, golden) for case in cases]
 
 
 def _from_template(
-    scenario: Scenario, fault: InstructionFault, detector: Detector | None, golden: Flight, coupling: str
+    scenario: Scenario, fault: InstructionFault, detector: Detector | None, golden: Flight, coupling: Coupling
 ) -> Flight:  # fmt: skip
     case_of(fault, scenario)  # refuses what cannot be injected
-    beginning, case = fly_from_template(scenario, fault, detector, coupling)
-    beginning.check(golden.log)
+    prefix, case = fly_from_template(scenario, fault, detector, coupling)
+    prefix.check(golden.log)
     return flight_of(case, golden)

@@ -23,17 +23,17 @@ from mavfi.faults.instruction import Ended, ForkPoint, MismatchError
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
 from mavfi.faults.instruction.variant import Variant, variant_for
-from mavfi.hosts.beginning import Beginning, beginning_of, fly_until
 from mavfi.hosts.host import Flight
-from mavfi.hosts.inprocess import Host
 from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, case_of, flight_of
 from mavfi.hosts.instruction.output import Output, copied
-from mavfi.hosts.observed import ObservedHost
+from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
+from mavfi.hosts.loop.recovery import Coupling
+from mavfi.hosts.loop.restarts import Restarts
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
-from mavfi.pipeline.ppc import build_pipeline
-from mavfi.states import PERIODIC, STATES, State, in_node
+from mavfi.states import State
 
 TIMEOUT = 60.0
 """Wall-clock limit of an injected flight (s): for what the budget of instructions does not see."""
@@ -53,40 +53,51 @@ class _Child:
 class _ForkingFunction:
     """A kernel's function: plain, but for injected calls."""
 
-    def __init__(self, host: "ForkingHost", name: str, function: Callable[..., Any]) -> None:
-        self._host, self._name, self._function, self._calls = host, name, function, 0
+    def __init__(self, forks: "Forks", name: str, function: Callable[..., Any]) -> None:
+        self._forks, self._name, self._function, self._calls = forks, name, function, 0
 
     def __call__(self, *args: Any) -> Any:
         call, self._calls = self._calls, self._calls + 1
-        for case in self._host.cases:
-            if case.call == call and case.fault.entry == self._name and self._host.child is None:
-                injected, result = self._host.inject(case, self._function, args)
+        for case in self._forks.cases:
+            if case.call == call and case.fault.entry == self._name and self._forks.child is None:
+                injected, result = self._forks.inject(case, self._function, args)
                 if injected:
                     return result
         return self._function(*args)
 
 
-class ForkingHost(Host):
+class Forks:
     """A golden flight from which flights with faults fork.
 
     Args:
         scenario: The mission.
         faults: In instructions of its kernels.
         detector: What watches all of these flights.
+        coupling: Of the detector.
+
+    Attributes:
+        loop: The flight.
+        cases: What becomes of the faults, in their order.
+        child: What this process was forked for; None = it flies the golden flight.
+
+    Raises:
+        BadInputError: The scenario cannot be flown, or it has no such kernel.
     """
 
     def __init__(
-        self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None
+        self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None,
+        coupling: Coupling = "inline",
     ) -> None:  # fmt: skip
         self.cases = [case_of(fault, scenario) for fault in faults]
         self.child: _Child | None = None
         self._awaited: dict[str, list[Case]] = {}
-        self._down: set[str] = set()
-        self._latest: dict[str, State] = {}
-        self._updates: list[State] = []
         names = tuple(dict.fromkeys(case.fault.entry for case in self.cases if case.fault.has_site))
         functions = PLAIN.instrumented(names, lambda name, function: _ForkingFunction(self, name, function))
-        super().__init__(scenario, None, detector, functions=functions)
+        self.loop = new_loop(scenario, functions=functions)
+        self._watched = detector is not None
+        watch(self.loop, detector, coupling)
+        self._restarts = Restarts(self.loop)
+        self.loop.after_step.append(self._stepped)
 
     # ---- injecting --------------------------------------------------------------------------------------------------
     def inject(self, case: Case, function: Any, args: tuple[Any, ...]) -> tuple[bool, Any]:
@@ -104,12 +115,12 @@ class ForkingHost(Host):
         try:
             check_fault(case.fault, variant, function)
         except MismatchError:
-            if self.detector is None:
+            if not self._watched:
                 raise
             case.call += 1  # calls have shifted: this one has arguments of other types
             return False, None
         variant.own_report()
-        case.time_us = self.now
+        case.time_us = self.loop.now
         ended = self._fork(case, dead=False)
         if ended is None:
             return True, self._injected_call(variant, function, args)
@@ -145,7 +156,7 @@ class ForkingHost(Host):
         result = variant.inject(fault.index, *fault.masks, fault.budget, *args)
         child.call_same = digest(_as_tuples((result, args))) == golden
         report = variant.report()
-        if self.detector is not None and changed_nothing(report):
+        if self._watched and changed_nothing(report):
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True, missed=True)))
         if child.call_same and report is not None and report.site.value_class in DATA:
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True)))
@@ -155,8 +166,8 @@ class ForkingHost(Host):
         assert self.child is not None  # only children come here
         return self.child
 
-    def finish(self, kernel: Kernel, states: list[State], now: int, latency_us: int) -> None:
-        """Publish a kernel's results later; those of injected steps are noted, those of dead nodes are lost."""
+    def _stepped(self, kernel: Kernel, states: list[State], now: int) -> None:
+        """Note the output of injected steps; the node of a step that died dies here."""
         child = self.child
         if child is None:
             for case in self._awaited.pop(kernel.name, ()):
@@ -164,62 +175,9 @@ class ForkingHost(Host):
         elif child.case.kernel == kernel.name:
             if child.dead:
                 child.dead = False
-                self._die(kernel.name, now, round(1e6 * child.case.fault.restart_s))
-                return
-            if child.output is None:
+                self._restarts.die(kernel.name, now, round(1e6 * child.case.fault.restart_s))
+            elif child.output is None:
                 child.output = Output.of(kernel, states)
-        if kernel.name not in self._down:
-            super().finish(kernel, states, now, latency_us)
-
-    # ---- death and restart of a node --------------------------------------------------------------------------------
-    def _die(self, kernel: str, now: int, restart_us: int) -> None:
-        names = in_node(kernel)
-        self._down.update(names)
-        for name in names:
-            self.busy[name] = None
-        for state in list(self.redo):
-            if STATES[state].writer in names:
-                del self.redo[state]  # the recomputation died with the node: what it publishes next is judged anew
-        self.at(now + restart_us, "restarted", kernel)
-
-    def restarted(self, now: int, kernel: str) -> None:
-        """A node is there again: fresh memory, the whole map, and the last message of each state that it reads."""
-        names = in_node(kernel)
-        fresh = build_pipeline(self.config)
-        for name in names:
-            self.kernels[name] = fresh[name]
-            self._down.discard(name)
-            self.busy.pop(name, None)
-        for state, readers in self.readers.items():
-            self.readers[state] = [self.kernels[reader.name] for reader in readers]
-        for name in names:
-            self._resume(self.kernels[name], now)
-
-    def _resume(self, kernel: Kernel, now: int) -> None:
-        due = False
-        node = in_node(kernel.name)
-        for name in kernel.reads:
-            if STATES[name].writer in node:
-                continue  # its own outputs, or what passed within the node: a path planned long ago is not flown anew
-            messages = self._updates if name == "perception.map_update" else [self._latest.get(name)]
-            for state in messages:
-                due = (state is not None and kernel.receive(state, now)) or due
-        if self.marks:
-            kernel.mark()  # what it was sent is not taken back by a recomputation of the step under way
-        if due and kernel.name not in PERIODIC:
-            self.start(kernel, now)
-
-    def done(self, now: int, name: str, states: list[State]) -> None:
-        """The latency of a kernel has passed; what a dead node was about to publish is lost."""
-        if name not in self._down:
-            super().done(now, name, states)
-
-    def publish(self, state: State, now: int) -> None:
-        """Consumers see a value; it is kept for nodes that start again."""
-        self._latest[state.spec.name] = state
-        if state.spec.name == "perception.map_update":
-            self._updates.append(state)
-        super().publish(state, now)
 
     # ---- ends -------------------------------------------------------------------------------------------------------
     def fly_all(self) -> tuple[Flight, list[Flight]]:
@@ -228,10 +186,10 @@ class ForkingHost(Host):
         assert golden is not None  # it was not stopped
         return golden, [flight_of(case, golden) for case in self.cases]
 
-    def fly_to_injections(self) -> tuple[Beginning, list[Case]]:
+    def fly_to_injections(self) -> tuple[GoldenPrefix, list[Case]]:
         """Fly until all has happened that there is to know of the faults; children do not come back."""
         self._fly(self._all_known)
-        return beginning_of(self), self.cases
+        return prefix_of(self.loop), self.cases
 
     def _all_known(self) -> bool:
         return self.child is None and not self._awaited and all(case.how != WAITING for case in self.cases)
@@ -239,7 +197,7 @@ class ForkingHost(Host):
     def _fly(self, enough: Callable[[], bool]) -> Flight | None:
         """Fly to the end, or until it is enough; a child reports, and ends."""
         try:
-            golden = fly_until(self, enough)
+            golden = fly_until(self.loop, enough)
         except BaseException:
             if self.child is None:
                 raise
@@ -250,14 +208,6 @@ class ForkingHost(Host):
             report = ChildReport(golden.log, self.child.output, self.child.call_same)
             self.child.point.finish(pickle.dumps(report))
         return golden
-
-
-class ForkingObservedHost(ForkingHost, ObservedHost):
-    """The same with the detector as an observer."""
-
-
-HOSTS: dict[str, type[ForkingHost]] = {"inline": ForkingHost, "observer": ForkingObservedHost}
-"""By coupling of the detector."""
 
 
 def _report_of(ended: Ended) -> ChildReport:

@@ -25,8 +25,9 @@ from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction.forked import LENGTH_BYTES, framed, write_all
 from mavfi.faults.instruction.launch import with_fixed_addresses
 from mavfi.faults.instruction.refusal import MismatchError
-from mavfi.hosts.beginning import Beginning
 from mavfi.hosts.instruction.case import Case
+from mavfi.hosts.loop.golden_prefix import GoldenPrefix
+from mavfi.hosts.loop.recovery import Coupling
 from mavfi.mission import Scenario
 from mavfi.numerics.jit import code_folder
 
@@ -171,8 +172,8 @@ def template_for(server: str, kind: str) -> Template:
 
 
 def fly_from_template(
-    scenario: Scenario, fault: InstructionFault, detector: Detector | None, coupling: str = "inline"
-) -> tuple[Beginning, Case]:  # fmt: skip
+    scenario: Scenario, fault: InstructionFault, detector: Detector | None, coupling: Coupling = "inline"
+) -> tuple[GoldenPrefix, Case]:  # fmt: skip
     """Fly one mission with a fault in an instruction, in a process forked from the template of its kind.
 
     Args:
@@ -195,9 +196,9 @@ def fly_from_template(
     template = template_for(_SERVER, json.dumps(kind.to_json(), sort_keys=True))
     paths = sys.path if _has_parts_of_a_user(kind, detector) else []  # the mission computer's memory holds them too
     answer = template.ask(pickle.dumps((paths, pickle.dumps((*parts, detector, coupling)))))
-    beginning, (case,) = answer.result
+    prefix, (case,) = answer.result
     case.replayable = answer.fixed
-    return beginning, case
+    return prefix, case
 
 
 def _has_parts_of_a_user(kind: Scenario, detector: Detector | None) -> bool:

@@ -18,15 +18,16 @@ import numpy as np
 
 from mavfi.config import parse
 from mavfi.errors import MavfiError
-from mavfi.faults.fault import fault_from_json
+from mavfi.faults.fault import InstructionFault, fault_from_json
 from mavfi.faults.instruction import Counting, run_in_child
 from mavfi.faults.instruction.forked import LENGTH_BYTES, framed, write_all
 from mavfi.faults.instruction.launch import addresses_are_fixed
-from mavfi.hosts.beginning import Beginning
-from mavfi.hosts.inprocess import fly
 from mavfi.hosts.instruction.case import Case
-from mavfi.hosts.instruction.forking import HOSTS
+from mavfi.hosts.instruction.forking import Forks
 from mavfi.hosts.instruction.template import AGAIN, ENDED, READY
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.golden_prefix import GoldenPrefix
+from mavfi.hosts.loop.recovery import Coupling
 from mavfi.mission import Scenario
 from mavfi.numerics.jit import code_folder
 from mavfi.pipeline.functions import PLAIN
@@ -79,7 +80,7 @@ def _answer() -> None:
         os._exit(status)
 
 
-def fly_one(scenario: str, fault: str, detector: Any, coupling: str) -> tuple[Beginning, list[Case]]:
+def fly_one(scenario: str, fault: str, detector: Any, coupling: Coupling) -> tuple[GoldenPrefix, list[Case]]:
     """Fly one mission with a fault.
 
     Args:
@@ -92,8 +93,10 @@ def fly_one(scenario: str, fault: str, detector: Any, coupling: str) -> tuple[Be
         How the golden flight began, and what became of the fault.
     """
     mission = parse(Scenario, json.loads(scenario), "request")
+    planned = fault_from_json(json.loads(fault))
+    assert isinstance(planned, InstructionFault)  # others are not flown from templates
     with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
-        return HOSTS[coupling](mission, [fault_from_json(json.loads(fault))], detector).fly_to_injections()
+        return Forks(mission, [planned], detector, coupling).fly_to_injections()
 
 
 def _cache() -> bytes:

@@ -12,9 +12,10 @@ from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.instrument import instrument
 from mavfi.faults.instruction.ir import width
 from mavfi.faults.instruction.variant import variant_for
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve as scenario_of
 from mavfi.kernels.control import pid
+from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import uncached_copy
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE
@@ -119,9 +120,11 @@ def test_the_table_that_is_handed_in_holds_the_kernels_themselves():
 
 
 def short(planner="rrt_connect", stack="hardened", map_kind="dense"):
-    return make_scenario(
-        "sparse", 7, stack=stack, planner=planner, map_kind=map_kind, goal=(9.0, 0.0, 3.0), start=(2.0, 0.0, 3.0)
+    spec = MissionSpec(
+        environment="sparse", seed=7, autopilot=stack, planner=planner, map=map_kind, goal=(9.0, 0.0, 3.0),
+        start=(2.0, 0.0, 3.0),
     )  # fmt: skip
+    return scenario_of(spec)
 
 
 def test_a_counted_flight_is_the_golden_one():
