@@ -1,4 +1,4 @@
-"""One trial on a foreign node: start it, drive it, strike a register, and say what became of its output.
+"""One trial on a foreign node: start it, drive it, inject a register, and say what became of its output.
 
 `run_trial` starts a process in a private network, which runs this module; nothing of a trial outlives it.
 """
@@ -20,95 +20,66 @@ from pathlib import Path
 from typing import Any
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.faults.message.definition import Definition
-from mavfi.faults.register import RegisterInjection, Request, inject
+from mavfi.faults.fault import RegisterFault, fault_from_json
+from mavfi.faults.register import inject
+from mavfi.flight_log import Injection
 from mavfi.hosts.node.bench import Bench, Drive
+from mavfi.hosts.node.config import NodeConfig
 from mavfi.hosts.node.private import private_network
 from mavfi.hosts.ros1.folder import own_path
 from mavfi.hosts.ros1.supervisor import end_all, loopback_up
+from mavfi.outcomes import Effect
 
-MASKED, SDC, CRASH, HANG, UNKNOWN = "masked", "sdc", "crash", "hang", "unknown"
-OUTCOMES = (MASKED, SDC, CRASH, HANG, UNKNOWN)
-"""What a strike did: no output differs; some do; the process ended; it gave no output; it could not be judged."""
 _PARENT_DIED, _SUBREAPER = 1, 36  # PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER of <linux/prctl.h>
 _LONGEST_S = 300.0
 _PACE_S = 0.005
-"""Between two rounds of inputs while the strike is prepared: the tracer wants the processor, too (s)."""
+"""Between two rounds of inputs while the injection is prepared: the tracer wants the processor, too (s)."""
 _DYING_S = 0.5
 """How long a process takes from the end of its connections to its own (s)."""
 _MOST_DIFFERENCES = 4
 _LONGEST_LIST = 16
 
 
-@dataclass(frozen=True)
-class Order:
-    """A trial.
-
-    Attributes:
-        node: Name of the node.
-        command: Starts it.
-        parameters: Of the parameter server.
-        input_topic: Where inputs are published.
-        input_type: Their type.
-        messages: Inputs, as plain data.
-        output: Topic of outputs.
-        ignored: Members of the output that do not count.
-        patience_s: After so long without output the node hangs (s).
-        cycles: How often all inputs are sent after the strike.
-        golden: Hash of the output to each input; empty = not known yet.
-        strike: Request to the register injector, without the process; None = nothing strikes.
-    """
-
-    node: str
-    command: tuple[str, ...]
-    parameters: dict[str, Any]
-    input_topic: str
-    input_type: str
-    messages: tuple[dict[str, Any], ...]
-    output: str
-    ignored: tuple[str, ...]
-    patience_s: float
-    cycles: int
-    golden: tuple[str, ...] = ()
-    strike: dict[str, Any] | None = None
-
-
 @dataclass
-class Result:
-    """What became of it.
+class Trial:
+    """What became of a node.
 
     Attributes:
-        outcome: One of OUTCOMES.
+        effect: Label of an `Effect`: "masked" = no output differs, "sdc" = some do, "crash" = the process ended, "hang" =
+            it gave no output, "unknown" = it could not be judged.
         reason: Why it could not be judged, or how the process ended.
-        outputs: Hash of the output to each input, before the strike.
-        asked: Inputs from the strike on.
-        differing: How many of their outputs differ.
+        outputs: Hash of the output to each input, before the injection.
+        asked: Inputs from the injection on.
+        differing: Hashes of their outputs that differ.
         differences: Some numbers that differ: path, before, after.
-        injection: What the register injector did.
+        injection: What the register injector did, as plain data.
     """
 
-    outcome: str = MASKED
+    effect: str = Effect.MASKED.label
     reason: str = ""
     outputs: list[str] = field(default_factory=list)
     asked: int = 0
-    differing: int = 0
+    differing: list[str] = field(default_factory=list)
     differences: list[dict[str, Any]] = field(default_factory=list)
     injection: dict[str, Any] | None = None
 
 
-def run_trial(order: Order) -> Result:
+def run_trial(node: NodeConfig, golden: tuple[str, ...] = (), fault: RegisterFault | None = None) -> Trial:
     """Run a trial in a private network.
 
     Args:
-        order: The trial.
+        node: The node under test.
+        golden: Hash of the output to each input; empty = not known yet.
+        fault: What to inject; None = nothing.
 
     Raises:
         BadInputError: ROS is not installed, no private network, a program or type is not known, ptrace is refused.
         MavfiError: The node does not come up, or the trial's process ended without a result.
     """
+    order = {"node": node.to_json(), "golden": golden, "fault": None if fault is None else fault.to_json()}
     command = [*private_network(), sys.executable, "-m", "mavfi.hosts.node.trial"]
     done = subprocess.run(
-        command, input=json.dumps(asdict(order)).encode(), capture_output=True, timeout=_LONGEST_S, check=False,
+        command, input=json.dumps(order).encode(), capture_output=True, timeout=_LONGEST_S, check=False,
         env={**os.environ, "PYTHONPATH": own_path()}, start_new_session=True,
     )  # fmt: skip
     try:
@@ -116,86 +87,87 @@ def run_trial(order: Order) -> Result:
     except ValueError:
         told = done.stderr.decode(errors="replace").strip().splitlines()
         last = told[-1] if told else f"exit code {done.returncode}"
-        raise MavfiError(f"node {order.node}: the trial ended without a result ({last})") from None
+        raise MavfiError(f"node {node.name}: the trial ended without a result ({last})") from None
     if "refused" in answer:
         raise BadInputError(answer["refused"])
     if "failed" in answer:
         raise MavfiError(answer["failed"])
-    return Result(**answer)
+    return Trial(**answer)
 
 
-class _Trial:
+class _Session:
     """A trial from the inside."""
 
-    def __init__(self, order: Order, bench: Bench) -> None:
-        self._order, self._result = order, Result()
-        self._process = bench.start(list(order.command))
-        bench.wait_for_node(order.node, self._process)
-        inputs = (order.input_topic, order.input_type, order.messages)
-        self._drive = Drive(bench, order.node, inputs, order.output, order.ignored, order.patience_s)
+    def __init__(self, node: NodeConfig, golden: tuple[str, ...], bench: Bench) -> None:
+        self._node, self._known, self._trial = node, golden, Trial()
+        self._process = bench.start(list(node.command))
+        bench.wait_for_node(node.name, self._process)
+        inputs = (node.inputs.topic, node.inputs.type, node.inputs.messages)
+        self._drive = Drive(bench, node.name, inputs, node.outputs.topic, node.outputs.ignore, node.patience_s)
         self._golden: list[bytes] = []
 
-    def run(self) -> Result:
+    def run(self, fault: RegisterFault | None) -> Trial:
         """All of it."""
-        result = self._result
-        if not self._learn() or self._order.strike is None:
-            return result
-        injections: list[RegisterInjection | Exception] = []
-        striker = threading.Thread(target=self._strike, args=(injections,))
-        striker.start()
-        while striker.is_alive() and self._ask_all(striker.is_alive):
+        trial = self._trial
+        if not self._learn() or fault is None:
+            return trial
+        done: list[Injection | Exception] = []
+        injecting = threading.Thread(target=self._inject, args=(fault, done))
+        injecting.start()
+        while injecting.is_alive() and self._ask_all(injecting.is_alive):
             time.sleep(_PACE_S)
-        striker.join()
-        if isinstance(injections[0], Exception):
-            if result.outcome == MASKED:
-                result.outcome, result.reason = UNKNOWN, str(injections[0])
-            if isinstance(injections[0], BadInputError):
-                raise injections[0]
-            return result
-        result.injection = injections[0].to_json()
-        for _ in range(self._order.cycles):
+        injecting.join()
+        if isinstance(done[0], Exception):
+            if isinstance(done[0], BadInputError):
+                raise done[0]
+            return self._unknown(str(done[0]))
+        trial.injection = done[0].to_json()
+        for _ in range(self._node.cycles):
             if not self._ask_all():
                 break
-        if not injections[0].hit and result.outcome == MASKED:
-            result.outcome, result.reason = UNKNOWN, "the register was not struck"
-        return result
+        return trial if done[0].activated else self._unknown("the register was not injected")
+
+    def _unknown(self, reason: str) -> Trial:
+        """It cannot be judged, unless something has been seen."""
+        if self._trial.effect == Effect.MASKED.label:
+            self._trial.effect, self._trial.reason = Effect.UNKNOWN.label, reason
+        return self._trial
 
     def _learn(self) -> bool:
-        """The outputs of the node as it should be; False if they are not what they were in other runs."""
-        for number in range(len(self._order.messages)):
+        """The outputs of the node as it should be; False if they are not what they were in other trials."""
+        for number in range(len(self._node.inputs.messages)):
             output = self._drive.ask(number)
             if output is None:
                 raise MavfiError(
-                    f"node {self._order.node}: answers no message on {self._order.output} to input {number} within "
-                    f"{self._order.patience_s:g} s"
+                    f"node {self._node.name}: answers no message on {self._node.outputs.topic} to input {number} "
+                    f"within {self._node.patience_s:g} s"
                 )
             self._golden.append(output)
-        self._result.outputs = [hashlib.sha256(output).hexdigest() for output in self._golden]
-        if self._order.golden and tuple(self._result.outputs) != tuple(self._order.golden):
-            self._result.outcome, self._result.reason = UNKNOWN, "before the strike its output is not the golden one"
+        self._trial.outputs = [_hash(output) for output in self._golden]
+        if self._known and tuple(self._trial.outputs) != self._known:
+            self._unknown("before the injection its output is not the golden one")
             return False
         return True
 
-    def _strike(self, done: list[RegisterInjection | Exception]) -> None:
-        assert self._order.strike is not None
+    def _inject(self, fault: RegisterFault, done: list[Injection | Exception]) -> None:
         try:
-            done.append(inject(Request(self._process.pid, **self._order.strike))[0])
+            done.append(inject(self._process.pid, fault)[0])
         except Exception as error:  # noqa: BLE001 - the other thread judges it
             done.append(error)
 
     def _ask_all(self, is_held: Callable[[], bool] = bool) -> bool:
         """Send every input once, and compare; False when the node is no more."""
-        result = self._result
+        trial = self._trial
         for number, golden in enumerate(self._golden):
             output = self._drive.ask(number, is_held)
-            result.asked += 1
+            trial.asked += 1
             if output is None:
                 return self._gone()
             if output != golden:
-                result.outcome = SDC
-                result.differing += 1
-                if not result.differences:
-                    result.differences = differences(self._drive.definition, golden, output)
+                trial.effect = Effect.SDC.label
+                trial.differing.append(_hash(output))
+                if not trial.differences:
+                    trial.differences = differences(self._drive.definition, golden, output)
         return True
 
     def _gone(self) -> bool:
@@ -205,11 +177,15 @@ class _Trial:
         except subprocess.TimeoutExpired:
             code = None
         if code is None:
-            self._result.outcome, self._result.reason = HANG, f"no output within {self._order.patience_s:g} s"
+            self._trial.effect, self._trial.reason = Effect.HANG.label, f"no output within {self._node.patience_s:g} s"
         else:
             name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-            self._result.outcome, self._result.reason = CRASH, name
+            self._trial.effect, self._trial.reason = Effect.CRASH.label, name
         return False
+
+
+def _hash(output: bytes) -> str:
+    return hashlib.sha256(output).hexdigest()
 
 
 def differences(definition: Definition, golden: bytes, output: bytes) -> list[dict[str, Any]]:
@@ -226,20 +202,22 @@ def differences(definition: Definition, golden: bytes, output: bytes) -> list[di
 
 
 def main() -> None:
-    """Read an order from stdin, write the result to stdout."""
+    """Read what is wanted from stdin, write the result to stdout."""
     libc = ctypes.CDLL(None)
     libc.prctl(_PARENT_DIED, signal.SIGTERM)
     libc.prctl(_SUBREAPER, 1)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     loopback_up()
-    data = json.load(sys.stdin)
-    order = Order(**data)
+    order = json.load(sys.stdin)
+    node = NodeConfig.model_validate(order["node"])
+    fault = None if order["fault"] is None else fault_from_json(order["fault"])
+    assert fault is None or isinstance(fault, RegisterFault)
     answer: dict[str, Any]
     try:
         with tempfile.TemporaryDirectory(prefix="mavfi-trial-") as folder, Bench(Path(folder)) as bench:
-            for name, value in order.parameters.items():
+            for name, value in node.parameters.items():
                 bench.master.call("setParam", name, value)
-            answer = asdict(_Trial(order, bench).run())
+            answer = asdict(_Session(node, tuple(order["golden"]), bench).run(fault))
     except BadInputError as error:
         answer = {"refused": str(error)}
     except MavfiError as error:

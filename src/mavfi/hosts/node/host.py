@@ -1,0 +1,131 @@
+"""The host `node`: a foreign ROS node under test.  A flight is a trial: start the node, drive it, compare its outputs.
+
+A mission is error-free trials whose outputs must agree, then trials with a fault.  The instant of an injection is the
+machine's, not the seed's, so a trial cannot be repeated bit for bit; `masked` says that all outputs were the golden ones.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, cast
+
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.faults.fault import Fault, RegisterFault
+from mavfi.flight_log import Injection, KernelEffect
+from mavfi.flight_record import End, FlightRecord
+from mavfi.hosts.host import ArmSetup, Recorded
+from mavfi.hosts.node.config import NodeConfig
+from mavfi.hosts.node.private import private_network
+from mavfi.hosts.node.trial import Trial, run_trial
+from mavfi.hosts.ros1 import finder
+from mavfi.mission import MissionSpec
+from mavfi.outcomes import DUE, Effect
+
+_DIED = tuple(effect.label for effect in DUE)
+
+
+class NodeHost:
+    """Trials on a foreign node.
+
+    Args:
+        node: The node under test.
+    """
+
+    name = "node"
+    levels = frozenset({"register"})
+    deterministic = False
+
+    def __init__(self, node: NodeConfig | None = None) -> None:
+        if node is None:
+            raise BadInputError("host node: allowed: with the key node, which says what is under test")
+        self._node = node
+
+    def resolve(self, spec: MissionSpec) -> NodeConfig:
+        """What stands for a scenario; a node has no world."""
+        del spec
+        return self._node
+
+    def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "NodeMission":
+        """The trials of a mission; there is one arm, and nothing to fast-forward."""
+        del arms, fast_forward
+        return NodeMission(self._node)
+
+    def warm_up(self, scenarios: Sequence[Any]) -> None:
+        """Refuse a node that cannot be tried.
+
+        Raises:
+            BadInputError: ROS is not installed, there can be no private network, or golden outputs differ.
+            MavfiError: The node does not come up, or gives no output.
+        """
+        del scenarios
+        finder.require()
+        private_network()
+        golden_trial(self._node)
+
+
+class NodeMission:
+    """The trials of one mission.
+
+    Args:
+        node: The node under test.
+    """
+
+    def __init__(self, node: NodeConfig) -> None:
+        self._node = node
+        self._outputs: tuple[str, ...] = ()
+
+    def golden(self, arm: str, *, profile: bool = False) -> Recorded:
+        """The error-free trials.
+
+        Raises:
+            BadInputError: Their outputs differ.
+            MavfiError: The node does not come up, or gives no output.
+        """
+        del arm, profile
+        trial = golden_trial(self._node)
+        self._outputs = tuple(trial.outputs)
+        return Recorded(record_of_trial(trial))
+
+    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
+        """Trials with a fault, in turn; what makes every trial impossible is raised."""
+        for place, (_, fault) in enumerate(runs):
+            try:
+                trial = run_trial(self._node, self._outputs, cast(RegisterFault, fault))
+            except BadInputError:
+                raise
+            except Exception as error:  # noqa: BLE001 - one trial that cannot be judged
+                yield place, error
+            else:
+                yield place, Recorded(record_of_trial(trial))
+
+
+def golden_trial(node: NodeConfig) -> Trial:
+    """The last of a number of error-free trials.
+
+    Raises:
+        BadInputError: Their outputs differ.
+        MavfiError: The node does not come up, or gives no output.
+    """
+    trials = [run_trial(node) for _ in range(node.golden_runs)]
+    if len({tuple(trial.outputs) for trial in trials}) > 1:
+        raise BadInputError(
+            f"node {node.name}: the outputs on {node.outputs.topic} of {node.golden_runs} golden trials differ, so "
+            "nothing can be told from them; name what changes by itself in node.outputs.ignore"
+        )
+    return trials[-1]
+
+
+def record_of_trial(trial: Trial) -> FlightRecord:
+    """What is kept of a trial; its digest is that of the outputs, so that equal outputs count as masked."""
+    extra = {
+        "outputs": trial.outputs, "asked": trial.asked, "differing": len(trial.differing),
+        "differences": trial.differences, "reason": trial.reason,
+    }  # fmt: skip
+    injections = () if trial.injection is None else (Injection.from_json(trial.injection),)
+    if trial.effect == Effect.UNKNOWN.label:
+        return FlightRecord(End.UNKNOWN, injections=injections, extra=extra, error=trial.reason)
+    if trial.effect in _DIED:
+        kernel = KernelEffect(trial.effect, trial.reason)
+        return FlightRecord(End.DUE, injections=injections, kernel=kernel, extra=extra, error=trial.reason)
+    digest = hashlib.sha256(json.dumps([trial.outputs, trial.differing]).encode()).hexdigest()
+    return FlightRecord(End.FLOWN, digest=digest, injections=injections, extra=extra)
