@@ -31,10 +31,10 @@ def effect_of(golden: FlightRecord | None, injected: FlightRecord) -> Effect:
 
     Args:
         golden: The golden run of the same arm; None = there is none.
-        injected: The run with the fault. One that died each time has crashed.
+        injected: The run with the fault. One that died each time has crashed, unless its host knows better.
     """
     if injected.end is End.DUE:
-        return Effect.CRASH
+        return Effect.CRASH if injected.kernel is None else Effect[injected.kernel.effect.upper()]
     if golden is None or not golden.digest or not injected.digest:
         return Effect.UNKNOWN
     return Effect.MASKED if golden.digest == injected.digest else Effect.SDC

@@ -13,6 +13,7 @@ from mavfi.config import Config, config_root, load, parse
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
 from mavfi.faults.strata import STRATA
+from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
 from mavfi.states import INJECTABLE, MONITORED_SETS, PLANNERS
 
@@ -148,34 +149,6 @@ class Scale(Config):
     faults: int | None = Field(None, ge=1)
 
 
-class NodeInputs(Config):
-    """What a foreign node is sent, over and over."""
-
-    topic: str
-    type: str = Field(description="a standard type, e.g. sensor_msgs/JointState")
-    messages: tuple[dict[str, Any], ...] = Field(min_length=1, description="a header is stamped with the time of now")
-
-
-class NodeOutputs(Config):
-    """What the node answers: one message to each input."""
-
-    topic: str
-    ignore: tuple[str, ...] = Field(("seq", "stamp"), description="members that do not count, wherever they stand")
-
-
-class NodeConfig(Config):
-    """A foreign ROS node under test (host node)."""
-
-    name: str = Field(description="its name in the graph")
-    command: tuple[str, ...] = Field(min_length=1, description="starts it")
-    parameters: dict[str, Any] = Field(default_factory=dict, description="of the parameter server, set before")
-    inputs: NodeInputs
-    outputs: NodeOutputs
-    golden_runs: int = Field(3, ge=1)
-    cycles: int = Field(3, ge=1, description="how often all inputs are sent after the injection")
-    patience_s: float = Field(2.0, gt=0, le=60, description="without output for so long, the node hangs")
-
-
 class Campaign(Config):
     """A campaign as a user writes it.
 
@@ -201,6 +174,9 @@ class Campaign(Config):
     @classmethod
     def _renamed(cls, data: Any) -> Any:
         if isinstance(data, dict):
+            data = _node_keys(data) if data.get("kind") == "ros_node" else data
+            if data.get("host") == "node" and isinstance(data.get("node"), dict):
+                data = {"environments": [str(data["node"].get("name", "")).strip("/")], "missions": 1, **data}
             for key in data:
                 if key in _RENAMED and key not in cls.model_fields:
                     raise ValueError(f"key {key!r}: is now {_RENAMED[key]!r} (docs/generated/campaign-keys.md)")
@@ -266,6 +242,11 @@ class Campaign(Config):
         given = {**self.mission, **(overrides or {}), "environment": environment, "seed": seed}
         return parse(MissionSpec, given, f"campaign {self.name}")
 
+    @property
+    def host_options(self) -> dict[str, Any]:
+        """What its host is made with."""
+        return {} if self.node is None else {"node": self.node}
+
     def key(self) -> str:
         """Hash that identifies the campaign."""
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
@@ -283,6 +264,21 @@ class Study(Config):
     training_flights: int = Field(100, ge=0, description="error-free flights that the detectors are trained on")
     campaigns: dict[str, str] = Field(min_length=1, description="name or path of a campaign, by folder of its ledger")
     views: tuple[str, ...] = Field((), description="views of the headline, `folder:view`")
+
+
+def _node_keys(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys of a campaign of `kind: ros_node`, the older spelling of `host: node`."""
+    given = {key: value for key, value in data.items() if key != "kind"}
+    node = {"name": given.pop("node", "")}
+    node |= {key: given.pop(key) for key in NodeConfig.model_fields if key != "name" and key in given}
+    sampling = {key: given.pop(key) for key in RegisterSampling.model_fields if key in given}
+    scales = {
+        name: {("faults" if key == "trials" else key): value for key, value in scale.items()}
+        for name, scale in given.pop("scales", {}).items()
+    }
+    faults = given.pop("trials", 40)
+    return {**given, "host": "node", "node": node, "sampling": {**sampling, "level": "register"}, "faults": faults,
+            "scales": scales}  # fmt: skip
 
 
 def mission_keys(given: Mapping[str, Any], where: str) -> dict[str, Any]:

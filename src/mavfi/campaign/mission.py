@@ -19,9 +19,8 @@ from mavfi.detectors.detector import Detector
 from mavfi.errors import SpecMismatchError
 from mavfi.faults.fault import Fault
 from mavfi.faults.instruction.forked import run_in_child
-from mavfi.flight_record import End, FlightRecord, record_of
-from mavfi.hosts.host import ArmSetup, Flight, MissionFlights, find_host
-from mavfi.hosts.loop.compose import resolve
+from mavfi.flight_record import End, FlightRecord
+from mavfi.hosts.host import ArmSetup, Host, MissionFlights, Recorded, find_host
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import Scenario
 
@@ -86,14 +85,20 @@ class Flown:
     wall_s: float = field(default=0.0, compare=False)
 
 
+def host_of(campaign: Campaign) -> Host:
+    """The host of a campaign."""
+    return find_host(campaign.host, campaign.host_options)
+
+
 def scenarios_of(campaign: Campaign, arms: Sequence[Arm]) -> dict[tuple[str, str], Scenario]:
     """Scenario with the campaign's first seed, by environment and arm.
 
     Raises:
         BadInputError: A name is not known, or things do not fit together.
     """
+    host = host_of(campaign)
     return {
-        (environment, arm.name): resolve(campaign.spec(environment, campaign.first_seed, arm.overrides))
+        (environment, arm.name): host.resolve(campaign.spec(environment, campaign.first_seed, arm.overrides))
         for environment in campaign.environments
         for arm in arms
     }
@@ -105,9 +110,10 @@ def plan_of(campaign: Campaign, models: Mapping[str, str], scenarios: Mapping[tu
     return Plan(campaign, sampler_for(campaign), arms_of(campaign), keys, models)
 
 
-def setup_of(plan: MissionPlan, arm: Arm, scenario: Scenario) -> ArmSetup:
+def setup_of(plan: MissionPlan, arm: Arm, host: Host) -> ArmSetup:
     """What an arm flies with; a model that is not the planned one is refused when its detector is first wanted."""
-    coupling = plan.campaign.spec(plan.environment, plan.seed, arm.overrides).coupling
+    spec = plan.campaign.spec(plan.environment, plan.seed, arm.overrides)
+    scenario = host.resolve(spec)
 
     def make() -> Detector:
         detector, model = detector_for(scenario, arm.detector, arm.profile, plan.models_dir)
@@ -118,7 +124,7 @@ def setup_of(plan: MissionPlan, arm: Arm, scenario: Scenario) -> ArmSetup:
             )
         return detector
 
-    return ArmSetup(scenario, make if arm.detector else None, coupling)
+    return ArmSetup(scenario, make if arm.detector else None, spec.coupling)
 
 
 def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
@@ -136,13 +142,9 @@ def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
     campaign = mission.campaign
     scenarios = scenarios_of(campaign, arms_of(campaign))
     plan = plan_of(campaign, mission.models, scenarios)
-    setups = {
-        arm.name: setup_of(
-            mission, arm, scenarios[mission.environment, arm.name].model_copy(update={"seed": mission.seed})
-        )
-        for arm in plan.arms
-    }
-    flights = find_host(campaign.host).mission(setups, fast_forward=mission.fast_forward)
+    host = host_of(campaign)
+    setups = {arm.name: setup_of(mission, arm, host) for arm in plan.arms}
+    flights = host.mission(setups, fast_forward=mission.fast_forward)
     golden = plan.golden(*mission.world)
     yield Planned(tuple(golden), last=False)
     sampled: dict[str, Sampled] = {}
@@ -162,13 +164,13 @@ def _golden(plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup,
 
     def fly() -> FlightRecord:
         if arm.name and not arm.is_variant:
-            return _record(flights.golden(arm.name))
+            return flights.golden(arm.name).record()
         draws = [draw for _, draw in plan.places(*spec.world) if draw.variant == arm.name and draw.target != NULL]
         found = plan.sampler.golden(arm.name, draws, spec.environment, flights, setup)
         sampled[arm.name] = found
         profile = found.flight.profile
         acted_on = {} if profile is None else {state: len(times) for state, times in profile.times_us.items()}
-        return replace(_record(found.flight), counts=found.counts, acted_on=acted_on)
+        return replace(found.flight.record(), counts=found.counts, acted_on=acted_on)
 
     return _guarded(spec.run_id, fly)
 
@@ -216,14 +218,10 @@ def _request(spec: RunSpec) -> tuple[str, Fault]:
     return spec.arm, spec.fault
 
 
-def _judged(flight: Flight | Exception) -> FlightRecord:
+def _judged(flight: Recorded | Exception) -> FlightRecord:
     if isinstance(flight, Exception):
         raise flight
-    return _record(flight)
-
-
-def _record(flight: Flight) -> FlightRecord:
-    return replace(record_of(flight.log), extra=dict(flight.extra))
+    return flight.record()
 
 
 def _guarded(run_id: str, work: Callable[[], FlightRecord]) -> Flown:

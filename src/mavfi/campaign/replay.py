@@ -3,12 +3,12 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from mavfi.campaign.mission import MissionPlan, scenarios_of, setup_of
+from mavfi.campaign.mission import MissionPlan, host_of, setup_of
 from mavfi.campaign.plan import RunSpec, arms_of
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.errors import BadInputError
-from mavfi.hosts.host import ArmSetup, Flight, Host, find_host
+from mavfi.hosts.host import ArmSetup, Flight, Host, Recorded
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +61,15 @@ def fly_again(store: Store, spec: RunSpec) -> Flight:
     """
     host, setup = setup_again(store, spec)
     flights = host.mission({spec.arm: setup}, fast_forward=False)
+    flown: Recorded | Exception
     if spec.fault is None:
-        return flights.golden(spec.arm)
-    _, flight = next(flights.injected([(spec.arm, spec.fault)]))
-    if isinstance(flight, Exception):
-        raise flight
-    return flight
+        flown = flights.golden(spec.arm)
+    else:
+        _, flown = next(flights.injected([(spec.arm, spec.fault)]))
+    if isinstance(flown, Exception):
+        raise flown
+    assert isinstance(flown, Flight)  # as every deterministic host gives it
+    return flown
 
 
 def setup_again(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
@@ -77,13 +80,12 @@ def setup_again(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
         SpecMismatchError: See `replay`.
     """
     campaign = stored_campaign(store)
-    host = find_host(campaign.host)
+    host = host_of(campaign)
     if not host.deterministic:
         raise BadInputError(f"{store.directory}: host {host.name} is not deterministic: runs cannot be flown again")
     arm = next(arm for arm in arms_of(campaign) if arm.name == spec.arm)
-    scenario = scenarios_of(campaign, [arm])[spec.environment, arm.name].model_copy(update={"seed": spec.seed})
     models_dir = store.meta("models_dir")
     mission = MissionPlan(
         campaign, *spec.world, None if models_dir is None else Path(models_dir), store.meta("identity")["models"]
     )
-    return host, setup_of(mission, arm, scenario)
+    return host, setup_of(mission, arm, host)

@@ -15,12 +15,12 @@ from mavfi import __version__
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Done, Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.mission import Flown, MissionPlan, Planned, fly_mission, plan_of, scenarios_of
+from mavfi.campaign.mission import Flown, MissionPlan, Planned, fly_mission, host_of, plan_of, scenarios_of
 from mavfi.campaign.plan import Plan, arms_of
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.flight_record import End, FlightRecord
-from mavfi.hosts.host import find_host, require_level
+from mavfi.hosts.host import require_level
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionStatus, Scenario
 
@@ -183,7 +183,7 @@ def run_campaign(
         BadInputError: A directory that cannot be written or holds another campaign; a name that is not known; a model
             that does not fit; versions that differ from those that the ledger was begun with.
     """
-    host = find_host(campaign.host)
+    host = host_of(campaign)
     require_level(host, campaign.sampling.level)
     scenarios = scenarios_of(campaign, arms_of(campaign))
     models = model_hashes(campaign, scenarios, models_dir)
@@ -196,6 +196,8 @@ def run_campaign(
         })  # fmt: skip
         session = _Session(plan, store, models_dir, fast_forward, progress or _silent)
         missions = session.missions()
+        if missions:
+            host.check()
         session.counts = store.counts()
         if missions and host.in_process:
             session.tell(compiling=True)

@@ -5,19 +5,20 @@ several of them.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.flight_log import FlightLog, Profile
+from mavfi.flight_record import FlightRecord, record_of
 from mavfi.hosts.loop.recovery import Coupling
-from mavfi.mission import Scenario
+from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import load_object
 
 GROUP = "mavfi.hosts"
-"""Entry points of this group are hosts: classes without arguments."""
+"""Entry points of this group are hosts: classes whose arguments are the keys of a campaign that only they have."""
 _SHIPPED = {
     "local": "mavfi.hosts.local.mission_flights:LocalHost", "ros1": "mavfi.hosts.ros1.host:Ros1Host",
     "node": "mavfi.hosts.node.host:NodeHost",
@@ -42,13 +43,28 @@ class Flight:
     pipeline: Mapping[str, Any] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)
 
+    def record(self) -> FlightRecord:
+        """What a ledger keeps of it."""
+        return replace(record_of(self.log), extra=dict(self.extra))
+
+
+class Recorded(Protocol):
+    """What a host gives back of a run: a `Flight`, or what stands for one."""
+
+    @property
+    def profile(self) -> Profile | None:
+        """When which state was published, if it was asked for."""
+
+    def record(self) -> FlightRecord:
+        """What a ledger keeps of it."""
+
 
 @dataclass(frozen=True, slots=True)
 class ArmSetup:
     """What one arm of a mission flies with.
 
     Attributes:
-        scenario: The mission.
+        scenario: The mission, as the host resolves it.
         make_detector: Gives the detector, ready to start; None = nothing watches.
         coupling: Of the detector, see `hosts.loop.recovery`.
     """
@@ -61,7 +77,7 @@ class ArmSetup:
 class MissionFlights(Protocol):
     """The flights of one mission under several arms.  Flights without a detector come before those with one."""
 
-    def golden(self, arm: str, *, profile: bool = False) -> Flight:
+    def golden(self, arm: str, *, profile: bool = False) -> Recorded:
         """The error-free flight of an arm.
 
         Args:
@@ -72,7 +88,7 @@ class MissionFlights(Protocol):
     def know(self, arm: str, flight: Flight) -> None:
         """Take over the golden flight of an arm that was flown elsewhere, e.g. with counted instructions."""
 
-    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
+    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
         """The flights with a fault, each by its place in the list, in any order.
 
         An exception of ours ends one flight, not the others.
@@ -97,6 +113,16 @@ class Host(Protocol):
     deterministic: bool
     in_process: bool
 
+    def resolve(self, spec: MissionSpec) -> Any:
+        """The mission that options ask for: a `Scenario`, or what stands for one, with `key` and `to_json`."""
+
+    def check(self) -> None:
+        """Refuse at once what would make every flight fail.
+
+        Raises:
+            BadInputError: Something that the host needs is not there.
+        """
+
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> MissionFlights:
         """Get ready for the flights of a mission; nothing is flown yet.
 
@@ -107,13 +133,17 @@ class Host(Protocol):
         """
 
 
-def find_host(name: str) -> Host:
+def find_host(name: str, options: Mapping[str, Any] | None = None) -> Host:
     """A host by name.
+
+    Args:
+        name: As in configuration.
+        options: What it is made with.
 
     Raises:
         BadInputError: There is none of that name, or it cannot be imported.
     """
-    host: Host = load_object("host", name, GROUP, _SHIPPED)()
+    host: Host = load_object("host", name, GROUP, _SHIPPED)(**(options or {}))
     return host
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from mavfi.faults.fault import Fault
-from mavfi.hosts.host import ArmSetup, Flight, MissionFlights
+from mavfi.hosts.host import ArmSetup, MissionFlights, Recorded
 
 NULL = "null"
 """Target of null runs: the whole path through the injector, with an empty mask."""
@@ -40,7 +40,7 @@ class Sampled:
         faults: Drawn in flight, by target, in the order of the draws (level instruction).
     """
 
-    flight: Flight
+    flight: Recorded
     counts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     faults: Mapping[str, Sequence[Fault]] = field(default_factory=dict)
 

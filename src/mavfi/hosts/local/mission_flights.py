@@ -9,6 +9,8 @@ from mavfi.hosts.host import ArmSetup, Flight
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.flight import fly
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec, Scenario
 
 
 class LocalHost:
@@ -18,6 +20,13 @@ class LocalHost:
     levels = frozenset({"state", "instruction"})
     deterministic = True
     in_process = True
+
+    def resolve(self, spec: MissionSpec) -> Scenario:
+        """See `Host.resolve`."""
+        return resolve(spec)
+
+    def check(self) -> None:
+        """See `Host.check`; everything is here."""
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "LocalFlights":
         """See `Host.mission`."""

@@ -7,7 +7,8 @@ machine's, not the seed's, so a trial cannot be repeated bit for bit; `masked` s
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, cast
+from dataclasses import dataclass
+from typing import cast
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import Fault, RegisterFault
@@ -34,6 +35,7 @@ class NodeHost:
     name = "node"
     levels = frozenset({"register"})
     deterministic = False
+    in_process = False
 
     def __init__(self, node: NodeConfig | None = None) -> None:
         if node is None:
@@ -50,17 +52,33 @@ class NodeHost:
         del arms, fast_forward
         return NodeMission(self._node)
 
-    def warm_up(self, scenarios: Sequence[Any]) -> None:
+    def check(self) -> None:
         """Refuse a node that cannot be tried.
 
         Raises:
             BadInputError: ROS is not installed, there can be no private network, or golden outputs differ.
             MavfiError: The node does not come up, or gives no output.
         """
-        del scenarios
         finder.require()
         private_network()
         golden_trial(self._node)
+
+
+@dataclass(frozen=True, slots=True)
+class TrialResult:
+    """What a trial leaves.
+
+    Attributes:
+        kept: What a ledger keeps of it.
+        profile: A node has none.
+    """
+
+    kept: FlightRecord
+    profile: None = None
+
+    def record(self) -> FlightRecord:
+        """See `Recorded.record`."""
+        return self.kept
 
 
 class NodeMission:
@@ -74,7 +92,7 @@ class NodeMission:
         self._node = node
         self._outputs: tuple[str, ...] = ()
 
-    def golden(self, arm: str, *, profile: bool = False) -> Recorded:
+    def golden(self, arm: str, *, profile: bool = False) -> TrialResult:
         """The error-free trials.
 
         Raises:
@@ -84,9 +102,12 @@ class NodeMission:
         del arm, profile
         trial = golden_trial(self._node)
         self._outputs = tuple(trial.outputs)
-        return Recorded(record_of_trial(trial))
+        return TrialResult(record_of_trial(trial))
 
-    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
+    def know(self, arm: str, flight: Recorded) -> None:
+        """See `MissionFlights.know`; nothing is flown elsewhere."""
+
+    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, TrialResult | Exception]]:
         """Trials with a fault, in turn; what makes every trial impossible is raised."""
         for place, (_, fault) in enumerate(runs):
             try:
@@ -96,7 +117,7 @@ class NodeMission:
             except Exception as error:  # noqa: BLE001 - one trial that cannot be judged
                 yield place, error
             else:
-                yield place, Recorded(record_of_trial(trial))
+                yield place, TrialResult(record_of_trial(trial))
 
 
 def golden_trial(node: NodeConfig) -> Trial:

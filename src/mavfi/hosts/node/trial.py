@@ -21,6 +21,7 @@ from typing import Any
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import RegisterFault, fault_from_json
+from mavfi.faults.message.definition import Definition
 from mavfi.faults.register import inject
 from mavfi.flight_log import Injection
 from mavfi.hosts.node.bench import Bench, Drive
