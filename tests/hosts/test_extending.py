@@ -46,7 +46,7 @@ def test_the_commands_of_the_page_fly(folder, capsys, command):
     data = json.loads(capsys.readouterr().out)
     assert data["status"] == "success"
     words = shlex.split(command)
-    for option in ("planner", "stack", "vehicle", "environment"):
+    for option in ("planner", "autopilot", "vehicle", "environment"):
         if f"--{option}" in words and (given := words[words.index(f"--{option}") + 1]).endswith(".yaml"):
             name = re.search(r"^name: (\w+)", (folder / given).read_text(encoding="utf-8"), re.MULTILINE)[1]
             assert data[option] == name
