@@ -13,10 +13,9 @@ import numpy as np
 
 from mavfi.campaign.tools import host_tools
 from mavfi.faults.sampling import draw, stage_target
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import Flight, fly
-from mavfi.hosts.observed import fly_observed
-from mavfi.mission import MissionStatus
+from mavfi.hosts.local import Flight, fly
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec, MissionStatus
 from tools.markers import between
 
 PAGE = Path(__file__).parents[1] / "docs" / "ros.md"
@@ -34,9 +33,9 @@ def peak(flight: Flight, golden: Flight) -> float:
 
 def pair(seed: int) -> dict[str, tuple[bool, float, float]]:
     """One mission with one fault in every arm: success, flight time (s), largest distance from its golden twin (m)."""
-    scenario = make_scenario(ENVIRONMENT, seed, stack=STACK)
+    scenario = resolve(MissionSpec(environment=ENVIRONMENT, seed=seed, autopilot=STACK))
     load = host_tools().load_detector
-    profile = fly(scenario, want_profile=True).profile
+    profile = fly(scenario, profile=True).profile
     assert profile is not None
     stage = ("planning", "control")[seed % 2]
     fault = draw(stage_target(stage, STACK, "paper-13"), "sign_exponent", profile, seed, ENVIRONMENT, 0)
@@ -44,10 +43,10 @@ def pair(seed: int) -> dict[str, tuple[bool, float, float]]:
     for arm in ARMS:
         name, _, coupling = arm.partition(" ")
         detector = None if name == "none" else load(name, "paper", None, scenario)[0]
-        if coupling == "observer" and detector is not None:
-            golden, flight = fly_observed(scenario, None, detector), fly_observed(scenario, fault, detector)
-        else:
-            golden, flight = fly(scenario, None, detector), fly(scenario, fault, detector)
+        golden, flight = (
+            fly(scenario, planned, detector, coupling="observer" if coupling == "observer" else "inline")
+            for planned in (None, fault)
+        )
         success = flight.log.status is MissionStatus.SUCCESS
         found[arm] = success, float(flight.log.column("time")[-1]), peak(flight, golden)
     return found

@@ -8,7 +8,8 @@ import numpy as np
 
 from benchmarks.rows import Row
 from mavfi.config import CameraConfig, EnvironmentConfig
-from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.sim.camera import Camera
 from mavfi.sim.environments import World, build_world
@@ -57,7 +58,7 @@ class TheirCamera:
 
     def __init__(self, world: World, directions: np.ndarray) -> None:
         """Compile the world."""
-        self._model = build_model(world, make_scenario("sparse", 0).vehicle)
+        self._model = build_model(world, resolve(MissionSpec(environment="sparse", seed=0)).vehicle)
         self._data = mujoco.MjData(self._model)
         mujoco.mj_forward(self._model, self._data)
         self._directions = directions

@@ -27,7 +27,7 @@ from mavfi.campaign.success import SLOWER, fails_or_slower
 from mavfi.cli.progress import Bar, import_host
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
-from mavfi.hosts.compose import find_environment
+from mavfi.hosts.loop.compose import find_environment
 from mavfi.reports import style
 from tools.markers import GENERATED, ROOT, banner
 

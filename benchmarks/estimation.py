@@ -11,9 +11,9 @@ import sys
 
 import numpy as np
 
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
-from mavfi.mission import MissionStatus
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import ODOMETRY, State, floats
 
 SETTINGS = [(environment, stack) for environment in ("sparse", "dense") for stack in ("published", "hardened")]
@@ -28,7 +28,8 @@ def fly_one(environment: str, stack: str, seed: int) -> tuple[MissionStatus, np.
         if state.spec.name == ODOMETRY["estimator"]:
             estimates[time_us] = floats(state.header, WIDTH).copy()
 
-    flight = fly(make_scenario(environment, seed, stack=stack, localization="estimator"), observer=note)
+    spec = MissionSpec(environment=environment, seed=seed, autopilot=stack, localization="estimator")
+    flight = fly(resolve(spec), recorders=[note])
     log = flight.log
     times = np.round(1e6 * log.column("time")).astype(int)
     truth = log.columns("x", "y", "z")[: len(times) - 1]  # the last tick only judges

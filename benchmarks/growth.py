@@ -12,8 +12,9 @@ from benchmarks.depth import posts
 from benchmarks.rows import Row
 from mavfi.campaign.executors.local import LocalPool
 from mavfi.config import CameraConfig, MapConfig
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
 from mavfi.reports.style import BLUE, GREY, ORANGE, house_style
 from tools.markers import GENERATED
 
@@ -39,7 +40,7 @@ def curve(values: tuple[Any, ...], change: Callable[[Any], dict[str, Any]]) -> l
     for value in values:
         walls, flown = [], []
         for seed in SEEDS:
-            scenario = make_scenario("sparse", seed).model_copy(update=change(value))
+            scenario = resolve(MissionSpec(environment="sparse", seed=seed)).model_copy(update=change(value))
             start = time.perf_counter()
             log = fly(scenario).log
             walls.append(time.perf_counter() - start)
@@ -59,7 +60,7 @@ def curves() -> dict[str, list[Point]]:
 
 def fly_seed(seed: int) -> str:
     """One mission of the pool."""
-    return fly(make_scenario("sparse", seed)).log.digest()
+    return fly(resolve(MissionSpec(environment="sparse", seed=seed))).log.digest()
 
 
 def spin(_: int) -> int:

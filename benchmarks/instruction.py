@@ -25,6 +25,7 @@ from mavfi.faults.instruction.variant import signature_of, variant_for
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.control import pid
+from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE
 

@@ -31,8 +31,9 @@ from mavfi.errors import BadInputError
 from mavfi.faults.instruction import count, draw, run_forked
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.variant import signature_of
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from tools.markers import between
 
@@ -86,7 +87,7 @@ class Study:
 
 def recorded() -> dict[str, tuple[Any, ...]]:
     """Arguments of the call in the middle of a golden flight, by function; of the point cloud the first rays."""
-    scenario = make_scenario(ENVIRONMENT, SEED, stack=STACK)
+    scenario = resolve(MissionSpec(environment=ENVIRONMENT, seed=SEED, autopilot=STACK))
     counters = {name: Recorder(getattr(PLAIN, name)) for name in KERNELS.values()}
     fly(scenario, functions=replace(PLAIN, **counters))
     keepers = {name: Recorder(getattr(PLAIN, name), counter.calls // 2) for name, counter in counters.items()}

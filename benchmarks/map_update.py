@@ -8,9 +8,10 @@ import numpy as np
 
 from benchmarks.rows import Row
 from mavfi.config import MapConfig
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.perception import octomap
+from mavfi.mission import MissionSpec
 from mavfi.pipeline.maps import MAPS
 from mavfi.states import State, floats
 
@@ -23,7 +24,7 @@ LIBRARY = "octomap-python (one thread)"
 
 def recorded(resolution: float) -> tuple[Any, Any, list[tuple[np.ndarray, np.ndarray]]]:
     """Scenario of a flight, the frame of its map, and its scans."""
-    scenario = make_scenario("dense", 1).model_copy(update={"map": MapConfig(resolution=resolution)})
+    scenario = resolve(MissionSpec(environment="dense", seed=1)).model_copy(update={"map": MapConfig(resolution=resolution)})
     scans: list[tuple[np.ndarray, np.ndarray]] = []
 
     def watch(state: State, _time_us: int) -> None:
@@ -31,7 +32,7 @@ def recorded(resolution: float) -> tuple[Any, Any, list[tuple[np.ndarray, np.nda
             points = state.elements.view(np.float32).reshape(-1, 3).copy()
             scans.append((points, floats(state.header, 3).copy()))
 
-    flight: Any = fly(scenario, observer=watch)
+    flight: Any = fly(scenario, recorders=[watch])
     return scenario, flight.pipeline["octomap"].frame, scans
 
 

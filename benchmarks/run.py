@@ -24,8 +24,12 @@ from benchmarks.map_update import map_rows
 from benchmarks.planners import nearest_rows, search_rows
 from benchmarks.rows import Row
 from mavfi.detectors import load_detector
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import Flight, fly
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.assemble import new_loop
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec, Scenario
+from mavfi.pipeline.ppc import build_pipeline
+from mavfi.sim.simulator import Simulator
 from mavfi.states import State
 from tools.markers import GENERATED, banner
 
@@ -49,7 +53,7 @@ def golden(environment: str, stack: str) -> tuple[float, float]:
     """Median wall time of a golden mission (s), and how many times faster than real time."""
     walls, flown = [], 0.0
     for seed in SEEDS:
-        scenario = make_scenario(environment, seed, stack=stack)
+        scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=stack))
         wall, flight = timed(lambda scenario=scenario: fly(scenario))
         walls.append(wall)
         flown += float(flight.log.rows[-1, 0])
@@ -84,32 +88,24 @@ class Stopwatch:
         self.seconds += timed(lambda: self._inner.accept(state, time_us))[0]
 
 
-def part_seconds(flight: Callable[[], Flight]) -> tuple[float, dict[str, float]]:
-    """Wall time of a flight, and of the steps of each kernel, of physics and of the camera in it (s)."""
-    from mavfi.hosts import inprocess
-
+def part_seconds(scenario: Scenario) -> tuple[float, dict[str, float]]:
+    """Wall time of a golden flight, and of the steps of each kernel, of physics and of the camera in it (s)."""
     spent: dict[str, float] = {}
-    build, simulator = inprocess.build_pipeline, inprocess.Simulator
 
     def build_timed(config: Any) -> Any:
-        kernels = build(config)
+        kernels = build_pipeline(config)
         for kernel in kernels.values():
             for name in ("step", "receive"):
                 _time_method(kernel, name, kernel.name, spent)
         return kernels
 
     def simulator_timed(*arguments: Any) -> Any:
-        made = simulator(*arguments)
+        made = Simulator(*arguments)
         _time_method(made, "advance", PHYSICS, spent)
         _time_method(made, "depth", CAMERA, spent)
         return made
 
-    inprocess.build_pipeline = build_timed
-    inprocess.Simulator = simulator_timed  # type: ignore[assignment, misc]
-    try:
-        wall, _ = timed(flight)
-    finally:
-        inprocess.build_pipeline, inprocess.Simulator = build, simulator  # type: ignore[misc]
+    wall, _ = timed(lambda: new_loop(scenario, make_plant=simulator_timed, make_kernels=build_timed).fly())
     return wall, spent
 
 
@@ -131,10 +127,8 @@ def share_rows() -> list[Row]:
     rows = []
     for environment in TARGETS:
         for stack in ("published", "hardened"):
-            scenario = make_scenario(environment, 7, stack=stack)
-            wall, spent = min(
-                (part_seconds(lambda scenario=scenario: fly(scenario)) for _ in range(5)), key=lambda t: t[0]
-            )
+            scenario = resolve(MissionSpec(environment=environment, seed=7, autopilot=stack))
+            wall, spent = min((part_seconds(scenario) for _ in range(5)), key=lambda t: t[0])
             spent["host and start"] = wall - sum(spent.values())
             order = sorted(spent, key=spent.__getitem__, reverse=True)
             shares = ", ".join(f"{name} {100 * spent[name] / wall:.0f} %" for name in order)
@@ -144,9 +138,9 @@ def share_rows() -> list[Row]:
 
 def detection_rows() -> list[Row]:
     """Time of detection against the time of the kernels, both measured here."""
-    scenario = make_scenario("sparse", 7)
+    scenario = resolve(MissionSpec(environment="sparse", seed=7))
     rows = []
-    _, spent = part_seconds(lambda: fly(scenario))
+    _, spent = part_seconds(scenario)
     kernels = sum(seconds for part, seconds in spent.items() if part not in {PHYSICS, CAMERA})
     for name in ("gaussian", "autoencoder"):
         for _ in range(2):  # the first flight compiles, or reads the cache
@@ -159,7 +153,7 @@ def detection_rows() -> list[Row]:
 
 def measure() -> list[Row]:
     """All rows."""
-    fly(make_scenario("sparse", 0))  # compiles, or reads the cache
+    fly(resolve(MissionSpec(environment="sparse", seed=0)))  # compiles, or reads the cache
     struck = [Row(name, value) for name, value in instruction_rows()]  # first: a fork costs what the process holds
     rows: list[Row] = []
     for environment in ("sparse", "dense", "factory", "farm"):

@@ -23,9 +23,9 @@ import numpy as np
 
 from mavfi.config import StackConfig, shipped
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
-from mavfi.mission import MissionStatus
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec, MissionStatus
 
 DESIGN_SEEDS = range(10_000)
 SETTINGS = (("dense", 3.0), ("clutter", 5.0))
@@ -108,7 +108,7 @@ def score(stack: StackConfig, seeds: range) -> Score:
     arrived, squares, durations, farthest, speed = [], [], [], 0.0, 0.0
     for environment, v_max in SETTINGS:
         for seed in seeds:
-            scenario = make_scenario(environment, seed, stack=stack.name, v_max=v_max)
+            scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=stack.name, v_max=v_max))
             log = fly(scenario.model_copy(update={"stack": stack})).log
             off = np.linalg.norm(
                 log.columns("x", "y", "z") - log.columns("reference_x", "reference_y", "reference_z"), axis=1

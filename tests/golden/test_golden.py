@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
 
 STORE = Path(__file__).with_name("digests.json")
 FLIGHTS = [
@@ -37,7 +38,7 @@ def test_the_flights_are_still_the_same(request):
         pytest.skip(f"bits are promised for one set of versions only: {differences}")
     digests = {}
     for environment, stack, seed in FLIGHTS:
-        log = fly(make_scenario(environment, seed, stack=stack)).log
+        log = fly(resolve(MissionSpec(environment=environment, seed=seed, autopilot=stack))).log
         digests[f"{environment} {stack} {seed}"] = f"{log.digest()} {log.status.label} {len(log.rows)}"
     if update:
         STORE.write_text(json.dumps({"made_with": TAGS, "digests": digests}, indent=2) + "\n", encoding="utf-8")

@@ -7,9 +7,10 @@ import pytest
 
 from mavfi.campaign.run import run_campaign
 from mavfi.detectors import Alarm
-from mavfi.faults.fault import Fault, FaultSite
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
+from mavfi.faults.fault import FaultSite, StateFault
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
 from mavfi.sim.environments.arena import arena_world
 
 STACKS = ("published", "hardened")
@@ -19,16 +20,16 @@ GOAL = (45.0, 5.0, 3.0)
 
 def mission(stack="published", **changes):
     """36 m through dense boxes, about 15 s."""
-    return make_scenario("dense", 1, stack=stack, goal=GOAL, **changes)
+    return resolve(MissionSpec(environment="dense", seed=1, autopilot=stack, goal=GOAL, **changes))
 
 
 @cache
 def golden(stack="published"):
-    return fly(mission(stack), want_profile=True)
+    return fly(mission(stack), profile=True)
 
 
 def fault(state, field, at, bit=None, element=None):
-    return Fault("state", FaultSite(state, field, element), int(1e6 * at), bit)
+    return StateFault(FaultSite(state, field, element), int(1e6 * at), bit)
 
 
 class Scripted:

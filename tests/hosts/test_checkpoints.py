@@ -12,7 +12,7 @@ from mavfi.campaign.tools import host_tools
 from mavfi.detectors import Alarm
 from mavfi.errors import BadInputError
 from mavfi.hosts import checkpoints, memory
-from mavfi.hosts.inprocess import Host, fly
+from mavfi.hosts.local import Host, fly
 from mavfi.sim.simulator import Simulator
 from mavfi.states import STATES
 from tests.hosts.missions import STACKS, fault, mission
@@ -86,7 +86,7 @@ CASES = {
     "noise": lambda: (mission(depth_noise=0.01), None, None),
     "rrt": lambda: (mission(planner="rrt"), None, None),
     "rrt_star": lambda: (mission(planner="rrt_star"), None, None),
-    "octree": lambda: (mission(map_kind="octree"), Nervous(), None),
+    "octree": lambda: (mission(map="octree"), Nervous(), None),
     "gaussian": lambda: (mission(), detector_of("gaussian", "paper", mission()), fault("control.command", "vx", 4, 62)),
     "autoencoder": lambda: (
         mission(), detector_of("autoencoder", "paper", mission()), fault("planning.waypoint", "x", 4, 61)
@@ -113,7 +113,7 @@ def test_a_flight_goes_on_from_any_checkpoint_as_it_did(case):
     assert content(log) == truth, "to take checkpoints changes nothing"
     chosen = stops[:: max(1, len(stops) // 4)]
     if isinstance(detector, Nervous):
-        assert {alarm["state"] for alarm in log.alarms} == set(Nervous.pitch)
+        assert {alarm.state for alarm in log.alarms} == set(Nervous.pitch)
         redoing = [stop for stop in stops if stop.redoing]
         assert redoing and log.alarms
         chosen += redoing[:: max(1, len(redoing) // 3)]

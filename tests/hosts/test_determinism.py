@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
 from mavfi.mission import MissionStatus
 from mavfi.states import STATES, states_with
 from tests.hosts.missions import GOAL, STACKS, fault, golden, mission
@@ -33,8 +33,8 @@ def test_the_same_scenario_gives_the_same_bytes(stack):
 @pytest.mark.slow
 def test_another_process_gives_the_same_digest():
     program = (
-        "from mavfi.hosts.compose import make_scenario\nfrom mavfi.hosts.inprocess import fly\n"
-        f"print(fly(make_scenario('dense', 1, goal={GOAL})).log.digest())"
+        "from mavfi.hosts.local import fly\nfrom mavfi.hosts.loop.compose import resolve\nfrom mavfi.mission import MissionSpec\n"
+        f"print(fly(resolve(MissionSpec(environment='dense', seed=1, goal={GOAL}))).log.digest())"
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == golden().log.digest()
@@ -55,8 +55,8 @@ def test_a_null_fault_gives_the_golden_digest(state, stack):
     assert flight.log.digest() == golden(stack).log.digest()
     (injection,) = flight.log.injections
     published = (golden(stack).profile.times_us[state] >= 5_000_000).any()
-    assert injection["hit"] == published
-    assert injection["before"] == injection["after"]
+    assert injection.activated == published
+    assert injection.before == injection.after
 
 
 DEAD = [
@@ -75,7 +75,7 @@ def test_a_fault_in_a_dead_field_is_masked(stack, state, field):
     struck = 0.5 * golden(stack).profile.times_us[state][[0, -1]].sum() * 1e-6
     bit = {"f8": 62, "i4": 30, "?": 0}[kind]
     flight = fly(mission(stack), fault(state, field, struck, bit, element=0))
-    assert flight.log.injections[0]["hit"]
+    assert flight.log.injections[0].activated
     assert flight.log.digest() == golden(stack).log.digest()
 
 
@@ -91,11 +91,11 @@ def test_an_acceleration_that_becomes_infinite_is_dead_or_refused(stack):
 def test_injected_twins_are_equal_until_the_fault_and_differ_after(stack):
     flight = fly(mission(stack), fault("planning.waypoint", "y", 4.0, 60))
     (injection,) = flight.log.injections
-    assert injection["hit"] and injection["before"] != injection["after"]
+    assert injection.activated and injection.before != injection.after
     ours, theirs = flight.log.rows, golden(stack).log.rows
     n = min(len(ours), len(theirs))
     differs = (ours[:n] != theirs[:n]).any(axis=1)
-    before = ours[:n, 0] <= injection["time_s"]
+    before = ours[:n, 0] <= injection.time_s
     assert differs.any() and not differs[before].any()
 
 
@@ -109,8 +109,8 @@ def test_a_fault_strikes_the_first_publication_at_or_after_its_time_once(stack):
         if state.spec.name == "planning.waypoint" and abs(state.header["z"][0]) > 100.0:
             changed.append(time_us)
 
-    flight = fly(mission(stack), fault("planning.waypoint", "z", 4.0, 61), observer=watch)
-    assert flight.log.injections[0]["time_s"] == pytest.approx(1e-6 * due)
+    flight = fly(mission(stack), fault("planning.waypoint", "z", 4.0, 61), recorders=[watch])
+    assert flight.log.injections[0].time_s == pytest.approx(1e-6 * due)
     assert changed == [due]
 
 
@@ -128,5 +128,5 @@ def test_a_flipped_exponent_in_any_field_ends_in_a_status(state, stack):
     for name in dict.fromkeys(field.name for field in spec.fields):
         bit = {"f8": 62, "f4": 30, "i4": 30, "?": 0}[spec.find(name).dtype]
         log = fly(mission(stack), fault(state, name, 1e-6 * times[len(times) // 2], bit, element=0)).log
-        assert log.injections[0]["hit"] and log.status in MissionStatus
+        assert log.injections[0].activated and log.status in MissionStatus
         assert np.isfinite(log.columns("x", "y", "z", "vx", "vy", "vz")).all()

@@ -1,12 +1,13 @@
 import numpy as np
 import pytest
 
-from mavfi.config import EnvironmentConfig
+from mavfi.config import EnvironmentConfig, parse
 from mavfi.errors import BadInputError
-from mavfi.hosts import inprocess
-from mavfi.hosts.compose import find_environment, make_scenario
-from mavfi.hosts.inprocess import fly
-from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.assemble import new_loop
+from mavfi.hosts.loop.compose import find_environment, resolve
+from mavfi.mission import FLY_AWAY_MARGIN, MissionSpec, MissionStatus
+from mavfi.sim.simulator import Simulator
 from mavfi.states import floats
 from tests.hosts.missions import STACKS, fault, golden, mission
 
@@ -26,7 +27,7 @@ def test_in_a_closed_yard_no_path_is_found(stack, expected):
 
 
 def test_the_time_limit_ends_a_flight(monkeypatch):
-    monkeypatch.setattr(inprocess, "time_limit", lambda *_: 2.0)
+    monkeypatch.setattr("mavfi.hosts.loop.judge.time_limit", lambda *_: 2.0)
     flight = fly(mission())
     assert flight.log.status is MissionStatus.TIMEOUT
     assert flight.log.column("time")[-1] == pytest.approx(2.0)
@@ -34,31 +35,22 @@ def test_the_time_limit_ends_a_flight(monkeypatch):
 
 
 def test_a_blind_vehicle_collides():
-    class Blind:
+    class Blind(Simulator):
         """The depth image says that nothing is there."""
 
-        def __init__(self, host):
-            self.depth = host.sim.depth
-
-        def __call__(self):
-            ranges, pose = self.depth()
+        def depth(self):
+            ranges, pose = super().depth()
             return np.full_like(ranges, np.inf), pose
 
-    host = inprocess.Host(mission())
-    host.sim.depth = Blind(host)
-    flight = host.fly()
+    flight = new_loop(mission(), make_plant=Blind).fly()
     assert flight.log.status is MissionStatus.COLLISION
 
 
-def judge(odometry, now=1_000_000, **changes):
-    host = inprocess.Host(mission())
-    state = host.sim.odometry.copy()
+def judge(odometry, now=1_000_000, failed_plans=0):
+    loop = new_loop(mission())
     for index, value in odometry.items():
-        state[index] = value
-    host.sim.odometry = state
-    for name, value in changes.items():
-        setattr(host, name, value)
-    return host._judge(now)
+        loop.plant.odometry[index] = value
+    return loop.judge.status(loop.plant, failed_plans, now)
 
 
 @pytest.mark.parametrize(
@@ -87,8 +79,8 @@ def test_failed_plans_and_time_are_judged():
 
 
 def test_every_warning_of_the_simulator_is_an_event(monkeypatch):
-    monkeypatch.setattr(inprocess.Simulator, "warnings", lambda _: ["BADQACC (2)", "CONTACTFULL (1)"])
-    monkeypatch.setattr(inprocess, "time_limit", lambda *_: 0.1)
+    monkeypatch.setattr(Simulator, "warnings", lambda _: ["BADQACC (2)", "CONTACTFULL (1)"])
+    monkeypatch.setattr("mavfi.hosts.loop.judge.time_limit", lambda *_: 0.1)
     log = fly(mission()).log
     assert [event.data["text"] for event in log.events if event.kind == "warning"] == ["BADQACC (2)", "CONTACTFULL (1)"]
     monkeypatch.undo()
@@ -96,15 +88,14 @@ def test_every_warning_of_the_simulator_is_an_event(monkeypatch):
 
 
 def test_a_real_warning_of_mujoco_is_an_event_and_ends_the_flight():
-    host = inprocess.Host(mission())
+    loop = new_loop(mission())
 
     def break_physics(now):
-        del now
-        host.sim._data.qvel[0] = 1e12
+        if now == 2_000_000:
+            loop.plant._data.qvel[0] = 1e12
 
-    host.break_physics = break_physics
-    host.at(2_000_000, "break_physics")
-    log = host.fly().log
+    loop.before_tick.append(break_physics)
+    log = loop.fly().log
     assert log.status in (MissionStatus.INVALID_STATE, MissionStatus.FLY_AWAY)
     assert any("BADQVEL" in event.data["text"] for event in log.events if event.kind == "warning")
     assert log.column("time")[-1] <= 2.04
@@ -116,7 +107,7 @@ def test_a_reference_that_is_not_a_number_never_reaches_the_vehicle_and_heals(ax
     class Corrupt:
         """A fault injector of another kind: puts NaN into one way-point."""
 
-        done = False
+        done = spent = False
 
         def __call__(self, state, time_us):
             if not self.done and time_us > 5_000_000 and state.spec.name == "planning.waypoint":
@@ -128,9 +119,9 @@ def test_a_reference_that_is_not_a_number_never_reaches_the_vehicle_and_heals(ax
         def finish(self):
             return []
 
-    host = inprocess.Host(mission(stack))
-    host.injector = Corrupt()
-    flight = host.fly()
+    loop = new_loop(mission(stack))
+    loop.taps.injector = Corrupt()
+    flight = loop.fly()
     assert flight.log.meta["rejected_commands"] > 0
     assert np.isfinite(flight.log.columns("x", "y", "z", "vx", "vy", "vz")).all()
     assert flight.log.status in (MissionStatus.SUCCESS, MissionStatus.COLLISION)
@@ -140,25 +131,25 @@ def test_a_reference_that_is_not_a_number_never_reaches_the_vehicle_and_heals(ax
 def test_a_huge_command_is_shortened():
     seen = []
     probe = fault("control.command", "vz", 2.0, 62)
-    flight = fly(mission(), probe, observer=lambda s, t: seen.append(floats(s.header, 5).copy())
-                 if s.spec.name == "control.command" else None)  # fmt: skip
+    flight = fly(mission(), probe, recorders=[lambda s, t: seen.append(floats(s.header, 5).copy())
+                 if s.spec.name == "control.command" else None])  # fmt: skip
     assert max(abs(values[2]) for values in seen) > 1e100
     assert np.abs(flight.log.columns("vx", "vy", "vz")).max() < 6.0
 
 
 @pytest.mark.parametrize(
-    ("arguments", "options", "message"),
+    ("options", "message"),
     [
-        (("nowhere", 1), {}, "environment 'nowhere': not known; allowed: "),
-        (("sparse", -1), {}, "seed: -1"),
-        (("sparse", 1), {"v_max": 99.0}, "v_max: 99.0"),
-        (("sparse", 1), {"stack": "soft"}, "stack 'soft': not known; allowed: hardened, published"),
-        (("sparse", 1), {"platform": "abacus"}, "platform 'abacus': not known"),
+        ({"environment": "nowhere"}, "environment 'nowhere': not known; allowed: "),
+        ({"seed": -1}, "seed: -1"),
+        ({"v_max": 99.0}, "v_max: 99.0"),
+        ({"stack": "soft"}, "stack 'soft': not known; allowed: hardened, published"),
+        ({"platform": "abacus"}, "platform 'abacus': not known"),
     ],
 )
-def test_bad_names_are_told_with_what_is_allowed(arguments, options, message):
+def test_bad_names_are_refused_with_what_is_allowed(options, message):
     with pytest.raises(BadInputError, match=message):
-        make_scenario(*arguments, **options)
+        resolve(parse(MissionSpec, options, "mission"))
 
 
 def test_an_unknown_planner_is_told_when_the_flight_begins():
@@ -167,7 +158,7 @@ def test_an_unknown_planner_is_told_when_the_flight_begins():
 
 
 def test_what_is_not_given_comes_from_the_environment():
-    scenario = make_scenario("sparse", 3)
+    scenario = resolve(MissionSpec(environment="sparse", seed=3))
     assert scenario.v_max == 3.0 and scenario.environment == find_environment("sparse")
-    assert make_scenario("sparse", 3, v_max=2.0).v_max == 2.0
-    assert make_scenario("sparse", 3).key() != make_scenario("sparse", 4).key()
+    assert resolve(MissionSpec(environment="sparse", seed=3, v_max=2.0)).v_max == 2.0
+    assert scenario.key() != resolve(MissionSpec(environment="sparse", seed=4)).key()

@@ -15,7 +15,7 @@ from mavfi.faults.fault import NO_SITE, Fault, FaultSite
 from mavfi.flight_log import Profile
 from mavfi.hosts import forking
 from mavfi.hosts.forking import Family
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
 from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
 from tests.hosts.test_checkpoints import Nervous, content, detector_of
 
@@ -59,7 +59,7 @@ def every_fault(stack, arm, family, detector, faults=FAULTS):
     other = []
     for number, struck in enumerate([None, *faults]):
         mine = family.fly(struck, detector, arm)
-        truth = fly(mission(stack), struck, detector, want_profile=struck is None)
+        truth = fly(mission(stack), struck, detector, profile=struck is None)
         if content(mine.log) != content(truth.log):
             other.append(number)
     return other
@@ -107,7 +107,7 @@ def test_the_golden_flight_leaves_its_profile_and_can_be_asked_for_again():
 
 @pytest.mark.slow
 def test_the_octree_is_forked_too():
-    family, scenario = Family(mission(map_kind="octree")), mission(map_kind="octree")
+    family, scenario = Family(mission(map="octree")), mission(map="octree")
     for struck in (None, FAULTS[7], FAULTS[4]):
         assert content(family.fly(struck).log) == content(fly(scenario, struck).log)
     assert family.share.flown < family.share.ticks

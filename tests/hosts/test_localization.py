@@ -7,9 +7,9 @@ import pytest
 
 from mavfi.config import LocalizationConfig
 from mavfi.errors import BadInputError
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
-from mavfi.mission import MissionStatus
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import ODOMETRY, STATES, floats, states_with
 from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
 
@@ -35,7 +35,7 @@ class Seen:
 @cache
 def flown(stack="hardened"):
     seen = Seen(ESTIMATE, "sensor.depth", "sensor.position", "sensor.imu")
-    return fly(estimating(stack), want_profile=True, observer=seen), seen.rows
+    return fly(estimating(stack), profile=True, recorders=[seen]), seen.rows
 
 
 def errors(flight, estimates):
@@ -90,7 +90,7 @@ def test_images_carry_the_last_estimate_and_not_the_truth():
 @pytest.mark.slow
 def test_without_noise_the_estimate_is_the_truth_but_for_the_steps_of_physics():
     seen = Seen(ESTIMATE)
-    flight = fly(estimating(imu_noise=0.0, position_noise=0.0, heading_noise=0.0), observer=seen)
+    flight = fly(estimating(imu_noise=0.0, position_noise=0.0, heading_noise=0.0), recorders=[seen])
     assert flight.log.status is MissionStatus.SUCCESS
     assert errors(flight, seen.rows[ESTIMATE]).max() < 5e-3
 
@@ -102,7 +102,7 @@ def test_without_noise_the_estimate_is_the_truth_but_for_the_steps_of_physics():
 )
 def test_a_fault_in_what_the_vehicle_believes_changes_the_flight(state, field, bit, stack):
     flight = fly(estimating(stack), fault(state, field, 5.0, bit))
-    assert flight.log.injections[0]["hit"]
+    assert flight.log.injections[0].activated
     assert flight.log.digest() != flown(stack)[0].log.digest()
     assert flight.log.status in MissionStatus
 
@@ -111,7 +111,7 @@ def test_a_fault_in_what_the_vehicle_believes_changes_the_flight(state, field, b
 @pytest.mark.parametrize(("field", "bit"), [("x", 62), ("y", 52), ("heading", 63), ("heading", 62)])
 def test_a_fix_that_is_improbable_is_refused(field, bit):
     flight = fly(estimating(), fault("sensor.position", field, 5.0, bit))
-    assert flight.log.injections[0]["hit"] and flight.log.status is MissionStatus.SUCCESS
+    assert flight.log.injections[0].activated and flight.log.status is MissionStatus.SUCCESS
     estimator = flight.pipeline["state_estimation"]
     assert np.sqrt(np.diag(estimator.covariance)[:3]).max() < 0.05  # it did not begin anew
 
@@ -120,7 +120,7 @@ def test_a_fix_that_is_improbable_is_refused(field, bit):
 @pytest.mark.parametrize("field", [f.name for f in STATES[ESTIMATE].fields if f.dead_in("hardened")])
 def test_a_fault_in_a_dead_field_of_the_estimate_is_masked(field):
     flight = fly(estimating(), fault(ESTIMATE, field, 5.0, 62))
-    assert flight.log.injections[0]["hit"] and flight.log.digest() == flown()[0].log.digest()
+    assert flight.log.injections[0].activated and flight.log.digest() == flown()[0].log.digest()
 
 
 def test_a_detector_that_never_alarms_leaves_the_digest():
@@ -130,7 +130,7 @@ def test_a_detector_that_never_alarms_leaves_the_digest():
 def test_a_false_alarm_at_the_estimate_is_recomputed_at_once_to_the_same_value():
     detector = Scripted(ESTIMATE, 1275, "perception", times=4)  # the filter works a fix in at one of them
     flight = fly(estimating(), detector=detector)
-    assert [alarm["outcome"] for alarm in flight.log.alarms] == ["accepted"] * 4
+    assert [alarm.outcome for alarm in flight.log.alarms] == ["accepted"] * 4
     assert flight.log.digest() == flown()[0].log.digest()
     assert flight.log.meta["recompute_us"]["perception"] == 0
 
@@ -140,8 +140,8 @@ def test_a_struck_estimate_is_repaired_by_running_the_filter_again():
     detector = Scripted(ESTIMATE, number, "perception")
     at = 1e-6 * flown()[1][ESTIMATE][number - 1][0]
     flight = fly(estimating(), fault(ESTIMATE, "x", at, 61), detector=detector)
-    assert flight.log.injections[0]["hit"]
-    assert [alarm["outcome"] for alarm in flight.log.alarms] == ["repaired"]
+    assert flight.log.injections[0].activated
+    assert [alarm.outcome for alarm in flight.log.alarms] == ["repaired"]
     assert flight.log.digest() == flown()[0].log.digest()
 
 
@@ -149,8 +149,8 @@ def test_a_struck_estimate_is_repaired_by_running_the_filter_again():
 @pytest.mark.parametrize("stack", STACKS)
 def test_recomputing_the_rest_of_perception_leaves_the_filter_alone(stack):
     seen = Seen(ESTIMATE)
-    flight = fly(estimating(stack), detector=Scripted("perception.map_update", 5, "perception"), observer=seen)
-    assert [alarm["outcome"] for alarm in flight.log.alarms] == ["accepted"]
+    flight = fly(estimating(stack), detector=Scripted("perception.map_update", 5, "perception"), recorders=[seen])
+    assert [alarm.outcome for alarm in flight.log.alarms] == ["accepted"]
     assert flight.log.status is MissionStatus.SUCCESS
     assert errors(flight, seen.rows[ESTIMATE]).max() < 0.25
 
@@ -166,4 +166,4 @@ def test_wind_and_estimator_do_not_share_noise_with_anything():
 def test_what_cannot_be_is_told(options):
     ((name, value),) = options.items()
     with pytest.raises(BadInputError, match=f"{name}: .*{value}"):
-        make_scenario("sparse", 0, **options)
+        resolve(MissionSpec(environment="sparse", seed=0, **options))

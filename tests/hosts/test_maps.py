@@ -3,8 +3,9 @@ import pytest
 
 from mavfi.config import MapConfig
 from mavfi.errors import BadInputError
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
 from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
 
 
@@ -15,7 +16,7 @@ def of_kind(scenario, kind, resolution=0.5):
 @pytest.mark.slow
 @pytest.mark.parametrize("stack", STACKS)
 def test_a_flight_with_an_octree_has_the_digest_of_one_with_an_array(stack):
-    flight = fly(mission(stack, map_kind="octree"), want_profile=True)
+    flight = fly(mission(stack, map="octree"), profile=True)
     assert flight.log.digest() == golden(stack).log.digest()
     assert flight.log.events == golden(stack).log.events
     dense, octree = golden(stack).pipeline["octomap"].map, flight.pipeline["octomap"].map
@@ -31,15 +32,15 @@ def test_a_recomputed_perception_is_the_same_with_both_maps(stack):
     logs = []
     for kind in ("dense", "octree"):
         detector = Scripted("perception.map_update", 5, "perception", times=3)
-        logs.append(fly(mission(stack, map_kind=kind), detector=detector).log)
-    assert logs[0].alarms == logs[1].alarms and logs[0].alarms[0]["outcome"] == "accepted"
+        logs.append(fly(mission(stack, map=kind), detector=detector).log)
+    assert logs[0].alarms == logs[1].alarms and logs[0].alarms[0].outcome == "accepted"
     assert logs[0].digest() == logs[1].digest()
 
 
 def test_a_struck_cloud_ends_the_same_with_both_maps():
     struck = fault("perception.point_cloud", "x", 5.0, 30, element=7)
-    logs = [fly(mission(map_kind=kind), struck).log for kind in ("dense", "octree")]
-    assert logs[0].injections[0]["hit"] and logs[0].digest() == logs[1].digest()
+    logs = [fly(mission(map=kind), struck).log for kind in ("dense", "octree")]
+    assert logs[0].injections[0].activated and logs[0].digest() == logs[1].digest()
 
 
 @pytest.mark.slow
@@ -49,17 +50,17 @@ def test_a_struck_cloud_ends_the_same_with_both_maps():
 )
 def test_whole_missions_have_the_same_digest_with_both_maps(environment, stack):
     for seed, resolution in ((0, 0.5), (1, 0.5), (2, 0.4)):
-        scenario = make_scenario(environment, seed, stack=stack)
+        scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=stack))
         logs = [fly(of_kind(scenario, kind, resolution)).log for kind in ("dense", "octree")]
         assert logs[0].digest() == logs[1].digest()
 
 
 def test_an_unknown_kind_of_map_is_refused_in_one_line():
     with pytest.raises(BadInputError, match="map 'hash': not known; allowed: dense, octree, or package:object"):
-        mission(map_kind="hash")
+        mission(map="hash")
 
 
 def test_the_kind_of_map_is_part_of_the_scenario_and_leaves_the_rest():
-    dense, octree = mission(), mission(map_kind="octree")
+    dense, octree = mission(), mission(map="octree")
     assert dense.key() != octree.key()
     assert octree == dense.model_copy(update={"map": MapConfig(kind="octree")})

@@ -2,7 +2,8 @@
 
 import pytest
 
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.observed import ObservedHost, fly_observed
 from mavfi.states import ODOMETRY
 from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
@@ -10,7 +11,7 @@ from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
 
 @pytest.mark.parametrize("stack", STACKS)
 def test_a_detector_that_only_watches_changes_nothing(stack):
-    flight = fly_observed(mission(stack), None, Scripted())
+    flight = fly(mission(stack), None, Scripted(), coupling="observer")
     assert flight.log.digest() == golden(stack).log.digest()
     assert flight.log.alarms == []
 
@@ -18,12 +19,12 @@ def test_a_detector_that_only_watches_changes_nothing(stack):
 def test_consumers_have_seen_the_value_that_raises_the_alarm():
     """The wrong command is flown for one control period; as a gate the detector would have kept it away."""
     wrong = fault("control.command", "vy", 3.0, 62)
-    observed = fly_observed(mission(), wrong, Scripted("control.command", n=151))
+    observed = fly(mission(), wrong, Scripted("control.command", n=151), coupling="observer")
     gated = fly(mission(), wrong, Scripted("control.command", n=151))
     (hit,) = observed.log.injections
-    assert hit["after"] in observed.log.column("command_vy")
-    assert hit["after"] not in gated.log.column("command_vy")
-    assert [alarm["outcome"] for alarm in observed.log.alarms] == ["repaired"]
+    assert hit.after in observed.log.column("command_vy")
+    assert hit.after not in gated.log.column("command_vy")
+    assert [alarm.outcome for alarm in observed.log.alarms] == ["repaired"]
 
 
 @pytest.mark.parametrize(
@@ -36,10 +37,10 @@ def test_consumers_have_seen_the_value_that_raises_the_alarm():
 )  # fmt: skip
 def test_the_stage_computes_again_one_step_later(state, stage, n):
     detector = Scripted(state, n=n, stage=stage)
-    flight = fly_observed(mission(), None, detector)
+    flight = fly(mission(), None, detector, coupling="observer")
     (alarm,) = flight.log.alarms
-    assert (alarm["action"], alarm["state"]) == ("recompute", state)
-    assert alarm["outcome"] in ("repaired", "accepted")
+    assert (alarm.action, alarm.state) == ("recompute", state)
+    assert alarm.outcome in ("repaired", "accepted")
     assert flight.log.meta["recompute_us"][stage] > 0
     ((alarmed_us, _),) = detector.alarmed
     again = [time_us for time_us, name in detector.accepted if name == state and time_us > alarmed_us]
@@ -49,7 +50,7 @@ def test_the_stage_computes_again_one_step_later(state, stage, n):
 
 def test_perception_uses_the_same_image_again():
     detector = Scripted("perception.collision_status", n=5, stage="perception")
-    fly_observed(mission(), None, detector)
+    fly(mission(), None, detector, coupling="observer")
     ((alarmed_us, _),) = detector.alarmed
     later = [name for time_us, name in detector.accepted if time_us >= alarmed_us and "odometry" not in name]
     first = next(name for name in later[1:] if name.startswith(("sensor", "perception")))
@@ -58,16 +59,16 @@ def test_perception_uses_the_same_image_again():
 
 @pytest.mark.parametrize(("request_", "action"), [({"stop": True}, "stop"), ({"abandon_waypoint": True}, "abandon")])
 def test_hand_over_obeys_at_its_next_step(request_, action):
-    flight = fly_observed(mission(), None, Scripted("control.command", n=200, **request_))
+    flight = fly(mission(), None, Scripted("control.command", n=200, **request_), coupling="observer")
     (alarm,) = flight.log.alarms
-    assert (alarm["action"], alarm["outcome"]) == (action, "replaced")
+    assert (alarm.action, alarm.outcome) == (action, "replaced")
     assert flight.log.meta["recompute_us"]["control"] > 0
 
 
 def test_an_alarm_for_another_stage_has_that_stage_run_again():
-    flight = fly_observed(mission(), None, Scripted("planning.waypoint", n=5, stage="control"))
+    flight = fly(mission(), None, Scripted("planning.waypoint", n=5, stage="control"), coupling="observer")
     (alarm,) = flight.log.alarms
-    assert alarm["outcome"] == "accepted"
+    assert alarm.outcome == "accepted"
     assert flight.log.meta["recompute_us"] == {"perception": 0, "planning": 0, "control": 460}
 
 
@@ -76,12 +77,13 @@ def test_an_alarm_at_the_estimate_has_the_filter_run_again_and_nothing_else():
     name, seen = ODOMETRY["estimator"], []
     detector = Scripted(name, 1275, "perception")
     scenario = mission("hardened", localization="estimator")
-    host = ObservedHost(scenario, None, detector)
-    rolled = {kernel: count_rollbacks(host.kernels[kernel], seen) for kernel in host.kernels}
-    log = host.fly().log
+    loop = new_loop(scenario)
+    watch(loop, detector, "observer")
+    rolled = {kernel: count_rollbacks(loop.kernels[kernel], seen) for kernel in loop.kernels}
+    log = loop.fly().log
     ((alarmed_us, _),) = detector.alarmed
     assert rolled and seen == ["state_estimation"]
-    assert log.alarms[0]["outcome"] == "repaired"  # the next sample gives another estimate
+    assert log.alarms[0].outcome == "repaired"  # the next sample gives another estimate
     assert log.meta["recompute_us"] == {"perception": 0, "planning": 0, "control": 0}
     again = [time_us for time_us, state in detector.accepted if state == name and time_us > alarmed_us]
     assert again[0] == alarmed_us + 4_000
@@ -102,5 +104,8 @@ def count_rollbacks(kernel, seen):
 
 def test_flights_repeat():
     wrong = fault("planning.waypoint", "x", 3.0, 55)
-    flights = [fly_observed(mission(), wrong, Scripted("planning.waypoint", n=6, stage="planning")) for _ in range(2)]
+    flights = [
+        fly(mission(), wrong, Scripted("planning.waypoint", n=6, stage="planning"), coupling="observer")
+        for _ in range(2)
+    ]
     assert flights[0].log.digest() == flights[1].log.digest()

@@ -4,8 +4,8 @@ from examples.planner_detour import Detour
 
 from mavfi.config import PlannerConfig
 from mavfi.errors import BadInputError
-from mavfi.hosts.compose import find_planner
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import find_planner
 from mavfi.mission import MissionStatus
 from mavfi.numerics.voxels import Grid
 from mavfi.pipeline.planners import PathSearch, make_search

@@ -1,7 +1,7 @@
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
 from mavfi.mission import MissionStatus
 from mavfi.platforms.compute import stage_latency
 from mavfi.states import STATES, Stage
@@ -36,11 +36,11 @@ def test_a_false_alarm_is_recomputed_to_the_same_value_and_accepted(state, field
     del field
     observed = []
     detector = Scripted(state, n, stage)
-    flight = fly(mission(stack), detector=detector, observer=stamped(observed))
+    flight = fly(mission(stack), detector=detector, recorders=[stamped(observed)])
     (alarm,) = flight.log.alarms
     ((when, rejected),) = detector.alarmed
     platform = mission(stack).platform
-    assert (alarm["action"], alarm["outcome"], alarm["state"]) == ("recompute", "accepted", state)
+    assert (alarm.action, alarm.outcome, alarm.state) == ("recompute", "accepted", state)
     assert flight.log.meta["recompute_us"][stage] == stage_latency(platform, Stage(stage))
     assert sum(flight.log.meta["recompute_us"].values()) == stage_latency(platform, Stage(stage))
     times = [time for time, name, _ in observed if name == state]
@@ -65,10 +65,10 @@ def test_a_fault_that_is_found_is_repaired_by_running_the_stage_again(state, fie
     observed = []
     detector = Scripted(state, n, stage)
     fault_here = fault(state, field, 1e-6 * when, bit, element=0)
-    flight = fly(mission(stack), fault_here, detector, observer=stamped(observed))
+    flight = fly(mission(stack), fault_here, detector, recorders=[stamped(observed)])
     ((struck_at, struck),) = detector.alarmed
     assert struck_at == when and not struck.same_bits(expected)
-    assert flight.log.alarms[0]["outcome"] == "repaired"
+    assert flight.log.alarms[0].outcome == "repaired"
     shown = next(value for time, name, value in observed if name == state and time > when)
     assert shown.same_bits(expected)
     assert flight.log.digest() == fly(mission(stack), detector=Scripted(state, n, stage)).log.digest()
@@ -77,11 +77,11 @@ def test_a_fault_that_is_found_is_repaired_by_running_the_stage_again(state, fie
 def test_a_struck_collision_status_is_repaired():
     at = 1e-6 * golden().profile.times_us["perception.collision_status"][0]
     times = []
-    fly(mission(), observer=lambda s, t: times.append(t) if s.spec.name == "perception.collision_status" else None)
+    fly(mission(), recorders=[lambda s, t: times.append(t) if s.spec.name == "perception.collision_status" else None])
     n = 1 + times.index(round(1e6 * at))
     struck = fault("perception.collision_status", "time_to_collision", at, 62)
     flight = fly(mission(), struck, Scripted("perception.collision_status", n, "perception"))
-    assert flight.log.alarms[0]["outcome"] == "repaired"
+    assert flight.log.alarms[0].outcome == "repaired"
     clean = fly(mission(), detector=Scripted("perception.collision_status", n, "perception"))
     assert flight.log.digest() == clean.log.digest()
 
@@ -90,17 +90,17 @@ def test_the_last_command_holds_meanwhile():
     detector = Scripted("control.command", 201, "control")
     observed = []
     struck = fault("control.command", "vz", 4.0, 62)
-    flight = fly(mission(), struck, detector, observer=stamped(observed))
+    flight = fly(mission(), struck, detector, recorders=[stamped(observed)])
     assert all(abs(value.header["vz"][0]) <= 3.0 + 1e-9 for _, name, value in observed if name == "control.command")
-    assert flight.log.injections[0]["hit"] and abs(flight.log.injections[0]["after"]) > 1e100
+    assert flight.log.injections[0].activated and abs(flight.log.injections[0].after) > 1e100
 
 
 def test_abandoning_takes_the_next_way_point():
     observed = []
     detector = Scripted("control.command", 300, "control", abandon_waypoint=True)
-    flight = fly(mission(), detector=detector, observer=stamped(observed))
+    flight = fly(mission(), detector=detector, recorders=[stamped(observed)])
     (alarm,) = flight.log.alarms
-    assert alarm["action"] == "abandon" and alarm["outcome"] == "replaced"
+    assert alarm.action == "abandon" and alarm.outcome == "replaced"
     when = detector.alarmed[0][0]
     indices = [(time, int(v.header["index"][0])) for time, name, v in observed if name == "planning.waypoint"]
     before = [index for time, index in indices if time <= when][-1]
@@ -114,8 +114,8 @@ def test_abandoning_takes_the_next_way_point():
 def test_stopping_holds_and_plans_anew(stack):
     observed = []
     detector = Scripted("control.command", 300, "control", stop=True)
-    flight = fly(mission(stack), detector=detector, observer=stamped(observed))
-    assert flight.log.alarms[0]["action"] == "stop"
+    flight = fly(mission(stack), detector=detector, recorders=[stamped(observed)])
+    assert flight.log.alarms[0].action == "stop"
     when = detector.alarmed[0][0]
     after = next(v for time, name, v in observed if name == "planning.waypoint" and time > when)
     assert int(after.header["index"][0]) == -1
@@ -173,9 +173,9 @@ def test_abandoning_while_the_way_point_is_run_again_breaks_nothing():
 def test_a_sensor_cannot_be_run_again_so_its_value_passes():
     observed = []
     detector = Scripted("sensor.odometry", 50, "planning")
-    flight = fly(mission(), detector=detector, observer=stamped(observed))
+    flight = fly(mission(), detector=detector, recorders=[stamped(observed)])
     when, value = detector.alarmed[0]
-    assert flight.log.alarms[0]["outcome"] == "accepted"
+    assert flight.log.alarms[0].outcome == "accepted"
     assert any(time == when and name == "sensor.odometry" and state.same_bits(value) for time, name, state in observed)
     assert flight.log.digest() == golden().log.digest()
 

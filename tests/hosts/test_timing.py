@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mavfi.config import PlatformConfig, shipped
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
 from mavfi.states import STATES, states_with
 from tests.hosts.missions import STACKS, golden, mission
 
@@ -15,7 +15,7 @@ CAUSES = {
 
 def publications(scenario):
     seen = {name: [] for name in states_with(scenario.localization.kind)}
-    flight = fly(scenario, observer=lambda state, time_us: seen[state.spec.name].append(time_us))
+    flight = fly(scenario, recorders=[lambda state, time_us: seen[state.spec.name].append(time_us)])
     return seen, flight
 
 

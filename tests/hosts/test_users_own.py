@@ -3,7 +3,7 @@
 import pytest
 from examples.map_forgetting import ForgettingMap
 
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
 from mavfi.mission import MissionStatus
 from tests.hosts.missions import STACKS, Scripted, golden, mission
 
@@ -14,21 +14,21 @@ VEHICLE = "examples/vehicle/courier.yaml"
 @pytest.mark.parametrize("stack", STACKS)
 def test_the_example_of_a_map_flies_the_mission(stack, monkeypatch):
     monkeypatch.setattr(ForgettingMap, "memory", 8)  # the mission is short
-    flight = fly(mission(stack, map_kind=MAP))
+    flight = fly(mission(stack, map=MAP))
     assert flight.log.status is MissionStatus.SUCCESS
-    assert flight.log.digest() == fly(mission(stack, map_kind=MAP)).log.digest()
+    assert flight.log.digest() == fly(mission(stack, map=MAP)).log.digest()
     known, all_known = ((f.pipeline["octomap"].map.log_odds != 0).sum() for f in (flight, golden(stack)))
     assert known < 0.9 * all_known
 
 
 def test_a_map_that_forgets_nothing_yet_flies_as_the_dense_one():
-    flight = fly(mission(map_kind=MAP))
+    flight = fly(mission(map=MAP))
     assert flight.log.digest() == golden().log.digest()
 
 
 def test_a_recomputed_scan_is_the_same_with_the_example():
     detector = Scripted("perception.map_update", 5, "perception", times=3)
-    log = fly(mission(map_kind=MAP), detector=detector).log
+    log = fly(mission(map=MAP), detector=detector).log
     assert log.alarms[0]["outcome"] == "accepted"
 
 
@@ -44,7 +44,7 @@ def test_the_example_of_a_vehicle_flies_the_mission(stack, pytestconfig):
 
 
 def test_a_bigger_hull_keeps_more_distance(pytestconfig):
-    from mavfi.hosts.compose import pipeline_config
+    from mavfi.hosts.loop.compose import pipeline_config
 
     vehicle = str(pytestconfig.rootpath / VEHICLE)
     plain, big = (pipeline_config(m, golden().world, None) for m in (mission(), mission(vehicle=vehicle)))

@@ -48,7 +48,7 @@ def storm(trials, only=""):
     from tests.robustness.tapes import play, record
 
     passes()
-    tapes = record(observer=lambda state, time_us: passes())
+    tapes = record(recorders=[lambda state, time_us: passes()])
     names = sorted({tape.name for tape in tapes if only in ("", tape.name)})
     by_name = {name: [tape for tape in tapes if tape.name == name] for name in names}
     random = np.random.default_rng(1)

@@ -9,9 +9,11 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 import numpy as np
 
 from mavfi.config import EnvironmentConfig
-from mavfi.hosts import inprocess
-from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.loop.assemble import new_loop
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
 from mavfi.pipeline.kernel import PipelineConfig
+from mavfi.pipeline.ppc import build_pipeline
 from mavfi.sim.environments.world import World
 from mavfi.states import State
 
@@ -85,28 +87,26 @@ def constants(thing):
     return {id(value): value for value in vars(thing).values() if isinstance(value, PipelineConfig)}
 
 
-def record(seed=3, observer=None):
+def record(seed=3, recorders=()):
     """Tapes of every kernel of both stacks, and of the state estimator, from take-off on."""
     tapes = []
     for stack, localization in FLIGHTS:
         world = EnvironmentConfig(name="yard", generator="tests.robustness.tapes:yard")
-        scenario = make_scenario("sparse", seed, stack=stack, localization=localization)
+        scenario = resolve(MissionSpec(environment="sparse", seed=seed, autopilot=stack, localization=localization))
         scenario = scenario.model_copy(update={"environment": world})
-        build, takers = inprocess.build_pipeline, []
+        takers = []
 
-        def build_taping(config, build=build, takers=takers, stack=stack):
-            kernels = build(config)
+        def build_taping(config, takers=takers, stack=stack):
+            kernels = build_pipeline(config)
             often = {"waypoint": 60, "pid": 60, "planner": 1, "trajectory": 1, ESTIMATOR: 149}
             for name, kernel in kernels.items() if ESTIMATOR not in kernels else [(ESTIMATOR, kernels[ESTIMATOR])]:
                 kernels[name] = Taping(kernel, stack, range(0, 1000, often.get(name, 4)))
                 takers.append(kernels[name])
             return kernels
 
-        inprocess.build_pipeline = build_taping
-        try:
-            inprocess.fly(scenario, observer=observer)
-        finally:
-            inprocess.build_pipeline = build
+        loop = new_loop(scenario, make_kernels=build_taping)
+        loop.taps.recorders.extend(recorders)
+        loop.fly()
         for taker in takers:
             tapes += [tape for tape in taker.tapes if any(kind == "step" for kind, _, _ in tape.events)][:PER_KERNEL]
     return tapes

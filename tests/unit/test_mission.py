@@ -3,8 +3,8 @@ import json
 import pytest
 
 from mavfi.config import PlatformConfig, shipped
-from mavfi.hosts.compose import make_scenario
-from mavfi.mission import MissionStatus, Scenario, time_limit
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec, MissionStatus, Scenario, time_limit
 
 
 def test_the_time_limit_is_150_s_at_the_defaults():
@@ -21,16 +21,16 @@ def test_every_end_is_a_sentence():
 
 
 def test_a_scenario_survives_json_with_the_same_key():
-    scenario = make_scenario("dense", 7, stack="hardened", start=(10.0, 0.0, 3.0))
+    scenario = resolve(MissionSpec(environment="dense", seed=7, autopilot="hardened", start=(10.0, 0.0, 3.0)))
     text = json.dumps(scenario.to_json())
     again = Scenario.model_validate(json.loads(text))
     assert again == scenario and again.key() == scenario.key()
 
 
 def test_options_that_are_off_are_not_in_the_key():
-    plain = make_scenario("dense", 7).to_json()
+    plain = resolve(MissionSpec(environment="dense", seed=7)).to_json()
     assert "wind" not in plain and "localization" not in plain
-    full = make_scenario("dense", 7, wind=2.0, localization="estimator")
+    full = resolve(MissionSpec(environment="dense", seed=7, wind=2.0, localization="estimator"))
     data = json.loads(json.dumps(full.to_json()))
     assert data["wind"]["gust"] == 2.0 and data["localization"]["kind"] == "estimator"
     assert Scenario.model_validate(data) == full
@@ -41,4 +41,4 @@ def test_whatever_decides_the_flight_changes_the_key():
     changes = [{}, {"seed": 8}, {"environment": "sparse"}, {"stack": "hardened"}, {"platform": "cortex-a57"},
                {"v_max": 2.0}, {"goal": (50.0, 0.0, 3.0)}, {"depth_noise": 0.1}, {"wind": 3.0},
                {"localization": "estimator"}]  # fmt: skip
-    assert len({make_scenario(**base | change).key() for change in changes}) == len(changes)
+    assert len({resolve(MissionSpec(**base | change)).key() for change in changes}) == len(changes)

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from mavfi.config import MapConfig
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.perception import octree
+from mavfi.mission import MissionSpec
 from mavfi.pipeline.maps import DenseMap, OctreeMap
 from mavfi.states import floats
 from tests.hosts.missions import mission
@@ -36,7 +37,7 @@ def recorded(scenario):
             points = state.elements.view(np.float32).reshape(-1, 3).copy()
             scans.append((points, floats(state.header, 3).copy()))
 
-    return fly(scenario, observer=watch), scans
+    return fly(scenario, recorders=[watch]), scans
 
 
 @cache
@@ -138,7 +139,7 @@ def test_taking_scans_back_leaves_the_tree_that_the_library_has_without_them(res
 @pytest.mark.slow
 @pytest.mark.parametrize(("environment", "stack", "seed", "resolution"), WHOLE)
 def test_both_maps_equal_the_library_over_whole_missions(environment, stack, seed, resolution):
-    scenario = make_scenario(environment, seed, stack=stack)
+    scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=stack))
     flight, scans = recorded(scenario.model_copy(update={"map": MapConfig(resolution=resolution)}))
     assert len(scans) > 50
     frame = frame_of(scans, resolution)

@@ -7,8 +7,9 @@ import pytest
 from scipy.linalg import expm
 
 from mavfi.config import VehicleConfig, shipped
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly as fly_mission
+from mavfi.hosts.local import fly as fly_mission
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
 from mavfi.qof import quality_of_flight
 from mavfi.sim.scene import GRAVITY, STEP_US
 from tests.unit.sim.flights import open_world, simulator
@@ -162,7 +163,7 @@ def test_coasting_decays_as_quadratic_drag_makes_it(axis):
 @pytest.mark.parametrize("stack", ["published", "hardened"])
 def test_a_mission_draws_what_published_logs_of_such_missions_draw(stack):
     """Mean power: 450 to 520 W in MAVBench's desktop runs, 482 to 669 W in its deliveries, 537 W in the paper."""
-    log = fly_mission(make_scenario("sparse", 7, stack=stack)).log
+    log = fly_mission(resolve(MissionSpec(environment="sparse", seed=7, autopilot=stack))).log
     quality = quality_of_flight(log)
     assert 450.0 < quality.energy_j / quality.flight_time_s < 550.0
     # the same regression in SI, summed plainly
