@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from benchmarks.rows import Row
-from mavfi.config import MapConfig
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.perception import octomap
@@ -24,7 +23,7 @@ LIBRARY = "octomap-python (one thread)"
 
 def recorded(resolution: float) -> tuple[Any, Any, list[tuple[np.ndarray, np.ndarray]]]:
     """Scenario of a flight, the frame of its map, and its scans."""
-    scenario = resolve(MissionSpec(environment="dense", seed=1)).model_copy(update={"map": MapConfig(resolution=resolution)})
+    scenario = resolve(MissionSpec(environment="dense", seed=1, map_resolution=resolution))
     scans: list[tuple[np.ndarray, np.ndarray]] = []
 
     def watch(state: State, _time_us: int) -> None:

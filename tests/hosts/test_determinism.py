@@ -33,7 +33,8 @@ def test_the_same_scenario_gives_the_same_bytes(stack):
 @pytest.mark.slow
 def test_another_process_gives_the_same_digest():
     program = (
-        "from mavfi.hosts.local import fly\nfrom mavfi.hosts.loop.compose import resolve\nfrom mavfi.mission import MissionSpec\n"
+        "from mavfi.hosts.local import fly\nfrom mavfi.hosts.loop.compose import resolve\n"
+        "from mavfi.mission import MissionSpec\n"
         f"print(fly(resolve(MissionSpec(environment='dense', seed=1, goal={GOAL}))).log.digest())"
     )
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=True)

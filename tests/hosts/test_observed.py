@@ -4,7 +4,6 @@ import pytest
 
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.assemble import new_loop, watch
-from mavfi.hosts.observed import ObservedHost, fly_observed
 from mavfi.states import ODOMETRY
 from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
 
