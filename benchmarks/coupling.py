@@ -32,7 +32,7 @@ def peak(flight: Flight, golden: Flight) -> float:
 
 
 def pair(seed: int) -> dict[str, tuple[bool, float, float]]:
-    """One mission with one fault in every arm: success, flight time (s), largest distance from its golden twin (m)."""
+    """One mission with one fault in every arm: success, flight time (s), largest distance from its golden run (m)."""
     scenario = resolve(MissionSpec(environment=ENVIRONMENT, seed=seed, autopilot=STACK))
     load = host_tools().load_detector
     profile = fly(scenario, profile=True).profile
@@ -55,12 +55,12 @@ def pair(seed: int) -> dict[str, tuple[bool, float, float]]:
 def table(pairs: list[dict[str, tuple[bool, float, float]]]) -> str:
     """The table of all arms."""
     lines = [
-        f"{len(pairs)} missions in `{ENVIRONMENT}`, stack `{STACK}`, seeds from {FIRST_SEED}, one fault each in the "
-        "sign or exponent of a monitored field of planning or control, profile `paper`; the same faults in every arm. "
-        "Distances are the largest ones from the golden twin at the same instant; times are those of missions that "
-        "arrive in every arm.",
+        f"{len(pairs)} missions in `{ENVIRONMENT}`, autopilot profile `{STACK}`, seeds from {FIRST_SEED}, one fault "
+        "each in the sign or exponent of a monitored field of planning or control, profile `paper`; the same faults in "
+        "every arm. Distances are the largest ones from the golden run at the same instant; times are of missions "
+        "that arrive in every arm.",
         "",
-        "| detector | arrived | off its twin (m): median | p90 | flight time (s) |",
+        "| detector | arrived | distance from golden (m): median | p90 | flight time (s) |",
         "|---|---|---|---|---|",
     ]
     arrived = [found for found in pairs if all(found[arm][0] for arm in ARMS)]

@@ -4,8 +4,8 @@
 
 N: faults per kernel and level (400).  Arguments are those of a golden flight's call, of the point cloud the first rays:
 single steps are slow.  At machine level the plain code of the call is executed instruction by instruction, and one bit
-of one destination register is flipped; at IR level the same call is struck as in campaigns.  Both are judged alike: by
-result and arguments, bit for bit.
+of one destination register is flipped; at IR level the same call is injected as in campaigns.  Both are judged
+alike: by result and arguments, bit for bit.
 """
 
 import copy
@@ -72,7 +72,7 @@ class Study:
         outcomes: By level, how often which outcome came.
         ir_values: Values that the call writes at IR level.
         own: Instructions of the call's own code.
-        struck: Those of them with a destination that can be struck.
+        injectable: Those of them with an injectable destination.
         out_of_reach: Those whose destination cannot be.
     """
 
@@ -81,7 +81,7 @@ class Study:
     outcomes: dict[str, Counter[str]]
     ir_values: int
     own: int
-    struck: int
+    injectable: int
     out_of_reach: int
 
 
@@ -174,7 +174,7 @@ def table(studies: list[Study]) -> str:
         "",
         *(
             f"- {made.kernel} (`{made.function}`): {made.ir_values} values at IR level; {made.own} machine "
-            f"instructions in its own code, {made.struck} of them with a destination that was struck, "
+            f"instructions in its own code, {made.injectable} of them with an injectable destination, "
             f"{made.out_of_reach} with one out of reach."
             for made in studies
         ),

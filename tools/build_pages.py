@@ -2,12 +2,13 @@
 
 from pathlib import Path
 
-from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.ros1.definitions import PACKAGE as PACKAGE_OF_MESSAGES
 from mavfi.hosts.ros1.definitions import type_name
 from mavfi.hosts.ros1.graph import JUDGED_BY_WORLD, WORLD, Graph
 from mavfi.hosts.ros1.mirrors import STANDARDS
 from mavfi.hosts.ros1.session import configure
+from mavfi.mission import MissionSpec
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import STACKS, STATES, Field, StateSpec
 from tools import build_reference
@@ -36,7 +37,7 @@ def state_table() -> str:
 
 
 def _graph() -> Graph:
-    config = configure(make_scenario("sparse", 0))
+    config = configure(resolve(MissionSpec(environment="sparse", seed=0)))
     return Graph(build_pipeline(config))
 
 

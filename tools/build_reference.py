@@ -63,14 +63,7 @@ Files of `configs/`, and of one's own: every option that takes a name takes a pa
 """
 SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {
     "mission-keys.md": (MISSION, (MissionSpec,)),
-    "campaign-keys.md": (
-        CAMPAIGN,
-        (
-            campaigns.Campaign, campaigns.StateSampling, campaigns.SiteGroup, campaigns.InstructionSampling,
-            campaigns.RegisterSampling, campaigns.ArmConfig, campaigns.Scale, campaigns.NodeConfig,
-            campaigns.NodeInputs, campaigns.NodeOutputs, campaigns.Study,
-        ),
-    ),
+    "campaign-keys.md": (CAMPAIGN, (campaigns.Campaign, campaigns.Study)),
     "config-keys.md": (
         CONFIGS,
         (
@@ -80,6 +73,22 @@ SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {
         ),
     ),
 }  # fmt: skip
+"""Head and models of each page; models inside of these get a section too."""
+
+
+def with_parts(model: type[BaseModel]) -> list[type[BaseModel]]:
+    """A model, and those that its keys hold, each once, in order."""
+    found = [model]
+    for field in model.model_fields.values():
+        found += [part for inner in _models(field.annotation) for part in with_parts(inner) if part not in found]
+    return found
+
+
+def _models(annotation: Any) -> Iterable[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _models(inner)
 
 
 def kind(annotation: Any) -> str:
@@ -174,7 +183,7 @@ def row(*cells: str) -> str:
 def pages() -> dict[Path, str]:
     """Every reference page with its path."""
     written = {
-        GENERATED / name: _page(head, (model_section(model) for model in models))
+        GENERATED / name: _page(head, (model_section(part) for model in models for part in with_parts(model)))
         for name, (head, models) in SECTIONS.items()
     }
     sections = (fault_section(level, fault) for level, fault in LEVELS.items())

@@ -8,8 +8,9 @@ from collections.abc import Callable
 import matplotlib.pyplot as plt
 import numpy as np
 
-from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.control import pid
+from mavfi.mission import MissionSpec
 from mavfi.pipeline.control import MAX_YAW_RATE
 from mavfi.reports import style
 from mavfi.sim.environments.arena import arena_world
@@ -29,7 +30,7 @@ def open_air() -> Simulator:
     """The default vehicle in a world without obstacles."""
     nothing = np.zeros((0, 3))
     world = arena_world(nothing, nothing, START, START + (80.0, 0.0, 0.0))
-    return Simulator(world, make_scenario("dense", 0))
+    return Simulator(world, resolve(MissionSpec(environment="dense", seed=0)))
 
 
 def gains(p: float, feed_forward: float, limit: float, integral: float = 0.0) -> pid.Gains:
@@ -123,7 +124,7 @@ def draw_waypoint() -> None:
     """The speed of the way-point in force under both laws, and the alarms."""
     figure, rows = plt.subplots(2, 1, figsize=(8.2, 4.8), sharex=True, sharey=True, layout="constrained")
     for axes, stack, law in zip(rows, ("published", "hardened"), ("held", "governed"), strict=True):
-        flight, tape = drawing.record(make_scenario("dense", 7, stack=stack))
+        flight, tape = drawing.record(resolve(MissionSpec(environment="dense", seed=7, autopilot=stack)))
         points = [(1e-6 * t, floats(s.header, 11)[4:7]) for t, s in tape if s.spec.name == "planning.waypoint"]
         times, speeds = [t for t, _ in points], [float(np.linalg.norm(v)) for _, v in points]
         actual = np.linalg.norm(flight.log.columns("vx", "vy", "vz"), axis=1)

@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.perception.clearance import KNOWN_FREE
-from mavfi.mission import Scenario
+from mavfi.mission import MissionSpec, Scenario
 from mavfi.reports import style
 from mavfi.states import State
 from tools import drawing
@@ -24,7 +24,7 @@ FREE, OCCUPIED = "#EAF3FA", "#3B3B3B"
 
 def mission() -> Scenario:
     """Dense, with one run of RRT-Connect per plan, so that the path is that of the trees which are drawn."""
-    scenario = make_scenario("dense", 7)
+    scenario = resolve(MissionSpec(environment="dense", seed=7))
     return scenario.model_copy(update={"planner": scenario.planner.model_copy(update={"restarts": 1})})
 
 

@@ -10,9 +10,10 @@ import numpy as np
 from matplotlib.collections import PatchCollection
 from matplotlib.patches import Rectangle
 
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.perception.octree import DEPTH
+from mavfi.mission import MissionSpec
 from mavfi.reports import style
 from tools import drawing
 from tools.markers import IMAGES
@@ -40,7 +41,7 @@ def leaves_at(tree: Any, height_key: int) -> list[tuple[int, int, int, float]]:
 
 def draw() -> None:
     """Fly, and draw both maps side by side."""
-    flight: Any = fly(make_scenario("dense", 7, stack="hardened", map_kind="octree"))
+    flight: Any = fly(resolve(MissionSpec(environment="dense", seed=7, autopilot="hardened", map="octree")))
     kernel = flight.pipeline["octomap"]
     frame, grid = kernel.frame, kernel.grid
     iz = int((HEIGHT - grid.z0) * grid.inverse)

@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import Flight
+from mavfi.hosts.local import Flight
+from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.perception.clearance import OCCUPIED
-from mavfi.mission import Scenario
+from mavfi.mission import MissionSpec, Scenario
 from mavfi.reports import style
 from mavfi.states import State, floats
 from tools import drawing
@@ -112,7 +112,7 @@ def alarms(tape: drawing.Tape) -> list[tuple[int, State]]:
 
 def main() -> None:
     """Fly and draw."""
-    scenario = make_scenario("dense", SEED)
+    scenario = resolve(MissionSpec(environment="dense", seed=SEED))
     flight, tape = drawing.record(scenario)
     time_us, status = alarms(tape)[ALARM]
     with style.house_style():

@@ -9,9 +9,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from mavfi.hosts.compose import make_scenario
+from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import rrt, rrt_connect, rrt_star
+from mavfi.mission import MissionSpec
 from mavfi.numerics.random import seed_generator
 from mavfi.pipeline.room import Room
 from mavfi.reports import style
@@ -29,7 +30,7 @@ HEIGHT = 4.0
 @cache
 def scene() -> tuple[Room, World]:
     """The whole world as a map: every voxel that an obstacle fills is occupied, as after a very long flight."""
-    scenario = make_scenario("factory", 0)
+    scenario = resolve(MissionSpec(environment="factory", seed=0))
     flight, _ = drawing.record(scenario)
     room = Room(drawing.config_of(scenario, flight))
     grid, world = room.grid, flight.world

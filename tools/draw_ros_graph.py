@@ -18,14 +18,15 @@ from matplotlib.axes import Axes
 from matplotlib.patches import FancyBboxPatch, PathPatch
 from matplotlib.path import Path as Line
 
-from mavfi.detectors import load_detector
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.faults.spec import FaultRequest, parse
-from mavfi.hosts.compose import make_scenario
+from mavfi.faults.spec import StateRequest, parse
+from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.ros1 import finder
 from mavfi.hosts.ros1.folder import JOIN
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.session import configure, fly, isolation
+from mavfi.hosts.watching import detector_for
+from mavfi.mission import MissionSpec
 from mavfi.reports import style
 from tools import drawing
 from tools.markers import DOCS, IMAGES, between
@@ -100,12 +101,10 @@ def rate(join: str, command: tuple[str, ...]) -> str:
 
 def watch_flight() -> Seen:
     """Fly, and look at it meanwhile."""
-    scenario = make_scenario("sparse", 7)
+    scenario = resolve(MissionSpec(environment="sparse", seed=7))
     request = parse(FAULT)
-    assert isinstance(request, FaultRequest)
-    fits = {"stack": scenario.stack.name, "platform": scenario.platform.name, "v_max": scenario.v_max,
-            "planner": scenario.planner.name}  # fmt: skip
-    detector = load_detector("gaussian", "paper", None, fits)[0]
+    assert isinstance(request, StateRequest)
+    detector, _ = detector_for(scenario, "gaussian", "paper")
     plan = Plan(scenario, configure(scenario), request.resolve(0, scenario.stack.name, None), detector,
                 free_running=True)  # fmt: skip
     seen = Seen()

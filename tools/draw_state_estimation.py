@@ -9,8 +9,9 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 
-from mavfi.hosts.compose import make_scenario, pipeline_config
-from mavfi.hosts.inprocess import fly
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.compose import pipeline_config, resolve
+from mavfi.mission import MissionSpec
 from mavfi.pipeline.estimation import StateEstimator
 from mavfi.states import State, floats
 from tools.markers import IMAGES
@@ -36,14 +37,14 @@ def replayed(published: list[tuple[int, State]], noise: Any) -> dict[int, np.nda
 
 def draw(path: Path) -> None:
     """Fly, let the estimator run again on what its sensors published, and draw."""
-    scenario = make_scenario("dense", 7, stack="hardened", localization="estimator")
+    scenario = resolve(MissionSpec(environment="dense", seed=7, autopilot="hardened", localization="estimator"))
     published: list[tuple[int, State]] = []
 
     def note(state: State, time_us: int) -> None:
         if state.spec.name in StateEstimator.reads:
             published.append((time_us, state))
 
-    flight = fly(scenario, observer=note)
+    flight = fly(scenario, recorders=[note])
     found = replayed(published, pipeline_config(scenario, flight.world, np.zeros((0, 3))).noise)
     times = flight.log.column("time")[:-1]
     estimates, deviations = np.array([found[round(1e6 * time)] for time in times]).transpose(1, 0, 2)

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from PIL import Image
 
-from mavfi.hosts.compose import pipeline_config
-from mavfi.hosts.inprocess import Flight, fly
+from mavfi.hosts.local import Flight, fly
+from mavfi.hosts.loop.compose import pipeline_config
 from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import Scenario
 from mavfi.numerics.voxels import Grid
@@ -39,7 +39,7 @@ Tape = list[tuple[int, State]]
 def record(scenario: Scenario) -> tuple[Flight, Tape]:
     """A golden flight, and all that was published."""
     tape: Tape = []
-    flight = fly(scenario, observer=lambda state, time_us: tape.append((time_us, state.copy())))
+    flight = fly(scenario, recorders=[lambda state, time_us: tape.append((time_us, state.copy()))])
     return flight, tape
 
 
