@@ -1,4 +1,4 @@
-# Everything that one does with this project. Each target sets the project up first, if that is still to be done.
+# All tasks of this project. Each target sets the project up first, if necessary.
 PYTHON ?= python3
 SCALE ?= quick
 OUT ?= out/reproduce$(if $(filter-out quick,$(SCALE)),-$(SCALE))
@@ -16,7 +16,7 @@ export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all lint check check-nojit robust tune format bench coupling machine-level forking many-strikes golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all lint check check-nojit robust tune format bench coupling machine-level forking many-injections golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -37,7 +37,7 @@ reproduce: setup  ## train, fly, print the success table at both levels, write $
 test: setup  ## run the tests
 	@$(BIN)/python -m pytest
 
-test-all: setup  ## run all tests, those too that repeat others in more settings
+test-all: setup  ## run all tests, including those that repeat others in more settings
 	@$(BIN)/python -m pytest -m ""
 
 lint: setup  ## formatting, lint, types, import contracts
@@ -62,13 +62,13 @@ format: setup  ## format the code, sort imports
 bench: setup  ## measure speed, write docs/generated/speed.md
 	@$(BIN)/python -m benchmarks.run
 
-forking: setup  ## fly runs of table1 the long way and forked, compare every byte, print the gain (N=... missions)
+forking: setup  ## fly runs of table1 with and without fast-forward, compare every byte, print the gain (N=... missions)
 	@$(BIN)/python benchmarks/forking.py --missions $(or $(N),3)
 
 many-strikes: setup  ## strike a kernel 100,000 times in forked children, and look for what is left behind (N=...)
 	@$(BIN)/python -m benchmarks.many_injections $(N)
 
-coupling: setup  ## what the delay of an observer costs, against a gate; writes the table in docs/ros.md (N=...)
+coupling: setup  ## cost of an observer's delay against a gate; writes the table in docs/ros.md (N=...)
 	@$(BIN)/python -m benchmarks.coupling
 
 machine-level: setup  ## faults in instructions at machine and at IR level; writes the table in docs/fault-model.md (N=400)
@@ -87,7 +87,7 @@ smoke: setup  ## a campaign of a few flights, and its report
 	@$(BIN)/mavfi campaign run configs/campaigns/smoke.yaml --out out/smoke
 	@$(BIN)/mavfi report out/smoke
 
-fault-map: setup  ## what one fault does, by site, on design seeds; writes docs/generated/fault-map.md
+fault-map: setup  ## effect of one fault, by site, on design seeds; writes docs/generated/fault-map.md
 	@$(BIN)/mavfi campaign run configs/campaigns/fault_map.yaml --out out/fault_map
 	@$(BIN)/mavfi report out/fault_map > /dev/null
 	@$(BIN)/python -m tools.build_fault_map out/fault_map
