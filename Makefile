@@ -65,7 +65,7 @@ bench: setup  ## measure speed, write docs/generated/speed.md
 forking: setup  ## fly runs of table1 with and without fast-forward, compare every byte, print the gain (N=... missions)
 	@$(BIN)/python benchmarks/forking.py --missions $(or $(N),3)
 
-many-strikes: setup  ## strike a kernel 100,000 times in forked children, and look for what is left behind (N=...)
+many-injections: setup  ## inject 100,000 faults in forked children, and look for leaks (N=...)
 	@$(BIN)/python -m benchmarks.many_injections $(N)
 
 coupling: setup  ## cost of an observer's delay against a gate; writes the table in docs/ros.md (N=...)
