@@ -4,7 +4,7 @@
 infinity, and `parallel` would reorder sums: none of them is available here (see docs/fault-model.md).
 
 Numba's cache looks at the file of a function, not at those of the functions that it calls: after a change in one
-module, callers in others would go on with the old code.  So the cache lies in a folder that is named after the text of
+module, callers in others would keep the old code.  So the cache lies in a folder that is named after the text of
 all compiled modules.  Nor has it an index of the signatures of a function, which grows when another process compiles
 one more: a process that loads code then has another history of its memory, which corrupted addresses read.
 """
@@ -49,7 +49,7 @@ def _use_cache(folder: Path) -> None:
         folder.touch()
         others = sorted(folder.parent.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
     except OSError:
-        return  # Numba then keeps it beside the source, or nowhere
+        return  # Numba then keeps it next to the source, or nowhere
     for stale in others[_KEPT:]:
         shutil.rmtree(stale, ignore_errors=True)
     numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
@@ -78,7 +78,7 @@ class LineTables(Compiler):
 
 
 class SignatureFiles(IndexDataCacheFile):
-    """Code on disk, one file for each signature: what is loaded does not depend on what else was compiled."""
+    """Code on disk, one file for each signature: loaded code does not depend on other compilations."""
 
     @staticmethod
     def in_place_of(files: Any) -> "SignatureFiles":
@@ -109,7 +109,7 @@ def kernel_jit(function: F) -> F:
         function: A function of arrays, scalars and named tuples.
 
     Returns:
-        The compiled dispatcher; its pure Python twin is `function.py_func`.
+        The compiled dispatcher; the pure Python function is `function.py_func`.
     """
     compiled: Any = numba.njit(
         cache=True, error_model="numpy", fastmath=False, nogil=True, pipeline_class=LineTables
@@ -120,6 +120,6 @@ def kernel_jit(function: F) -> F:
 
 
 def uncached_copy(dispatcher: Any) -> Any:
-    """A dispatcher of the same function with the same flags that has its IR: what is loaded from a cache has none."""
+    """A dispatcher of the same function with the same flags that has its IR, which code loaded from a cache lacks."""
     flags = {name: value for name, value in dispatcher.targetoptions.items() if name != "nopython"}
     return numba.njit(**flags, locals=dict(dispatcher.locals), pipeline_class=LineTables)(dispatcher.py_func)

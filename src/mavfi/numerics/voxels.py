@@ -25,13 +25,13 @@ class Grid(NamedTuple):
     """Geometry of a voxel grid; arrays over it are flat, index (ix * ny + iy) * nz + iz.
 
     Attributes:
-        x0: Lower corner, world frame (m).
-        y0: Same.
-        z0: Same.
+        x0: Lower corner along x, world frame (m).
+        y0: Lower corner along y, world frame (m).
+        z0: Lower corner along z, world frame (m).
         inverse: Voxels per metre.
         nx: Number of voxels along x.
-        ny: Same along y.
-        nz: Same along z.
+        ny: Number of voxels along y.
+        nz: Number of voxels along z.
     """
 
     x0: float
@@ -65,9 +65,9 @@ def voxel_of(grid: Grid, x: float, y: float, z: float) -> int:
 
     Args:
         grid: Geometry.
-        x: World frame (m).
-        y: Same.
-        z: Same.
+        x: Coordinate along x, world frame (m).
+        y: Coordinate along y, world frame (m).
+        z: Coordinate along z, world frame (m).
     """
     if not usable(x, y, z):
         return -1

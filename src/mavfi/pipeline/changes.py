@@ -1,4 +1,4 @@
-"""What happened to a large array, change by change: going back to what it held costs what has changed since.
+"""Journal of a large array's changes: going back costs as much as has changed since.
 
 A map has 10^5 to 10^7 voxels, of which a scan touches some thousand.  So a snapshot of a map is the list of its changes
 so far (shared with every other snapshot), not a copy of its voxels.
@@ -16,8 +16,8 @@ class Change:
 
     Attributes:
         places: Flat indices, in the order in which they were written. Shape (n,), int32.
-        before: What they held. Shape (n,).
-        after: What they hold since. Shape (n,).
+        before: Their values before. Shape (n,).
+        after: Their values since. Shape (n,).
     """
 
     places: np.ndarray
@@ -50,24 +50,24 @@ class Changes:
         self._list.append(Change(places, before, after))
 
     def forget(self) -> None:
-        """Make what the array holds now what cannot be gone back from."""
+        """Forget all changes: the present contents become the base."""
         self._list.clear()
 
     def take_back(self, down_to: int, put: Put) -> None:
-        """Undo the newest changes until so many are left; `put` writes to the array and to what follows from it."""
+        """Undo the newest changes until so many are left; `put` writes to the array and to arrays derived from it."""
         while len(self._list) > down_to:
             change = self._list.pop()
             put(change.places[::-1], change.before[::-1])
 
     def save(self) -> tuple[Change, ...]:
-        """All changes so far."""
+        """All changes so far, oldest first; later changes do not alter it."""
         return tuple(self._list)
 
     def restore(self, saved: tuple[Change, ...]) -> np.ndarray:
-        """Go back to what was when `save` gave this.
+        """Go back to the instant at which `save` returned this.
 
         Returns:
-            What the array held then; the caller writes it to the array, and must not change it.
+            Contents of the array then; the caller writes them to the array, and must not change them.
         """
         twin = self._twin_at(saved)
         self._list = list(saved)
@@ -86,7 +86,7 @@ class Changes:
         return self._twin
 
     def same(self, saved: tuple[Change, ...], revocable: int) -> bool:
-        """Whether the array holds, bit for bit, what it held when `save` gave this.
+        """Whether the array equals, bit for bit, its contents when `save` returned this.
 
         Args:
             saved: What `save` gave.

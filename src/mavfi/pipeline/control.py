@@ -57,7 +57,7 @@ class Tracker:
         if self._waypoint is None:
             return [command, tracking]
         if self._fresh:
-            # what the last point overran is taken from this one
+            # the overrun of the last point is subtracted from this one
             carry = self._remaining if -self._dt <= self._remaining <= 0.0 else 0.0
             self._remaining = float(self._waypoint[10]) + carry
             self._fresh = False
@@ -71,7 +71,7 @@ class Tracker:
         self._marked = (self._memory.copy(), self._remaining, self._fresh, self._waypoint)
 
     def rollback(self) -> None:
-        """Put the memory back; a way-point that came since is new to it."""
+        """Restore the memory; a way-point that came since is new to it."""
         memory, self._remaining, fresh, waypoint = self._marked
         self._fresh = fresh or self._waypoint is not waypoint
         self._memory[:] = memory

@@ -17,7 +17,7 @@ _ODOMETRY_WIDTH = 19
 
 @dataclass
 class _Memory:
-    """Everything that decides what comes next."""
+    """Everything that decides the next estimates."""
 
     nominal: np.ndarray = field(default_factory=lambda: np.zeros(filtering.NOMINAL_WIDTH))
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((filtering.ERROR_WIDTH, filtering.ERROR_WIDTH)))
@@ -35,8 +35,8 @@ class _Memory:
 class StateEstimator:
     """Kernel `state_estimation`; stepped at each sample of the IMU, aligned by the first fix.
 
-    It trusts what the sensors can have measured: samples outside of their range are replaced by the last sound one,
-    improbable fixes are refused; where many are, the filter begins anew at the last of them.
+    It trusts plausible measurements: samples outside of the sensors' range are replaced by the last valid one,
+    improbable fixes are refused; after many refusals the filter restarts at the last of them.
     """
 
     name = "state_estimation"

@@ -18,7 +18,7 @@ Compiled = Callable[..., Any]
 
 @dataclass(frozen=True, slots=True)
 class KernelFunctions:
-    """Entry points from Python into compiled code; what they call in turn is part of their machine code."""
+    """Entry points from Python into compiled code; their callees are part of their machine code."""
 
     back_project: Compiled = point_cloud.back_project
     insert_scan: Compiled = octomap.insert_scan
@@ -47,7 +47,7 @@ class KernelFunctions:
         """By name: Numba would send the source, which another process then compiles again, past its cache.
 
         Raises:
-            PicklingError: A function is not what its module calls by its name.
+            PicklingError: A function is not the one that its module has under its name.
         """
         places = [(function.__module__, function.__qualname__) for function in self._table()]
         if [_imported(*place) for place in places] != self._table():

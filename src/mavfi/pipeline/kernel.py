@@ -1,4 +1,4 @@
-"""What a kernel of the pipeline is: it takes states in, does one step on its explicit memory, and gives states out.
+"""Interface of a kernel: it receives states, does one step on its explicit memory, and returns states.
 
 A kernel knows no faults, no detectors, no simulator and no middleware.  A host calls `receive` with every publication
 that the kernel reads; where that makes a step due, the host calls `step` and publishes the result after the latency of
@@ -36,11 +36,11 @@ class Kernel(Protocol):
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """States that it takes in."""
+        """Names of the states that it reads, rows of the state table."""
 
     @property
     def writes(self) -> tuple[str, ...]:
-        """States that it gives."""
+        """Names of the states that it publishes, rows of the state table."""
 
     def receive(self, state: State, time_us: int) -> bool:
         """Note an input; says whether a step is due now."""
@@ -57,18 +57,18 @@ class Kernel(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class PipelineConfig:
-    """What the pipeline needs to know of a mission.
+    """All that the pipeline knows of a mission.
 
     Attributes:
-        stack: Rules.
+        stack: Rules of the autopilot profile.
         planner: Search.
         map: Update rule.
         camera: Geometry of the sensor.
         directions: Ray of each pixel, camera frame x forward, y left, z up. Shape (n, 3).
         arena_lower: Corner of the mapped volume, world frame (m). Shape (3,).
-        arena_upper: Same.
+        arena_upper: Opposite corner of the arena (m). Shape (3,).
         flight_lower: Corner of the box in which paths may lie (m). Shape (3,).
-        flight_upper: Same.
+        flight_upper: Opposite corner of the flight volume (m). Shape (3,).
         goal: World frame (m). Shape (3,).
         seed: Mission seed: planner randomness is drawn from it.
         v_max: m/s.
@@ -80,9 +80,9 @@ class PipelineConfig:
         map_latency: From image to collision status (s).
         plan_latency: From request to trajectory (s).
         velocity_lag: Time constant of the vehicle's velocity loop (s).
-        noise: What the state estimator assumes of its sensors; None = the pipeline is told the truth.
-        rewindable: Whether maps keep what they need to go back to any earlier instant.
-        functions: What kernels call; a host may hand in twins.
+        noise: Noise that the state estimator assumes; None = the pipeline receives the true state.
+        rewindable: Whether maps keep journals, so that they can go back to any earlier instant.
+        functions: Compiled functions of the kernels; a host may hand in instrumented ones.
     """
 
     stack: StackConfig

@@ -15,7 +15,7 @@ from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.plugins import build, load_object, reason
 
 FIRST_CAPACITY = 1 << 14
-"""Nodes that an octree begins with room for; where they do not suffice, the room is doubled."""
+"""Capacity of a new octree (nodes); it is doubled when it does not suffice."""
 
 
 class OccupancyMap(Protocol):
@@ -43,7 +43,7 @@ class OccupancyMap(Protocol):
         """Put the map back to the last mark."""
 
     def save(self) -> Any:  # noqa: ANN401 (each kind of map has its own form)
-        """The map, and what a rollback needs, as they are; never changed afterwards."""
+        """Copy of the map and of its rollback data; never changed afterwards."""
 
     def restore(self, saved: Any) -> None:  # noqa: ANN401
         """Put the map back to what `save` gave."""
@@ -59,7 +59,7 @@ class DenseMap:
         frame: Grid.
         rule: Update rule.
         max_range: Of the sensor (m).
-        functions: What it calls.
+        functions: Compiled functions that it calls.
         rewindable: Whether `restore` can go back to any `save`; otherwise only the last scan can be taken back.
     """
 
@@ -79,7 +79,7 @@ class DenseMap:
         self._stamps = 0
 
     def insert(self, points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Integrate a scan, and keep what the voxels held."""
+        """Integrate a scan, and keep the voxels' values before."""
         self._stamps += 1
         count = self._functions.insert_scan(
             points, origin, self._range, self._frame, self._rule, self.log_odds, self._stamp, self._stamps,
@@ -100,7 +100,7 @@ class DenseMap:
         self.log_odds[voxels] = log_odds
 
     def mark(self) -> None:
-        """What was taken in stays."""
+        """Make the last scans permanent: no rollback behind this point."""
         self._takes_back = False
 
     def rollback(self) -> None:
@@ -119,7 +119,7 @@ class DenseMap:
         self.log_odds[:] = self._changes.restore(changes)
 
     def same(self, saved: tuple[tuple[Change, ...], bool]) -> bool:
-        """Whether the map, and what a rollback would make of it, are the same."""
+        """Whether the map, and the map after a rollback, equal those of `save`."""
         changes, takes_back = saved
         return self._takes_back == takes_back and self._changes.same(changes, int(takes_back))
 
@@ -183,7 +183,7 @@ class OctreeMap:
         return octree.compact_copy(self.tree), self._marked
 
     def restore(self, saved: tuple[Octree, Octree]) -> None:
-        """Put the nodes back to what `save` gave; how much room they have decides nothing."""
+        """Restore the nodes of `save`; their capacity decides nothing."""
         nodes, self._marked = saved
         if len(nodes.log_odds) > len(self.tree.log_odds):
             self.tree = octree.new_octree(len(nodes.log_odds))
@@ -280,7 +280,7 @@ def make_map(
         frame: Geometry of the grid among OctoMap's keys.
         rule: Log-odds of a hit and a miss, and their limits.
         max_range: Where a ray without return ends (m).
-        functions: What the shipped kinds call.
+        functions: Compiled functions that the shipped kinds call.
         rewindable: Whether it shall be able to go back to any earlier instant; a user's own map is copied whole.
 
     Raises:

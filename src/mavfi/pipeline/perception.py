@@ -17,7 +17,7 @@ _UNKNOWN_HORIZON = 15.0
 
 
 class PointCloud:
-    """Kernel `point_cloud`."""
+    """Kernel `point_cloud`: depth image -> points in the world frame; it has no memory."""
 
     name = "point_cloud"
     stage = Stage.PERCEPTION
@@ -36,7 +36,7 @@ class PointCloud:
         return True
 
     def step(self, time_us: int) -> list[State]:
-        """Back-project the image."""
+        """Back-project the image that `receive` took; returns the point cloud."""
         del time_us
         pose = floats(self._depth.header, 7)
         ranges = np.ascontiguousarray(self._depth.elements["range"])
@@ -52,10 +52,10 @@ class PointCloud:
         return [cloud]
 
     def mark(self) -> None:
-        """There is no memory."""
+        """Nothing to do: the kernel has no memory."""
 
     def rollback(self) -> None:
-        """There is no memory."""
+        """Nothing to do: the kernel has no memory."""
 
 
 class OctoMap:
@@ -63,8 +63,8 @@ class OctoMap:
 
     Attributes:
         grid: Geometry.
-        frame: The same among OctoMap's keys.
-        map: What is known.
+        frame: The grid among OctoMap's keys.
+        map: Occupancy of the voxels.
     """
 
     name = "octomap"
@@ -97,7 +97,7 @@ class OctoMap:
         return True
 
     def step(self, time_us: int) -> list[State]:
-        """Integrate the cloud."""
+        """Integrate the cloud that `receive` took; returns the map update."""
         del time_us
         self._scan += 1
         points = self._cloud.elements.view(np.float32).reshape(-1, 3)
@@ -120,10 +120,10 @@ class OctoMap:
 
 
 class CollisionCheck:
-    """Kernel `collision_check`: one-shot alarm by epochs, or a look at every map.
+    """Kernel `collision_check`: one-shot alarm by sequence numbers, or a check of every map.
 
     The counter of collisions lives in the last published status, as in the published code, where the message is kept
-    and sent again: whatever happened to it on its way is what counting goes on from.
+    and sent again: counting continues from the received value, corrupted or not.
     """
 
     name = "collision_check"
@@ -175,7 +175,7 @@ class CollisionCheck:
 
     def _take_trajectory(self, state: State) -> bool:
         if self._every_map and len(state.elements) == 0:
-            return False  # no plan was found: what is flown stays in force
+            return False  # no plan was found: the present trajectory stays in force
         # a new trajectory is in force some ticks after it was sent: the one before is still wanted
         self._trajectories[int(state.header["trajectory_seq"][0])] = state
         while len(self._trajectories) > 2:
@@ -189,11 +189,11 @@ class CollisionCheck:
         return self._every_map
 
     def _inputs(self) -> tuple[State | None, int, int, np.ndarray, float]:
-        """What a step looks at beside the map."""
+        """Inputs of a step other than the map."""
         return (*self._in_force(), self._position, self._remaining)
 
     def _in_force(self) -> tuple[State | None, int, int]:
-        """Trajectory in force, index of its point, and its epoch."""
+        """Trajectory in force, index of its point, and its sequence number."""
         if self._every_map and self._trajectories:
             newest = next(reversed(self._trajectories))
             if self._waypoint is None or int(self._waypoint.header["trajectory_seq"][0]) != newest:

@@ -21,7 +21,7 @@ _STAR_NODE_LIMIT = 200_001
 
 
 class PathSearch(Protocol):
-    """Finds paths on a map of room."""
+    """Finds paths on a clearance map."""
 
     random: np.ndarray
     """Generator state; part of the kernel's memory. Shape (4,), uint64."""
@@ -37,9 +37,9 @@ class PathSearch(Protocol):
             counter: > 0 = blocked. Shape (grid.size,), int16.
             grid: Geometry.
             start: World frame (m). Shape (3,).
-            goal: Same.
+            goal: World frame (m). Shape (3,).
             lower: Corner of the box in which paths may lie (m). Shape (3,).
-            upper: Same.
+            upper: Opposite corner (m). Shape (3,).
 
         Returns:
             Vertices from start to goal (m). Shape (n, 3); n = 0: none found.
@@ -47,11 +47,11 @@ class PathSearch(Protocol):
 
 
 class _SamplingSearch(ABC):
-    """Runs of a sampling planner, and what is done to their paths: the best one, shortened."""
+    """Runs of a sampling planner; the best path, shortened."""
 
     not_memory = ("_config", "_runs", "_longest", "_path", "_buffer", "_tree", "_trees", "functions")
     functions: KernelFunctions = PLAIN
-    """What it calls."""
+    """Compiled functions that it calls."""
 
     def __init__(self, config: PlannerConfig, seed: int, runs: int, vertices: int) -> None:
         self._config = config
@@ -129,7 +129,7 @@ class RrtConnect(_SamplingSearch):
 class RrtStar(_SamplingSearch):
     """One RRT* run, shortened.
 
-    Its budget is `iterations`.  Where that finds no path the same tree goes on growing to the first one, for at most
+    Its budget is `iterations`.  Without a path by then, the same tree keeps growing to the first one, for at most
     `restarts` budgets: as many samples as the other planners may draw, and no other planner takes its place.
     """
 

@@ -48,7 +48,7 @@ class _Decisions:
 
 
 class MotionPlanner:
-    """Kernel `planner`."""
+    """Kernel `planner`: request -> path, on a clearance map of its own."""
 
     name = "planner"
     stage = Stage.PLANNING
@@ -103,7 +103,7 @@ class MotionPlanner:
 
     def _take_trajectory(self, state: State, time_us: int) -> None:
         if self._every_map and len(state.elements) == 0:
-            return  # no plan was found: what is flown stays in force
+            return  # no plan was found: the present trajectory stays in force
         self._trajectory = state
         if len(state.elements):
             self._arc = np.empty(len(state.elements))
@@ -203,7 +203,7 @@ class MotionPlanner:
         return path
 
     def _plan_from_rest(self) -> State | None:
-        """From where the vehicle will stand; where there is no room for the planner's radius, with the checker's."""
+        """From the place where the vehicle will stand; with the checker's radius where the planner's does not fit."""
         position, velocity = self._odometry[:3], self._odometry[3:6]
         speed = length(velocity)
         stop = position + velocity * self._config.velocity_lag if speed < 2.0 * self._config.v_max else position.copy()
@@ -282,7 +282,7 @@ class MotionPlanner:
         self._marked = (copy, self._random.copy())
 
     def rollback(self) -> None:
-        """Put decisions and randomness back."""
+        """Restore decisions and random state to those of `mark`."""
         self._memory = self._marked[0]
         self._random[:] = self._marked[1]
         self.mark()

@@ -10,7 +10,7 @@ from mavfi.pipeline.waypoints import WaypointHandOver
 
 
 def build_pipeline(config: PipelineConfig) -> dict[str, Kernel]:
-    """All kernels by name: seven, and the state estimator where the pipeline is not told the truth."""
+    """All kernels by name: seven, and the state estimator where the pipeline does not receive the true state."""
     estimators = () if config.noise is None else (StateEstimator(config.noise),)
     planner = MotionPlanner(config)
     kernels: tuple[Kernel, ...] = (

@@ -11,13 +11,13 @@ from mavfi.states import State
 
 
 class Room:
-    """Where there is room to fly, as far as a kernel knows from map updates.
+    """Clearance map: free space for flying, as far as a kernel knows from map updates.
 
     Attributes:
         grid: Geometry.
         cells: UNKNOWN, KNOWN_FREE or OCCUPIED. Shape (grid.size,), uint8.
         wide: > 0 = nearer than the planner's radius to an occupied voxel. Shape (grid.size,), int16.
-        narrow: Same for the checker's radius.
+        narrow: Counters for the checker's radius.
         updates: How many map updates were taken over.
     """
 
@@ -36,7 +36,7 @@ class Room:
         self.updates = 0
 
     def apply(self, update: State) -> None:
-        """Take a `perception.map_update` over."""
+        """Apply a `perception.map_update` to cells and counters."""
         voxels, log_odds = update.elements["voxel"], update.elements["log_odds"]
         changed_voxels = np.empty(len(voxels), np.int32)
         changed_cells = np.empty(len(voxels), np.uint8)
@@ -75,11 +75,11 @@ class Room:
         changes, self._marked, self.updates = saved
         cells = self._changes.restore(changes)
         flips = np.flatnonzero((self.cells == clearance.OCCUPIED) != (cells == clearance.OCCUPIED)).astype(np.int32)
-        self._put(flips, cells[flips])  # counters follow from what is occupied alone
+        self._put(flips, cells[flips])  # counters follow from the occupied voxels alone
         self.cells[:] = cells
 
     def same(self, saved: tuple[tuple[Change, ...], int, int]) -> bool:
-        """Whether the map, and what a rollback would make of it, are the same; counters follow from the cells."""
+        """Whether the map, and the map after a rollback, are equal; counters follow from the cells."""
         changes, marked, updates = saved
         revocable = len(self._changes) - self._marked
         return self.updates == updates and revocable == len(changes) - marked and self._changes.same(changes, revocable)

@@ -1,7 +1,7 @@
-"""Which way to go: searches on the map of room, and the choice among what they find.
+"""Choice of a path: searches on the clearance map, and the selection among their paths.
 
 A path keeps the planner's radius where it can.  Where that leads far around, or nowhere, a way through a narrow
-passage is looked for; what is flown is what takes the least time.
+passage is looked for; the quickest path is flown.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ from mavfi.pipeline.planners import PathSearch, make_search
 from mavfi.pipeline.room import Room
 
 TIGHT_SPEED = 2.0
-"""Where there is room for the checker's radius only (m/s)."""
+"""Speed where only the checker's radius fits (m/s)."""
 PLANNING_ACCELERATION = 2.5
 """Along the path (m/s^2); half of a_max, the rest is for corners and tracking."""
 LATERAL_SHARE = 0.7
@@ -26,7 +26,7 @@ BLEND = 3.5
 _REACH = 3.0
 _TRIES = 200
 _GOOD_ENOUGH = 1.15
-"""Time of a path / time of the straight line: what is not longer is not searched any further."""
+"""Time of a path / time of the straight line up to which no further search is made."""
 _STRETCH_STEP = 0.25
 _LOCAL_ITERATIONS = 300
 _LOCAL_MARGIN = 6.0
@@ -37,7 +37,7 @@ class Routes:
     """Finds ways to the goal.
 
     Attributes:
-        room: The map of room that is searched.
+        room: The clearance map that is searched.
         search: The planner that the configuration names; its generator is the only memory.
     """
 
@@ -127,7 +127,7 @@ class Routes:
 
     # ---- narrow passages --------------------------------------------------------------------------------------------
     def _widened(self, path: np.ndarray) -> np.ndarray:
-        """The same way with the planner's radius wherever there is room for it beside the path."""
+        """The same path with the planner's radius wherever it fits next to the path."""
         points = _samples(path)
         tight = [self._is_tight(point) for point in points]
         kept: list[np.ndarray] = [points[:1]]
@@ -159,7 +159,7 @@ class Routes:
         return stretch[1:]
 
     def _shortened(self, path: np.ndarray) -> np.ndarray:
-        """Straight lines instead of stretches between which there is room."""
+        """Straight lines instead of detours where the line is free."""
         room, (work, buffer) = self.room, self._buffer
         if len(path) > len(work) - 2:
             return path

@@ -1,4 +1,4 @@
-"""The trajectory generator: path -> timed trajectory (MAVFI section III-A); hand-over is in `waypoints`."""
+"""The trajectory generator: path -> timed trajectory (MAVFI section III-A); setpoints are in `waypoints`."""
 
 import math
 from dataclasses import dataclass, field
@@ -33,7 +33,7 @@ _ENTRY_SHARE = 0.8
 _REACH_SHARE = 0.7
 """Reach of a polynomial at a corner / that of a blend which cuts it as deeply."""
 _STATION_TIME = 0.5
-"""Spacing of stations on a straight leg / v_max (s)."""
+"""Spacing of knots on a straight leg / v_max (s)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +47,7 @@ class _Motion:
 
 
 class TrajectoryGenerator:
-    """Kernel `trajectory`: smooths a path, times it, publishes points.  It runs beside the planner, on the same map.
+    """Kernel `trajectory`: smooths a path, times it, publishes points.  It runs in the planner's node, on the same map.
 
     Attributes:
         fallbacks: How often no polynomial was found and corners were rounded instead.
@@ -202,7 +202,7 @@ class TrajectoryGenerator:
         self._marked_seq = self._seq
 
     def rollback(self) -> None:
-        """Put the sequence number back."""
+        """Restore the sequence number of `mark`."""
         self._seq = self._marked_seq
 
 

@@ -1,6 +1,6 @@
-"""Way-point hand-over: which point of which trajectory control follows now, and when the vehicle stops.
+"""Setpoint generator: which point of which trajectory control follows now, and when the vehicle stops.
 
-Trajectories and collision messages carry epochs; what is older than what was seen is rejected, as in the published
+Trajectories and collision messages are numbered; numbers below the last one are rejected, as in the published
 code.
 """
 
@@ -27,7 +27,7 @@ _ADOPTION_WINDOW = 50
 
 @dataclass(frozen=True, slots=True)
 class _Memory:
-    """What hand-over remembers; replaced, never changed, so that a mark is a reference."""
+    """Memory of the generator; replaced, never changed, so that a mark is a reference."""
 
     trajectory: State | None = None
     index: int = -1
@@ -112,7 +112,7 @@ class WaypointHandOver:
         return self._held_point()
 
     def stop(self) -> list[State]:
-        """Give the trajectory up and hold; the planner then plans anew."""
+        """Give the trajectory up and hold; the planner then replans."""
         self._set(waiting=None)
         return [self._brake()]
 
@@ -128,7 +128,7 @@ class WaypointHandOver:
         self._inbox = inbox + self._inbox
         self._load(self._memory.trajectory)
 
-    # ---- epochs -----------------------------------------------------------------------------------------------------
+    # ---- sequence numbers -------------------------------------------------------------------------------------------
     def _set(self, **changes: object) -> None:
         self._memory = replace(self._memory, **changes)  # type: ignore[arg-type]
 
@@ -169,7 +169,7 @@ class WaypointHandOver:
         self._set(seen_seq=seq, stop_us=due if memory.stop_us < 0 else min(due, memory.stop_us))
 
     def _watch(self, time_us: int) -> None:
-        """Deviation monitor: too far from the reference means stop and plan anew."""
+        """Deviation monitor: too far from the reference means stop and replan."""
         limit = self._config.stack.deviation_limit
         if limit <= 0.0 or self._memory.trajectory is None or self._published is None:
             return
@@ -178,7 +178,7 @@ class WaypointHandOver:
             self._set(stop_us=time_us)
 
     def _sane(self, state: State) -> bool:
-        """What a consumer can check of a trajectory without knowing the map."""
+        """Checks of a trajectory by a consumer without a map."""
         points = floats(state.elements, POINT_WIDTH).reshape(-1, POINT_WIDTH)
         if len(points) == 0:
             return True
@@ -220,7 +220,7 @@ class WaypointHandOver:
     def _adopt(self, trajectory: State) -> State:
         if len(trajectory.elements) == 0:
             if self._governed and self._memory.trajectory is not None and self._memory.clock[1] > 0.0:
-                self._set(waiting=None)  # what is flown still leads to where the vehicle can stop
+                self._set(waiting=None)  # the present trajectory still leads to a place where the vehicle can stop
                 return self._governed_point()[0]
             self._set(trajectory=None, index=-1, waiting=None)
             return self._hold(turn=_HOLD_TURN)

@@ -1,4 +1,4 @@
-"""Modelled computers: what a kernel's result costs in simulated time."""
+"""Modelled computers: latency of a kernel's result in simulated time."""
 
 from mavfi.config import PlatformConfig
 from mavfi.errors import BadInputError
@@ -22,7 +22,7 @@ def latency(platform: PlatformConfig, kernel: str) -> int:
 
 
 def redo_latency(platform: PlatformConfig, kernel: str, stage: Stage) -> int:
-    """What answering an alarm at a kernel's result costs (microseconds): its stage; nothing on the flight controller."""
+    """Cost of recomputing after an alarm at a kernel's result (us): its stage's; nothing on the flight controller."""
     return 0 if KERNELS[kernel].on_flight_controller else stage_latency(platform, stage)
 
 

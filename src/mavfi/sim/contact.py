@@ -1,4 +1,4 @@
-"""Contact of the hull with the voxels of a scan."""
+"""Contact of the vehicle's sphere with the voxels of a scan."""
 
 import math
 

@@ -19,7 +19,7 @@ _OPTIONS = [name for name in dir(mujoco.MjOption) if not name.startswith("_")]
 
 @dataclass(frozen=True, slots=True)
 class RigidBody:
-    """What a model weighs.
+    """Mass properties of a model.
 
     Attributes:
         mass: kg.
@@ -106,7 +106,7 @@ def measure(path: Path) -> RigidBody:
 def attach(vehicle: VehicleConfig, scene: Any, holder: Any) -> None:
     """Fix a vehicle's model to the body that flies, its centre of mass at that body's origin.
 
-    Its geoms are for the eye: only the hull collides.  Its actuators, sensors, key frames and options are left out;
+    Its geoms are visual: only the sphere collides.  Its actuators, sensors, key frames and options are ignored;
     rotors, drag and controller are those of the YAML file.
 
     Args:
@@ -115,7 +115,7 @@ def attach(vehicle: VehicleConfig, scene: Any, holder: Any) -> None:
         holder: Body without mass of its own (MjsBody).
 
     Raises:
-        BadInputError: The file is not what it was when the vehicle was read.
+        BadInputError: The file has changed since the vehicle was read.
     """
     path = Path(str(vehicle.mjcf))
     body = measure(path)

@@ -17,7 +17,7 @@ ACCELEROMETER, GYRO, CONTACTS = slice(0, 3), slice(3, 6), 6
 
 
 def build_model(world: World, vehicle: VehicleConfig) -> mujoco.MjModel:
-    """The model of one flight: a free body with a sphere as hull, static boxes, the ground.
+    """The model of one flight: a free body with a sphere for contacts, static boxes, the ground.
 
     All forces but gravity and contact come from outside, by `qfrc_applied`.  They are constant during a step, and so
     Euler (semi-implicit) is as accurate as `implicitfast` here and 0.3 us cheaper.  Worlds of voxels have their own

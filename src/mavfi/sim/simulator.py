@@ -24,7 +24,7 @@ _LONGEST_COMMAND = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Everything that decides how a flight goes on; `Simulator.restore` continues from it bit by bit."""
+    """Everything that decides how a flight continues; `Simulator.restore` continues from it bit for bit."""
 
     time_us: int
     physics: np.ndarray
@@ -60,7 +60,7 @@ class Simulator:
         time_us: Now.
         odometry: True state: x y z (m), vx vy vz (m/s), unit quaternion w x y z, wx wy wz (rad/s, body).
             Shape (13,); the same array throughout, overwritten by `advance`.
-        collided: Whether the hull has touched an obstacle or the ground.
+        collided: Whether the vehicle has touched an obstacle or the ground.
         rejected_commands: How many commands were refused because they were not finite.
     """
 
@@ -180,7 +180,7 @@ class Simulator:
         return [f"{kind} x {count}" for kind, count in zip(kinds, counts, strict=True) if count > 0]
 
     def snapshot(self) -> Snapshot:
-        """Everything that decides how this flight goes on."""
+        """Everything that decides how this flight continues."""
         signature = mujoco.mjtState.mjSTATE_INTEGRATION
         physics = np.empty(mujoco.mj_stateSize(self._model, signature))
         mujoco.mj_getState(self._model, self._data, physics, signature)
@@ -191,7 +191,7 @@ class Simulator:
         )  # fmt: skip
 
     def restore(self, snapshot: Snapshot) -> None:
-        """Go on from a snapshot of this simulator, or of another one of the same world and scenario.
+        """Continue from a snapshot of this simulator, or of another one of the same world and scenario.
 
         Args:
             snapshot: What `snapshot` returned.

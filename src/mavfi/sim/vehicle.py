@@ -160,7 +160,7 @@ def mix_rotors(airframe: Airframe, thrust: float, torque: tuple[float, float, fl
     """Rotor thrusts for a thrust and a torque; each axis saturates as in an ESC, yaw last.
 
     Collective thrust keeps 10 % of a rotor's range at both ends, so that attitude stays controlled; roll and pitch
-    share what is left to the nearer end, yaw gets the rest.
+    share the margin to the nearer end, yaw gets the rest.
 
     Args:
         airframe: Vehicle.
@@ -266,7 +266,7 @@ def advance(
         airframe: Vehicle.
         body: Its rigid body.
         voxels: Obstacles that MuJoCo does not know.
-        wind: Moves the air; drag acts on the velocity relative to it.
+        wind: Velocity of the air, world frame (m/s); drag acts relative to it.
         time_us: Now.
         memory: Of the controller, updated. Shape (MEMORY_SIZE,).
         setpoint: vx vy vz (m/s) and yaw rate (rad/s). Shape (4,).
@@ -275,7 +275,7 @@ def advance(
         odometry: Result: position, velocity, quaternion, body rates. Shape (13,).
 
     Returns:
-        Whether the hull touched anything.
+        Whether the vehicle touched an obstacle or the ground.
     """
     matrix = np.empty((3, 3))
     hover = np.zeros(4)

@@ -104,7 +104,7 @@ def undo_updates(
     grid: Grid, cells: np.ndarray, wide: np.ndarray, wide_offsets: np.ndarray, narrow: np.ndarray,
     narrow_offsets: np.ndarray, journal_voxels: np.ndarray, journal_cells: np.ndarray, count: int,
 ) -> None:  # fmt: skip
-    """Take the last `apply_updates` back; arguments as there, `count` is what it returned."""
+    """Undo the last `apply_updates`; arguments as there, `count` is its result."""
     wide_reach, narrow_reach = _reach(wide_offsets), _reach(narrow_offsets)
     for i in range(count - 1, -1, -1):
         set_cell(

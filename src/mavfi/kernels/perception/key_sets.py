@@ -1,4 +1,4 @@
-"""Which voxels a scan frees and which it hits: OctoMap's `computeUpdate` (Hornung et al. 2013, section 3.1).
+"""Voxels that a scan frees, and voxels that it hits: OctoMap's `computeUpdate` (Hornung et al. 2013, section 3.1).
 
 Voxels that hold an end point are hit, voxels that a ray crosses before its end are free; a voxel is in one set only,
 and hit wins.  The arithmetic of the ray walk is that of OctoMap's `computeRayKeys` (float32 direction, float64
@@ -25,15 +25,15 @@ class KeyFrame(NamedTuple):
 
     Attributes:
         resolution: Edge of a voxel (m).
-        shift_x: Added to coordinates before they become keys (m), so that the ground lies inside a layer of voxels.
-        shift_y: Same.
-        shift_z: Same.
+        shift_x: Added to x before it becomes a key (m).
+        shift_y: Added to y before it becomes a key (m).
+        shift_z: Added to z before it becomes a key (m), so that the ground lies inside a layer of voxels.
         kx: Key of the grid's first voxel along x.
-        ky: Same along y.
-        kz: Same along z.
+        ky: Key of the grid's first voxel along y.
+        kz: Key of the grid's first voxel along z.
         nx: Number of voxels along x.
-        ny: Same along y.
-        nz: Same along z.
+        ny: Number of voxels along y.
+        nz: Number of voxels along z.
     """
 
     resolution: float
@@ -291,7 +291,7 @@ def collect(
         touched: Result: voxels, free ones first, each once; what follows them is undefined. Longer than the map, int32.
 
     Returns:
-        How many are free, and how many there are in all.
+        Number of free voxels, and number of all voxels.
 
     Raises:
         ValueError: `touched` is too short.

@@ -38,7 +38,7 @@ def insert_scan(
 
     Args:
         points: As in `key_sets.collect`. Shape (n, 3), float32.
-        origin: Same. Shape (3,).
+        origin: As in `key_sets.collect`. Shape (3,).
         max_range: m.
         frame: Grid.
         rule: Increments and clamps.
@@ -65,6 +65,6 @@ def insert_scan(
 
 @kernel_jit
 def undo_scan(log_odds: np.ndarray, touched: np.ndarray, before: np.ndarray, count: int) -> None:
-    """Take the last scan back. Arguments as in `insert_scan`; `count` is what it returned."""
+    """Undo the last scan. Arguments as in `insert_scan`; `count` is its result."""
     for i in range(count):
         log_odds[touched[i]] = before[i]

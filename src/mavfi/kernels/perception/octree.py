@@ -1,4 +1,4 @@
-"""OctoMap's octree with its nodes in arrays (Hornung et al. 2013, sections 3.2-3.4), for studies that strike nodes.
+"""OctoMap's octree with its nodes in arrays (Hornung et al. 2013, sections 3.2-3.4), for studies with faults in nodes.
 
 Keys have 16 bits, a node eight children, an inner node the largest log-odds of its children.  Eight equal children
 without children are pruned into their parent; a pruned node that is updated below is expanded again.  Each step is that
@@ -46,13 +46,13 @@ def new_octree(capacity: int) -> Octree:
     """An empty tree.
 
     Args:
-        capacity: Number of nodes that there is room for, at least `NEEDED` + 1.
+        capacity: Number of nodes that fit, at least `NEEDED` + 1.
     """
     return Octree(np.zeros((capacity, 8), np.int32), np.zeros(capacity, np.float32), np.array([1, 0, 0, 0]))
 
 
 def copy_into(source: Octree, target: Octree) -> None:
-    """Make a tree equal to another one that is not larger; what is not used of it becomes 0."""
+    """Make a tree equal to another one that is not larger; unused entries become 0."""
     used = len(source.log_odds)
     for old, new in zip(source[:2], target[:2], strict=True):
         new[:used] = old
@@ -67,7 +67,7 @@ def compact_copy(tree: Octree) -> Octree:
 
 
 def largest_tree(frame: KeyFrame) -> int:
-    """The capacity that a tree over a grid never exceeds: all its nodes on all levels, and the room of one update."""
+    """The capacity that a tree over a grid never exceeds: all its nodes on all levels, and those of one update."""
     axes = ((frame.kx, frame.nx), (frame.ky, frame.ny), (frame.kz, frame.nz))
     nodes = 0
     for level in range(DEPTH + 1):
@@ -95,7 +95,7 @@ def _has_children(children: np.ndarray, node: int) -> bool:
 
 @kernel_jit
 def _take(children: np.ndarray, log_odds: np.ndarray, counters: np.ndarray, value: np.float32) -> int:
-    """A new node without children; 0 = there is no room."""
+    """A new node without children; 0 = the pool is full."""
     node = int(counters[FREE_HEAD])
     if 0 < node < children.shape[0]:
         counters[FREE_HEAD] = children[node, 0]
@@ -152,8 +152,8 @@ def search(tree: Octree, kx: int, ky: int, kz: int) -> np.float32:
     Args:
         tree: The map.
         kx: Key along x; 0 begins at the origin of the shifted frame, as in `KeyFrame`.
-        ky: Same along y.
-        kz: Same along z.
+        ky: Key along y.
+        kz: Key along z.
     """
     if tree.counters[NODES] <= 0:
         return _UNKNOWN
@@ -162,7 +162,7 @@ def search(tree: Octree, kx: int, ky: int, kz: int) -> np.float32:
 
 @kernel_jit
 def _reach(tree: Octree, kx: int, ky: int, kz: int, path: np.ndarray) -> int:
-    """Index of the node of a voxel, which is made if there is none, and those above it; 0 = there is no room."""
+    """Index of the node of a voxel, which is created with its ancestors if absent; 0 = the pool is full."""
     children, log_odds, counters = tree.children, tree.log_odds, tree.counters
     created = counters[NODES] <= 0
     if created:
@@ -220,14 +220,14 @@ def update_node(tree: Octree, rule: UpdateRule, kx: int, ky: int, kz: int, hit: 
     Args:
         tree: The map; changed.
         rule: Increments and clamps.
-        kx: Key, as in `search`.
-        ky: Same.
-        kz: Same.
+        kx: Key along x, as in `search`.
+        ky: Key along y.
+        kz: Key along z.
         hit: Whether the voxel was hit, or freed.
         path: Work space. Shape (DEPTH,), int64.
 
     Returns:
-        Its log-odds after that; NaN where there was no room.
+        Its log-odds after the update; NaN if the pool is full.
     """
     known = search(tree, kx, ky, kz)
     if (known >= rule.clamp_max) if hit else (known <= rule.clamp_min):
@@ -250,7 +250,7 @@ def update_voxels(
     tree: Octree, frame: KeyFrame, rule: UpdateRule, voxels: np.ndarray, n_free: int, first: int,
     after: np.ndarray,
 ) -> int:  # fmt: skip
-    """Update the voxels of a scan, as far as there is room.
+    """Update the voxels of a scan, as far as the pool suffices.
 
     Args:
         tree: The map; changed.
@@ -258,11 +258,11 @@ def update_voxels(
         rule: Increments and clamps.
         voxels: As `key_sets.collect` finds them. Shape (n,), int32.
         n_free: How many of them are free; these come first.
-        first: Which one to begin with.
+        first: Index of the first voxel to update.
         after: Result: their log-odds after the update. Shape (n,), float32.
 
     Returns:
-        How many voxels are updated: n, or the first one for which the tree has no room; that one left it as it was.
+        Number of updated voxels: n, or the index of the first one that does not fit; the tree is then without it.
     """
     path = np.empty(DEPTH, np.int64)
     for i in range(max(first, 0), voxels.shape[0]):

@@ -33,7 +33,7 @@ _LARGEST_POSITION = 1e6
 
 
 class Noise(NamedTuple):
-    """What the filter assumes of its sensors.
+    """Noise that the filter assumes of its sensors.
 
     Attributes:
         force: White noise of the accelerometer (m/s^2 sqrt(s)).
@@ -76,7 +76,7 @@ def usable_sample(sample: np.ndarray) -> bool:
 
 @kernel_jit
 def usable_fix(fix: np.ndarray) -> bool:
-    """Whether a fix is a place and a heading at all.
+    """Whether a fix is finite and plausible.
 
     Args:
         fix: Position (m) and heading (rad). Shape (4,).
@@ -120,9 +120,9 @@ def turn(quaternion: np.ndarray, x: float, y: float, z: float) -> None:
 
     Args:
         quaternion: Unit quaternion w x y z, changed. Shape (4,).
-        x: Rotation vector (rad).
-        y: Same.
-        z: Same.
+        x: Rotation vector, x (rad).
+        y: Rotation vector, y (rad).
+        z: Rotation vector, z (rad).
     """
     angle = math.sqrt(x * x + y * y + z * z)
     scale = math.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
@@ -196,7 +196,7 @@ def predict(nominal: np.ndarray, covariance: np.ndarray, sample: np.ndarray, dt:
         covariance: Updated. Shape (15, 15).
         sample: Specific force (m/s^2) and rates (rad/s), body frame, mean over the step; see `usable_sample`.
             Shape (6,).
-        dt: Step (s); longer ones than 0.1 s, and what is not above 0, change nothing.
+        dt: Step (s); steps above 0.1 s, and those not above 0, change nothing.
         noise: Of the IMU.
     """
     if not 0.0 < dt <= _LONGEST_STEP:

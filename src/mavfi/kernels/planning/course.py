@@ -1,7 +1,7 @@
-"""From a path to a minimum-snap trajectory: when the curve passes its stations, and what is done if it strays.
+"""From a path to a minimum-snap trajectory: when the curve passes its knots, and how it returns to free space.
 
 Times follow the trapezoid rule; where a limit is broken, speed and acceleration are planned lower; where the curve
-leaves free space, stations are added in the middle of the stretch of path beside it, as in the published code.
+leaves free space, knots are added in the middle of the corresponding part of the path, as in the published code.
 """
 
 import math
@@ -16,13 +16,13 @@ from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.voxels import Grid, segment_free, voxel_of
 
 ROUNDS = 10
-"""How often stations are added before the curve is given up."""
+"""How often knots are added before the curve is given up."""
 _TRIALS = 40
 """How often the plan of speeds is made gentler before the curve is given up."""
 _MOST_SOLVED = 10_000
-"""Stations of all curves that are tried before it is given up: a path with an absurd vertex ends, too."""
+"""Knots of all curves before the search is given up, so that a path with an absurd vertex ends, too."""
 _SHARED = 0.5
-"""Share of what a segment is too fast by that its neighbours get, too."""
+"""Share of a segment's excess speed that its neighbours are slowed by, too."""
 _SHARPNESS = 1.2
 """Largest curvature of a cut corner x its reach / tan of half the turn."""
 _SLOWEST = 0.2
@@ -36,14 +36,14 @@ _MOST_STEPS = 2_000
 
 @kernel_jit
 def _corner_speed(bend: float, reach: float, sharpness: float, law: Law) -> float:
-    """How fast a turn is flown for which there is some room (m/s)."""
+    """Speed of a turn with some clearance (m/s)."""
     sharp = sharpness * math.tan(0.5 * min(bend, 3.0))
     return min(law.speed, math.sqrt(law.lateral * max(reach, 0.0) / sharp)) if sharp > 1e-6 else law.speed
 
 
 @kernel_jit
 def _room_speeds(wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, law: Law, work: Work, n: int) -> None:
-    """Largest speed at each station, for corners and narrow places; length and tightness of each segment."""
+    """Largest speed at each knot, for corners and narrow places; length and tightness of each segment."""
     for k in range(n):
         point = work.points[k]
         voxel = voxel_of(grid, point[0], point[1], point[2])
@@ -86,7 +86,7 @@ def _trapezoid(entry: float, law: Law, work: Work, n: int) -> None:
         lost = 2.0 * law.braking * push[k] * work.lengths[k]
         speeds[k + 1] = min(speeds[k + 1], math.sqrt(speeds[k] ** 2 + gained))
         tight = max(law.tight_speed, unavoidable)
-        # what is too fast at the start cannot be slow at once
+        # an excess speed at the start cannot vanish at once
         unavoidable = math.sqrt(max(0.0, unavoidable**2 - lost))
         if k < n - 2:
             speeds[k + 1] = max(speeds[k + 1], unavoidable)
@@ -124,7 +124,7 @@ def _within_limits(entry: float, law: Law, work: Work, n: int) -> bool:
 
 @kernel_jit
 def _segment_is_free(counter: np.ndarray, grid: Grid, work: Work, k: int) -> bool:
-    """Whether the polynomial of segment k stays out of what is blocked."""
+    """Whether the polynomial of segment k stays in free space."""
     polynomial = np.empty((8, 3))
     point = np.empty(9)
     last = np.empty(3)
@@ -143,7 +143,7 @@ def _segment_is_free(counter: np.ndarray, grid: Grid, work: Work, k: int) -> boo
 
 @kernel_jit
 def _path_is_free(counter: np.ndarray, grid: Grid, path: np.ndarray, work: Work, k: int) -> bool:
-    """Whether the path beside segment k is."""
+    """Whether the path from knot to knot of segment k stays in free space."""
     last = work.points[k]
     for i in range(work.leg[k] + 1, work.leg[k + 1] + 1):
         if not segment_free(counter, grid, last, path[i]):
@@ -154,7 +154,7 @@ def _path_is_free(counter: np.ndarray, grid: Grid, path: np.ndarray, work: Work,
 
 @kernel_jit
 def split(counter: np.ndarray, grid: Grid, path: np.ndarray, count: int, work: Work, n: int, added: np.ndarray) -> int:
-    """What is to be added where the curve leaves free space although the path beside it does not.
+    """Knots to add where the curve leaves free space although the path does not.
 
     Args:
         counter: > 0 = blocked. Shape (grid.size,).
@@ -162,11 +162,11 @@ def split(counter: np.ndarray, grid: Grid, path: np.ndarray, count: int, work: W
         path: Vertices (m). Shape (>= count, 3).
         count: Number of vertices.
         work: A solved curve.
-        n: Number of stations.
-        added: Result: new stations, halfway on the legs beside each such segment (m). Shape (KNOT_LIMIT,).
+        n: Number of knots.
+        added: Result: new knots, halfway on the legs of each such segment (m). Shape (KNOT_LIMIT,).
 
     Returns:
-        Number of new stations; 0 = the curve is free.
+        Number of new knots; 0 = the curve is free.
     """
     new = 0
     for k in range(n - 1):
@@ -189,7 +189,7 @@ def split(counter: np.ndarray, grid: Grid, path: np.ndarray, count: int, work: W
 
 @kernel_jit
 def _timed(velocity: np.ndarray, acceleration: np.ndarray, law: Law, work: Work, n: int, trials: int) -> int:
-    """Lay a curve within the limits through the stations; how many were tried, 0 = there is none."""
+    """Fit a curve within the limits through the knots; returns the number of knots tried, 0 = there is none."""
     entry = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
     if not entry < _ABSURD:
         return 0
@@ -221,7 +221,7 @@ def fit(
         work: Holds the result.
 
     Returns:
-        Number of stations of the curve; 0 = none was found.
+        Number of knots of the curve; 0 = none was found.
     """
     if count < 2 or count > VERTEX_LIMIT:
         return 0

@@ -78,7 +78,7 @@ def _add_segment(
         k: Segment, from point k to k + 1.
         rows: Changed: coefficients of the previous, own and next unknowns, right-hand side. Shape (3, 12).
         own: First index of the own unknowns among the eight end values: 1 or 5.
-        other: Same for the other end.
+        other: First index of the neighbour's unknowns: 5 or 1.
         other_at: Column of `rows` for the unknowns of the other end: 0 or 6.
     """
     for i in range(3):

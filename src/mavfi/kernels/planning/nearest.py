@@ -56,7 +56,7 @@ def clear(index: Index, lower: np.ndarray, upper: np.ndarray) -> None:
     Args:
         index: Changed.
         lower: Corner of the sampled box (m). Nodes may lie outside of it. Shape (3,).
-        upper: Same.
+        upper: Opposite corner (m). Shape (3,).
     """
     for axis in range(3):
         index.box[0, axis] = lower[axis]
@@ -111,16 +111,16 @@ def _square(nodes: np.ndarray, i: int, target: np.ndarray) -> float:
 def _step_down(
     index: Index, node: int, target: np.ndarray, ox: float, oy: float, oz: float, size: int
 ) -> tuple[int, int]:
-    """The half of a cell in which the target lies, and the size of the stack, on which the other half is put.
+    """The half of a cell in which the target lies, and the size of the stack, to which the other half is added.
 
     Args:
         index: Memory.
         node: Cell.
         target: World frame (m). Shape (3,).
-        ox: How far the target is from the cell along x (m).
-        oy: Same along y.
-        oz: Same along z.
-        size: Of the stack.
+        ox: Distance of the target from the cell along x (m).
+        oy: Distance of the target from the cell along y (m).
+        oz: Distance of the target from the cell along z (m).
+        size: Number of cells on the stack.
     """
     axis = index.axis[node]
     away = target[axis] - index.split[node]

@@ -1,4 +1,4 @@
-"""Improving a path: greedy and random shortcuts (Geraerts & Overmars 2007), length, the nearest cell with room."""
+"""Improving a path: greedy and random shortcuts (Geraerts & Overmars 2007), length, the nearest cell with clearance."""
 
 import math
 
@@ -140,13 +140,13 @@ def nearest_with_room(
     """Centre of the nearest voxel that is free in `room` and that a straight line from `point` reaches.
 
     Args:
-        room: > 0 = blocked, wide. Shape (grid.size,).
+        room: > 0 = blocked, with the larger radius. Shape (grid.size,).
         check: > 0 = blocked, narrow: the line must be free in it, unless the point itself is blocked there.
-        core: > 0 = occupied: what the line must not cross then. Shape (grid.size,).
+        core: > 0 = occupied: voxels that the line must not cross. Shape (grid.size,).
         grid: Geometry.
         point: World frame (m). Shape (3,).
         lower: Corner of the allowed box (m). Shape (3,).
-        upper: Same.
+        upper: Opposite corner (m). Shape (3,).
         radius: How far to look (m).
         result: The point itself where it is free, else the centre (m). Shape (3,).
 

@@ -40,9 +40,9 @@ def plan(
         counter: > 0 = blocked. Shape (grid.size,).
         grid: Geometry.
         start: World frame (m). Shape (3,).
-        goal: Same.
+        goal: World frame (m). Shape (3,).
         lower: Corner of the sampled box (m). Shape (3,).
-        upper: Same.
+        upper: Opposite corner (m). Shape (3,).
         max_step: Longest extension (m).
         goal_bias: Probability that the sample is the goal.
         iterations: Budget.

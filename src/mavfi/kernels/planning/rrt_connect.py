@@ -20,7 +20,7 @@ class Trees(NamedTuple):
         parents: Shape (2, NODE_LIMIT), int32; -1 = root.
         counts: Nodes in use. Shape (2,), int64.
         near_start: Finds nearest nodes of the first tree.
-        near_goal: Same for the second.
+        near_goal: Finds nearest nodes of the second tree.
     """
 
     nodes: np.ndarray
@@ -99,9 +99,9 @@ def plan(
         counter: > 0 = blocked. Shape (grid.size,).
         grid: Geometry.
         start: World frame (m). Shape (3,).
-        goal: Same.
+        goal: World frame (m). Shape (3,).
         lower: Corner of the sampled box (m). Shape (3,).
-        upper: Same.
+        upper: Opposite corner (m). Shape (3,).
         max_step: Longest extension (m).
         iterations: Budget.
         random: Generator state. Shape (4,), uint64.

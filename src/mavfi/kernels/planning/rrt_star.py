@@ -102,7 +102,7 @@ def _swap(found: np.ndarray, through: np.ndarray, a: int, b: int) -> None:
 
 @kernel_jit
 def _sift(found: np.ndarray, through: np.ndarray, top: int, end: int) -> None:
-    """Let an entry sink in the heap below it."""
+    """Sift an entry down the heap."""
     while 2 * top + 1 < end:
         later = 2 * top + 1
         if later + 1 < end and _before(found, through, later, later + 1):
@@ -215,7 +215,7 @@ def grow(
     counter: np.ndarray, grid: Grid, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray, max_step: float,
     goal_bias: float, iterations: int, random: np.ndarray, tree: CostTree,
 ) -> None:  # fmt: skip
-    """Go on with a tree for a number of iterations. Arguments as in `plan`."""
+    """Continue a tree for a number of iterations. Arguments as in `plan`."""
     sample = np.empty(3)
     new = np.empty(3)
     gamma = ball_factor(lower, upper)
@@ -251,13 +251,13 @@ def plan(
         counter: > 0 = blocked. Shape (grid.size,).
         grid: Geometry.
         start: World frame (m). Shape (3,).
-        goal: Same.
+        goal: World frame (m). Shape (3,).
         lower: Corner of the sampled box (m). Shape (3,).
-        upper: Same.
+        upper: Opposite corner (m). Shape (3,).
         max_step: Longest extension, and largest radius of the near set (m).
         goal_bias: Probability that the sample is the goal, until it is in the tree.
         iterations: Budget.
-        longest: Where no path is known after the budget the search goes on to the first one, but not beyond this.
+        longest: If no path is known after the budget, the search continues to the first one, but not beyond this.
         random: Generator state. Shape (4,), uint64.
         tree: Search memory; overwritten. It ends the search when it is full.
         path: Result. Shape (>= nodes of the tree, 3).

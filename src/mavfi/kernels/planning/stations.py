@@ -1,4 +1,4 @@
-"""Where a smooth curve is tied to a path: before and after its corners, which it may cut, and every few metres."""
+"""Knots: points of a path that a smooth curve passes, before and after corners, and every few metres."""
 
 from typing import NamedTuple
 
@@ -13,25 +13,25 @@ VERTEX_LIMIT = 400
 BEND = 0.4
 """Turns up to this one are passed through, larger ones are cut (rad)."""
 NEAR = 0.05
-"""Stations are not nearer to each other (m)."""
+"""Smallest distance of two knots (m)."""
 _APART = 0.3
 """Nor at first (m)."""
 _PASSED = 0.5
-"""Gentle bends nearer to the last station than this share of the spacing are not passed exactly."""
+"""Gentle bends nearer to the last knot than this share of the spacing are not passed exactly."""
 
 
 class Law(NamedTuple):
-    """What the vehicle may do, and how close to the path it stays.
+    """Limits of the vehicle, and of its distance to the path.
 
     Attributes:
         speed: Limit everywhere (m/s).
-        acceleration: Same (m/s^2).
+        acceleration: Limit everywhere (m/s^2).
         tight_speed: Planned where the wide counter is blocked (m/s).
         lateral: Planned acceleration in corners (m/s^2).
         tangential: Planned acceleration along the path (m/s^2).
-        braking: Same, when entering too fast (m/s^2).
+        braking: Planned deceleration when entering too fast (m/s^2).
         reach: Longest distance between a corner and where the curve leaves the path for it (m).
-        spacing: Longest distance of stations on a straight leg (m).
+        spacing: Longest distance of knots on a straight leg (m).
     """
 
     speed: float
@@ -49,13 +49,13 @@ class Work(NamedTuple):
 
     Attributes:
         corners: Arc length of each vertex (m). Shape (VERTEX_LIMIT,).
-        stations: Arc length of each station (m). Shape (KNOT_LIMIT,).
-        leg: Leg of the path on which each station lies. Shape (KNOT_LIMIT,), int64.
+        stations: Arc length of each knot (m). Shape (KNOT_LIMIT,).
+        leg: Leg of the path on which each knot lies. Shape (KNOT_LIMIT,), int64.
         points: Their positions (m). Shape (KNOT_LIMIT, 3).
         lengths: Of the segment that begins there, about (m). Shape (KNOT_LIMIT,).
         shares: How much of it is tight. Shape (KNOT_LIMIT,).
         caps: Largest speed that corners and narrow places allow there (m/s). Shape (KNOT_LIMIT,).
-        push: Acceleration on the segment / what the law plans with. Shape (KNOT_LIMIT,).
+        push: Acceleration on the segment / the planned one. Shape (KNOT_LIMIT,).
         speeds: Planned there (m/s). Shape (KNOT_LIMIT,).
         times: Duration of the segment that begins there (s). Shape (KNOT_LIMIT,).
         excess: By how much it is too fast. Shape (KNOT_LIMIT,).
@@ -89,7 +89,7 @@ def new_work() -> Work:
 
 @kernel_jit
 def _add(work: Work, n: int, station: float) -> int:
-    """Append a station unless it is too near to the last one; returns their number."""
+    """Append a knot unless it is too near to the last one; returns the number of knots."""
     if n >= work.stations.shape[0] - 1 or (n > 0 and not station - work.stations[n - 1] > _APART):
         return n
     work.stations[n] = station
@@ -98,7 +98,7 @@ def _add(work: Work, n: int, station: float) -> int:
 
 @kernel_jit
 def _add_leg(work: Work, n: int, station: float, spacing: float) -> int:
-    """Append stations on a straight leg, evenly, up to `station`; returns their number."""
+    """Append knots on a straight leg, evenly, up to `station`; returns the number of knots."""
     first = work.stations[n - 1]
     gap = station - first
     if gap > spacing:
@@ -110,16 +110,16 @@ def _add_leg(work: Work, n: int, station: float, spacing: float) -> int:
 
 @kernel_jit
 def first_stations(path: np.ndarray, count: int, law: Law, work: Work) -> int:
-    """Stations before and after corners, and between them.
+    """Knots before and after corners, and between them.
 
     Args:
         path: Vertices, no two the same in a row (m). Shape (>= count, 3).
         count: Number of vertices, 2 to `VERTEX_LIMIT`.
-        law: Gives reach and spacing.
+        law: Reach of corners and spacing.
         work: `corners` and `stations` are set.
 
     Returns:
-        Number of stations; 0 if there is no room for them or a vertex is absurd.
+        Number of knots; 0 if they do not fit or a vertex is absurd.
     """
     work.corners[0] = 0.0
     for i in range(1, count):
@@ -136,7 +136,7 @@ def first_stations(path: np.ndarray, count: int, law: Law, work: Work) -> int:
             if work.corners[i] - work.stations[n - 1] > _PASSED * law.spacing:
                 n = _add_leg(work, n, work.corners[i], law.spacing)
             continue
-        # the first leg is nobody else's: its corner may take most of it
+        # the first leg has one corner only, which may take most of it
         reach = min(law.reach, min((0.9 if i == 1 else 0.5) * before, 0.5 * after))
         n = _add_leg(work, n, work.corners[i] - reach, law.spacing)
         n = _add(work, n, work.corners[i] + reach)
@@ -151,7 +151,7 @@ def first_stations(path: np.ndarray, count: int, law: Law, work: Work) -> int:
 
 @kernel_jit
 def place(path: np.ndarray, count: int, work: Work, n: int) -> None:
-    """Set the position and the leg of each of the n stations; arguments as in `first_stations`."""
+    """Set the position and the leg of each of the n knots; arguments as in `first_stations`."""
     leg = 0
     for k in range(n):
         while leg < count - 2 and work.corners[leg + 1] <= work.stations[k]:
@@ -165,7 +165,7 @@ def place(path: np.ndarray, count: int, work: Work, n: int) -> None:
 
 @kernel_jit
 def insert(work: Work, n: int, station: float) -> int:
-    """Add a station in its place unless one is near; returns their number."""
+    """Insert a knot in order unless one is near; returns the number of knots."""
     if n >= work.stations.shape[0]:
         return n
     k = n

@@ -27,7 +27,7 @@ _SMALLEST_STEP = 0.0015
 
 
 class Limits(NamedTuple):
-    """What the vehicle may do along the curve.
+    """Limits of the vehicle along the curve.
 
     Attributes:
         speed: m/s.
@@ -111,7 +111,7 @@ def smooth(
         after = distance(path[i + 1], path[i])
         if not (before > 1e-9 and after > 1e-9) or n > CURVE_LIMIT - 2 * _BLEND_STEPS:
             continue
-        # the first leg is nobody else's: its blend may take most of it
+        # the first leg has one blend only, which may take most of it
         reach = min(blend, min((0.9 if i == 1 else 0.499) * before, 0.499 * after))
         n = _add_blend(counter, grid, path, i, reach, inner, corners, n)
     corners[n] = path[count - 1]
@@ -171,7 +171,7 @@ def speed_profile(
         curve: Samples (m). Shape (>= count, 3).
         count: Number of samples.
         entry_speed: m/s.
-        limits: What the vehicle may do.
+        limits: Limits of the vehicle.
         arc: Result: arc length of each sample (m). Shape (>= count,).
         speed: Result: speed at each sample (m/s). Shape (>= count,).
     """

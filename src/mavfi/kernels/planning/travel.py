@@ -11,21 +11,21 @@ from mavfi.numerics.random import uniform
 from mavfi.numerics.voxels import Grid, segment_free, voxel_of
 
 _STEP = 0.25
-"""Between the points at which room is looked up (m)."""
+"""Distance between the points at which clearance is looked up (m)."""
 _MOST_STEPS = 10_000
 _SHARPNESS = 1.2
 """Largest curvature of a blend x its reach / tan of half the turn; within 15 % between 30 and 90 degrees."""
 _VISIBLE_SLOPE = 0.6
 """Steepest path (tan) that stays in the view of a camera that looks forward."""
 _BLIND_SPEED = 0.5
-"""What a metre of climb out of view is charged with (m/s)."""
+"""Speed at which a climb out of view is charged (m/s)."""
 _REMOVED = 0.3
 """Share of the trials that take a vertex away; the others move one."""
 _LARGEST_MOVE = 1.5
 
 
 class Pace(NamedTuple):
-    """What the estimate knows of the vehicle.
+    """Limits of the vehicle for the estimate.
 
     Attributes:
         speed: m/s.
@@ -84,7 +84,7 @@ def corner_loss(a: np.ndarray, b: np.ndarray, c: np.ndarray, reach: float, pace:
 
 @kernel_jit
 def _unseen_climb(a: np.ndarray, b: np.ndarray) -> float:
-    """How far a -> b climbs or sinks beyond what a camera that looks forward sees (m)."""
+    """Height by which a -> b leaves the view of a forward camera (m)."""
     level = math.sqrt((b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2)
     beyond: float = abs(b[2] - a[2]) - _VISIBLE_SLOPE * level
     return max(0.0, beyond)
@@ -94,7 +94,7 @@ def _unseen_climb(a: np.ndarray, b: np.ndarray) -> float:
 def travel_time(wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, velocity: np.ndarray, pace: Pace) -> float:
     """Estimated time to fly a polyline.
 
-    Full speed where there is room, `tight_speed` where there is little; each corner costs time.
+    Full speed with clearance, `tight_speed` in narrow places; each corner costs time.
 
     Args:
         wide: > 0 = too near to an obstacle for full speed. Shape (grid.size,).
@@ -102,7 +102,7 @@ def travel_time(wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, velo
         path: Vertices (m). Shape (>= count, 3).
         count: Number of vertices.
         velocity: At the first vertex (m/s). Shape (3,).
-        pace: What the vehicle may do.
+        pace: Limits of the vehicle.
 
     Returns:
         s.
@@ -152,11 +152,11 @@ def quicken(
         wide: As in `travel_time`.
         grid: Geometry.
         lower: Corner of the box in which vertices may lie (m). Shape (3,).
-        upper: Same.
+        upper: Opposite corner (m). Shape (3,).
         path: Vertices (m); changed, but for the first and the last. Shape (>= count, 3).
         count: Number of vertices.
         velocity: At the first vertex (m/s). Shape (3,).
-        pace: What the vehicle may do.
+        pace: Limits of the vehicle.
         tries: Number of trials.
         random: Generator state. Shape (4,), uint64.
         buffer: Work space of the same shape as `path`.

@@ -1,4 +1,4 @@
-"""What the searches share: drawing a sample, one step towards it, the path that leads to a node."""
+"""Common parts of the searches: drawing a sample, one step towards it, the path that leads to a node."""
 
 import math
 
@@ -14,7 +14,7 @@ def draw(lower: np.ndarray, upper: np.ndarray, random: np.ndarray, sample: np.nd
 
     Args:
         lower: Corner (m). Shape (3,).
-        upper: Same.
+        upper: Opposite corner (m). Shape (3,).
         random: Generator state. Shape (4,), uint64.
         sample: Result (m). Shape (3,).
     """

@@ -1,6 +1,6 @@
-"""Way-point hand-over: from the stored trajectory to the point that control follows now.
+"""Setpoint generator: from the stored trajectory to the point that control follows now.
 
-Two laws.  Held: a point is in force until its duration is used up (the published code).  Governed: the reference moves
+Two rules.  Held: a point is in force until its duration is used up (the published code).  Governed: the reference moves
 along the trajectory on a clock that slows down so that the vehicle can stop in space it has seen.
 """
 
@@ -11,7 +11,7 @@ import numpy as np
 from mavfi.numerics.jit import kernel_jit
 
 CLOCK_WIDTH = 3
-"""Memory of the governed law: position on the trajectory (points), rate of the clock, its change (1/s)."""
+"""Memory of the governed rule: position on the trajectory (points), rate of the clock, its change (1/s)."""
 
 
 @kernel_jit
@@ -21,7 +21,7 @@ def hand_over(points: np.ndarray, index: int, remaining: float, waypoint: np.nda
     Args:
         points: Trajectory, columns x y z yaw v(3) a(3) duration. Shape (n, 11).
         index: Point in force; -1 = none yet.
-        remaining: Reference time left of it (s); zero or less hands over.
+        remaining: Reference time left of it (s); at zero the next point comes into force.
         waypoint: Result, unchanged where the trajectory is used up. Shape (11,).
 
     Returns:
@@ -70,7 +70,7 @@ def advance_clock(
         arc: Arc length of each point (m). Shape (n,).
         dt: Control period (s).
         blocked: Arc length of the first blocked sample (m); inf = none.
-        unknown: Same for unknown space.
+        unknown: Arc length of the first unknown sample (m); inf = none.
         braking: Deceleration to plan with (m/s^2).
         creep: Slowest speed towards unknown space (m/s).
         fastest: Largest rate of the clock; less than 1 on a computer whose loop cannot keep up.

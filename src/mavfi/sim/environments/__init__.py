@@ -1,4 +1,4 @@
-"""Worlds: what generates them, and what they are."""
+"""Worlds and their generators."""
 
 from mavfi.sim.environments.registry import SCAN_ENDINGS, build_world, environment_for_file
 from mavfi.sim.environments.world import World

@@ -20,7 +20,7 @@ def world_stream(seed: int, law: int) -> np.random.Generator:
 
     Args:
         seed: Seed of the mission.
-        law: Number of the generator, so that two laws share no draws.
+        law: Number of the generator, so that two generators share no draws.
     """
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=(_PURPOSE_WORLD, law))))
 
@@ -74,7 +74,7 @@ def checked_number(name: str, value: object, low: float, high: float) -> float:
 
     Args:
         name: Name of the parameter.
-        value: What was given.
+        value: The given value.
         low: Smallest allowed value.
         high: Largest allowed value.
 

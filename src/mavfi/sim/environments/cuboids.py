@@ -88,7 +88,7 @@ def _does_not_fit(density: float, side: float, gap: float, count: int) -> BadInp
 
 
 def _place(stream: np.random.Generator, ends: np.ndarray, count: int, side: float, gap: float) -> np.ndarray | None:
-    """Random sequential placement, begun anew a few times when it jams."""
+    """Random sequential placement, restarted a few times when it jams."""
     margin = np.array([0.5 * side, 0.5 * side - HALF_WIDTH])
     span = np.array([LENGTH - side, 2.0 * HALF_WIDTH - side])
     centres = np.empty((count, 2))

@@ -1,4 +1,4 @@
-"""`farm`: hedges and fences below the flight, a few trees beside the course."""
+"""`farm`: hedges and fences below the flight, a few trees next to the course."""
 
 import numpy as np
 

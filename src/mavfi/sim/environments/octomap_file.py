@@ -49,7 +49,7 @@ class Leaves(NamedTuple):
 def octomap_file(
     seed: int, path: str, start: Vector | None = None, goal: Vector | None = None, band: float = 0.9
 ) -> World:
-    """The world of a scan: what it has not seen is solid.
+    """The world of a scan: unseen space is solid.
 
     Planners take unknown space for free, and a camera that looks ahead sees neither floor and ceiling nor what is
     behind.  So they are kept to a box around start and goal: `band` high, and as narrow as lets a sphere of 0.2 m pass.
@@ -202,7 +202,7 @@ def _read_header(path: Path, content: bytes) -> tuple[bool, float, int]:
 
 @kernel_jit
 def _parse_bits(nodes: np.ndarray, leaves: Leaves) -> int:
-    """Walk the nodes of a `.bt` file; store leaves as far as there is room, and return how many there are."""
+    """Walk the nodes of a `.bt` file; store leaves up to the capacity, and return their number."""
     stack = np.zeros((8 * _DEPTH + 1, 4), np.int32)
     stack[0, 3] = _DEPTH
     top, at, count = 1, 0, 0
@@ -230,7 +230,7 @@ def _parse_bits(nodes: np.ndarray, leaves: Leaves) -> int:
 
 @kernel_jit
 def _parse_values(nodes: np.ndarray, leaves: Leaves) -> int:
-    """Walk the nodes of an `.ot` file; store leaves as far as there is room, and return how many there are."""
+    """Walk the nodes of an `.ot` file; store leaves up to the capacity, and return their number."""
     stack = np.zeros((8 * _DEPTH + 1, 4), np.int32)
     stack[0, 3] = _DEPTH
     top, at, count = 1, 0, 0

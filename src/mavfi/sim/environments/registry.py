@@ -35,7 +35,7 @@ def build_world(
     """The world of a mission.
 
     Args:
-        environment: Which generator, with which parameters.
+        environment: Generator and parameters.
         seed: Seed of the mission; all randomness comes from it.
         start: Start instead of the generator's (m).
         goal: Goal instead of the generator's (m).
@@ -85,7 +85,7 @@ def find_generator(name: str) -> Generator:
 def environment_for_file(path: str | Path) -> EnvironmentConfig:
     """The environment of a scanned map, with values that suit the inside of a building.
 
-    A small quadrotor flies slowly on a fine map, because a scan leaves little room: unknown space is solid, and rays
+    A small quadrotor flies slowly on a fine map, because a scan has narrow passages: unknown space is solid, and rays
     that missed leave specks of it in the middle of rooms (in a corridor of 3 x 2.5 m spheres of 0.28 m just pass).
 
     Args:

@@ -1,4 +1,4 @@
-"""`training`: randomised worlds that detectors are trained in, none of them under a law they are judged by."""
+"""`training`: randomised worlds that detectors are trained in, none of them from a generator of the evaluation."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ DENSITY = (0.03, 0.22)
 SIDE = (4.0, 10.0)
 """Range of the sides (m)."""
 EXCLUDED = ((0.05, 6.0), (0.20, 10.0))
-"""[density, side] of the evaluation's generated laws; the other two, factory and farm, are no cuboids."""
+"""[density, side] of the evaluation's cuboid worlds; the other two, factory and farm, have no such pair."""
 
 _DENSITY_MARGIN, _SIDE_MARGIN = 0.015, 0.75
 _PURPOSE_TRAINING = 4
@@ -26,7 +26,7 @@ def training(seed: int) -> World:
 
 
 def draw_law(seed: int) -> tuple[float, float]:
-    """Density and side (m) of a training world; never near a law of the evaluation.
+    """Density and side (m) of a training world; never near a pair of the evaluation.
 
     Args:
         seed: Seed of the mission.

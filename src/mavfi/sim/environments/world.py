@@ -1,4 +1,4 @@
-"""What a flight meets: obstacles, start and goal, and the limits of the arena."""
+"""A world: obstacles, start and goal, and the limits of the arena."""
 
 import hashlib
 import math
