@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mavfi.cli import options
-from mavfi.cli.console import check_seed, check_writable, console, write_json
+from mavfi.cli.console import check_picture, check_seed, check_writable, console, write_json
 from mavfi.errors import BadInputError
 from mavfi.mission import MissionSpec
 
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from mavfi.mission import Scenario
     from mavfi.reports.flight_result import FlightResult
 
-PICTURES = (".png", ".svg", ".pdf")
 DEFAULT_PROFILE = "paper"
 
 
@@ -83,9 +82,7 @@ def _check_files(save: Path | None, picture: Path | None) -> None:
     if save is not None and save.suffix.lower() != ".npz":
         raise BadInputError(f"--save: {save}: allowed ending: .npz")
     check_writable(save)
-    if picture is not None and picture.suffix.lower() not in PICTURES:
-        raise BadInputError(f"--picture: {picture}: allowed endings: {', '.join(PICTURES)}")
-    check_writable(picture)
+    check_picture(picture)
 
 
 def load_watcher(
@@ -113,4 +110,4 @@ def _show(result: FlightResult, as_json: bool, written: list[Path]) -> None:
     out = console()
     out.print(panel(result))
     for path in written:
-        out.print(f"[dim]wrote[/dim] {path}")
+        out.print(f"wrote {path}", style="dim", markup=False)

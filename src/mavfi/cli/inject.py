@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.markup import escape
+from rich.text import Text
 
 from mavfi.cli.console import JSON_HELP, check_seed, console, write_json
 from mavfi.errors import BadInputError
@@ -51,7 +51,7 @@ def inject(  # noqa: PLR0913 - one parameter per option
 
     fault = RegisterFault(registers, access, symbol, thread, walk, timeout, null, seed=seed)
     process = _process(pid, ros_node)
-    done = inject_register(process, fault, count, interval, None if as_json else _tell)
+    done = inject_register(process, fault, count, interval, None if as_json else _report)
     if as_json:
         injections = [injection.to_json() for injection in done]
         write_json({"pid": process, "fault": fault.to_json(), "injections": injections})
@@ -69,19 +69,17 @@ def _process(pid: int | None, ros_node: str | None) -> int:
     return Master().node_pid(ros_node)
 
 
-def _tell(injection: Injection) -> None:
-    """One injection in two lines."""
-    told = injection.details
-    where = told["symbol"] or told["offset"]
-    moment = "before" if told["access"] == "read" else "after"
+def _report(injection: Injection) -> None:
+    """One injection in two lines; operands and names are data, so nothing in them is read as markup."""
+    known = injection.details
+    moment = "before" if known["access"] == "read" else "after"
     done = "injected" if injection.activated else "NOT injected as planned"
-    text = console()
-    text.print(
-        f"pid {told['pid']}, thread {told['thread']}: [bold]{injection.site}[/bold] bit {injection.bit} "
-        f"{done} {moment} [bold]{escape(told['instruction'])}[/bold]: {injection.before} → {injection.after}"
-    )
-    text.print(
-        f"  at {told['address']}, {where} in {escape(told['library'])}; "
-        f"stood still for {told['stopped_us'] / 1000:.2f} ms",
-        style="dim",
-    )
+    out = console()
+    out.print(Text.assemble(
+        f"pid {known['pid']}, thread {known['thread']}: ", (injection.site, "bold"), f" bit {injection.bit} {done} "
+        f"{moment} ", (known["instruction"], "bold"), f": {injection.before} → {injection.after}",
+    ))  # fmt: skip
+    out.print(Text(
+        f"  at {known['address']}, {known['symbol'] or known['offset']} in {known['library']}; "
+        f"stood still for {known['stopped_us'] / 1000:.2f} ms", style="dim",
+    ))  # fmt: skip

@@ -6,11 +6,14 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from mavfi.flight_log import COLUMNS
 from mavfi.flight_record import FlightRecord, record_of
 from mavfi.outcomes import Effect, effect_of
-from mavfi.qof import quality_of
+from mavfi.qof import QoF, quality_of
 
 if TYPE_CHECKING:
+    import polars
+
     from mavfi.faults.fault import Fault
     from mavfi.flight_log import FlightLog
     from mavfi.hosts.host import Flight
@@ -54,6 +57,18 @@ class FlightResult:
     def golden_record(self) -> FlightRecord | None:
         """What a campaign would keep of the golden run; None where the flight is golden itself."""
         return None if self.golden is None else record_of(self.golden.log)
+
+    @property
+    def quality(self) -> QoF:
+        """Flight time, energy, distance."""
+        return quality_of(self.record)
+
+    @property
+    def frame(self) -> polars.DataFrame:
+        """The flight at each control tick: one column for each of `flight_log.COLUMNS`."""
+        import polars
+
+        return polars.DataFrame(self.log.rows, schema=list(COLUMNS))
 
     @property
     def effect(self) -> Effect | None:
