@@ -1,167 +1,163 @@
+"""The story of a run, from records made by hand; the last tests fly runs of a campaign again."""
+
 import numpy as np
 import pytest
 
+from mavfi.campaign.divergence import Departure, Difference
+from mavfi.campaign.explanation import Explanation, explain
+from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
-from mavfi.flight_log import COLUMNS, FlightLog
+from mavfi.faults.fault import NO_SITE, FaultSite, InstructionFault, StateFault
+from mavfi.flight_log import COLUMNS, AlarmRecord, FlightLog, Injection, KernelEffect
+from mavfi.hosts.host import Flight
 from mavfi.mission import MissionStatus
-from mavfi.reports.explain import _difference, departure, explain, lines, to_json
-from mavfi.reports.watch import Publication, first_difference
-from mavfi.states import new_state
+from mavfi.reports.explain import MOST_ALARMS, alarm_lines, lines, to_json
+
+SITE = FaultSite("planning.waypoint", "x")
+FAULT = StateFault(SITE, 1_000_000, 62)
+INJECTION = Injection("state", str(SITE), 1.0, 62, 3.5, float("inf"), activated=True)
+ON_PATH = Departure(None, None, 0.0, 0.0, 0.0)
+INSTRUCTION = {
+    "kernel": "pid", "function": "track", "opcode": "fmul", "type": "double", "value_class": "floating_point",
+    "variable": "rate", "inlined": ["mavfi/kernels/control/pid.py:12"], "call": 7, "index": 42, "model": "one_bit",
+}  # fmt: skip
 
 
-def _publication(time_us, x=1.0, name="planning.waypoint"):
-    state = new_state(name)
-    state.header["x"] = x
-    return Publication(time_us, state)
+def log(*, seconds=10.0, status=MissionStatus.SUCCESS, **changes):
+    rows = np.zeros((int(50 * seconds) + 1, len(COLUMNS)))
+    rows[:, 0] = 0.02 * np.arange(len(rows))
+    return FlightLog(rows, status, **changes)
 
 
-def test_same_publications_do_not_differ():
-    assert first_difference([_publication(0)], [_publication(0)]) is None
+def alarm(time_s, state="planning.waypoint", **changes):
+    values = {"source": "gaussian", "stage": "planning", "score": 2.5, "fields": (f"{state}.x",)}
+    return AlarmRecord(**({"time_s": time_s, "state": state} | values | changes))
 
 
-def test_the_first_changed_field_is_named():
-    found = first_difference([_publication(0), _publication(5)], [_publication(0), _publication(5, 2.0)])
-    assert (found.time_us, found.state, found.field, found.golden, found.injected) == (
-        5,
-        "planning.waypoint",
-        "x",
-        1.0,
-        2.0,
+def found(injected, golden=None, fault=FAULT, first=None, **changes):
+    spec = RunSpec("injected", "fi", "sparse", 3, "key", target="planning", fault=fault, **changes)
+    flights = (Flight(one) for one in (injected, golden or log()))
+    return Explanation(spec, *flights, same=True, first=first, departure=ON_PATH)
+
+
+def told(explanation):
+    return dict(lines(explanation))
+
+
+def test_the_verdict_comes_first_and_says_masked():
+    heading, sentence = lines(found(log(injections=[INJECTION])))[0]
+    assert heading == "verdict"
+    assert sentence == (
+        "masked: the flight is bit for bit the golden run; the mission succeeds after 10.00 s, as without the fault"
     )
+    assert to_json(found(log(injections=[INJECTION])))["masked"] is True
 
 
-def test_nan_and_negative_zero_differ_by_their_bits():
-    assert first_difference([_publication(0, 0.0)], [_publication(0, -0.0)]).field == "x"
-    assert first_difference([_publication(0, np.nan)], [_publication(0, np.nan)]) is None
+@pytest.mark.parametrize(
+    ("injected", "golden", "verdict"),
+    [
+        (log(seconds=11.0, injections=[INJECTION]), log(),
+         "silent data corruption; the mission succeeds after 11.00 s (+10.0 % against the golden run)"),
+        (log(seconds=4.0, status=MissionStatus.COLLISION, injections=[INJECTION]), log(),
+         "silent data corruption; the mission is lost: collision after 4.00 s (golden run: success after 10.00 s)"),
+        (log(status=MissionStatus.COLLISION, injections=[INJECTION]), log(status=MissionStatus.TIMEOUT),
+         "silent data corruption; the mission fails without the fault, too (timeout; with it collision)"),
+        (log(injections=[INJECTION]), log(status=MissionStatus.TIMEOUT),
+         "silent data corruption; the mission succeeds after 10.00 s, which the golden run does not (timeout)"),
+    ],
+)  # fmt: skip
+def test_the_verdict_says_what_became_of_the_mission(injected, golden, verdict):
+    assert told(found(injected, golden))["verdict"] == verdict
 
 
-def test_a_changed_element_is_named_with_its_place():
-    before, after = new_state("planning.path", 3), new_state("planning.path", 3)
-    after.elements["y"][2] = 1.0
-    assert first_difference([Publication(0, before)], [Publication(0, after)]).field == "y[2]"
+def test_a_fault_that_was_not_activated_is_no_masked_one():
+    missed = Injection("state", str(SITE), 1.0, 62, None, None, activated=False)
+    story = told(found(log(injections=[missed])))
+    assert story["verdict"].startswith("not activated; the mission succeeds")
+    assert story["fault"] == "planning.waypoint.x: not activated, no such publication came"
+    nowhere = StateFault(SITE, NO_SITE, 62)
+    assert "no site, the golden run never published it" in told(found(log(injections=[missed]), fault=nowhere))["fault"]
 
 
-def test_a_list_of_another_length_is_told_by_its_length():
-    before, after = new_state("planning.path", 3), new_state("planning.path", 4)
-    found = first_difference([Publication(0, before)], [Publication(0, after)])
-    assert (found.field, found.golden, found.injected) == ("number of elements", 3, 4)
-
-
-def test_a_publication_that_is_held_back_is_no_other_value():
-    found = first_difference([_publication(0), _publication(5)], [_publication(0), _publication(9)])
-    assert (found.state, found.field, found.golden_us, found.injected_us) == ("planning.waypoint", "", 5, 9)
-    assert found.time_us == 5
-    assert _difference(found) == (
-        "planning.waypoint at 0.000 s in the golden twin: here held back, the same value came 0.004 ms later"
+def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kernel():
+    injection = Injection("instruction", "pid.track", 2.5, 62, 1.0, -1.0, True, "mavfi/kernels/control/pid.py", 90,
+                          INSTRUCTION)  # fmt: skip
+    first = {"state": "control.command", "field": "vx", "element": None, "before": 1.0, "after": 8.0}
+    fault = InstructionFault("module:track", "0", 42, 7, kernel="pid", entry="track")
+    story = told(found(log(injections=[injection], kernel=KernelEffect("sdc", "", first)), fault=fault))
+    assert story["fault"] == "pid.track, bit 62, at 2.500 s: 1 → -1"
+    assert story["source line"] == (
+        "mavfi/kernels/control/pid.py:90, inlined at mavfi/kernels/control/pid.py:12: fmul double of rate "
+        "(floating point), call 7, instruction 42"
     )
+    assert story["kernel"] == "pid: silent data corruption, first in control.command.vx: golden 1, here 8"
+    assert "first difference" not in story
+    crashed = log(injections=[injection], kernel=KernelEffect("crash", "SIGSEGV"))
+    story = told(found(crashed, fault=fault))
+    assert story["verdict"].startswith("crash (SIGSEGV) of a kernel, its node was restarted; the mission succeeds")
+    assert story["kernel"] == "pid: crashed (SIGSEGV); the node was restarted"
 
 
-def test_publications_are_compared_by_state_and_number():
-    """One state is held back; all else comes in another order, and is the same."""
-    command = _publication(6, name="sensor.odometry")
-    golden = [_publication(5), command, _publication(10, 2.0)]
-    injected = [command, _publication(8), _publication(10, 3.0)]
-    found = first_difference(golden, injected)
-    assert (found.state, found.field, found.golden_us, found.injected_us) == ("planning.waypoint", "", 5, 8)
-    injected = [_publication(5), command, _publication(12, 3.0)]
-    found = first_difference(golden, injected)
-    assert (found.field, found.golden, found.injected, found.golden_us, found.injected_us) == ("x", 2.0, 3.0, 10, 12)
+@pytest.mark.parametrize(
+    ("first", "sentence"),
+    [
+        (None, "none: every published value is bit for bit that of the golden run"),
+        (Difference("control.command", "vx", 5_000, 5_000, 2.749570000000001, 2.749570000000002),
+         "control.command.vx at 0.005 s: golden 2.749570000000001, here 2.749570000000002"),
+        (Difference("planning.waypoint", "", 5_000, 9_000),
+         "planning.waypoint at 0.005 s in the golden run: here held back, the same value came 4 ms later"),
+        (Difference("planning.path", "", None, 7_000), "planning.path at 0.007 s: published here alone"),
+        (Difference("planning.path", "", 7_000, None), "planning.path at 0.007 s: published by the golden run alone"),
+    ],
+)  # fmt: skip
+def test_the_first_difference(first, sentence):
+    assert told(found(log(injections=[INJECTION]), first=first))["first difference"] == sentence
 
 
-def test_the_first_in_time_is_told_whatever_state_comes_first_in_the_lists():
-    golden = [_publication(0), _publication(2, name="sensor.odometry"), _publication(9, name="sensor.odometry")]
-    injected = [_publication(0), _publication(2, 5.0, name="sensor.odometry"), _publication(9, 7.0)]
-    found = first_difference(golden, injected)
-    assert (found.state, found.time_us) == ("sensor.odometry", 2)
+def test_alarms_at_the_injection_come_before_earlier_ones_and_are_counted():
+    early = [alarm(0.01 * place) for place in range(MOST_ALARMS + 2)]
+    at_site = alarm(1.0, outcome="repaired")
+    flight = log(injections=[INJECTION], alarms=[*early, at_site, alarm(2.5)])
+    golden = log(alarms=early)
+    heading, first, *_, last = alarm_lines(flight, golden)
+    assert heading == ("alarms", "12 in all, 1 within 1 s of the injection, 10 also in the golden run")
+    assert first[1] == "1.000 s, gaussian: planning.waypoint.x, score 2.5; recompute planning: repaired"
+    assert last == ("", f"and {12 - MOST_ALARMS} more")
+    assert alarm_lines(log(), golden) == []
+    assert any("also in the golden run" in sentence for _, sentence in alarm_lines(flight, golden)[2:])
 
 
-def test_a_publication_that_one_flight_alone_has():
-    found = first_difference([_publication(0)], [_publication(0), _publication(7)])
-    assert (found.golden_us, found.injected_us) == (None, 7)
-    assert "published here alone" in _difference(found)
-    found = first_difference([_publication(0), _publication(7)], [_publication(0)])
-    assert "published by the golden twin alone" in _difference(found)
-
-
-def test_a_flip_of_a_low_bit_is_told_with_all_its_digits():
-    found = first_difference([_publication(0, 2.749570000000001)], [_publication(0, 2.749570000000002)])
-    assert _difference(found).endswith("golden 2.749570000000001, here 2.749570000000002")
-
-
-def _log(offsets, speed=1.0):
-    """A flight along x with these offsets along y."""
-    rows = np.zeros((len(offsets), len(COLUMNS)))
-    rows[:, 0] = 0.02 * np.arange(len(offsets))
-    rows[:, 1] = speed * rows[:, 0]
-    rows[:, 2] = offsets
-    return FlightLog(rows, MissionStatus.SUCCESS)
-
-
-def test_departure_is_where_the_distance_exceeds_the_limit():
-    found = departure(_log([0, 0, 0, 0, 0]), _log([0, 0.05, 0.2, 0.7, 0.3]))
-    assert found.time_s == pytest.approx(0.04)
-    assert found.position == pytest.approx((0.04, 0.2, 0.0))
-    assert (found.largest_m, found.largest_s) == (pytest.approx(0.7), pytest.approx(0.06))
-    assert found.behind_s == pytest.approx(0.0)
-
-
-def test_a_flight_that_is_late_on_the_same_path_never_leaves_it():
-    golden, slow = _log(np.zeros(101), speed=20.0), _log(np.zeros(201), speed=7.0)
-    found = departure(golden, slow)
-    assert found.time_s is None
-    assert found.largest_m == pytest.approx(0.0, abs=1e-12)
-    assert found.behind_s == pytest.approx(4.0 - 4.0 * 7.0 / 20.0)
-    assert departure(slow, golden).behind_s is not None
-
-
-def test_a_flight_that_is_early_is_ahead():
-    assert departure(_log(np.zeros(201), speed=7.0), _log(np.zeros(51), speed=10.0)).behind_s == pytest.approx(
-        1.0 - 10.0 / 7.0
-    )
-
-
-def test_departure_of_a_corrupted_flight_is_infinite():
-    assert departure(_log([0, 0, 0]), _log([0, np.nan, 0])).largest_m == np.inf
-    assert departure(_log([0, 0, 0]), _log([0, 0, np.nan])).behind_s is None
-
-
-def test_paths_that_stay_together_do_not_part():
-    found = departure(_log([0, 0]), _log([0, 0.01]))
-    assert found.time_s is None
-    assert found.largest_m == pytest.approx(0.01)
+def test_the_detector_is_named_with_its_profile_if_it_has_one():
+    flight = log(injections=[INJECTION])
+    story = told(found(flight, arm="gaussian", detector="gaussian", detector_profile="paper", model="sha"))
+    assert story["run"].endswith("detector gaussian (paper)")
+    assert story["golden run"].startswith("the same mission without the fault, with the detector on")
+    assert told(found(flight, arm="idle", detector="own.module:Mine"))["run"].endswith("detector own.module:Mine")
 
 
 @pytest.fixture(scope="module")
-def struck(flown):
+def injected(flown):
     with Store.open(flown) as store:
         return next(
-            run.spec.run_id for run in store.runs()
-            if run.spec.setting == "fi" and run.spec.fault.stage == "control" and run.spec.fault.has_site
+            run.spec.run_id for run in store.runs("injected")
+            if run.spec.setting == "fi" and run.spec.target == "control" and run.spec.fault.has_site
         )  # fmt: skip
 
 
 @pytest.mark.slow
-def test_a_run_is_explained_from_the_fault_on(flown, struck):
-    found = explain(flown, struck)
-    assert found.same
-    injection = found.log.injections[0]
-    assert f"{found.first.state}.{found.first.field}" == injection["site"]
-    assert 1e-6 * found.first.time_us == pytest.approx(injection["time_s"])
-    headings = [heading for heading, _ in lines(found)]
-    assert headings == ["run", "golden twin", "fault", "first difference", "path", "alarms", "end"]
-    assert to_json(found)["first_difference"]["state"] == found.first.state
+def test_a_run_is_explained_from_the_fault_on(flown, injected):
+    explanation = explain(flown, injected)
+    assert explanation.same
+    injection = explanation.flight.log.injections[0]
+    assert f"{explanation.first.state}.{explanation.first.field}" == injection.site
+    assert 1e-6 * explanation.first.time_us == pytest.approx(injection.time_s)
+    headings = [heading for heading, _ in lines(explanation)]
+    assert headings == ["verdict", "run", "fault", "first difference", "path", "alarms", "golden run", "end"]
+    assert to_json(explanation)["first_difference"]["state"] == explanation.first.state
 
 
 @pytest.mark.slow
-def test_a_detector_that_the_twin_has_too_is_told(flown):
-    found = explain(flown, "sparse-10000-dr_idle-planning")
-    told = dict(lines(found))
-    assert told["golden twin"] == "the same mission without the fault, the detector on"
-    assert told["run"].endswith("detector none")  # a detector without a model has no profile
-    assert to_json(found)["golden"]["detector"] == "none"
-
-
 def test_golden_runs_have_nothing_to_explain(flown):
     with pytest.raises(BadInputError, match="has no fault to explain"):
         explain(flown, "sparse-10000-golden-")

@@ -1,36 +1,80 @@
-from mavfi.reports import figures
+import polars as pl
+import pytest
+
+from mavfi.campaign.analysis.rows import SCHEMA
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.reports import figures, style
+
+COMMON = {
+    "kind": "injected", "setting": "fi", "arm": "", "detector": "", "detector_profile": "", "environment": "dense",
+    "level": "state", "population": "sign_exponent", "weight": 1.0, "judged": True, "success": True, "target": "",
+    "state": "", "kernel": "",
+}  # fmt: skip
 
 
-def _entry(target, population, rate):
-    hurt = {"n": 4, "rate": rate, "low": 0.0, "high": 1.0, "successes": 2}
-    return {
-        "environment": "dense", "target": target, "setting": "fi", "population": population, "fails_or_slower": hurt,
-    }  # fmt: skip
+def runs(*rows, campaign=None):
+    full = [{**COMMON, "seed": seed, "world": f"dense {seed}", "index": seed, **row} for seed, row in enumerate(rows)]
+    return Runs(pl.DataFrame(full, schema=SCHEMA), {}, campaign or {"profile": "published"})
 
 
-def test_groups_with_strata_of_their_own_are_all_drawn():
-    entries = [_entry("x", "mantissa", 0.0), _entry("x", "sign_exponent", 0.5), _entry("y", "sign", 0.25)]
-    axes = figures.states({"campaign": {"law": "groups"}, "by_target": entries}).axes[0]
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["x", "y"]
-    assert axes.containers[0].lines[0].get_xdata().tolist() == [0.5, 0.25]
+def golden(**row):
+    return {"kind": "golden", "setting": "golden", "population": "all", "level": "", **row}
+
+
+def test_sites_are_drawn_in_the_leading_stratum_that_each_has():
+    rows = [{"state": "x", "population": "mantissa"}, {"state": "x", "success": False}, {"state": "x"},
+            {"state": "y", "population": "sign", "success": False}, {"state": "y", "population": "sign"}]  # fmt: skip
+    axes = figures.sites(runs(*rows)).axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["x  (n = 2)", "y  (n = 2)"]
+    assert axes.containers[0].lines[0].get_xdata().tolist() == [0.5, 0.5]
+
+
+def test_faults_in_instructions_are_drawn_by_kernel():
+    rows = [{"level": "instruction", "kernel": name, "population": "all_bits"} for name in ("pid", "octomap")]
+    axes = figures.sites(runs(*rows)).axes[0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["pid  (n = 1)", "octomap  (n = 1)"]
 
 
 def test_nothing_to_show_is_no_figure():
-    empty = {"campaign": {"law": "groups", "stack": "published"}, "success": [], "by_target": [], "flight_times": []}
-    assert figures.success(empty) is figures.states(empty) is figures.flight_time(empty) is None
+    empty = runs()
+    assert figures.success(empty) is figures.sites(empty) is figures.flight_time(empty) is None
+    assert figures.success(runs(golden())) is None, "without faults there is nothing to compare"
+
+
+@pytest.mark.parametrize(("level", "population"), [("state", "sign_exponent"), ("instruction", "all_bits")])
+def test_success_at_every_level_with_counts_the_paper_and_words(level, population):
+    rows = [golden(), golden(), {"level": level, "population": population, "success": False},
+            {"level": level, "population": population},
+            {"level": level, "population": population, "setting": "dr_gaussian", "arm": "gaussian",
+             "detector": "gaussian", "detector_profile": "paper"}]  # fmt: skip
+    axes = figures.success(runs(*rows)).axes[0]
+    legend = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert legend == ["golden run", "fault", "fault + gaussian", "the paper's figure"]
+    assert [text.get_text() for text in axes.texts] == ["2", "2", "1"], "number of missions at each point"
+
+
+def test_the_paper_stands_beside_its_own_profile_only():
+    axes = figures.success(runs({"success": True}, campaign={"profile": "hardened"})).axes[0]
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["fault"]
 
 
 def test_failures_are_censored():
-    entry = {"environment": "dense", "setting": "fi", "n": 4, "inflations": [0.0, 0.5], "censored": 2}
-    axes = figures.flight_time({"flight_times": [entry]}).axes[0]
+    values = [0.0, 0.5, None, None]
+    axes = figures.flight_time(runs(*({"inflation": value, "success": value is not None} for value in values))).axes[0]
     assert axes.lines[0].get_ydata().max() == 0.5
+    assert axes.get_title(loc="left") == "dense, n = 4" or axes.get_title() == "dense, n = 4"
 
 
 def test_the_whole_curve_of_flight_times_is_in_sight():
-    entry = {"environment": "dense", "setting": "fi", "n": 4, "inflations": [-0.17, 0.0, 0.5], "censored": 1}
-    axes = figures.flight_time({"flight_times": [entry]}).axes[0]
+    axes = figures.flight_time(runs(*({"inflation": value} for value in (-0.17, 0.0, 0.5)))).axes[0]
     left, right = axes.get_xlim()
     assert left < -0.17 and right > 0.5
     assert [axes.xaxis.get_major_formatter()(share, 0) for share in (-0.06, -0.001, 0.0, 0.06)] == [
         "-6 %", "0 %", "0 %", "+6 %"
     ]  # fmt: skip
+
+
+def test_settings_differ_without_colour():
+    looks = style.setting_looks(["golden", "fi", "dr_a", "dr_b", "dr_c", "dr_d"])
+    assert len({look["marker"] for look in looks.values()}) == len(looks)
+    assert style.setting_label("golden_gaussian") == "golden run + gaussian"
