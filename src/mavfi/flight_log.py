@@ -239,5 +239,5 @@ class FlightLog:
                 [AlarmRecord.from_json(item) for item in data["alarms"]], data["meta"],
                 None if kernel is None else KernelEffect(**kernel),
             )  # fmt: skip
-        except (OSError, EOFError, LookupError, ValueError, TypeError, BadZipFile, zlib.error) as error:
+        except (OSError, EOFError, LookupError, ValueError, TypeError, RuntimeError, BadZipFile, zlib.error) as error:
             raise BadInputError(f"{path}: is not a flight log ({error})") from None

@@ -2,8 +2,9 @@ from pathlib import Path
 
 import pytest
 
-from mavfi.campaign.analysis import analyse
+from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.config import Campaign
+from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
 
 
@@ -13,14 +14,14 @@ def flown(tmp_path_factory):
     directory: Path = tmp_path_factory.mktemp("campaign")
     campaign = Campaign.model_validate(
         {
-            "name": "tiny", "environments": ["sparse"], "flights": 2, "faults": 2, "null_runs": 2,
-            "strata": {"sign_exponent": 1, "mantissa": 1}, "detectors": {"idle": {"detector": "none"}},
+            "name": "tiny", "environments": ["sparse"], "missions": 2, "faults": 2, "null_runs": 2,
+            "sampling": {"strata": {"sign_exponent": 1, "mantissa": 1}}, "arms": {"idle": {"detector": "none"}},
         }
     )  # fmt: skip
-    run_campaign(campaign, directory, workers=1)
+    run_campaign(campaign, directory, executor=LocalExecutor(1))
     return directory
 
 
 @pytest.fixture(scope="session")
-def analysis(flown):
-    return analyse(flown)
+def runs(flown):
+    return Runs.read(flown)
