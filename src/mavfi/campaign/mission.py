@@ -18,7 +18,7 @@ from mavfi.campaign.samplers.sampler import NULL, Draw, Sampled
 from mavfi.detectors.detector import Detector
 from mavfi.errors import SpecMismatchError
 from mavfi.faults.fault import Fault
-from mavfi.faults.instruction.forked import run_in_child
+from mavfi.faults.instruction.forked import WALL_CLOCK, run_in_child
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Host, MissionFlights, Recorded, find_host
 from mavfi.hosts.watching import detector_for
@@ -26,8 +26,8 @@ from mavfi.mission import Scenario
 
 ATTEMPTS_ALONE = 3
 """How often an injected run that takes its process with it is flown in a child of its own before it counts as `due`."""
-LONGEST_ALONE = 600.0
-"""Wall time after which such a child counts as dead (s)."""
+LONGEST_ALONE = 180.0
+"""Wall time after which such a child is ended (s); all attempts together take less than executors wait for an item."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +90,15 @@ def host_of(campaign: Campaign) -> Host:
     return find_host(campaign.host, campaign.host_options)
 
 
-def scenarios_of(campaign: Campaign, arms: Sequence[Arm]) -> dict[tuple[str, str], Scenario]:
+def scenarios_of(
+    campaign: Campaign, arms: Sequence[Arm], environments: Sequence[str] = ()
+) -> dict[tuple[str, str], Scenario]:  # fmt: skip
     """Scenario with the campaign's first seed, by environment and arm.
+
+    Args:
+        campaign: The campaign.
+        arms: Those that are wanted.
+        environments: Likewise; none = all of the campaign.
 
     Raises:
         BadInputError: A name is not known, or things do not fit together.
@@ -99,7 +106,7 @@ def scenarios_of(campaign: Campaign, arms: Sequence[Arm]) -> dict[tuple[str, str
     host = host_of(campaign)
     return {
         (environment, arm.name): host.resolve(campaign.spec(environment, campaign.first_seed, arm.overrides))
-        for environment in campaign.environments
+        for environment in environments or campaign.environments
         for arm in arms
     }
 
@@ -140,7 +147,7 @@ def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
         BadInputError: The mission cannot be flown at all: a name is not known, a model does not fit.
     """
     campaign = mission.campaign
-    scenarios = scenarios_of(campaign, arms_of(campaign))
+    scenarios = scenarios_of(campaign, arms_of(campaign), [mission.environment])
     plan = plan_of(campaign, mission.models, scenarios)
     host = host_of(campaign)
     setups = {arm.name: setup_of(mission, arm, host) for arm in plan.arms}
@@ -193,24 +200,34 @@ def _null(plan: Plan, draw: Draw, mission: MissionPlan, sampled: Mapping[str, Sa
 
 
 def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]:
-    """The runs with a fault, as the host gives them."""
-    started = time.perf_counter()
-    for place, flight in flights.injected([_request(spec) for spec in specs]):
-        wall_s, started = time.perf_counter() - started, time.perf_counter()
-        yield replace(_guarded(specs[place].run_id, lambda flight=flight: _judged(flight)), wall_s=wall_s)
+    """The runs with a fault, as the host gives them; those that it does not give are `unknown`."""
+    left = dict(enumerate(specs))
+    note, started = "the host gave no such flight", time.perf_counter()
+    try:
+        for place, flight in flights.injected([_request(spec) for spec in specs]):
+            wall_s, started = time.perf_counter() - started, time.perf_counter()
+            yield replace(_guarded(left.pop(place).run_id, lambda flight=flight: _judged(flight)), wall_s=wall_s)
+    except SpecMismatchError:
+        raise
+    except Exception:  # as in `_guarded`
+        note = traceback.format_exc()
+    for spec in left.values():
+        yield Flown(spec.run_id, FlightRecord(End.UNKNOWN, error="no flight"), note)
 
 
 def _alone(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]:
-    """The same, each in a child of its own; one that dies each time is `due`."""
+    """The same, each in a child of its own; one that dies each time is `due`, one that takes too long is not judged."""
     for spec in specs:
+        late = False
         for _ in range(ATTEMPTS_ALONE):
             ended = run_in_child(lambda spec=spec: pickle.dumps(next(_injected([spec], flights))), LONGEST_ALONE)
             if ended.how == "done":
                 yield pickle.loads(ended.payload)
                 break
+            late |= ended.detail == WALL_CLOCK
         else:
-            record = FlightRecord(End.DUE, error="the process died each time")
-            yield Flown(spec.run_id, record, f"{ended.how} {ended.detail}".strip())
+            end, error = (End.UNKNOWN, "took too long") if late else (End.DUE, "the process died each time")
+            yield Flown(spec.run_id, FlightRecord(end, error=error), f"{ended.how} {ended.detail}".strip())
 
 
 def _request(spec: RunSpec) -> tuple[str, Fault]:

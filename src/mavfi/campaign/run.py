@@ -65,8 +65,8 @@ class Progress(Status):
 
     @property
     def rate(self) -> float:
-        """Runs per second in this session."""
-        return self.flown / self.seconds if self.seconds > 0 else 0.0
+        """Runs per second in this session, from its first run on."""
+        return (self.flown - 1) / self.seconds if self.seconds > 0 else 0.0
 
     @property
     def remaining_s(self) -> float:
@@ -112,7 +112,7 @@ class _Session:
             self._give_up(mission, lost[mission.world][1])
 
     def _fly_once(self, executor: Executor, missions: list[MissionPlan]) -> Iterator[tuple[MissionPlan, Lost]]:
-        with closing(executor.map(fly_mission, missions)) as items:  # type: ignore[type-var]
+        with closing(executor.map(fly_mission, missions)) as items:
             for mission, item in items:
                 if isinstance(item, Lost):
                     yield mission, item
@@ -131,24 +131,22 @@ class _Session:
 
     def _write(self, flown: Flown) -> None:
         self.store.write(flown.run_id, flown.record, flown.note, flown.wall_s)
-        if self.started == 0.0:
-            self.started = time.perf_counter()
-        else:
-            self.flown += 1
+        self.started = self.started or time.perf_counter()
+        self.flown += 1
         setting = self.store.setting_of(flown.run_id)
         planned, done, success = self.counts[setting]
         self.counts[setting] = planned, done + 1, success + (flown.record.status == MissionStatus.SUCCESS.label)
         self.tell()
 
     def _give_up(self, mission: MissionPlan, lost: Lost) -> None:
-        """A mission whose golden runs take their process with them each time: nothing is drawn from these."""
-        record = FlightRecord(End.DUE if lost.died else End.UNKNOWN, error=lost.reason)
-        golden = self.plan.golden(*mission.world)
-        self.store.plan(golden)
-        for spec in golden:
-            if spec.run_id not in mission.done:
-                self._write(Flown(spec.run_id, record, lost.reason))
-        self.store.end_plan(mission.world)
+        """A mission whose golden runs take their process with them each time: nothing is drawn from these.
+
+        What was drawn in an earlier session is not judged.
+        """
+        self._plan(mission, Planned(tuple(self.plan.golden(*mission.world)), last=True))
+        for spec in [run.spec for run in self.store.runs(done=False) if run.spec.world == mission.world]:
+            end = End.DUE if lost.died and spec.kind == "golden" else End.UNKNOWN
+            self._write(Flown(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason))
 
     def tell(self, *, compiling: bool = False) -> None:
         """Report how far it is."""
@@ -251,8 +249,7 @@ def status(directory: Path) -> Status:
         done = sum(number for _, number, _ in counts.values())
         if store.complete:
             return Status(done, sum(planned for planned, _, _ in counts.values()), counts)
-        campaign = stored_campaign(store)
-        return Status(done, plan_of(campaign, {}, scenarios_of(campaign, arms_of(campaign))).count(), counts)
+        return Status(done, plan_of(stored_campaign(store), {}, {}).count(), counts)
 
 
 def stored_campaign(store: Store) -> Campaign:

@@ -1,8 +1,10 @@
 """Local processes, forked from this one: each takes one mission after the other and streams what it gives."""
 
+import contextlib
 import ctypes
 import multiprocessing
 import os
+import pickle
 import signal
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
@@ -12,7 +14,7 @@ from multiprocessing.process import BaseProcess
 from typing import Any, Generic, TypeVar
 
 from mavfi.campaign.executors.executor import Done, Lost
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, MavfiError
 
 TIME_LIMIT = 600.0
 """Wall time without an item after which a worker counts as lost (s); a watchdog, hundreds of times a flight."""
@@ -67,7 +69,7 @@ class LocalExecutor:
         for place, worker in reversed(list(enumerate(workers))):
             mission = worker.mission
             item = worker.take() if worker.pipe in ready else worker.overdue(self._time_limit)
-            if item is None:
+            if item is _NOTHING:
                 continue
             if isinstance(item, _Raised):
                 raise item.error
@@ -108,9 +110,10 @@ class _Worker(Generic[T]):
         self._since = time.monotonic()
 
     def give(self, mission: T) -> None:
-        """Hand over a mission."""
+        """Hand over a mission; that the process is gone is seen when it is to answer."""
         self.mission, self._since = mission, time.monotonic()
-        self.pipe.send(mission)
+        with contextlib.suppress(OSError):
+            self.pipe.send(mission)
 
     def take(self) -> Any:
         """The next item; `Lost` if the process is gone."""
@@ -123,10 +126,10 @@ class _Worker(Generic[T]):
             how = signal.Signals(-code).name if -code in {int(s) for s in signal.Signals} else f"exit code {code}"
             return Lost(f"its worker died ({how})", died=True)
 
-    def overdue(self, limit: float) -> Lost | None:
+    def overdue(self, limit: float) -> Any:
         """`Lost` if the process has given nothing for too long."""
         if time.monotonic() - self._since < limit:
-            return None
+            return _NOTHING
         return Lost(f"its worker gave nothing for {limit:g} s", died=False)
 
     def end(self) -> None:
@@ -160,4 +163,13 @@ def _work(pipe: Connection, other_end: Connection, function: Callable[[Any], Ite
         except BrokenPipeError:
             return
         except Exception as error:  # whoever asked raises it
-            pipe.send(_Raised(error))
+            pipe.send(_Raised(_portable(error)))
+
+
+def _portable(error: Exception) -> Exception:
+    """An exception that another process can read."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # whatever a class of somebody else's does with its arguments
+        return MavfiError(f"{type(error).__name__}: {error}")
+    return error

@@ -21,6 +21,8 @@ from mavfi.faults.instruction.runtime import HANG_EXIT
 How = Literal["done", "crash", "hang", "exception"]
 _EXCEPTION_EXIT = 70
 LENGTH_BYTES = 8
+WALL_CLOCK = "wall clock"
+"""Detail of a child that was ended because it took too long."""
 _CHUNK = 1 << 16
 _SIGNALS = {int(number): number.name for number in signal.Signals}
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
@@ -168,7 +170,7 @@ def _wait(pid: int, pipe: int, timeout: float) -> Ended:
             signal.pidfd_send_signal(handle, signal.SIGKILL)
         _, status = os.waitpid(pid, 0)
         os.close(handle)
-    return Ended("hang", detail="wall clock") if late else judge_status(status, bytes(data))
+    return Ended("hang", detail=WALL_CLOCK) if late else judge_status(status, bytes(data))
 
 
 def _has_ended(handle: int) -> bool:
