@@ -109,7 +109,7 @@ class RegisterSampling(Config):
 
 
 def _level_of(data: Any) -> str:
-    return str(data.get("level", "state") if isinstance(data, Mapping) else data.level)
+    return str(data.get("level", "state") if isinstance(data, Mapping) else getattr(data, "level", "state"))
 
 
 Sampling = Annotated[
@@ -136,10 +136,12 @@ class ArmConfig(Config):
     def _gather(cls, data: Any) -> Any:
         if not isinstance(data, dict):
             return data
-        keys = [key for key in data if key in ("stack", *MissionSpec.model_fields)]
-        beside = {key: data[key] for key in keys}
-        rest = {key: value for key, value in data.items() if key not in keys}
-        return {**rest, "mission": mission_keys({**rest.get("mission", {}), **beside}, "arms")} if keys else rest
+        beside = {key: data[key] for key in data if key in ("stack", *MissionSpec.model_fields)}
+        rest = {key: value for key, value in data.items() if key not in beside}
+        mission = rest.get("mission", {})
+        if not isinstance(mission, dict):
+            return data  # is refused
+        return {**rest, "mission": mission_keys({**mission, **beside}, "arms")}
 
 
 class Scale(Config):
