@@ -21,6 +21,8 @@ class Config(BaseModel):
 
 
 ConfigType = TypeVar("ConfigType", bound=Config)
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""Of plain data; the compiled one where there is one: every mission of a campaign reads its configuration."""
 
 
 class VehicleConfig(Config):
@@ -181,7 +183,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         BadInputError: The file is absent, not YAML, or not a mapping.
     """
     try:
-        data = yaml.safe_load(path.read_text(encoding="utf-8"))
+        data = yaml.load(path.read_text(encoding="utf-8"), _LOADER)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:

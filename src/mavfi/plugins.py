@@ -32,10 +32,11 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
     Raises:
         BadInputError: The name is not known, or what it names cannot be imported or called; the message says why.
     """
-    place = shipped.get(name)  # entry points cannot take these names, and to look for them takes milliseconds
-    if place is None:
+    # entry points cannot take these names, and to look for them takes milliseconds
+    place = shipped.get(name, name if ":" in name else "")
+    if not place:
         names = known(group, shipped)
-        place = names.get(name, name if ":" in name else "")
+        place = names.get(name, "")
     if not place:
         raise BadInputError(f"{what} {name!r}: not known; allowed: {', '.join(sorted(names))}, or package:object")
     module, _, attribute = place.partition(":")
