@@ -1,164 +1,220 @@
-"""A flight of a few microseconds with the interface of the real one: what the campaign layer is tested with."""
+"""A host whose flights take microseconds, and a detector: what the campaign engine is tested with.
+
+A campaign asks for them by name, "tests.unit.campaign.fakes:FakeHost".  Workers are forked, and so know what a test has
+set in `TROUBLE`.
+"""
 
 import contextlib
 import hashlib
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import Any
 
 import numpy as np
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.worker import Tools
-from mavfi.errors import BadInputError
+from mavfi.faults.fault import Fault, InstructionFault, StateFault
 from mavfi.faults.state import StateInjector
-from mavfi.flight_log import COLUMNS, Event, FlightLog, Profile
-from mavfi.hosts.compose import make_scenario
-from mavfi.mission import MissionStatus
-from mavfi.states import new_state, states_with
+from mavfi.flight_log import COLUMNS, AlarmRecord, Event, FlightLog, Injection, Profile
+from mavfi.hosts.host import ArmSetup, Flight
+from mavfi.mission import MissionStatus, Scenario
+from mavfi.states import Stage, new_state, states_with
 
-MODEL = "0123456789abcdef"
+HOST = "tests.unit.campaign.fakes:FakeHost"
+DETECTOR = "tests.unit.campaign.fakes:FakeDetector"
 STATES = states_with("truth")
+SECONDS = 12
+"""Every state is published once a second."""
+DEADLY, BROKEN = 10_001, 10_002
+"""Seeds of the missions with trouble."""
 
 
 @dataclass
 class Trouble:
-    """What goes wrong in flights with a fault of a seed; workers are forked and so know what a test has set."""
+    """What goes wrong.
+
+    Attributes:
+        dies: Processes of injected flights with seed `DEADLY` die as often as this folder has files; each takes one.
+        golden_dies: The same of golden flights.
+        dies_at: Only runs of this target's site die; "" = all.
+        raises: Whether injected flights with seed `BROKEN` raise.
+        flown: Folder in which each mission leaves a file named after its world and process; None = nowhere.
+        stray: Added to a coordinate: another flight than the one that was planned (m).
+        mute: How many of the injected flights of each mission the host does not give.
+    """
 
     dies: Path | None = None
-    """Workers of flights with a fault and seed 10,001 die as often as this folder has files; each takes one."""
-    raises: int | None = None
-    """Seed whose faulty flights raise."""
+    golden_dies: Path | None = None
+    dies_at: str = ""
+    raises: bool = False
+    flown: Path | None = None
+    stray: float = 0.0
+    mute: int = 0
 
 
 TROUBLE = Trouble()
 
 
-@dataclass
-class FakeFlight:
-    log: FlightLog
-    profile: Profile | None
-
-
 class FakeDetector:
-    pass
+    """Watches nothing; `FakeFlights` raises its alarms."""
+
+    def start(self) -> None: ...
+
+    def check(self, state, time_us): ...
+
+    def accept(self, state, time_us) -> None: ...
 
 
-def publications():
-    """Every state at 1 s pitch; consumers act on every third collision status."""
-    for second in range(12):
-        for name, spec in STATES.items():
-            state = new_state(name, 3 if spec.elements else 0)
-            if spec.acted_on:
-                state.header[spec.acted_on] = second // 3
-            yield state, 1_000_000 * second
+class FakeHost:
+    name = "fake"
+    levels = frozenset({"state", "instruction"})
+    deterministic = True
+    in_process = False
+
+    def mission(self, arms: dict[str, ArmSetup], *, fast_forward: bool = True) -> "FakeFlights":
+        return FakeFlights(arms, fast_forward)
 
 
-def golden_profile(seed: int) -> Profile:
-    times = {name: np.arange(12, dtype=np.int64) * 1_000_000 for name in STATES}
-    times["perception.collision_status"] = np.array([3, 6, 9] if seed % 5 else [], np.int64) * 1_000_000
-    counts = {name: np.full(len(times[name]), 3 if spec.elements else 0, np.int32) for name, spec in STATES.items()}
-    return Profile(times, counts)
+class WarmHost(FakeHost):
+    """One that compiles in this process: campaigns fly their first golden runs there."""
+
+    in_process = True
 
 
-def fly(scenario, fault, detector, *, want_profile):
-    seed = scenario.seed
-    duration = 40.0 + seed % 7 + 10.0 * (scenario.environment.name == "dense")
-    status, injections, alarms = MissionStatus.SUCCESS, [], []
-    if fault is not None:
-        _trouble(seed)
-        injector = StateInjector(fault)
-        changed = False
-        for state, time_us in publications():
-            changed |= not injector(state, time_us).same_bits(state)
-        injections = [injection.to_json() for injection in injector.finish()]
-        if changed and detector is None:
-            roll = hashlib.sha256(f"{fault.site}{fault.bit}{seed}".encode()).digest()[0]
-            status = MissionStatus.COLLISION if roll % 4 == 0 and fault.bit >= 31 else status
-            duration *= 1.0 + roll / 255
-        if changed and detector is not None:
-            time_s = injections[0]["time_s"]
-            alarms = [
-                {
-                    "time_s": time_s,
-                    "state": fault.site.state,
-                    "source": "fake",
-                    "action": "recompute",
-                    "outcome": "repaired",
-                }
-            ]
+class StateHost(FakeHost):
+    """One that injects into states only."""
+
+    levels = frozenset({"state"})
+
+
+class WildHost(FakeHost):
+    """One whose flights cannot be flown again."""
+
+    deterministic = False
+
+
+class FakeFlights:
+    """Flights of one mission; fast-forwarded ones come in another order."""
+
+    def __init__(self, arms: dict[str, ArmSetup], fast_forward: bool) -> None:
+        self.arms, self.fast_forward = arms, fast_forward
+        self.known: dict[str, Flight] = {}
+        self.detectors = {name: setup.make_detector and setup.make_detector() for name, setup in arms.items()}
+
+    def golden(self, arm: str, *, profile: bool = False) -> Flight:
+        scenario = self.arms[arm].scenario
+        _note(scenario)
+        _die(TROUBLE.golden_dies, scenario.seed)
+        if arm not in self.known:
+            self.known[arm] = fly(self.arms[arm], self.detectors[arm], None)
+        return self.known[arm] if profile else Flight(self.known[arm].log)
+
+    def know(self, arm: str, flight: Flight) -> None:
+        self.known[arm] = flight
+
+    def injected(self, runs: list[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
+        order = list(enumerate(runs))
+        for place, (arm, fault) in (order[::-1] if self.fast_forward else order)[: len(order) - TROUBLE.mute]:
+            setup = self.arms[arm]
+            if TROUBLE.dies_at in fault.site:
+                _die(TROUBLE.dies, setup.scenario.seed)
+            if TROUBLE.raises and setup.scenario.seed == BROKEN:
+                try:
+                    raise ZeroDivisionError("a mistake of ours")
+                except ZeroDivisionError as error:
+                    yield place, error
+            else:
+                yield place, fly(setup, self.detectors[arm], fault)
+
+
+def fly(setup: ArmSetup, detector: Any, fault: Fault | None) -> Flight:
+    """Later with each fault that changes something; a detector repairs, and raises a false alarm now and then."""
+    scenario, seed = setup.scenario, setup.scenario.seed
+    duration = 40.0 + seed % 7 + 10.0 * (scenario.environment.name == "dense") + 3.0 * (scenario.planner.name == "rrt")
+    duration += scenario.wind.gust + (setup.coupling == "observer")
+    injections = [] if fault is None else _inject(fault)
+    changed = any(injection.activated and injection.bit is not None for injection in injections)
+    alarms, status = [], MissionStatus.SUCCESS
+    if changed and detector is None:
+        roll = hashlib.sha256(f"{fault.site}{fault.bit}{seed}".encode()).digest()[0]
+        status = MissionStatus.COLLISION if roll % 4 == 0 and fault.bit >= 31 else status
+        duration *= 1.0 + roll / 255
+    if changed and detector is not None:
+        state = fault.where.state if isinstance(fault, StateFault) else "control.command"
+        alarms.append(AlarmRecord(injections[0].time_s, "fake", state, "control", outcome="repaired"))
     if detector is not None and seed % 3 == 0:
-        alarms.append(
-            {"time_s": 20.0, "state": "control.command", "source": "fake", "action": "recompute", "outcome": "accepted"}
-        )
+        alarms.append(AlarmRecord(20.0, "fake", "control.command", Stage.CONTROL, outcome="accepted"))
     rows = np.zeros((30, len(COLUMNS)))
     rows[:, 0] = np.linspace(0, duration, 30)
-    rows[:, 1] = np.linspace(0, 100, 30)
+    rows[:, 1] = np.linspace(TROUBLE.stray, 100, 30)
     rows[:, 4] = 100 / duration
     rows[:, 7] = 1
     meta = {
         "compute_us": {"octomap": 900_000, "pid": 100_000 + 289_000 * len(alarms)},
         "recompute_us": {"perception": 289_000 * len(alarms), "planning": 0, "control": 0},
-        "publications": dict.fromkeys(STATES, 12),
+        "publications": dict.fromkeys(STATES, SECONDS),
         "time_limit_s": 150.0,
+        "course_m": 100.0,
     }
     log = FlightLog(rows, status, [Event(0, "plan"), Event(9, "plan")], injections, alarms, meta)
-    return FakeFlight(log, golden_profile(seed) if want_profile else None)
+    return Flight(log, golden_profile(seed) if fault is None else None)
 
 
-def _trouble(seed: int) -> None:
-    if TROUBLE.raises == seed:
-        raise ZeroDivisionError("a mistake of ours")
-    if TROUBLE.dies is not None and seed == 10_001:
-        for token in TROUBLE.dies.iterdir():
-            with contextlib.suppress(FileNotFoundError):  # another worker took it
-                token.unlink()
-                os._exit(9)
+def _inject(fault: Fault) -> list[Injection]:
+    if isinstance(fault, InstructionFault):
+        return [Injection(fault.level, fault.site, 1.0, fault.bit, 0, 1, fault.has_site)]
+    injector = StateInjector(fault)
+    for state, time_us in publications(fault.where.state):
+        injector(state, time_us)
+    return list(injector.finish())
+
+
+def publications(name: str):
+    """A state at 1 s pitch; consumers act on every third collision status."""
+    spec = STATES[name]
+    for second in range(SECONDS):
+        state = new_state(name, 3 if spec.elements else 0)
+        if spec.acted_on:
+            state.header[spec.acted_on] = second // 3
+        yield state, 1_000_000 * second
+
+
+def golden_profile(seed: int) -> Profile:
+    """What `publications` would leave; in every fifth mission nobody acts on a collision status."""
+    times = {name: np.arange(SECONDS, dtype=np.int64) * 1_000_000 for name in STATES}
+    times["perception.collision_status"] = np.array([3, 6, 9] if seed % 5 else [], np.int64) * 1_000_000
+    counts = {name: np.full(len(times[name]), 3 if spec.elements else 0, np.int32) for name, spec in STATES.items()}
+    return Profile(times, counts)
+
+
+def _note(scenario: Scenario) -> None:
+    if TROUBLE.flown is not None:
+        (TROUBLE.flown / f"{scenario.environment.name}-{scenario.seed}.{os.getpid()}").touch()
+
+
+def _die(folder: Path | None, seed: int) -> None:
+    if folder is None or seed != DEADLY:
+        return
+    for token in folder.iterdir():
+        with contextlib.suppress(FileNotFoundError):  # another worker took it
+            token.unlink()
+            os._exit(9)
 
 
 def deaths(folder: Path, count: int) -> Path:
-    """A folder that lets workers die so often."""
+    """A folder that lets processes die so often."""
     folder.mkdir()
     for number in range(count):
         (folder / str(number)).touch()
     return folder
 
 
-def load_detector(detector, profile, models_dir, scenario):
-    if detector == "nonsense":
-        raise BadInputError("detector 'nonsense': not known")
-    return FakeDetector(), MODEL if models_dir is None else models_dir.name
-
-
-FAKE = Tools(fly, load_detector, make_scenario)
-
-
-class FakeFamily:
-    """Flies the long way, and notes in which process the flights of a mission were."""
-
-    flown: ClassVar[Path | None] = None
-
-    def __init__(self, scenario):
-        self.scenario = scenario
-
-    def fly(self, fault, detector, arm):
-        if FakeFamily.flown is not None:
-            world = f"{self.scenario.environment.name}-{self.scenario.seed}"
-            (FakeFamily.flown / f"{world}.{os.getpid()}").touch()
-        return fly(self.scenario, fault, detector, want_profile=fault is None and detector is None)
-
-
-FORKING = Tools(fly, load_detector, make_scenario, FakeFamily)
-
-
 def small(**changes) -> Campaign:
+    """A campaign of two environments and one arm with a detector."""
     content = {
-        "name": "small",
-        "environments": ["sparse", "dense"],
-        "flights": 4,
-        "faults": 6,
-        "detectors": {"gaussian": {"detector": "fake"}},
-        **changes,
-    }
+        "name": "small", "host": HOST, "environments": ["sparse", "dense"], "missions": 4, "faults": 6,
+        "arms": {"gaussian": {"detector": DETECTOR}}, **changes,
+    }  # fmt: skip
     return Campaign.model_validate(content)

@@ -1,35 +1,59 @@
+"""A campaign leaves the same ledger for any number of workers, after any stop, and whatever dies on the way."""
+
 import os
 import signal
+import sqlite3
 import time
+from collections import Counter
 from dataclasses import asdict
 
 import pytest
 
+from mavfi.campaign import mission as mission_module
 from mavfi.campaign import run as run_module
+from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign, status, stored_campaign
-from mavfi.campaign.store import Store
-from mavfi.errors import BadInputError
-from tests.unit.campaign import fakes
-from tests.unit.campaign.fakes import FAKE, small
+from mavfi.campaign.store import FILE, Store
+from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.flight_record import End
+from tests.unit.campaign.fakes import BROKEN, DEADLY, DETECTOR, TROUBLE, FakeDetector, deaths, small
+
+TOTAL = 2 * (2 * (4 + 18) + 3)
+INSTRUCTIONS = {"level": "instruction", "kernels": ["pid"]}
+
+
+def flown_into(directory, campaign=None, workers=1, **options):
+    return run_campaign(campaign or small(), directory, executor=LocalExecutor(workers), **options)
 
 
 def digest(directory) -> str:
     with Store.open(directory) as store:
+        assert store.complete
         return store.digest()
+
+
+def stop_at(flown):
+    """A progress report that presses Ctrl-C once so many runs are flown."""
+
+    def interrupt(progress):
+        if progress.flown == flown:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(5)  # the signal arrives in here
+
+    return interrupt
 
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory):
     directory = tmp_path_factory.mktemp("campaign")
     reports = []
-    end = run_campaign(small(), directory, workers=1, tools=FAKE, progress=reports.append)
-    return directory, end, reports
+    return directory, flown_into(directory, progress=reports.append), reports
 
 
-def test_everything_is_flown_and_told(flown):
+def test_everything_is_flown_and_reported(flown):
     directory, end, reports = flown
     assert end.complete
-    assert end.done == end.total == 2 * (2 * (4 + 18) + 3)
+    assert end.done == end.total == TOTAL
     assert end.settings["golden"] == (8, 8, 8)
     assert end.settings["fi"][:2] == (36, 36)
     assert sorted({report.done for report in reports}) == list(range(end.total + 1))
@@ -37,133 +61,307 @@ def test_everything_is_flown_and_told(flown):
     assert reports[-1].rate > 0
     assert reports[-1].remaining_s == 0
     assert status(directory) == end
-    assert set(asdict(end)) == {"done", "total", "settings"}, "a sitting is over: nothing to tell of its speed"
+    assert set(asdict(end)) == {"done", "total", "settings"}, "the session is over: nothing to say of its speed"
     with Store.open(directory) as store:
         assert stored_campaign(store) == small()
-        assert all(run.record["end"] == "flown" for run in store.runs())
+        assert all(run.record.end is End.FLOWN for run in store.runs())
 
 
-def test_two_workers_give_the_same_content(flown, tmp_path):
-    run_campaign(small(), tmp_path, workers=2, tools=FAKE)
+def test_counts_of_reports_are_those_of_the_ledger(flown):
+    directory, end, reports = flown
+    with Store.open(directory) as store:
+        runs = list(store.runs())
+    successes = Counter(run.spec.setting for run in runs if run.record.status == "success")
+    assert {name: success for name, (_, _, success) in end.settings.items()} == successes
+    assert 0 < successes["fi"] < 36
+    assert reports[-1].settings == end.settings
+
+
+@pytest.mark.parametrize("fast_forward", [True, False])
+def test_two_workers_give_the_same_content_either_way(flown, tmp_path, fast_forward):
+    assert flown_into(tmp_path, workers=2, fast_forward=fast_forward) == flown[1]
     assert digest(tmp_path) == digest(flown[0])
 
 
 def test_another_seed_gives_other_content(flown, tmp_path):
-    run_campaign(small(first_seed=20_000), tmp_path, workers=1, tools=FAKE)
+    flown_into(tmp_path, small(first_seed=20_000))
     assert digest(tmp_path) != digest(flown[0])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("stop_after", [0, 3, 16, 40])
-def test_ctrl_c_stops_cleanly_and_the_same_call_goes_on(flown, tmp_path, stop_after):
-    def interrupt(progress):
-        if progress.flown == stop_after:
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(5)  # the signal arrives in here
-
+@pytest.mark.parametrize(
+    ("stop_after", "fast_forward"), [(0, True), (1, False), (9, True), (40, False), (40, True), (TOTAL - 1, True)]
+)
+def test_ctrl_c_stops_cleanly_and_the_same_call_resumes(flown, tmp_path, stop_after, fast_forward):
     with pytest.raises(KeyboardInterrupt):
-        run_campaign(small(), tmp_path, workers=2, tools=FAKE, progress=interrupt)
+        flown_into(tmp_path, workers=2, progress=stop_at(stop_after), fast_forward=not fast_forward)
     assert status(tmp_path).done == stop_after
     reports = []
-    end = run_campaign(small(), tmp_path, workers=1, tools=FAKE, progress=reports.append)
+    end = flown_into(tmp_path, progress=reports.append, fast_forward=fast_forward)
     assert reports[-1].flown == end.total - stop_after
+    assert end == flown[1]
     assert digest(tmp_path) == digest(flown[0])
 
 
-def test_a_finished_campaign_flies_nothing_again(flown):
-    directory, _, _ = flown
+@pytest.mark.parametrize("stop_at_plan", [1, 2, 16])
+def test_a_campaign_stopped_while_it_is_planned_has_no_gap(flown, tmp_path, monkeypatch, stop_at_plan):
+    plans = []
+
+    def stop(store, specs):
+        plans.append(specs)
+        if len(plans) == stop_at_plan:
+            raise KeyboardInterrupt
+        really(store, specs)
+
+    really = Store.plan
+    monkeypatch.setattr(Store, "plan", stop)
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(tmp_path)
+    monkeypatch.undo()
+    flown_into(tmp_path)
+    assert digest(tmp_path) == digest(flown[0])
+
+
+def test_a_finished_campaign_flies_nothing_again(flown, monkeypatch):
+    directory, end, _ = flown
     before = digest(directory)
+    monkeypatch.setattr(run_module, "fly_mission", None)
     reports = []
-    run_campaign(small(), directory, workers=1, tools=FAKE, progress=reports.append)
+    assert flown_into(directory, progress=reports.append) == end
     assert max(report.flown for report in reports) == 0
     assert digest(directory) == before
 
 
-@pytest.mark.slow
-def test_the_death_of_a_worker_is_survived(flown, tmp_path, monkeypatch):
-    monkeypatch.setattr(fakes.TROUBLE, "dies", fakes.deaths(tmp_path / "deaths", 1))
-    run_campaign(small(), tmp_path / "out", workers=2, tools=FAKE)
-    assert digest(tmp_path / "out") == digest(flown[0])
+def test_a_mission_is_flown_by_one_worker(tmp_path, monkeypatch):
+    (tmp_path / "flown").mkdir()
+    monkeypatch.setattr(TROUBLE, "flown", tmp_path / "flown")
+    flown_into(tmp_path / "out", workers=2)
+    worlds, processes = zip(*(path.name.split(".") for path in (tmp_path / "flown").iterdir()), strict=True)
+    assert sorted(worlds) == sorted(f"{name}-{seed}" for name in ("sparse", "dense") for seed in range(10_000, 10_004))
+    assert str(os.getpid()) not in processes
 
 
-@pytest.mark.slow
-def test_a_run_that_dies_each_time_is_due_and_the_rest_is_flown(tmp_path, monkeypatch):
-    monkeypatch.setattr(fakes.TROUBLE, "dies", fakes.deaths(tmp_path / "deaths", 100))
-    campaign = small(environments=["sparse"], faults=2, null_runs=0, detectors={})
-    end = run_campaign(campaign, tmp_path / "out", workers=2, tools=FAKE)
-    assert end.complete
-    with Store.open(tmp_path / "out") as store:
-        for run in store.runs():
-            dies = run.spec.seed == 10_001 and run.spec.fault is not None
-            assert run.record["end"] == ("due" if dies else "flown")
-            assert ("exit code 9" in run.note) == dies
+def test_what_is_compiled_in_a_worker_is_compiled_here_before(flown, tmp_path, monkeypatch):
+    (tmp_path / "flown").mkdir()
+    monkeypatch.setattr(TROUBLE, "flown", tmp_path / "flown")
+    reports = []
+    warm = small(host="tests.unit.campaign.fakes:WarmHost")
+    flown_into(tmp_path / "out", warm, progress=reports.append)
+    here = [path.stem for path in (tmp_path / "flown").iterdir() if path.suffix == f".{os.getpid()}"]
+    assert here == ["sparse-10000"], "golden runs of the first mission"
+    assert [report.compiling for report in reports[:2]] == [True, False]
+    assert not any(report.compiling for report in reports[1:])
+    assert reports[-1].flown == TOTAL, "what was flown here is not counted"
 
 
-def test_an_exception_is_recorded_as_unknown(tmp_path, monkeypatch):
-    monkeypatch.setattr(fakes.TROUBLE, "raises", 10_002)
-    end = run_campaign(small(), tmp_path, workers=1, tools=FAKE)
-    with Store.open(tmp_path) as store:
-        unknown = [run for run in store.runs() if run.record["end"] == "unknown"]
-    assert end.complete
-    assert {run.spec.seed for run in unknown} == {10_002}
-    assert all("a mistake of ours" in run.note for run in unknown)
+def test_every_fault_of_a_mission_is_in_the_ledger_before_the_first_of_them_is_flown(tmp_path, monkeypatch):
+    seen = []
 
+    def write(store, run_id, record, note, wall_s):
+        run = store.run(run_id)
+        if run.spec.fault is not None:
+            planned = [other for other in store.runs() if other.spec.world == run.spec.world]
+            seen.append(Counter(other.spec.kind for other in planned))
+            assert run.spec.world in store.planned()
+        really(store, run_id, record, note, wall_s)
 
-def test_every_fault_is_stored_before_the_first_of_them_flies(tmp_path):
-    golden = 2 * 2 * 4
-
-    def interrupt(progress):
-        if progress.done == golden and "fi" in progress.settings:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_campaign(small(), tmp_path, workers=1, tools=FAKE, progress=interrupt)
-    end = status(tmp_path)
-    assert end.done == golden
-    assert sum(planned for planned, _, _ in end.settings.values()) == end.total
+    really = Store.write
+    monkeypatch.setattr(Store, "write", write)
+    flown_into(tmp_path)
+    assert len(seen) == TOTAL - 16
+    for kinds in seen:
+        assert kinds["golden"] == 2
+        assert kinds["injected"] in (6, 12), "one or two faults of each stage, in both arms"
 
 
 def test_bad_input_is_found_before_anything_is_written(tmp_path):
     directory = tmp_path / "out"
-    for campaign, workers, message in (
-        (small(environments=["venus"]), 1, "environment 'venus'"),
-        (small(stack="soft"), 1, "stack 'soft'"),
-        (small(detectors={"x": {"detector": "nonsense"}}), 1, "detector 'nonsense'"),
-        (small(), 0, "workers: 0"),
+    for campaign, message in (
+        (small(environments=["venus"]), "environment 'venus'"),
+        (small(mission={"autopilot": "soft"}), "stack 'soft'"),
+        (small(arms={"x": {"detector": "nonsense"}}), "detector 'nonsense'"),
+        (small(arms={"x": {"detector": DETECTOR, "profile": "rough"}}), "profile 'rough'"),
+        (small(arms={"x": {"planner": "absent.yaml"}}), "absent.yaml"),
+        (small(host="nowhere"), "host 'nowhere': not known"),
+        (small(host="ros1:"), "cannot be imported"),
+        (small(host="tests.unit.campaign.fakes:StateHost", sampling=INSTRUCTIONS), "faults of level 'instruction'"),
     ):
         with pytest.raises(BadInputError, match=message):
-            run_campaign(campaign, directory, workers=workers, tools=FAKE)
+            flown_into(directory, campaign)
     assert not directory.exists()
 
 
-def test_another_campaign_or_model_is_refused(flown, tmp_path):
+def with_model(monkeypatch, sha=None):
+    """Detectors have a model now, whose sha256 is the name of its folder."""
+
+    def found(scenario, name, profile, models_dir=None):
+        return FakeDetector(), sha or (models_dir.name if models_dir else "shipped")
+
+    monkeypatch.setattr(run_module, "detector_for", found)
+    monkeypatch.setattr(mission_module, "detector_for", found)
+
+
+def test_another_campaign_or_model_is_refused(flown, tmp_path, monkeypatch):
     directory, _, _ = flown
     before = digest(directory)
-    with pytest.raises(BadInputError, match="differs in: campaign"):
-        run_campaign(small(faults=7), directory, workers=1, tools=FAKE)
+    for changed in (small(faults=7), small(mission={"wind": 1.0}), small(arms={})):
+        with pytest.raises(BadInputError, match="differs in: .*campaign"):
+            flown_into(directory, changed)
+    with_model(monkeypatch)
     with pytest.raises(BadInputError, match="differs in: models"):
-        run_campaign(small(), directory, workers=1, tools=FAKE, models_dir=tmp_path / "retrained")
+        flown_into(directory, models_dir=tmp_path / "retrained")
     assert digest(directory) == before
 
 
-def test_versions_are_not_mixed_within_a_campaign(tmp_path, monkeypatch):
-    def interrupt(progress):
-        raise KeyboardInterrupt
+def test_runs_know_the_model_that_they_fly_with_and_workers_refuse_another(tmp_path, monkeypatch):
+    with_model(monkeypatch)
+    flown_into(tmp_path / "out", models_dir=tmp_path / "mine")
+    with Store.open(tmp_path / "out") as store:
+        assert {(run.spec.arm, run.spec.model) for run in store.runs()} == {("", ""), ("gaussian", "mine")}
+        assert store.meta("models_dir") == str(tmp_path / "mine")
+    monkeypatch.setattr(mission_module, "detector_for", lambda *_: (FakeDetector(), "trained since"))
+    with pytest.raises(SpecMismatchError, match="arm gaussian: planned with the model mine, but .*mine holds trained"):
+        flown_into(tmp_path / "other", models_dir=tmp_path / "mine")
 
+
+def test_versions_are_not_mixed_within_a_campaign(flown, tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
-        run_campaign(small(), tmp_path, workers=1, tools=FAKE, progress=interrupt)
+        flown_into(tmp_path, progress=stop_at(3))
     monkeypatch.setattr(run_module, "__version__", "99.0")
     with pytest.raises(BadInputError, match="was begun with mavfi .*, here is 99.0"):
-        run_campaign(small(), tmp_path, workers=1, tools=FAKE)
+        flown_into(tmp_path)
+    assert status(tmp_path).done == 3
+    flown_into(flown[0])  # nothing is left to fly, so nothing is mixed
 
 
-def test_the_kind_of_map_reaches_every_scenario():
-    scenarios = run_module.campaign_scenarios(small(map="octree"), FAKE).values()
-    assert {scenario.map.kind for scenario in scenarios} == {"octree"}
-    assert {s.map.kind for s in run_module.campaign_scenarios(small(), FAKE).values()} == {"dense"}
+def test_a_ledger_of_schema_1_is_refused_and_left_as_it_is(tmp_path):
+    with sqlite3.connect(tmp_path / FILE) as connection:
+        connection.execute("PRAGMA user_version = 1")
+        connection.execute("CREATE TABLE runs (run_id TEXT, record TEXT)")
+        connection.execute("INSERT INTO runs VALUES ('sparse-1-golden', '{}')")
+    connection.close()
+    before = (tmp_path / FILE).read_bytes()
+    for attempt in (lambda: flown_into(tmp_path), lambda: status(tmp_path), lambda: Store.open(tmp_path)):
+        with pytest.raises(BadInputError, match="schema version 1; allowed: 2 .*older mavfi"):
+            attempt()
+    assert (tmp_path / FILE).read_bytes() == before
 
 
-def test_the_vehicle_of_a_campaign_takes_the_place_of_the_environments():
-    scenarios = run_module.campaign_scenarios(small(vehicle="small_quad"), FAKE).values()
-    assert {scenario.vehicle.name for scenario in scenarios} == {"small_quad"}
-    assert {s.vehicle.name for s in run_module.campaign_scenarios(small(), FAKE).values()} == {"airsim_quad"}
+@pytest.mark.parametrize("count", [1, 4])
+def test_the_death_of_a_worker_is_survived_and_takes_nothing_with_it(flown, tmp_path, monkeypatch, count):
+    monkeypatch.setattr(TROUBLE, "dies", deaths(tmp_path / "deaths", count))
+    flown_into(tmp_path / "out", workers=2)
+    assert not any((tmp_path / "deaths").iterdir())
+    assert digest(tmp_path / "out") == digest(flown[0])
+
+
+def test_a_mission_that_died_is_flown_again_with_each_run_in_a_process_of_its_own(tmp_path, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "dies", deaths(tmp_path / "deaths", 1000))
+    monkeypatch.setattr(TROUBLE, "dies_at", "planning.waypoint")
+    groups = [{"name": name, "sites": [f"{name}.x"]} for name in ("planning.waypoint", "planning.path")]
+    campaign = small(environments=["sparse"], sampling={"scheme": "groups", "groups": groups}, null_runs=0)
+    end = flown_into(tmp_path / "out", campaign, workers=2)
+    assert end.complete
+    with Store.open(tmp_path / "out") as store:
+        runs = list(store.runs())
+    dead = [run for run in runs if run.spec.seed == DEADLY and run.spec.target == "planning.waypoint"]
+    assert len(dead) == 4
+    assert [run for run in runs if run.record.end is not End.FLOWN] == dead
+    for run in dead:
+        assert (run.record.end, run.record.error) == (End.DUE, "the process died each time")
+        assert "status 9" in run.note
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_golden_run_that_dies_each_time_is_due_and_nothing_is_drawn_from_it(flown, tmp_path, monkeypatch, workers):
+    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
+    end = flown_into(tmp_path / "out", workers=workers)
+    assert end.complete and end.done < TOTAL
+    with Store.open(tmp_path / "out") as store:
+        lost = [run for run in store.runs() if run.spec.seed == DEADLY]
+        others = [(run.spec, run.record) for run in store.runs() if run.spec.seed != DEADLY]
+    assert {run.spec.kind for run in lost} == {"golden"} and len(lost) == 4
+    assert {run.record.end for run in lost} == {End.DUE}
+    assert all("exit code 9" in run.note for run in lost)
+    with Store.open(flown[0]) as store:
+        assert others == [(run.spec, run.record) for run in store.runs() if run.spec.seed != DEADLY]
+
+
+def test_a_mission_that_is_given_up_half_way_is_over_all_the_same(tmp_path, monkeypatch):
+    """Its golden runs died only once its faults were planned: these are counted, as not judged."""
+    campaign = small(environments=["sparse"], null_runs=0)
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(tmp_path / "out", campaign, progress=stop_at(14 + 2 + 1))
+    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
+    with Store.open(tmp_path / "out") as store:
+        planned = {run.spec.run_id for run in store.runs(done=False) if run.spec.seed == DEADLY}
+    assert len(planned) == 11
+    assert flown_into(tmp_path / "out", campaign).complete
+    with Store.open(tmp_path / "out") as store:
+        ends = {store.run(run_id).record.end for run_id in planned}
+    assert ends == {End.UNKNOWN}
+
+
+def test_an_exception_of_ours_is_recorded_as_unknown_and_the_rest_is_flown(tmp_path, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "raises", True)
+    for name, fast_forward in (("fast", True), ("long", False)):
+        assert flown_into(tmp_path / name, fast_forward=fast_forward).complete
+    with Store.open(tmp_path / "fast") as store:
+        unknown = [run for run in store.runs() if run.record.end is End.UNKNOWN]
+        injected = [run for run in store.runs() if run.spec.seed == BROKEN and run.spec.fault is not None]
+    assert unknown == injected
+    for run in unknown:
+        assert run.record.error == "ZeroDivisionError" and not run.record.digest
+        assert "Traceback" in run.note and "a mistake of ours" in run.note
+    assert digest(tmp_path / "fast") == digest(tmp_path / "long")
+
+
+def test_flights_that_a_host_does_not_give_are_unknown(tmp_path, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "mute", 1)
+    assert flown_into(tmp_path).complete
+    with Store.open(tmp_path) as store:
+        unknown = Counter(run.spec.world for run in store.runs() if run.record.end is End.UNKNOWN)
+    assert set(unknown.values()) == {1} and len(unknown) == 8
+
+
+def test_arms_differ_in_any_key_of_the_mission(tmp_path):
+    arms = {
+        "slow": {"planner": "rrt"}, "windy": {"wind": 4.0}, "loose": {"coupling": "observer"},
+        "guarded": {"stack": "hardened", "detector": DETECTOR}, "same": {"mission": {"map": "octree"}},
+    }  # fmt: skip
+    campaign = small(environments=["sparse"], missions=2, faults=2, arms=arms, null_runs=12)
+    assert flown_into(tmp_path, campaign).complete
+    with Store.open(tmp_path) as store:
+        runs = list(store.runs())
+        scenarios = store.meta("identity")["scenarios"]
+    golden = {run.spec.arm: run.record for run in runs if run.spec.kind == "golden" and run.spec.seed == 10_000}
+    times = {arm: round(record.flight_time_s - golden[""].flight_time_s, 6) for arm, record in golden.items()}
+    assert times == {"": 0.0, "slow": 3.0, "windy": 4.0, "loose": 1.0, "guarded": 0.0, "same": 0.0}
+    assert scenarios["sparse/guarded"]["stack"]["name"] == "hardened"
+    assert scenarios["sparse/same"]["map"]["kind"] == "octree"
+    settings = Counter(run.spec.setting for run in runs)
+    assert settings == {
+        "golden": 2, "fi": 6, "null": 2,
+        **{f"golden_{arm}": 2 for arm in arms}, **{f"null_{arm}": 2 for arm in arms},
+        **{f"fi_{arm}": 6 for arm in arms if arm != "guarded"}, "dr_guarded": 6,
+    }  # fmt: skip
+    for run in runs:
+        if run.spec.kind == "null":
+            assert run.record.digest == golden[run.spec.arm].digest or run.spec.seed != 10_000
+            assert run.record.injections[0].activated
+
+
+@pytest.mark.parametrize(
+    ("mission", "found"),
+    [
+        ({"wind": 3.0}, lambda s: s["wind"]["gust"] == 3.0),
+        ({"localization": "estimator"}, lambda s: s["localization"]["kind"] == "estimator"),
+        ({"map": "octree"}, lambda s: s["map"]["kind"] == "octree"),
+        ({"vehicle": "small_quad"}, lambda s: s["vehicle"]["name"] == "small_quad"),
+        ({"stack": "hardened"}, lambda s: s["stack"]["name"] == "hardened"),
+        ({"depth_noise": 0.1, "v_max": 2.0}, lambda s: (s["camera"]["noise"], s["v_max"]) == (0.1, 2.0)),
+    ],
+)
+def test_a_campaign_takes_any_key_of_a_mission(mission, found):
+    campaign = small(mission=mission)
+    scenarios = mission_module.scenarios_of(campaign, run_module.arms_of(campaign))
+    assert len(scenarios) == 4 and all(found(scenario.to_json()) for scenario in scenarios.values())
