@@ -19,7 +19,8 @@ from mavfi.faults.fault import Fault, InstructionFault, StateFault
 from mavfi.faults.state import StateInjector
 from mavfi.flight_log import COLUMNS, AlarmRecord, Event, FlightLog, Injection, Profile
 from mavfi.hosts.host import ArmSetup, Flight
-from mavfi.mission import MissionStatus, Scenario
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec, MissionStatus, Scenario
 from mavfi.states import Stage, new_state, states_with
 
 HOST = "tests.unit.campaign.fakes:FakeHost"
@@ -72,6 +73,11 @@ class FakeHost:
     levels = frozenset({"state", "instruction"})
     deterministic = True
     in_process = False
+
+    def resolve(self, spec: MissionSpec) -> Scenario:
+        return resolve(spec)
+
+    def check(self) -> None: ...
 
     def mission(self, arms: dict[str, ArmSetup], *, fast_forward: bool = True) -> "FakeFlights":
         return FakeFlights(arms, fast_forward)
