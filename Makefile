@@ -75,10 +75,10 @@ machine-level: setup  ## faults in instructions at machine and at IR level; writ
 	@$(BIN)/python -m benchmarks.machine_level
 
 golden-rates: setup  ## fly golden missions in every setting, write docs/generated/golden-rates.md (N=300 HARD_N=100 ONLY=word RESUME=1)
-	@$(BIN)/python -m benchmarks.golden_rates
+	@$(BIN)/python -m tools.golden_rates
 
 difficulty: setup  ## golden success and fault effect against density and v_max, write docs/generated/difficulty.md (N=40)
-	@$(BIN)/python -m benchmarks.difficulty
+	@$(BIN)/python -m tools.difficulty
 
 tune: setup  ## try the gains of the tracker of `hardened` on design seeds (N=... SEED=... ONLY=gain_p)
 	@$(BIN)/python benchmarks/tune_pid.py

@@ -1,32 +1,29 @@
-"""How good error-free flights are: success, time, closest approach, replans, tracking, speed, and every failure."""
+"""Quality of error-free flights: success, time, closest approach, replans, tracking, speed, and every failure."""
 
 from collections.abc import Callable
-from contextlib import closing
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from mavfi.campaign.executors.local import LocalPool, Lost
-from mavfi.campaign.statistics import Rate, wilson
-from mavfi.config import Vector
-from mavfi.errors import MavfiError
+from mavfi.campaign.analysis.statistics import Rate, wilson
+from mavfi.campaign.executors.executor import map_each
+from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.flight_log import FlightLog
+from mavfi.hosts.local import Flight, fly
+from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.perception.clearance import OCCUPIED
-from mavfi.mission import MissionStatus, Scenario
-
-if TYPE_CHECKING:
-    from mavfi.hosts.inprocess import Flight
+from mavfi.mission import MissionSpec, MissionStatus, Scenario
 
 EVALUATION_SEED = 10_000
-"""First seed of published figures; stacks are tuned on lower ones."""
+"""First seed of published figures; autopilot profiles are tuned on lower ones."""
 LEAST_CLEARANCE, MOST_TRACKING, MOST_SPEED = 0.15, 1.0, 1.1
-"""Bars of quality: distance of the hull from obstacles (m), of the vehicle from its reference (m), speed / v_max."""
+"""Bars of quality: distance of the vehicle's sphere from obstacles (m), tracking error (m), speed / v_max."""
 _LAST_EVENTS = 3
 _TURN_BACK = 5.0
-"""Going away from the goal by so much counts as turning back (m)."""
-_OPTIONS = {"depth_noise": "--depth-noise", "map_resolution": "--map-resolution", "wind": "--wind"}
-"""Settings that a command names where they are not the default."""
+"""Increase of the distance to the goal that counts as turning back (m)."""
+_NAMED = ("environment", "seed", "autopilot", "planner", "platform", "v_max")
+"""Keys of a mission that a command always gives; others only where they differ from the default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,76 +31,57 @@ class Setting:
     """One row of the table.
 
     Attributes:
-        environment: Name or path.
-        stack: Name or path.
-        planner: Name.
-        platform: Name or path.
-        v_max: m/s.
-        depth_noise: Standard deviation / range.
-        map_resolution: m; None = the environment's.
-        start: Instead of the environment's (m).
-        goal: Same.
-        wind: Amplitude of gusts (m/s).
-        localization: "truth" or "estimator".
-        least: Smallest success that is wanted of 100 flights; None = no demand.
+        mission: Without its seed.
+        least: Smallest success that is demanded of 100 flights; None = no demand.
         quality: Whether the bars of quality hold too.
     """
 
-    environment: str
-    stack: str
-    planner: str = "rrt_connect"
-    platform: str = "i9-9940x"
-    v_max: float = 3.0
-    depth_noise: float = 0.0
-    map_resolution: float | None = None
-    start: Vector | None = None
-    goal: Vector | None = None
-    wind: float = 0.0
-    localization: str = "truth"
+    mission: MissionSpec
     least: float | None = None
     quality: bool = False
 
-    def scenario(self, seed: int) -> Scenario:
-        """The mission of a seed."""
-        from mavfi.hosts.compose import make_scenario
+    @staticmethod
+    def of(
+        environment: str, autopilot: str, *, least: float | None = None, quality: bool = False, **mission: Any
+    ) -> "Setting":
+        """A setting by the keys of its mission; the speed limit is 3 m/s unless given."""
+        given = {"environment": environment, "autopilot": autopilot, "v_max": 3.0, **mission}
+        return Setting(MissionSpec.model_validate(given), least, quality)
 
-        options = asdict(self)
-        del options["least"], options["quality"]
-        return make_scenario(options.pop("environment"), seed, **options)
+    def spec(self, seed: int) -> MissionSpec:
+        """The mission of a seed."""
+        return self.mission.model_copy(update={"seed": seed})
 
     def command(self, seed: int) -> str:
-        """What flies this mission again, with a picture of it."""
-        words = [
-            "mavfi fly", f"--environment {self.environment}", f"--seed {seed}", f"--stack {self.stack}",
-            f"--planner {self.planner}", f"--platform {self.platform}", f"--v-max {self.v_max:g}",
-        ]  # fmt: skip
-        words += [f"{word} {value:g}" for name, word in _OPTIONS.items() if (value := getattr(self, name))]
-        if self.localization != "truth":
-            words.append(f"--localization {self.localization}")
-        for word, point in (("--start", self.start), ("--goal", self.goal)):
-            if point is not None:
-                words.append(f"{word} {' '.join(f'{value:g}' for value in point)}")
+        """The command that flies this mission again, with a picture of it."""
+        words = ["mavfi fly"]
+        for name, field in MissionSpec.model_fields.items():
+            value = getattr(self.spec(seed), name)
+            if name in _NAMED or value != field.default:
+                values = value if isinstance(value, tuple) else (value,)
+                text = " ".join(f"{one:g}" if isinstance(one, float) else str(one) for one in values)
+                words.append(f"--{name.replace('_', '-')} {text}")
         return " ".join([*words, "--picture flight.png"])
 
 
 @dataclass(frozen=True, slots=True)
 class GoldenFlight:
-    """What is kept of one flight.
+    """Summary of one flight.
 
     Attributes:
         seed: Mission seed.
         status: How it ended, as in tables.
         time_s: Flight time.
         limit_s: Time limit.
-        clearance_m: Smallest distance of the hull from the true nearest obstacle or the ground.
-        tracking_m: Largest distance of the vehicle from its reference.
+        clearance_m: Smallest distance of the vehicle's sphere from the nearest true obstacle or the ground (m).
+        tracking_m: Largest distance between vehicle and reference (m).
         speed_share: Largest speed / v_max.
-        plans: Plans that were found.
-        failed_plans: Plans that were not.
+        plans: Successful plans.
+        failed_plans: Failed plans.
         alarms: Collisions that the check predicted.
         warnings: Warnings of the simulator.
         position: Last position (m).
-        cause: Why it did not arrive, as far as the record tells; "" where it did.
+        cause: Reason for not arriving, as far as the log shows; "" if it arrived.
         events: The last events of a flight that did not arrive, as text.
     """
 
@@ -133,7 +111,7 @@ class Bar:
     """A demand on a row, and whether it is met.
 
     Attributes:
-        name: What is demanded.
+        name: The measured quantity.
         wanted: The demand, as text.
         measured: The figure, as text.
         met: Whether the figure meets it.
@@ -188,10 +166,8 @@ class Row:
 
 def measure(task: tuple[Setting, int]) -> GoldenFlight:
     """Fly one error-free mission and judge its quality by the true world."""
-    from mavfi.hosts.inprocess import fly
-
-    setting, seed = task
-    scenario = setting.scenario(seed)
+    row, seed = task
+    scenario = resolve(row.spec(seed))
     flight = fly(scenario)
     log = flight.log
     position = log.columns("x", "y", "z")
@@ -213,8 +189,8 @@ def _point(position: np.ndarray) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _cause(flight: "Flight", scenario: Scenario) -> str:
-    """What the record tells of the reason, in one line."""
+def _cause(flight: Flight, scenario: Scenario) -> str:
+    """Reason for the failure, as far as the log shows, in one line."""
     log = flight.log
     position = log.columns("x", "y", "z")
     if log.status is MissionStatus.COLLISION:
@@ -232,7 +208,7 @@ def _cause(flight: "Flight", scenario: Scenario) -> str:
 
 
 def _is_mapped(room: Any, point: np.ndarray, radius: float) -> bool:
-    """Whether a voxel of the map that the hull reaches is occupied."""
+    """Whether a voxel of the map within the radius is occupied."""
     grid, reach = room.grid, radius + 0.5 * room.grid.resolution
     centre = (point - (grid.x0, grid.y0, grid.z0)) * grid.inverse
     low = np.maximum(np.floor(centre - reach * grid.inverse), 0).astype(int)
@@ -242,7 +218,7 @@ def _is_mapped(room: Any, point: np.ndarray, radius: float) -> bool:
 
 
 def turns_back(distance: np.ndarray) -> int:
-    """How often a flight went away from its goal again by `_TURN_BACK` or more.
+    """Number of times that a flight moved away from its goal by `_TURN_BACK` or more.
 
     Args:
         distance: To the goal, in the order of time (m). Shape (n,).
@@ -274,29 +250,27 @@ def _plain(data: dict[str, Any]) -> str:
 
 
 def fly_row(
-    setting: Setting, count: int, workers: int, first_seed: int = EVALUATION_SEED,
+    row: Setting, count: int, workers: int, first_seed: int = EVALUATION_SEED,
     progress: Callable[[int, int], None] | None = None,
 ) -> Row:  # fmt: skip
     """Fly one setting.
 
     Args:
-        setting: What.
+        row: The setting.
         count: Flights; their seeds follow each other, and none is left out.
         workers: Number of processes; the result does not depend on it.
         first_seed: Of the first flight.
         progress: Called with flights done and wanted.
 
     Raises:
+        BadInputError: The setting cannot be flown.
         MavfiError: A worker was lost.
     """
-    setting.scenario(first_seed)  # what cannot be flown is told here, not by a worker
-    tasks = [(setting, first_seed + i) for i in range(count)]
+    resolve(row.spec(first_seed))  # bad input is reported here, not by a worker
+    tasks = [(row, first_seed + i) for i in range(count)]
     done: dict[int, GoldenFlight] = {}
-    with closing(LocalPool(workers).run(measure, tasks)) as results:
-        for (_, seed), flight in results:
-            if isinstance(flight, Lost):
-                raise MavfiError(f"golden flight with seed {seed}: {flight.reason}")
-            done[seed] = flight
-            if progress is not None:
-                progress(len(done), count)
-    return Row(setting, tuple(done[seed] for seed in sorted(done)))
+    for (_, seed), flight in map_each(LocalExecutor(workers), measure, tasks):
+        done[seed] = flight
+        if progress is not None:
+            progress(len(done), count)
+    return Row(row, tuple(done[seed] for seed in sorted(done)))

@@ -1,14 +1,14 @@
 """Golden success and fault effect against difficulty: flies both autopilot profiles at several v_max.
 
-    N=40 WORKERS=2 python -m benchmarks.difficulty
+    N=40 WORKERS=2 python -m tools.difficulty
 
-N: missions per density, v_max and stack, each flown without a fault and with one fault of each kind.  Ledgers are in
-out/difficulty; what is flown is kept, and the same command resumes.  Writes docs/generated/difficulty.md.
+N: missions per density, v_max and autopilot profile, each flown without a fault and with one fault of each kind.
+Ledgers are in out/difficulty; the same command resumes.  Writes docs/generated/difficulty.md.
 """
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -16,14 +16,16 @@ from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+import polars as pl
 import typer
 
+from mavfi.api import load
+from mavfi.campaign.analysis.measures import FAILS_OR_SLOWER, SLOWER, rate_of
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.statistics import Rate, wilson
 from mavfi.campaign.config import Campaign, load_campaign
-from mavfi.campaign.flights import Row, is_golden, is_injected, read_rows
+from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
-from mavfi.campaign.statistics import Rate, clustered_rate, wilson
-from mavfi.campaign.store import Store
-from mavfi.campaign.success import SLOWER, fails_or_slower
 from mavfi.cli.progress import Bar, import_host
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
@@ -32,11 +34,11 @@ from mavfi.reports import style
 from tools.markers import GENERATED, ROOT, banner
 
 PAGE, PICTURE = GENERATED / "difficulty.md", GENERATED / "difficulty.png"
-STACKS = ("published", "hardened")
+PROFILES = ("published", "hardened")
 SPEEDS = (3.0, 4.5, 6.0, 8.0)
 """m/s; the last, with time limits that follow it, makes golden flights of `published` as hard as the paper's."""
 ALL = "all three"
-CELL = ("stack", "v_max (m/s)", "density")
+CELL = ("autopilot", "v_max (m/s)", "density")
 SLOW = f"fail or take > {100 * SLOWER:.0f} % longer"
 _LOOKS = ((style.BLUE, "o", "-"), (style.AMBER, "s", "--"), (style.PURPLE, "^", ":"), (style.GREEN, "D", "-."))
 
@@ -70,85 +72,70 @@ ledger from the list above.
 
 @dataclass(frozen=True)
 class Cell:
-    """One stack at one v_max in one density.
+    """One autopilot profile at one v_max in one density.
 
     Attributes:
-        stack: Name.
+        profile: Name.
         v_max: m/s.
-        environment: Name.
         density: Share of the ground.
-        rows: Its runs.
+        runs: Its runs.
     """
 
-    stack: str
+    profile: str
     v_max: float
-    environment: str
     density: float
-    rows: list[Row]
+    runs: Runs
 
     @property
     def golden(self) -> Rate:
         """Success without a fault."""
-        own = [row for row in self.rows if is_golden(row)]
-        return wilson(sum(row.success for row in own), len(own))
+        own = self.runs.golden
+        return wilson(sum(own["success"]), len(own))
 
     @property
     def median_time(self) -> float:
         """Median flight time of the golden flights that arrive (s); NaN if none does."""
-        times = [row.record["flight_time_s"] for row in self.rows if is_golden(row) and row.success]
+        times = self.runs.golden.where("success")["flight_time_s"]
         return float(np.median(times)) if times else float("nan")
 
-    def effect(self, test: Callable[[Row], bool], target: str = ALL) -> Rate:
+    def effect(self, test: pl.Expr, target: str = ALL) -> Rate:
         """Share of the missions whose golden flight arrives for which a test holds with a fault."""
-        own = [
-            row for row in self.rows
-            if is_injected(row) and row.judged and row.golden_success and target in (ALL, row.spec.target)
-        ]  # fmt: skip
-        return clustered_rate([test(row) for row in own], [row.world for row in own])
+        own = self.runs.injected.where("judged", "golden_success")
+        return rate_of(own if target == ALL else own.where(target=target), test)
 
 
-def fails(row: Row) -> bool:
-    """Whether the mission failed."""
-    return not row.success
+FAILS = ~pl.col("success")
+PANELS = (("one fault: fail", FAILS), (f"one fault: {SLOW}", FAILS_OR_SLOWER))
 
 
-PANELS: tuple[tuple[str, Callable[[Cell], Rate]], ...] = (
-    ("golden: arrive", lambda cell: cell.golden),
-    ("one fault: fail", lambda cell: cell.effect(fails)),
-    (f"one fault: {SLOW}", lambda cell: cell.effect(fails_or_slower)),
-)
-
-
-def campaigns(n: int) -> Iterator[tuple[Campaign, Path]]:
-    """Every campaign of the sweep, and where its ledger is."""
-    base = load_campaign("difficulty").model_copy(update={"flights": n, "faults": n})
-    for stack in STACKS:
+def campaigns(n: int) -> Iterator[tuple[str, float, Campaign, Path]]:
+    """Profile, v_max and campaign of each part of the sweep, and the folder of its ledger."""
+    base = load_campaign("difficulty").model_copy(update={"missions": n, "faults": n})
+    for profile in PROFILES:
         for v_max in SPEEDS:
-            name = f"{stack}-{v_max:g}"
-            yield base.model_copy(update={"stack": stack, "v_max": v_max}), Path("out", "difficulty", f"n{n}", name)
+            mission = {**base.mission, "autopilot": profile, "v_max": v_max}
+            folder = Path("out", "difficulty", f"n{n}", f"{profile}-{v_max:g}")
+            yield profile, v_max, base.model_copy(update={"mission": mission}), folder
 
 
 def fly_all(n: int, workers: int) -> None:
-    """Fly what is left."""
-    told = "Stopped. What is flown is kept in out/difficulty; the same command goes on."
+    """Fly the remaining runs."""
     import_host()
-    with stoppable(told):
-        for campaign, directory in campaigns(n):
-            with Bar(f"{campaign.stack} {campaign.v_max:g} m/s") as bar:
-                run_campaign(campaign, directory, workers=workers, progress=bar.show_campaign)
+    with stoppable("Stopped. Finished flights are kept in out/difficulty; the same command resumes."):
+        for profile, v_max, campaign, directory in campaigns(n):
+            with Bar(f"{profile} {v_max:g} m/s") as bar:
+                run_campaign(campaign, directory, executor=LocalExecutor(workers), progress=bar.show_campaign)
 
 
 def read_all(n: int) -> tuple[list[Cell], list[dict[str, Any]]]:
-    """All cells, and where they come from."""
+    """All cells, and the ledgers that they come from."""
     cells, sources = [], []
-    for campaign, directory in campaigns(n):
-        with Store.open(directory) as store:
-            rows = read_rows(store)
-            sources.append({"directory": directory, "digest": store.digest(), "versions": store.meta("versions")})
+    for profile, v_max, campaign, directory in campaigns(n):
+        runs = load(directory)
+        sources.append({"directory": directory, **runs.campaign})
         for name in campaign.environments:
-            own = [row for row in rows if row.spec.environment == name]
             density = float(find_environment(name).parameters["density"])
-            cells.append(Cell(campaign.stack, campaign.v_max or 0.0, name, density, own))
+            cells.append(Cell(profile, v_max, density, runs.where(environment=name)))
     return cells, sources
 
 
@@ -166,41 +153,43 @@ def table(head: tuple[str, ...], lines: list[tuple[str, ...]]) -> list[str]:
 
 def page(cells: list[Cell], sources: list[dict[str, Any]], n: int) -> str:
     """The page."""
-    targets = [ALL, *dict.fromkeys(row.spec.target for cell in cells for row in cell.rows if is_injected(row))]
-    golden = [
-        (c.stack, f"{c.v_max:g}", f"{c.density:g}", share(c.golden), f"{c.median_time:.1f}") for c in cells
-    ]  # fmt: skip
+    targets = [ALL, *dict.fromkeys(target for cell in cells for target in cell.runs.injected.values("target"))]
+    golden = [(*_key(cell), share(cell.golden), f"{cell.median_time:.1f}") for cell in cells]
     versions = ", ".join(f"{name} {found}" for name, found in sources[0]["versions"].items())
     ledgers = [f"- `{source['directory'].as_posix()}`: digest `{source['digest'][:16]}`" for source in sources]
-    seeds = sorted({row.spec.seed for cell in cells for row in cell.rows})
-    return banner("make difficulty") + HEAD.format(picture=PICTURE.name) + "\n".join([
-        f"Measured: {date.today().isoformat()} ({versions}); {n} missions per density, v_max and stack (seeds "
-        f"{seeds[0]} to {seeds[-1]}), {sum(len(cell.rows) for cell in cells)} flights. Ledgers:", "", *ledgers, "",
+    seeds = sorted({seed for cell in cells for seed in cell.runs["seed"]})
+    head = banner("make difficulty") + HEAD.format(picture=PICTURE.name)
+    return head + "\n".join([
+        f"Measured: {date.today().isoformat()} ({versions}); {n} missions per density, v_max and profile (seeds "
+        f"{seeds[0]} to {seeds[-1]}), {sum(len(cell.runs) for cell in cells)} flights. Ledgers:", "", *ledgers, "",
         "## Golden flights", "", *table((*CELL, "arrive, %", "median time (s)"), golden), "",
-        *_effects("One fault: missions that fail, %", cells, targets, fails),
-        *_effects(f"One fault: missions that {SLOW}, %", cells, targets, fails_or_slower),
+        *_effects("One fault: missions that fail, %", cells, targets, FAILS),
+        *_effects(f"One fault: missions that {SLOW}, %", cells, targets, FAILS_OR_SLOWER),
         FOOT.format(all=ALL, seed=seeds[0], n=n),
     ])  # fmt: skip
 
 
-def _effects(title: str, cells: list[Cell], targets: list[str], test: Callable[[Row], bool]) -> list[str]:
-    lines = [
-        (c.stack, f"{c.v_max:g}", f"{c.density:g}", *(share(c.effect(test, target)) for target in targets))
-        for c in cells
-    ]
+def _key(cell: Cell) -> tuple[str, ...]:
+    return cell.profile, f"{cell.v_max:g}", f"{cell.density:g}"
+
+
+def _effects(title: str, cells: list[Cell], targets: list[str], test: pl.Expr) -> list[str]:
+    lines = [(*_key(cell), *(share(cell.effect(test, target)) for target in targets)) for cell in cells]
     return [f"## {title}", "", *table((*CELL, *targets), lines), ""]
 
 
 def draw(cells: list[Cell], path: Path) -> None:
-    """One figure: a row of panels for each stack, a line for each v_max."""
+    """One figure: a row of panels for each autopilot profile, a line for each v_max."""
     with style.house_style():
-        figure, rows = plt.subplots(len(STACKS), len(PANELS), figsize=(10, 5.8), sharex=True, sharey=True)
-        for stack, line in zip(STACKS, rows, strict=True):
-            for (title, rate_of), axes in zip(PANELS, line, strict=True):
-                own = [cell for cell in cells if cell.stack == stack]
-                _panel(axes, own, rate_of)
-                axes.set_title(title if stack == STACKS[0] else "")
-            line[0].set_ylabel(f"{stack}\nmissions")
+        figure, rows = plt.subplots(len(PROFILES), 1 + len(PANELS), figsize=(10, 5.8), sharex=True, sharey=True)
+        for profile, line in zip(PROFILES, rows, strict=True):
+            own = [cell for cell in cells if cell.profile == profile]
+            _panel(line[0], own, [cell.golden for cell in own])
+            for axes, (_, test) in zip(line[1:], PANELS, strict=True):
+                _panel(axes, own, [cell.effect(test) for cell in own])
+            line[0].set_ylabel(f"{profile}\nmissions")
+        for axes, title in zip(rows[0], ("golden: arrive", *(title for title, _ in PANELS)), strict=True):
+            axes.set_title(title)
         for axes in rows[-1]:
             axes.set_xlabel("density")
         rows[0, 0].set_xticks(sorted({cell.density for cell in cells}))
@@ -213,9 +202,9 @@ def draw(cells: list[Cell], path: Path) -> None:
         plt.close(figure)
 
 
-def _panel(axes: Any, cells: list[Cell], rate_of: Callable[[Cell], Rate]) -> None:
+def _panel(axes: Any, cells: list[Cell], rates: list[Rate]) -> None:
     for place, (speed, (colour, marker, dashes)) in enumerate(zip(SPEEDS, _LOOKS, strict=True)):
-        own = [(cell.density, rate_of(cell)) for cell in cells if cell.v_max == speed]
+        own = [(cell.density, rate) for cell, rate in zip(cells, rates, strict=True) if cell.v_max == speed]
         shown = [(x + 0.008 * (place - 1.5), r.rate, r.low or 0.0, r.high) for x, r in own if r.rate is not None]
         if not shown:
             continue
@@ -233,7 +222,7 @@ def main() -> int:
     n, workers = int(os.environ.get("N", "40")), int(os.environ.get("WORKERS", str(os.cpu_count() or 1)))
     try:
         fly_all(n, workers)
-    except typer.Exit as stop:  # Ctrl-C; what is kept has been told
+    except typer.Exit as stop:  # Ctrl-C; the message is out
         return stop.exit_code
     except BadInputError as error:
         sys.stderr.write(f"{error}\n")

@@ -1,6 +1,6 @@
 """Flies golden missions in all settings and writes docs/generated/golden-rates.md.
 
-    N=60 HARD_N=100 SCAN_N=20 WORKERS=1 ONLY=clutter python -m benchmarks.golden_rates
+    N=60 HARD_N=100 SCAN_N=20 WORKERS=1 ONLY=clutter python -m tools.golden_rates
 
 N: flights of each setting that has a bar of 300 (300); HARD_N: of each other one (100); SCAN_N: of each one in the
 scanned corridor (20); ONLY: a word that a row's command must hold (other rows then keep what out/golden-rates.json
@@ -19,8 +19,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from mavfi.campaign.golden import EVALUATION_SEED, Bar, GoldenFlight, Row, Setting, fly_row
+from mavfi.mission import MissionSpec
 from tools.build_fault_map import FAULT_MAP, key_lines
+from tools.golden import EVALUATION_SEED, Bar, GoldenFlight, Row, Setting, fly_row
 from tools.markers import GENERATED, ROOT, banner, between
 
 PAGE = GENERATED / "golden-rates.md"
@@ -36,30 +37,32 @@ _PAPER = (100, 100, 95, 85)
 
 PAPER = [
     *(
-        Setting(world, "published", planner=planner, least=least)
+        Setting.of(world, "published", planner=planner, least=least)
         for planner in PLANNERS
         for world, least in zip(_WORLDS, _PAPER, strict=True)
     ),
     *(
-        Setting(world, "hardened", planner=planner, least=100 if planner != "rrt" else None, quality=planner != "rrt")
+        Setting.of(
+            world, "hardened", planner=planner, least=100 if planner != "rrt" else None, quality=planner != "rrt"
+        )
         for planner in PLANNERS
         for world in _WORLDS
     ),
 ]
 HARD = [
-    Setting("clutter", "hardened", v_max=5.0, least=97),
-    Setting("dense30", "hardened", v_max=5.0, least=99),
-    Setting("dense", "hardened", platform="cortex-a57", least=99),
+    Setting.of("clutter", "hardened", v_max=5.0, least=97),
+    Setting.of("dense30", "hardened", v_max=5.0, least=99),
+    Setting.of("dense", "hardened", platform="cortex-a57", least=99),
 ]
 REPORTED = [
-    Setting("dense", "hardened", depth_noise=0.02),
-    Setting("dense", "hardened", map_resolution=0.25),
-    *(Setting("dense", stack, wind=3.0) for stack in ("published", "hardened")),
-    *(Setting("dense", stack, localization="estimator") for stack in ("published", "hardened")),
+    Setting.of("dense", "hardened", depth_noise=0.02),
+    Setting.of("dense", "hardened", map_resolution=0.25),
+    *(Setting.of("dense", autopilot, wind=3.0) for autopilot in ("published", "hardened")),
+    *(Setting.of("dense", autopilot, localization="estimator") for autopilot in ("published", "hardened")),
 ]
 CORRIDOR = [
-    Setting(SCAN, stack, v_max=0.6, start=start, goal=goal)
-    for stack in ("published", "hardened")
+    Setting.of(SCAN, autopilot, v_max=0.6, start=start, goal=goal)
+    for autopilot in ("published", "hardened")
     for start, goal in (_ENDS, _ENDS[::-1])
 ]
 
@@ -89,7 +92,7 @@ The camera sees down to 37°, so the obstacle is not in the map, and planners ta
 descends at once touches it, or passes it by centimetres, at any seed.
 """
 COLUMNS = (
-    "environment", "stack", "planner", "platform", "v_max", "arrived", "95 %", "wanted", "flight time (s): median",
+    "environment", "autopilot", "planner", "platform", "v_max", "arrived", "95 %", "wanted", "flight time (s): median",
     "p95", "max", "limit (s)", "closest (m)", "replans", "failed plans", "alarms", "off reference (m)", "speed",
     "warnings",
 )  # fmt: skip
@@ -119,28 +122,31 @@ def median(values: list[int]) -> str:
 
 def name_of(setting: Setting) -> str:
     """The environment, and what is not as usual."""
-    parts = [Path(setting.environment).stem]
-    if setting.depth_noise:
-        parts.append(f"depth noise {100 * setting.depth_noise:g} %")
-    if setting.map_resolution:
-        parts.append(f"map of {setting.map_resolution:g} m")
-    if setting.wind:
-        parts.append(f"wind gusts of {setting.wind:g} m/s")
-    if setting.localization != "truth":
-        parts.append(f"{setting.localization} on")
-    if setting.start and setting.goal:
-        parts.append(f"x {setting.start[0]:g} → {setting.goal[0]:g} m")
+    mission = setting.mission
+    parts = [Path(mission.environment).stem]
+    if mission.depth_noise:
+        parts.append(f"depth noise {100 * mission.depth_noise:g} %")
+    if mission.map_resolution:
+        parts.append(f"map of {mission.map_resolution:g} m")
+    if mission.wind:
+        parts.append(f"wind gusts of {mission.wind:g} m/s")
+    if mission.localization != "truth":
+        parts.append(f"{mission.localization} on")
+    if mission.start and mission.goal:
+        parts.append(f"x {mission.start[0]:g} → {mission.goal[0]:g} m")
     return ", ".join(parts)
 
 
 def cells(row: Row) -> list[str]:
     """One line of the table."""
-    s, flights, rate = row.setting, row.flights, row.success
+    setting, flights, rate = row.setting, row.flights, row.success
+    mission = setting.mission
     times = row.flight_times()
     return [
-        name_of(s), s.stack, s.planner, s.platform, f"{s.v_max:g}", f"{rate.successes}/{rate.n}",
+        name_of(setting), mission.autopilot, mission.planner, mission.platform, f"{mission.v_max:g}",
+        f"{rate.successes}/{rate.n}",
         f"{100 * (rate.low or 0.0):.1f}–{100 * (rate.high or 0.0):.1f}",
-        "—" if s.least is None else f"≥ {s.least:g} %",
+        "—" if setting.least is None else f"≥ {setting.least:g} %",
         *(["—"] * 3 if times is None else (f"{t:.1f}" for t in times)),
         f"{max(f.limit_s for f in flights):.0f}", f"{min(f.clearance_m for f in flights):.2f}",
         f"{median([max(f.plans - 1, 0) for f in flights])} / {max(f.plans for f in flights) - 1}",
@@ -160,10 +166,11 @@ def bar_lines(rows: list[Row]) -> list[str]:
     found = [(row, {bar.name: bar for bar in row.bars()}) for row in rows if row.bars()]
     every = [bar for _, own in found for bar in own.values()]
     names = list(dict.fromkeys(bar.name for bar in every))
-    lines = [line(("environment", "stack", "planner", *names)), line(["---"] * (3 + len(names)))]
+    lines = [line(("environment", "autopilot", "planner", *names)), line(["---"] * (3 + len(names)))]
     for row, own in found:
-        setting = row.setting
-        lines.append(line((name_of(setting), setting.stack, setting.planner, *(_verdict(own.get(n)) for n in names))))
+        mission = row.setting.mission
+        first = (name_of(row.setting), mission.autopilot, mission.planner)
+        lines.append(line((*first, *(_verdict(own.get(n)) for n in names))))
     return [f"{sum(bar.met for bar in every)} of {len(every)} bars are met.", "", *lines]
 
 
@@ -176,8 +183,9 @@ def _verdict(bar: Bar | None) -> str:
 def failure(row: Row, flight: GoldenFlight) -> str:
     """One flight that did not arrive."""
     x, y, z = flight.position
+    mission = row.setting.mission
     return (
-        f"- {name_of(row.setting)}, {row.setting.stack}, {row.setting.planner}, seed {flight.seed}: "
+        f"- {name_of(row.setting)}, {mission.autopilot}, {mission.planner}, seed {flight.seed}: "
         f"**{flight.status}** after {flight.time_s:.1f} s at ({x:g}, {y:g}, {z:g}) m; {flight.cause}; "
         f"{flight.plans} plans, {flight.failed_plans} failed, closest {flight.clearance_m:.2f} m; "
         f"last: {flight.events}. `{row.setting.command(flight.seed)}`"
@@ -195,7 +203,7 @@ def page(stored: list[dict[str, Any]], faults: str) -> str:
     runs = sorted({f"{entry['date']} ({entry['versions']})" for entry in stored})
     parts = [banner("make golden-rates") + HEAD.format(seed=EVALUATION_SEED), "Measured: " + "; ".join(runs) + ".", ""]
     parts += [line(COLUMNS), line(["---"] * len(COLUMNS)), *(line(cells(row)) for row in rows), ""]
-    scanned = any(row.setting.environment == SCAN for row in rows)
+    scanned = any(row.setting.mission.environment == SCAN for row in rows)
     if not scanned:
         parts += ["The scanned corridor was not there; its rows are left out.", ""]
     parts += ["## Bars", "", *bar_lines(rows), "", between(FAULTS, "faults", faults)]
@@ -206,14 +214,16 @@ def page(stored: list[dict[str, Any]], faults: str) -> str:
 
 def plain(setting: Setting) -> Any:
     """A setting as JSON gives it back."""
-    return json.loads(json.dumps(asdict(setting)))
+    return {"mission": setting.mission.model_dump(mode="json"), "least": setting.least, "quality": setting.quality}
 
 
 def as_row(entry: dict[str, Any]) -> Row:
     """A stored row."""
-    points = {name: point and tuple(point) for name, point in entry["setting"].items() if name in ("start", "goal")}
-    flights = tuple(GoldenFlight(**flight | {"position": tuple(flight["position"])}) for flight in entry["flights"])
-    return Row(Setting(**entry["setting"] | points), flights)
+    kept = entry["setting"]
+    setting = Setting(MissionSpec.model_validate(kept["mission"]), kept["least"], kept["quality"])
+    return Row(
+        setting, tuple(GoldenFlight(**flight | {"position": tuple(flight["position"])}) for flight in entry["flights"])
+    )
 
 
 def versions() -> str:

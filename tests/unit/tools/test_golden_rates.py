@@ -3,13 +3,13 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from benchmarks import golden_rates
-from mavfi.campaign.golden import GoldenFlight, Row, Setting
+from tools import golden_rates
 from tools.build_fault_map import FAULT_MAP, key_lines
+from tools.golden import GoldenFlight, Row, Setting
 
 GOOD = GoldenFlight(10_000, "success", 30.0, 150.0, 0.5, 0.3, 1.05, 2, 0, 1, 0, (1.0, 2.0, 3.0), "", "")
 LOST = replace(GOOD, seed=10_001, status="timeout", cause="flew 5 m", events="1.0 s plan")
-SETTING = Setting("dense", "hardened", least=100, quality=True)
+SETTING = Setting.of("dense", "hardened", least=100, quality=True)
 
 
 def entry(setting=SETTING, flights=(GOOD, LOST)):
@@ -35,10 +35,10 @@ def test_a_stored_row_is_the_row_again():
 def test_every_setting_of_the_bars_is_a_row_once():
     rows = [setting for setting, _ in golden_rates.settings(scan=True)]
     assert len(set(rows)) == len(rows)
-    quality = {(s.environment, s.planner) for s in rows if s.quality}
+    quality = {(s.mission.environment, s.mission.planner) for s in rows if s.quality}
     assert quality == {(w, p) for w in ("factory", "farm", "sparse", "dense") for p in ("rrt_connect", "rrt_star")}
-    assert {s.planner for s in rows if s.stack == "published"} == {"rrt", "rrt_connect", "rrt_star"}
-    assert not any(s.start for s, _ in golden_rates.settings(scan=False))
+    assert {s.mission.planner for s in rows if s.mission.autopilot == "published"} == {"rrt", "rrt_connect", "rrt_star"}
+    assert not any(s.mission.start for s, _ in golden_rates.settings(scan=False))
 
 
 @pytest.mark.parametrize(("resume", "flown"), [(True, 0), (False, 1)])
@@ -59,6 +59,6 @@ def test_a_row_that_is_complete_is_kept_where_that_is_asked_for(monkeypatch, tmp
 def test_key_lines_are_those_of_the_fault_map():
     page = FAULT_MAP.read_text(encoding="utf-8")
     lines = key_lines(page).splitlines()
-    assert lines[0].startswith("Stack `published`") and all(line in page for line in lines)
+    assert lines[0].startswith("Autopilot profile `published`") and all(line in page for line in lines)
     assert sum(line.startswith("| way-point position") for line in lines) == 3
     assert not any("cloud" in line or "voxel" in line for line in lines)

@@ -3,10 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mavfi.campaign.golden import GoldenFlight, Row, Setting, fly_row, measure, turns_back
 from mavfi.errors import BadInputError
+from mavfi.hosts.loop.compose import resolve
+from tools import golden
+from tools.golden import GoldenFlight, Row, Setting, fly_row, measure, turns_back
 
-FARM = Setting("farm", "hardened")
+FARM = Setting.of("farm", "hardened")
 
 
 def flight(seed=1, status="success", time_s=30.0):
@@ -22,23 +24,23 @@ def test_a_row_counts_successes_and_takes_times_of_flights_that_arrived():
 
 
 def test_the_command_flies_the_mission_again():
-    setting = Setting("dense", "hardened", platform="cortex-a57", v_max=5.0, depth_noise=0.02)
+    setting = Setting.of("dense", "hardened", platform="cortex-a57", v_max=5.0, depth_noise=0.02)
     words = setting.command(10_003).split()
     options = dict(zip(words[2::2], words[3::2], strict=True))
     assert options == {
-        "--environment": "dense", "--seed": "10003", "--stack": "hardened", "--planner": "rrt_connect",
+        "--environment": "dense", "--seed": "10003", "--autopilot": "hardened", "--planner": "rrt_connect",
         "--platform": "cortex-a57", "--v-max": "5", "--depth-noise": "0.02", "--picture": "flight.png",
     }  # fmt: skip
-    scenario = setting.scenario(10_003)
+    scenario = resolve(setting.spec(10_003))
     assert (scenario.v_max, scenario.camera.noise, scenario.platform.name) == (5.0, 0.02, "cortex-a57")
 
 
 def test_ends_and_resolution_reach_mission_and_command():
-    setting = Setting("dense", "hardened", map_resolution=0.25, start=(12.0, -1.5, 3.0), goal=(100.0, 0.0, 3.0))
-    scenario, command = setting.scenario(1), setting.command(1)
-    assert (scenario.map.resolution, scenario.start, scenario.goal) == (0.25, setting.start, setting.goal)
-    assert "--map-resolution 0.25 --start 12 -1.5 3 --goal 100 0 3 --picture" in command
-    assert FARM.scenario(1).map.resolution == 0.5 and "--map-resolution" not in FARM.command(1)
+    setting = Setting.of("dense", "hardened", map_resolution=0.25, start=(12.0, -1.5, 3.0), goal=(100.0, 0.0, 3.0))
+    scenario, command = resolve(setting.spec(1)), setting.command(1)
+    assert (scenario.map.resolution, scenario.start, scenario.goal) == (0.25, (12.0, -1.5, 3.0), (100.0, 0.0, 3.0))
+    assert "--start 12 -1.5 3 --goal 100 0 3 " in command and "--map-resolution 0.25 " in command
+    assert resolve(FARM.spec(1)).map.resolution == 0.5 and "--map-resolution" not in FARM.command(1)
 
 
 def test_bars_are_met_or_not():
@@ -60,9 +62,9 @@ def test_going_back_counts_once_until_the_goal_comes_nearer_again():
 
 
 def test_wind_and_localization_are_part_of_a_setting():
-    setting = Setting("dense", "published", wind=3.0, localization="estimator")
+    setting = Setting.of("dense", "published", wind=3.0, localization="estimator")
     assert "--wind 3 --localization estimator" in setting.command(1)
-    scenario = setting.scenario(1)
+    scenario = resolve(setting.spec(1))
     assert (scenario.wind.gust, scenario.localization.kind) == (3.0, "estimator")
 
 
@@ -74,29 +76,25 @@ def test_a_flight_is_judged_by_the_true_world():
 
 
 def test_a_flight_that_did_not_arrive_tells_its_last_events(monkeypatch):
-    from mavfi.hosts import inprocess
-
-    monkeypatch.setattr(inprocess, "time_limit", lambda *_: 6.0)
-    one = measure((Setting("dense", "hardened"), 1))
+    monkeypatch.setattr("mavfi.hosts.loop.judge.time_limit", lambda *_: 6.0)
+    one = measure((Setting.of("dense", "hardened"), 1))
     assert one.status == "timeout" and one.time_s == pytest.approx(6.0)
     assert "s trajectory seq 1, points " in one.events
     assert one.cause.startswith("flew ") and one.cause.endswith("turned back 0 times")
 
 
 def test_a_collision_tells_whether_the_map_knew(monkeypatch):
-    from mavfi.hosts import inprocess
-
     flown = []
-    fly = inprocess.fly
-    monkeypatch.setattr(inprocess, "fly", lambda scenario: flown.append(fly(scenario)) or flown[-1])
+    fly = golden.fly
+    monkeypatch.setattr(golden, "fly", lambda scenario: flown.append(fly(scenario)) or flown[-1])
     monkeypatch.setattr("mavfi.pipeline.room.Room.apply", lambda room, _: setattr(room, "updates", 1))  # blind
-    one = measure((Setting("dense", "published"), 1))
+    one = measure((Setting.of("dense", "published"), 1))
     assert one.status == "collision" and one.clearance_m < 0.01
     assert one.cause.startswith("touched what its map had not seen, ")
     room = flown[0].pipeline["planner"].room
     room.cells[:] = 2
-    monkeypatch.setattr(inprocess, "fly", lambda scenario: flown[0])
-    assert measure((Setting("dense", "published"), 1)).cause.startswith("touched what its map held for occupied, ")
+    monkeypatch.setattr(golden, "fly", lambda scenario: flown[0])
+    assert measure((Setting.of("dense", "published"), 1)).cause.startswith("touched what its map held for occupied, ")
 
 
 @pytest.mark.slow
@@ -110,4 +108,4 @@ def test_rows_are_flown_in_the_order_of_seeds_on_any_number_of_workers():
 
 def test_what_cannot_be_flown_is_told_before_the_first_flight():
     with pytest.raises(BadInputError, match="nowhere"):
-        fly_row(Setting("nowhere", "hardened"), 1, 1)
+        fly_row(Setting.of("nowhere", "hardened"), 1, 1)
