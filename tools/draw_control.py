@@ -1,4 +1,4 @@
-"""Draw docs/kernels/pid.png, vehicle.png and waypoint.png: responses of tracker and vehicle, and the hand-over.
+"""Draw docs/kernels/pid.png, vehicle.png and waypoint.png: responses of tracker, vehicle and setpoint generator.
 
 Run as `make pictures`.
 """
@@ -121,10 +121,10 @@ def draw_vehicle() -> None:
 
 
 def draw_waypoint() -> None:
-    """The speed of the way-point in force under both laws, and the alarms."""
+    """The speed of the way-point in force under both rules, and the alarms."""
     figure, rows = plt.subplots(2, 1, figsize=(8.2, 4.8), sharex=True, sharey=True, layout="constrained")
-    for axes, stack, law in zip(rows, ("published", "hardened"), ("held", "governed"), strict=True):
-        flight, tape = drawing.record(resolve(MissionSpec(environment="dense", seed=7, autopilot=stack)))
+    for axes, profile, rule in zip(rows, ("published", "hardened"), ("held", "governed"), strict=True):
+        flight, tape = drawing.record(resolve(MissionSpec(environment="dense", seed=7, autopilot=profile)))
         points = [(1e-6 * t, floats(s.header, 11)[4:7]) for t, s in tape if s.spec.name == "planning.waypoint"]
         times, speeds = [t for t, _ in points], [float(np.linalg.norm(v)) for _, v in points]
         actual = np.linalg.norm(flight.log.columns("vx", "vy", "vz"), axis=1)
@@ -132,7 +132,7 @@ def draw_waypoint() -> None:
         axes.step(times, speeds, where="post", color=style.INK, linewidth=1.0, label="way-point in force")
         alarms = [1e-6 * e.time_us for e in flight.log.events if e.kind == "collision_predicted"]
         axes.plot(alarms, [3.45] * len(alarms), "v", color=style.ORANGE, label="predicted collision")
-        axes.set(title=f"{stack}: {law}", ylabel="speed (m/s)", ylim=(0.0, 3.7))
+        axes.set(title=f"{profile}: {rule}", ylabel="speed (m/s)", ylim=(0.0, 3.7))
         axes.grid(True)
     rows[1].set(xlabel="time (s)", xlim=(0.0, None))
     handles, labels = rows[0].get_legend_handles_labels()

@@ -1,4 +1,4 @@
-"""Draw docs/kernels/flight.png: one moment of a flight through dense from above: map, trees, path, trajectory.
+"""Draw docs/kernels/flight.png: one instant of a flight through dense from above: map, trees, path, trajectory.
 
 Run as `make pictures`.
 """
@@ -34,7 +34,7 @@ def points_of(state: State) -> np.ndarray:
 
 
 def draw_moment(axes: Axes) -> None:
-    """Everything of the moment."""
+    """Everything known at that instant."""
     scenario = mission()
     flight, tape = drawing.record(scenario)
     planner, path, time_us = drawing.planner_at(scenario, flight, tape, NUMBER)
@@ -57,7 +57,7 @@ def draw_moment(axes: Axes) -> None:
     axes.plot(*track[flown, 1:].T, color=style.INK, linewidth=2.0, zorder=7)
     axes.plot(*track[flown, 1:][-1], marker=(3, 0, -90), color=style.INK, markersize=11, zorder=9)
     drawing.draw_ends(axes, flight.world.start, flight.world.goal)
-    axes.set_title(f"dense, seed {scenario.seed}, stack {scenario.stack.name}, {1e-6 * time_us:.1f} s: plan {NUMBER}")
+    axes.set_title(f"dense, seed {scenario.seed}, profile {scenario.stack.name}, {1e-6 * time_us:.1f} s: plan {NUMBER}")
 
 
 def legend() -> list[Line2D | Patch]:

@@ -1,4 +1,4 @@
-"""Draw docs/images/ros_graph.png, and write what ROS's own tools say beside a flight into docs/ros.md.
+"""Draw docs/images/ros_graph.png, and write the output of ROS's own tools during a flight into docs/ros.md.
 
 A flight with an injector and a detector is flown on real ROS, free-running.  The picture is drawn from what the master
 says of it, not from what the project believes of itself.  Run as `python -m tools.draw_ros_graph`.
@@ -41,7 +41,7 @@ SHOWN = (
     ("rosmsg", "show", "mavfi_msgs/PlanningWaypoint"),
 )
 COMMANDS, CONTROL_HZ = 2, 50.0
-"""Which of them tells the rate of commands, and what it is if the machine keeps up."""
+"""Index of the one that reports the rate of commands, and the rate if the machine keeps up."""
 MASTER = (
     "import json, os, xmlrpc.client; master = xmlrpc.client.ServerProxy(os.environ['ROS_MASTER_URI']); "
     "print(json.dumps(master.getSystemState('/picture')[2]))"
@@ -69,7 +69,7 @@ class Seen:
 
 
 def look(folder: Path, seen: Seen) -> None:
-    """Ask ROS's own tools, as somebody does in another terminal."""
+    """Ask ROS's own tools, as a user does in another terminal."""
     join = str(folder / JOIN)
     for command in SHOWN:
         if command[1] == "hz":
@@ -84,7 +84,7 @@ def look(folder: Path, seen: Seen) -> None:
 
 
 def rate(join: str, command: tuple[str, ...]) -> str:
-    """The second report of a command that goes on reporting until it is stopped; the first is of a short time."""
+    """The second report of a command that reports until it is stopped; the first is of a short time."""
     with Popen([join, "env", "PYTHONUNBUFFERED=1", *command], stdout=PIPE, stderr=DEVNULL, text=True) as process:
         assert process.stdout is not None
         reports = (line.rstrip() for line in process.stdout)
@@ -117,7 +117,7 @@ def watch_flight() -> Seen:
     flown = fly(plan, tell=begin)
     looking[0].join()
     if set(SHOWN) > set(seen.told) or not seen.publishers:
-        raise MavfiError(f"the flight was over ({flown.flight.log.status.label}) before all had been looked at")
+        raise MavfiError(f"the flight was over ({flown.flight.log.status.label}) before everything was recorded")
     measured = float(seen.told[SHOWN[COMMANDS]].split()[2])
     if not 0.9 < measured / CONTROL_HZ < 1.1:
         raise MavfiError(
@@ -229,7 +229,7 @@ def draw_rest(axes: Axes, seen: Seen, y: float) -> None:
     standard = sorted(topic for topic in seen.publishers if not topic.startswith(PREFIX) and "rosout" not in topic)
     told = [f"{topic} ({', '.join(seen.publishers[topic])})" for topic in others]
     lines = [
-        f"Beside them: {' · '.join(told)} · …/rejected × {len(rejected)} (detector)",
+        f"In addition: {' · '.join(told)} · …/rejected × {len(rejected)} (detector)",
         f"In standard types: {' · '.join(standard)}",
     ]
     axes.text(LEFT - NODE, y, "\n".join(lines), va="top", color=style.GREY, fontsize=8.5, linespacing=1.6)

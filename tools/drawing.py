@@ -1,4 +1,4 @@
-"""What the pictures of docs/kernels share: a recorded flight, kernels stepped again from it, maps, worlds, files."""
+"""Common parts of the pictures of docs/kernels: a recorded flight, kernels stepped again from it, maps, worlds, files."""
 
 from io import BytesIO
 from pathlib import Path
@@ -44,12 +44,12 @@ def record(scenario: Scenario) -> tuple[Flight, Tape]:
 
 
 def config_of(scenario: Scenario, flight: Flight) -> PipelineConfig:
-    """What the pipeline of a flight was told."""
+    """Configuration of the pipeline of a flight."""
     return pipeline_config(scenario, flight.world, pixel_directions(scenario.camera))
 
 
 def room_at(scenario: Scenario, flight: Flight, tape: Tape, time_us: int) -> Room:
-    """The map of room as consumers had it at an instant."""
+    """The clearance map as consumers had it at an instant."""
     room = Room(config_of(scenario, flight))
     for when, state in tape:
         if when <= time_us and state.spec.name == "perception.map_update":
