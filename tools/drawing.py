@@ -1,4 +1,4 @@
-"""Common parts of the pictures of docs/kernels: a recorded flight, kernels stepped again from it, maps, worlds, files."""
+"""Common parts of the pictures: a recorded flight, kernels stepped again from it, maps, worlds, files."""
 
 from io import BytesIO
 from pathlib import Path
