@@ -89,7 +89,6 @@ smoke: setup  ## a campaign of a few flights, and its report
 
 fault-map: setup  ## effect of one fault, by site, on design seeds; writes docs/generated/fault-map.md
 	@$(BIN)/mavfi campaign run configs/campaigns/fault_map.yaml --out out/fault_map
-	@$(BIN)/mavfi report out/fault_map > /dev/null
 	@$(BIN)/python -m tools.build_fault_map out/fault_map
 
 ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a folder), check them

@@ -1,15 +1,19 @@
-"""Write docs/generated/fault-map.md from a report, and its key rows into docs/generated/golden-rates.md.
+"""Write docs/generated/fault-map.md from a ledger, and its key rows into docs/generated/golden-rates.md.
 
-    python -m tools.build_fault_map out/fault_map
-
-The figures are those of the report's summary.json; none is typed.
+python -m tools.build_fault_map out/fault_map
 """
 
-import json
 import sys
+from datetime import date
 from pathlib import Path
-from typing import Any
 
+import polars as pl
+
+from mavfi.api import load
+from mavfi.campaign.analysis.measures import FAILS_OR_SLOWER, rate_of
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.statistics import Rate
+from mavfi.errors import BadInputError
 from tools.markers import GENERATED, banner, fill
 
 FAULT_MAP = GENERATED / "fault-map.md"
@@ -47,33 +51,38 @@ COLUMNS = """| injected | n | missions that fail, % | that fail or take > 5 % lo
 """
 
 
-def row(entry: dict[str, Any]) -> str:
-    """One row: site, n, failures and delays with their intervals, worst flight time."""
-    hurt = entry["fails_or_slower"]
-    cells = (
-        entry["target"],
-        str(entry["n"]),
-        f"{100 * (1 - entry['rate']):.0f} [{100 * (1 - entry['high']):.0f}, {100 * (1 - entry['low']):.0f}]",
-        f"{100 * hurt['rate']:.0f} [{100 * hurt['low']:.0f}, {100 * hurt['high']:.0f}]",
-        f"{100 * entry['worst_inflation']:+.0f} %",
-    )
-    return "| " + " | ".join(cells) + " |\n"
+def percent(rate: Rate) -> str:
+    """A rate with its interval, in per cent without digits."""
+    return f"{100 * (rate.rate or 0.0):.0f} [{100 * (rate.low or 0.0):.0f}, {100 * (rate.high or 0.0):.0f}]"
 
 
-def page(data: dict[str, Any]) -> str:
+def row(target: str, own: Runs) -> str:
+    """One row: site, n, failures and delays with their intervals, worst flight time.
+
+    Args:
+        target: Name of the site.
+        own: Its judged runs.
+    """
+    fails, hurt = rate_of(own.adding(failed=~pl.col("success")), "failed"), rate_of(own, FAILS_OR_SLOWER)
+    worst = max((value for value in own["inflation"] if value is not None), default=0.0)
+    return f"| {target} | {len(own)} | {percent(fails)} | {percent(hurt)} | {100 * worst:+.0f} % |\n"
+
+
+def page(runs: Runs, today: str) -> str:
     """The whole page.
 
     Args:
-        data: A report's summary.json.
+        runs: Of the campaign `fault_map`.
+        today: Date of the page.
     """
-    c = data["campaign"]
+    c = runs.campaign
     origin = (
-        f"Autopilot profile `{c['stack']}`, {', '.join(c['environments'])}, {c['flights']} missions (seeds "
-        f"{c['seeds'][0]} to {c['seeds'][1]}), {data['date']}, mavfi {c['versions']['mavfi']}, digest "
+        f"Autopilot profile `{c['profile']}`, {', '.join(c['environments'])}, {c['missions']} missions (seeds "
+        f"{c['seeds'][0]} to {c['seeds'][1]}), {today}, mavfi {c['versions']['mavfi']}, digest "
         f"`{c['digest'][:16]}`.\n\n"
     )
-    rows = (row(entry) for entry in data["by_target"] if entry["setting"] == "fi" and entry["n"])
-    return banner("make fault-map") + HEAD + origin + COLUMNS + "".join(rows) + FOOT
+    groups = runs.injected.where("judged").groups("target").items()
+    return banner("make fault-map") + HEAD + origin + COLUMNS + "".join(row(*key, own) for key, own in groups) + FOOT
 
 
 def key_lines(fault_map: str) -> str:
@@ -88,12 +97,13 @@ def key_lines(fault_map: str) -> str:
 
 
 def main(out: Path) -> int:
-    """Update the pages from the folder of a report; returns the exit code."""
-    summary = out / "summary.json"
-    if not summary.is_file():
-        print(f"{summary}: not there; run `make fault-map`", file=sys.stderr)
+    """Update the pages from the folder of a ledger; returns the exit code."""
+    try:
+        runs = load(out)
+    except BadInputError as error:
+        print(f"{error}; run `make fault-map`", file=sys.stderr)
         return 2
-    text = page(json.loads(summary.read_text(encoding="utf-8")))
+    text = page(runs, date.today().isoformat())
     FAULT_MAP.write_text(text, encoding="utf-8")
     fill(GOLDEN_RATES, {"faults": key_lines(text)})
     return 0

@@ -3,8 +3,11 @@
 import re
 from pathlib import Path
 
+import click
 import pytest
+import typer
 
+from mavfi.cli.commands import app
 from tests.architecture.source import ROOT
 from tools import build_pages
 
@@ -48,6 +51,26 @@ def test_make_targets_that_are_named_exist(page):
         re.findall(r"^ *make ([a-z-]+)", text(page), re.MULTILINE)
     )
     assert named - targets == set()
+
+
+def commands_of(page):
+    """Every `mavfi ...` of a page, in blocks and in the text, as words."""
+    shown = re.findall(r"^ {4}(?:\.venv/bin/|\$FLIGHT/join )?mavfi (.+)$", text(page), re.MULTILINE)
+    shown += re.findall(r"`(?:\.venv/bin/)?mavfi ([^`]+)`", text(page))
+    return [re.sub(r"\s+#.*$", "", command).split() for command in shown]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_commands_that_are_named_exist(page):
+    program = typer.main.get_command(app)
+    for words in commands_of(page):
+        command = program
+        while isinstance(command, click.Group) and words and words[0] in command.commands:
+            command = command.commands[words.pop(0)]
+        assert command is not program, f"mavfi {' '.join(words)}"
+        known = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+        options = {word.partition("=")[0] for word in words if re.match(r"--[a-z]", word)}
+        assert options <= known | {"--help"}, f"{command.name}: {options - known}"
 
 
 def test_decisions_are_numbered_without_gaps_and_say_their_status():
