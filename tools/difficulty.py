@@ -26,7 +26,7 @@ from mavfi.campaign.analysis.statistics import Rate, wilson
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
-from mavfi.cli.progress import Bar, import_host
+from mavfi.cli.progress import Bar
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.compose import find_environment
@@ -120,7 +120,6 @@ def campaigns(n: int) -> Iterator[tuple[str, float, Campaign, Path]]:
 
 def fly_all(n: int, workers: int) -> None:
     """Fly the remaining runs."""
-    import_host()
     with stoppable("Stopped. Finished flights are kept in out/difficulty; the same command resumes."):
         for profile, v_max, campaign, directory in campaigns(n):
             with Bar(f"{profile} {v_max:g} m/s") as bar:
