@@ -3,9 +3,7 @@
 from functools import cache
 
 import numpy as np
-import pytest
 
-from mavfi.campaign.run import run_campaign
 from mavfi.detectors import Alarm
 from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.hosts.local import fly
@@ -61,19 +59,3 @@ def walled(seed, start=None, goal=None):
     upper = [(21.0, -7.0, 12.0), (21.0, 8.0, 12.0), (5.0, 8.0, 12.0), (21.0, 8.0, 12.0)]
     ends = (start or (12.0, 0.0, 3.0), goal or (60.0, 0.0, 3.0))
     return arena_world(np.array(lower), np.array(upper), *(np.array(end, float) for end in ends))
-
-
-class _EnoughError(Exception):
-    """The campaign has flown long enough."""
-
-
-def run_in_two_sittings(campaign, directory, flown):
-    """Fly a campaign with two workers, stop it after a number of flights, and go on."""
-
-    def stop(progress):
-        if progress.flown == flown:
-            raise _EnoughError
-
-    with pytest.raises(_EnoughError):
-        run_campaign(campaign, directory, workers=2, progress=stop)
-    assert run_campaign(campaign, directory, workers=2).complete

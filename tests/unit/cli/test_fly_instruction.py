@@ -7,7 +7,8 @@ import pytest
 
 from mavfi.cli import run
 from mavfi.faults.instruction.build import name_of
-from mavfi.pipeline.functions import PLAIN, STRUCK
+from mavfi.pipeline.functions import PLAIN
+from mavfi.states import INJECTABLE
 
 pytestmark = pytest.mark.slow
 
@@ -26,30 +27,32 @@ def told():
 
 def test_the_record_names_the_instruction_and_its_line(told):
     (record,) = told["injections"]
-    assert record["hit"] is True
-    assert (record["level"], record["kernel"]) == ("instruction", "octomap")
-    assert record["function"] in STRUCK["octomap"]
+    details = record["details"]
+    assert record["activated"] is True
+    assert (record["level"], record["site"]) == ("instruction", f"octomap.{details['function']}")
+    assert details["function"] in INJECTABLE["octomap"]
     assert record["file"].startswith("mavfi/") and record["file"].endswith(".py") and record["line"] > 0
-    assert record["opcode"].isalpha() and record["type"]
-    assert record["value_class"] in ("floating_point", "integer", "address", "control")
-    assert isinstance(record["variable"], str)
-    assert re.fullmatch("[0-9a-f]{64}", record["ir_sha256"])
+    assert details["opcode"].isalpha() and details["type"]
+    assert details["value_class"] in ("floating_point", "integer", "address", "control")
+    assert isinstance(details["variable"], str)
+    assert re.fullmatch("[0-9a-f]{64}", details["ir_sha256"])
     assert record["before"] != record["after"]
-    assert record["bit"] in range(record["width"]) and record["bits"] == [record["bit"]]
-    assert isinstance(record["replayable"], bool)
+    assert record["bit"] in range(details["width"]) and details["bits"] == [record["bit"]]
+    assert isinstance(details["replayable"], bool)
 
 
 def test_the_record_is_of_the_fault_that_was_drawn(told):
-    (record,), fault = told["injections"], told["fault"]["instruction"]
-    assert fault["kernel"] == name_of(getattr(PLAIN, record["function"]))
+    (record,), fault = told["injections"], told["fault"]
+    details = record["details"]
+    assert fault["function"] == name_of(getattr(PLAIN, details["function"]))
     for key in ("ir_sha256", "index", "call", "bits", "value_class"):
-        assert fault[key] == record[key], key
+        assert fault[key] == details[key], key
 
 
-def test_the_outcome_of_kernel_and_mission_are_told(told):
-    assert told["kernel_outcome"]["outcome"] in ("masked", "sdc", "crash", "hang", "exception")
+def test_the_effects_on_kernel_and_mission_are_told(told):
+    assert told["kernel"]["effect"] in ("masked", "sdc", "crash", "hang", "exception")
     assert told["golden"]["status"] == "success"
-    if told["kernel_outcome"]["outcome"] == "masked":
+    if told["kernel"]["effect"] == "masked":
         assert told["digest"] == told["golden"]["digest"]
 
 
