@@ -127,7 +127,8 @@ def setup_of(plan: MissionPlan, arm: Arm, host: Host) -> ArmSetup:
         planned = plan.models.get(arm.name, "")
         if model != planned:
             raise SpecMismatchError(
-                f"arm {arm.name}: planned with the model {planned[:12]}, but {plan.models_dir} holds {model[:12]}"
+                f"arm {arm.name}: planned with the model {planned[:12]}, but {plan.models_dir or 'the shipped folder'} "
+                f"holds {model[:12]}"
             )
         return detector
 

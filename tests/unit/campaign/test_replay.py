@@ -1,19 +1,32 @@
 import pytest
 
-from mavfi.campaign.replay import replay
+from mavfi.campaign import mission as mission_module
+from mavfi.campaign import run as run_module
+from mavfi.campaign.replay import fly_again, replay
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
-from mavfi.campaign.worker import Tools
 from mavfi.errors import BadInputError, SpecMismatchError
-from tests.unit.campaign import fakes
-from tests.unit.campaign.fakes import FAKE, small
+from tests.unit.campaign.fakes import BROKEN, TROUBLE, FakeDetector, small
+
+
+def planned_with_a_model(monkeypatch, sha):
+    for module in (mission_module, run_module):
+        monkeypatch.setattr(module, "detector_for", lambda *_: (FakeDetector(), sha))
 
 
 @pytest.fixture(scope="module")
 def directory(tmp_path_factory):
     directory = tmp_path_factory.mktemp("campaign")
-    run_campaign(small(environments=["dense"]), directory, workers=1, tools=FAKE)
+    with pytest.MonkeyPatch.context() as patch:
+        planned_with_a_model(patch, "0123456789abcdef")
+        arms = {"gaussian": {"detector": "gaussian", "wind": 2.0}}
+        run_campaign(small(environments=["dense"], arms=arms), directory)
     return directory
+
+
+@pytest.fixture(autouse=True)
+def _model(monkeypatch):
+    planned_with_a_model(monkeypatch, "0123456789abcdef")
 
 
 def a_run(directory, setting):
@@ -21,46 +34,66 @@ def a_run(directory, setting):
         return next(run for run in store.runs() if run.spec.setting == setting)
 
 
-@pytest.mark.parametrize("setting", ["golden", "fi", "dr_gaussian", "null"])
+@pytest.mark.parametrize("setting", ["golden", "golden_gaussian", "fi", "dr_gaussian", "null", "null_gaussian"])
 def test_the_same_flight_comes_out(directory, setting):
     run = a_run(directory, setting)
-    again = replay(directory, run.spec.run_id, FAKE)
+    again = replay(directory, run.spec.run_id)
     assert again.same
     assert again.run == run
-    assert again.flight.log.status.label == run.record["status"]
+    assert again.flight.log.status.label == run.record.status
+    assert again.digest == run.record.digest
 
 
-def test_the_twin_has_the_same_mission_and_detector(directory):
-    again = replay(directory, a_run(directory, "dr_gaussian").spec.run_id, FAKE)
-    assert again.twin.spec.setting == "golden_gaussian"
-    assert again.twin.spec.seed == again.run.spec.seed
-    assert replay(directory, a_run(directory, "golden").spec.run_id, FAKE).twin is None
+def test_its_golden_run_has_the_same_mission_and_arm(directory):
+    again = replay(directory, a_run(directory, "dr_gaussian").spec.run_id)
+    assert again.golden.spec.setting == "golden_gaussian"
+    assert again.golden.spec.seed == again.run.spec.seed
+    assert replay(directory, a_run(directory, "golden").spec.run_id).golden is None
 
 
-def slower(scenario, fault, detector, *, want_profile):
-    flight = fakes.fly(scenario, fault, detector, want_profile=want_profile)
-    flight.log.rows[3, 1] += 1e-9
-    return flight
+def test_another_flight_is_reported(directory, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "stray", 1e-9)
+    assert not replay(directory, a_run(directory, "fi").spec.run_id).same
 
 
-def other_model(detector, profile, models_dir, scenario):
-    return fakes.FakeDetector(), "trained since"
+def test_another_model_is_refused_and_only_where_it_matters(directory, monkeypatch):
+    planned_with_a_model(monkeypatch, "trained since")
+    with pytest.raises(
+        SpecMismatchError, match="planned with the model 0123456789ab, but the shipped folder holds trained"
+    ):
+        replay(directory, a_run(directory, "dr_gaussian").spec.run_id)
+    assert replay(directory, a_run(directory, "fi").spec.run_id).same
 
 
-def test_another_flight_is_told(directory):
-    again = replay(directory, a_run(directory, "fi").spec.run_id, Tools(slower, FAKE.load_detector, FAKE.make_scenario))
-    assert not again.same
-
-
-def test_another_model_is_refused(directory):
-    with pytest.raises(SpecMismatchError, match="planned with the model 0123456789ab"):
-        replay(
-            directory, a_run(directory, "dr_gaussian").spec.run_id, Tools(fakes.fly, other_model, FAKE.make_scenario)
-        )
+def test_an_exception_of_the_flight_comes_through(directory, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "raises", True)
+    with Store.open(directory) as store:
+        spec = next(run.spec for run in store.runs("injected") if run.spec.seed == BROKEN)
+        with pytest.raises(ZeroDivisionError):
+            fly_again(store, spec)
 
 
 def test_what_is_not_there_is_bad_input(directory, tmp_path):
     with pytest.raises(BadInputError, match="holds no campaign"):
-        replay(tmp_path, "x", FAKE)
+        replay(tmp_path, "x")
     with pytest.raises(BadInputError, match="no run of that name"):
-        replay(directory, "sparse-1", FAKE)
+        replay(directory, "sparse-1")
+
+
+def test_a_run_that_is_not_flown_yet_is_refused(tmp_path):
+    def stop(progress):
+        if progress.flown == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(small(), tmp_path, progress=stop)
+    with Store.open(tmp_path) as store:
+        run = next(store.runs(done=False))
+    with pytest.raises(BadInputError, match=f"run {run.spec.run_id} is not flown yet"):
+        replay(tmp_path, run.spec.run_id)
+
+
+def test_hosts_that_are_not_deterministic_fly_nothing_again(tmp_path):
+    run_campaign(small(host="tests.unit.campaign.fakes:WildHost", missions=1, faults=1, arms={}), tmp_path)
+    with pytest.raises(BadInputError, match="host fake is not deterministic"):
+        replay(tmp_path, "sparse-10000-golden")

@@ -1,3 +1,5 @@
+"""The ledger: what is in it is there to stay, and its digest says what is in it."""
+
 import sqlite3
 import subprocess
 import sys
@@ -7,74 +9,120 @@ import pytest
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.store import FILE, Store
 from mavfi.errors import BadInputError
+from mavfi.flight_record import End, FlightRecord
 
-IDENTITY = {"campaign": {"name": "c", "flights": 3}, "models": {}}
-SPECS = [RunSpec(1, "golden", "sparse", seed, "key") for seed in range(4)]
+IDENTITY = {"campaign": {"name": "c", "missions": 3}, "models": {}}
+SPECS = [RunSpec("golden", "golden", "sparse", seed, "key", position=seed) for seed in range(4)]
+INJECTED = RunSpec("injected", "fi", "sparse", 2, "key", target="planning", position=4)
 
 
 @pytest.fixture
 def store(tmp_path):
     with Store.create(tmp_path / "out", IDENTITY) as store:
-        store.plan(1, SPECS)
+        store.plan(SPECS)
         yield store
 
 
-def write(store, spec, **record):
-    store.write(spec, {"end": "flown", "success": True, **record}, None, "", 0.1)
+def write(store, spec, status="success", **record):
+    store.write(spec.run_id, FlightRecord(End.FLOWN, status, **record), "", 0.1)
 
 
 def test_runs_come_in_the_order_of_the_plan_and_are_done_once_written(store):
+    store.plan([RunSpec("golden", "golden", "dense", 9, "key", position=100), INJECTED])
     write(store, SPECS[2], digest="d")
-    assert [run.spec for run in store.runs()] == SPECS
-    assert [run.spec.seed for run in store.runs(done=False)] == [0, 1, 3]
-    [done] = store.runs(1, done=True)
-    assert done.record == {"end": "flown", "success": True, "digest": "d"}
-    assert store.counts() == {"golden": (4, 1, 1)}
+    assert [run.spec for run in store.runs("golden")][:4] == SPECS
+    assert [run.spec.position for run in store.runs()] == [0, 1, 2, 3, 4, 100]
+    assert [run.spec.seed for run in store.runs("golden", done=False)] == [0, 1, 3, 9]
+    [done] = store.runs(done=True)
+    assert (done.record, done.note, done.wall_s) == (FlightRecord(End.FLOWN, "success", "d"), "", 0.1)
+    assert store.done() == {("sparse", 2): frozenset({SPECS[2].run_id})}
 
 
-def test_a_phase_is_planned_once(store):
-    assert store.is_planned(1)
-    assert not store.is_planned(2)
-    store.plan(1, [RunSpec(1, "golden", "dense", 7, "key")])
-    assert len(list(store.runs())) == 4
-    store.plan(2, [RunSpec(2, "fi", "dense", 7, "key")])
-    assert len(list(store.runs(2))) == 1
+def test_counts_by_setting_in_the_order_of_the_plan(store):
+    store.plan([INJECTED])
+    write(store, SPECS[1])
+    write(store, SPECS[2], "collision")
+    store.write(SPECS[3].run_id, FlightRecord(End.UNKNOWN, error="E"), "note", 0.1)
+    assert list(store.counts().items()) == [("golden", (4, 3, 1)), ("fi", (1, 0, 0))]
+    assert store.setting_of(INJECTED.run_id) == "fi"
 
 
-def test_a_ledger_is_complete_when_both_phases_are_planned_and_flown(store):
-    injected = RunSpec(2, "fi", "dense", 7, "key")
+def test_what_is_planned_stays_as_it_is(store):
+    write(store, SPECS[1], digest="d")
+    before = store.digest()
+    store.plan([*SPECS, SPECS[1]])
+    assert store.digest() == before
+    store.plan([INJECTED])
+    assert len(list(store.runs("injected"))) == 1 and store.digest() != before
+
+
+def test_a_record_is_written_once(store):
+    write(store, SPECS[0], digest="first")
+    write(store, SPECS[0], digest="second")
+    assert store.run(SPECS[0].run_id).record.digest == "first"
+
+
+def test_a_ledger_is_complete_when_every_mission_is_planned_and_flown(store):
+    worlds = {spec.world for spec in SPECS}
+    store.write_meta({"missions": 4})
     for spec in SPECS:
-        assert not store.complete
         write(store, spec)
-    assert not store.complete, "the second phase is not planned yet"
-    store.plan(2, [injected])
-    assert not store.complete
-    write(store, injected)
+    assert store.planned() == store.complete_missions() == set()
+    for world in worlds - {INJECTED.world}:
+        store.end_plan(world)
+    assert store.complete_missions() == worlds - {INJECTED.world}
+    assert not store.complete, "the faults of one mission are not planned yet"
+    store.plan([INJECTED])
+    store.end_plan(INJECTED.world)
+    store.end_plan(INJECTED.world)
+    assert store.planned() == worlds and not store.complete
+    write(store, INJECTED)
     assert store.complete
+
+
+def test_a_run_knows_its_golden_run(store):
+    others = [
+        RunSpec("golden", "golden_g", "sparse", 2, "key", "g", position=10),
+        RunSpec("injected", "dr_g", "sparse", 2, "key", "g", position=11),
+        RunSpec("null", "null_g", "sparse", 9, "key", "g", position=12),
+    ]
+    store.plan([INJECTED, *others])
+    assert store.golden_of(INJECTED).spec == SPECS[2]
+    assert store.golden_of(others[1]).spec == others[0]
+    assert store.golden_of(others[2]) is None, "it is not planned"
+    assert store.golden_of(SPECS[2]) is None
 
 
 def test_digest_does_not_depend_on_order_or_wall_time(tmp_path):
     digests = []
     for name, order in (("a", SPECS), ("b", SPECS[::-1])):
         with Store.create(tmp_path / name, IDENTITY) as store:
-            store.plan(1, SPECS)
+            store.plan(order)
             for place, spec in enumerate(order):
-                store.write(spec, {"end": "flown", "digest": spec.run_id}, None, f"note {place}", 0.1 * place)
+                store.write(spec.run_id, FlightRecord(End.FLOWN, digest=spec.run_id), f"note {place}", 0.1 * place)
             digests.append(store.digest())
     assert digests[0] == digests[1]
 
 
-def test_digest_depends_on_every_record_and_on_what_is_missing(store):
+def test_digest_depends_on_campaign_plan_and_every_record(store, tmp_path):
     digests = [store.digest()]
-    for spec, digest in ((SPECS[0], "x"), (SPECS[0], "y"), (SPECS[1], "x")):
+    for spec, digest in ((SPECS[0], "x"), (SPECS[1], "x")):
         write(store, spec, digest=digest)
         digests.append(store.digest())
-    assert len(set(digests)) == 4
+    with Store.create(tmp_path / "other", {**IDENTITY, "models": {"g": "abc"}}) as other:
+        other.plan(SPECS)
+        digests.append(other.digest())
+    with Store.create(tmp_path / "third", IDENTITY) as third:
+        third.plan(SPECS)
+        assert third.digest() == digests[0]
+        write(third, SPECS[0], digest="y")
+        digests.append(third.digest())
+    assert len(set(digests)) == 5
 
 
 def test_another_campaign_is_refused_and_nothing_is_written_over(tmp_path):
     with Store.create(tmp_path, IDENTITY) as store:
-        store.plan(1, SPECS)
+        store.plan(SPECS)
         digest = store.digest()
     other = {**IDENTITY, "models": {"gaussian": "abc"}}
     with pytest.raises(BadInputError, match=r"holds another campaign \(differs in: models\)"):
@@ -114,14 +162,47 @@ def test_foreign_files_and_versions_are_refused(tmp_path):
         connection.execute("CREATE TABLE t (x)")
     connection.close()
     for attempt in (lambda: Store.open(tmp_path / "v"), lambda: Store.create(tmp_path / "v", IDENTITY)):
-        with pytest.raises(BadInputError, match="schema version 99; allowed: 1"):
+        with pytest.raises(BadInputError, match="schema version 99; allowed: 2$"):
             attempt()
+
+
+def test_a_ledger_whose_making_was_stopped_is_begun_again(tmp_path, monkeypatch):
+    def stop(store, items):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "write_meta", stop)
+        with pytest.raises(KeyboardInterrupt):
+            Store.create(tmp_path, IDENTITY)
+    with Store.create(tmp_path, IDENTITY) as store:
+        assert store.meta("identity") == IDENTITY
 
 
 def test_a_run_is_found_by_the_beginning_of_its_id(store):
     assert store.run(SPECS[1].run_id).spec == SPECS[1]
     assert store.run("sparse-3").spec == SPECS[3]
-    with pytest.raises(BadInputError, match="4 runs of that name"):
-        store.run("sparse")
-    with pytest.raises(BadInputError, match="no run of that name"):
+    with pytest.raises(BadInputError, match="no run of that name; `mavfi runs` lists them"):
         store.run("dense-1")
+    with pytest.raises(BadInputError, match="no run of that name"):
+        store.run("parse-3")
+
+
+def test_an_ambiguous_id_lists_candidates(store):
+    with pytest.raises(BadInputError, match="4 runs begin so; allowed, among others: sparse-0-golden-.*, sparse-3-g"):
+        store.run("sparse")
+    store.plan([RunSpec("golden", "golden", "sparse", seed, "key", position=seed) for seed in range(10, 100)])
+    with pytest.raises(BadInputError, match="94 runs begin so") as caught:
+        store.run("sparse")
+    assert str(caught.value).count("-golden-") == 5
+
+
+def test_a_whole_id_is_meant_even_if_another_begins_so(store):
+    longer = f"{SPECS[0].run_id}-and-more"
+    with store._connection as connection:
+        columns = "position, kind, setting, environment, seed, spec, note"
+        connection.execute(
+            f"INSERT INTO runs (run_id, {columns}) SELECT ?, 99, kind, setting, environment, seed, spec, note "
+            "FROM runs WHERE position = 1", (longer,),
+        )  # fmt: skip
+    assert store.run(SPECS[0].run_id).spec == SPECS[0]
+    assert store.run(longer).spec == SPECS[1]

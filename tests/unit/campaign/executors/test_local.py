@@ -1,131 +1,206 @@
 import os
+import signal
 import time
 
 import pytest
 
 from mavfi.campaign.executors import local
-from mavfi.campaign.executors.local import MOST_WORKERS, LocalPool, Lost
-from mavfi.errors import BadInputError
+from mavfi.campaign.executors.executor import Done, Lost, map_each
+from mavfi.campaign.executors.local import MOST_WORKERS, LocalExecutor
+from mavfi.campaign.mission import ATTEMPTS_ALONE, LONGEST_ALONE
+from mavfi.errors import BadInputError, MavfiError
+
+
+def count_to(number):
+    yield from range(number)
+
+
+def process(number):
+    yield os.getpid()
+    yield os.getpid()
+
+
+def explode(number):
+    yield number
+    raise ZeroDivisionError(number)
+
+
+class PrivateError(Exception):
+    """Cannot be made again from its text."""
+
+    def __init__(self, number, other):
+        super().__init__(f"{number} and {other}")
+
+
+def explode_privately(number):
+    yield number
+    raise PrivateError(number, 2)
+
+
+def yield_what_no_pipe_takes(number):
+    yield lambda: number
+
+
+def die(item):
+    """Item: number, and how it dies after its first result; None = it does not."""
+    number, how = item
+    yield number
+    if isinstance(how, signal.Signals):
+        os.kill(os.getpid(), how)
+    elif how is not None:
+        os._exit(how)
+    yield -number
+
+
+def die_after(item):
+    """The worker dies as soon as it is idle again."""
+    yield item
+    if item == 1:
+        pid, parent = os.getpid(), os.fork()
+        if parent == 0:
+            time.sleep(0.2)
+            os.kill(pid, signal.SIGKILL)
+            os._exit(0)
+
+
+def hang(seconds):
+    yield "begun"
+    time.sleep(seconds)
+    yield "over"
 
 
 def double(item):
-    return 2 * item
+    return None if item is None else 2 * item
 
 
-def explode(item):
-    raise ZeroDivisionError(item)
-
-
-def die_while_counted(item):
-    """Item: number, and a file with how often the worker dies of it."""
-    number, path = item
-    if path is not None:
-        left = int(path.read_text())
-        if left > 0:
-            path.write_text(str(left - 1))
-            os._exit(7)
-    return number
-
-
-def sleep(item):
-    time.sleep(item)
-    return item
+def items_of(results, item):
+    return [result for mission, result in results if mission == item]
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_every_item_comes_back_once(workers):
-    results = dict(LocalPool(workers).run(double, range(25)))
-    assert results == {item: 2 * item for item in range(25)}
+def test_what_a_mission_gives_comes_in_its_order_and_ends_with_done(workers):
+    results = list(LocalExecutor(workers).map(count_to, range(9)))
+    assert len(results) == sum(range(9)) + 9
+    for number in range(9):
+        assert items_of(results, number) == [*range(number), Done()]
+
+
+def test_items_are_handed_over_while_the_mission_goes_on():
+    results = LocalExecutor(1).map(hang, [60.0])
+    assert next(results) == (60.0, "begun")
+    results.close()
+
+
+def test_a_mission_stays_with_its_worker_and_workers_are_used_again():
+    results = list(LocalExecutor(2).map(process, range(8)))
+    workers = [{pid for pid in items_of(results, number) if not isinstance(pid, Done)} for number in range(8)]
+    assert all(len(own) == 1 for own in workers)
+    assert len(set.union(*workers)) == 2
+    assert os.getpid() not in set.union(*workers)
 
 
 def test_nothing_to_do():
-    assert list(LocalPool(1).run(double, [])) == []
+    assert list(LocalExecutor(1).map(count_to, [])) == []
 
 
 def test_no_workers_are_bad_input():
     with pytest.raises(BadInputError, match=r"workers: 0; allowed: 1 to \d+ \(4 per processor\)"):
-        LocalPool(0)
+        LocalExecutor(0)
 
 
 def test_absurd_numbers_of_workers_are_refused_before_any_is_forked():
-    LocalPool(MOST_WORKERS)
+    LocalExecutor(MOST_WORKERS)
     with pytest.raises(BadInputError, match="workers: 100000; allowed: 1 to"):
-        LocalPool(100_000)
+        LocalExecutor(100_000)
 
 
-def test_there_are_never_more_workers_than_items(monkeypatch):
-    opened, really_open = [], local._open
-    monkeypatch.setattr(local, "_open", lambda: opened.append(really_open()) or opened[-1])
-    assert dict(LocalPool(MOST_WORKERS).run(double, [1])) == {1: 2}
-    assert len(opened) == 1
+def test_there_are_never_more_workers_than_missions(monkeypatch):
+    made, really = [], local._Worker
+    monkeypatch.setattr(local, "_Worker", lambda function: made.append(function) or really(function))
+    assert list(LocalExecutor(MOST_WORKERS).map(count_to, [1])) == [(1, 0), (1, Done())]
+    assert len(made) == 1
 
 
-def test_an_exception_comes_through():
+def test_an_exception_comes_through_after_what_was_given_before():
+    results = LocalExecutor(1).map(explode, [1])
+    assert next(results) == (1, 1)
     with pytest.raises(ZeroDivisionError):
-        list(LocalPool(1).run(explode, [1]))
+        next(results)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("deaths", "survives"), [(1, True), (3, True), (4, False)])
-def test_deaths_are_tried_again_alone_three_times(tmp_path, deaths, survives):
-    path = tmp_path / "deaths"
-    path.write_text(str(deaths))
-    items = [(number, path if number == 2 else None) for number in range(8)]
-    results = list(LocalPool(2).run(die_while_counted, items))
-    assert [item for item, _ in results][-1] == items[2], "suspects come last"
-    assert {item: result for item, result in results[:-1]} == {item: item[0] for item in items if item[1] is None}
-    last = results[-1][1]
-    assert last == 2 if survives else isinstance(last, Lost) and last.died
+def test_an_exception_that_cannot_be_sent_comes_through_as_text():
+    with pytest.raises(MavfiError, match="PrivateError: 1 and 2"):
+        list(LocalExecutor(1).map(explode_privately, [1]))
+    with pytest.raises((AttributeError, MavfiError), match="lambda"):
+        list(LocalExecutor(1).map(yield_what_no_pipe_takes, [1]))
 
 
-@pytest.mark.slow
-def test_a_worker_that_does_not_answer_is_lost_but_not_dead(monkeypatch):
-    monkeypatch.setattr("mavfi.campaign.executors.local.ATTEMPTS_ALONE", 1)
-    [(item, result)] = LocalPool(1, time_limit=0.2).run(sleep, [30.0])
-    assert item == 30.0
-    assert isinstance(result, Lost)
-    assert not result.died
+@pytest.mark.parametrize(
+    ("how", "told"), [(signal.SIGKILL, "SIGKILL"), (signal.SIGTERM, "SIGTERM"), (7, "exit code 7")]
+)
+def test_a_worker_that_dies_loses_its_mission_only(how, told):
+    missions = [(number, how if number == 2 else None) for number in range(1, 7)]
+    results = list(LocalExecutor(2).map(die, missions))
+    for mission in missions:
+        found = items_of(results, mission)
+        if mission[1] is None:
+            assert found == [mission[0], -mission[0], Done()]
+        else:
+            assert found[0] == mission[0], "what it gave before is kept"
+            assert found[1:] == [Lost(f"its worker died ({told})", died=True)]
 
 
-def test_leaving_early_stops_the_workers():
-    started = time.perf_counter()
-    results = LocalPool(1).run(sleep, [0.0, 60.0, 60.0])
-    assert next(results) == (0.0, 0.0)
-    results.close()
-    assert time.perf_counter() - started < 20
+def test_a_worker_that_dies_while_it_is_idle_loses_what_it_is_given_next():
+    def slowly():
+        yield 1
+        time.sleep(0.5)
+        yield from (2, 3)
+
+    results = list(LocalExecutor(1).map(die_after, slowly()))
+    assert items_of(results, 1) == [1, Done()]
+    assert [result.died for result in items_of(results, 2) if isinstance(result, Lost)] == [True]
+    assert items_of(results, 3) == [3, Done()]
 
 
-def who(item):
-    return os.getpid()
+def test_a_worker_that_gives_nothing_is_lost_but_not_dead():
+    results = list(LocalExecutor(1, time_limit=0.2).map(hang, [60.0, 0.0]))
+    assert items_of(results, 60.0) == ["begun", Lost("its worker gave nothing for 0.2 s", died=False)]
+    assert items_of(results, 0.0) == ["begun", "over", Done()]
 
 
-def test_a_group_and_what_follows_from_it_goes_to_one_worker():
-    groups = [[(name, number) for number in range(3)] for name in "abcdef"]
-    rest = {name: [[(name, 3), (name, 4)], [(name, 5)]] for name in "abcdef"}
-
-    def follow(item):
-        return rest[item[0]].pop(0) if item[1] in (2, 4) else []
-
-    results = list(LocalPool(2).run_groups(who, groups, follow))
-    assert sorted(item for item, _ in results) == [(name, number) for name in "abcdef" for number in range(6)]
-    assert len({worker for _, worker in results}) == 2
-    for name in "abcdef":
-        mine = [(number, worker) for (group, number), worker in results if group == name]
-        assert [number for number, _ in mine] == list(range(6)), "in order"
-        assert len({worker for _, worker in mine}) == 1
+def test_attempts_in_a_child_end_before_their_worker_counts_as_lost():
+    assert ATTEMPTS_ALONE * LONGEST_ALONE < local.TIME_LIMIT
 
 
-@pytest.mark.slow
-def test_what_follows_from_an_item_that_died_is_done_too(tmp_path):
-    path = tmp_path / "deaths"
-    path.write_text("100")
-    follow = {1: [(5, None)], 2: [(6, None)], 6: [(7, None)]}
-    groups = [[(1, None), (2, path)], [(3, None)]]
-    results = dict(LocalPool(2).run_groups(die_while_counted, groups, lambda item: follow.get(item[0], [])))
-    assert {item[0] for item in results} == {1, 2, 3, 5, 6, 7}
-    assert {item[0] for item, result in results.items() if isinstance(result, Lost)} == {2}
+@pytest.mark.parametrize("leave", ["close", "raise"])
+def test_leaving_early_ends_the_workers(leave):
+    results = LocalExecutor(2).map(process_and_hang, [0, 1, 2])
+    pids = {next(results)[1], next(results)[1]}
+    if leave == "close":
+        results.close()
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            results.throw(KeyboardInterrupt)
+    assert len(pids) == 2
+    for pid in pids:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
 
 
-def test_empty_groups_are_passed_over():
-    results = list(LocalPool(1).run_groups(double, [[], [1], [], [], [2]], lambda _: []))
-    assert results == [(1, 2), (2, 4)]
+def process_and_hang(number):
+    yield os.getpid()
+    time.sleep(60.0)
+
+
+def test_map_each_gives_every_result_once_whatever_it_is():
+    results = dict(map_each(LocalExecutor(2), double, [*range(25), None]))
+    assert results == {**{item: 2 * item for item in range(25)}, None: None}
+
+
+def exit_hard(item):
+    os._exit(3)
+
+
+def test_map_each_says_what_was_lost():
+    with pytest.raises(MavfiError, match=r"seven: its worker died \(exit code 3\)"):
+        list(map_each(LocalExecutor(1), exit_hard, ["seven"]))
