@@ -10,13 +10,10 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from mavfi.faults.fault import StateFault
-from mavfi.faults.strata import bit_class
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.qof import QoF, quality_of
 from mavfi.reports.explain import alarm_lines, injection_lines
-from mavfi.states import STATES
 
 if TYPE_CHECKING:
     from mavfi.reports.flight_result import FlightResult
@@ -80,20 +77,9 @@ def _fault(result: FlightResult) -> list[RenderableType]:
     fault, effect = result.fault, result.effect
     if fault is None or effect is None:
         return []
-    story = []
-    for injection in result.log.injections:
-        story += injection_lines(injection, fault, result.log.kernel)
-        if injection.activated and injection.bit is not None:
-            kind = fault.stratum or _bit_class(fault, injection.bit)
-            story += [("bit", f"{injection.bit} ({kind})")] if kind else []
+    log = result.log
+    story = [line for injection in log.injections for line in injection_lines(injection, fault, log.kernel)]
     return [Text(), story_table([*story, ("effect", f"{effect.label}: {_MEANING.get(effect, effect.value)}")])]
-
-
-def _bit_class(fault: object, bit: int) -> str:
-    """What a bit of a state's field means; "" at other levels."""
-    if not isinstance(fault, StateFault):
-        return ""
-    return bit_class(STATES[fault.where.state].find(fault.where.field), bit)
 
 
 def _alarms(result: FlightResult) -> list[RenderableType]:

@@ -7,13 +7,15 @@ from typing import Any
 from mavfi.campaign.divergence import LEFT, Departure, Difference
 from mavfi.campaign.explanation import Explanation
 from mavfi.campaign.plan import RunSpec
-from mavfi.faults.fault import Fault
+from mavfi.faults.fault import Fault, StateFault
+from mavfi.faults.strata import bit_class
 from mavfi.flight_log import AlarmRecord, FlightLog, Injection, KernelEffect
 from mavfi.flight_record import AFTERMATH, INSTANT
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.reports.change import change
 from mavfi.reports.text import signed_percent
+from mavfi.states import STATES
 
 MOST_ALARMS = 8
 """Alarms that are shown one by one."""
@@ -106,9 +108,17 @@ def _fault(injection: Injection, fault: Fault | None) -> str:
     if not injection.activated:
         why = "the instruction was not executed" if instruction else "no such publication came"
         return f"{injection.site}: not activated, {why}"
-    bit = injection.details.get("model", "empty mask") if injection.bit is None else f"bit {injection.bit}"
+    bit = injection.details.get("model", "empty mask") if injection.bit is None else _bit(injection.bit, fault)
     before, after = change(injection.before, injection.after)
     return f"{injection.site}, {bit}, at {injection.time_s:.3f} s: {before} → {after}"
+
+
+def _bit(bit: int, fault: Fault | None) -> str:
+    """A bit and what it means, if that is known."""
+    kind = "" if fault is None else fault.stratum
+    if isinstance(fault, StateFault):
+        kind = bit_class(STATES[fault.where.state].find(fault.where.field), bit)
+    return f"bit {bit} ({kind.replace('_', ' ')})" if kind else f"bit {bit}"
 
 
 def _kernel(name: str, kernel: KernelEffect) -> str:

@@ -13,6 +13,7 @@ from matplotlib.collections import PatchCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
+from matplotlib.transforms import offset_copy
 from scipy.spatial import cKDTree
 
 from mavfi.kernels.perception.clearance import OCCUPIED
@@ -30,6 +31,8 @@ NEAR = 3.0
 _MARGIN = 2.0
 _SCAN_MARGIN = 5.0
 _WIDTH = 11.0
+_HANDLE, _LETTER, _ROW = 0.62, 0.066, 0.22
+"""About what a legend's entry takes: its handle, a letter, a row (in)."""
 _SIDE_STRETCH = 1.6
 """Heights in the side view are drawn larger by this factor."""
 _SOLID, _EDGE, _MAP = "#D4D4D4", "#A8A8A8", "#3B3B3B"
@@ -67,15 +70,17 @@ def draw_flight(
     courses = _courses(flight, golden, recovered, detector)
     with style.house_style():
         lower, upper = _limits(flight.world, courses)
-        figure, above, side = _axes(lower, upper)
+        marks = [*_alarm_marks(recovered or flight), *_marks(flight)]
+        rows = _legend_rows([thing.label for thing in (*courses, *marks)])
+        figure, above, side = _axes(lower, upper, rows)
         _draw_world(above, side, flight.world, courses[-1 if recovered is None else -2].points)
         known = _draw_map(above, side, flight, (lower, upper))
         for axes, index in ((above, 1), (side, 2)):
             for course in courses:
                 axes.plot(course.points[:, 0], course.points[:, index], **course.line)
-        marks = _draw_marks((above, side), _alarm_marks(recovered or flight) + _marks(flight))
+        handles = [*map(_line, courses), *_draw_marks(figure, (above, side), marks)]
         _label(figure, above, side, flight, golden)
-        _legend(figure, courses, marks, known, flight.world)
+        _legend(figure, handles, rows, known, flight.world)
         for axes, index in ((above, 1), (side, 2)):
             axes.set_xlim(lower[0], upper[0])
             axes.set_ylim(lower[index], upper[index])
@@ -118,9 +123,15 @@ def _limits(world: World, courses: list[_Course]) -> tuple[np.ndarray, np.ndarra
     return np.minimum(world.arena_lower, low - _MARGIN), np.maximum(world.arena_upper, high + _MARGIN)
 
 
-def _axes(lower: np.ndarray, upper: np.ndarray) -> tuple[Figure, Axes, Axes]:
-    """One figure whose two views share the x axis and its scale."""
-    left, right, top, between, bottom = 0.6, 0.15, 1.17, 0.62, 0.5
+def _legend_rows(labels: list[str]) -> int:
+    """Rows that a legend takes (one or two), from the number of letters."""
+    inches = sum(_HANDLE + _LETTER * len(label) for label in (*labels, "obstacle", "occupied in the map"))
+    return 1 if inches < _WIDTH - 0.8 else 2
+
+
+def _axes(lower: np.ndarray, upper: np.ndarray, rows: int) -> tuple[Figure, Axes, Axes]:
+    """One figure whose two views share the x axis and its scale, below a legend of some rows."""
+    left, right, top, between, bottom = 0.6, 0.15, 1.17 + _ROW * (rows - 1), 0.62, 0.5
     extent = upper - lower
     inch = (_WIDTH - left - right) / extent[0]
     plan, elevation = inch * extent[1], inch * extent[2] * _SIDE_STRETCH
@@ -221,11 +232,12 @@ def _distance(points: np.ndarray, course: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, slots=True)
 class _Mark:
-    """Points of one kind. `points`: shape (n, 3), finite."""
+    """Points of one kind. `points`: shape (n, 3), finite; `lift`: how far above them the mark stands (points)."""
 
     label: str
     points: np.ndarray
     look: dict[str, Any]
+    lift: float = 0.0
 
 
 def _marks(flight: Flight) -> list[_Mark]:
@@ -250,7 +262,7 @@ def _alarm_marks(flight: Flight) -> list[_Mark]:
     near, others = ([alarm.time_s for alarm in alarms] for alarms in around(flight.log))
     kinds = (("other alarm" if near else "alarm", others, "white"), ("alarm at the injection", near, style.PURPLE))
     look = {"marker": "v", "markersize": 9, **_DARK_EDGE}
-    return [_Mark(label, _places(flight, times), look | {"color": fill}) for label, times, fill in kinds if times]
+    return [_Mark(label, _places(flight, times), look | {"color": fill}, 14.0) for label, times, fill in kinds if times]
 
 
 def _places(flight: Flight, times: list[float]) -> np.ndarray:
@@ -261,13 +273,14 @@ def _places(flight: Flight, times: list[float]) -> np.ndarray:
     return kept
 
 
-def _draw_marks(views: tuple[Axes, Axes], marks: list[_Mark]) -> list[Line2D]:
+def _draw_marks(figure: Figure, views: tuple[Axes, Axes], marks: list[_Mark]) -> list[Line2D]:
     """Draw marks in both views; answers what the legend says of them."""
     handles = []
     for mark in marks:
         look = {"linestyle": "", "markeredgecolor": "white", "markeredgewidth": 1.0} | mark.look
         for axes, index in zip(views, (1, 2), strict=True):
-            axes.plot(mark.points[:, 0], mark.points[:, index], zorder=9, clip_on=False, **look)
+            lifted = offset_copy(axes.transData, figure, y=mark.lift, units="points")
+            axes.plot(mark.points[:, 0], mark.points[:, index], zorder=9, clip_on=False, transform=lifted, **look)
         handles.append(Line2D([], [], label=mark.label, **{**look, "markersize": 0.7 * look["markersize"] + 1.5}))
     return handles
 
@@ -295,16 +308,20 @@ def _label(figure: Figure, above: Axes, side: Axes, flight: Flight, golden: Flig
     side.text(0, 1.02, heights, transform=side.transAxes, color=style.GREY, va="bottom")
 
 
-def _legend(figure: Figure, courses: list[_Course], marks: list[Line2D], known: bool, world: World) -> None:
+def _line(course: _Course) -> Line2D:
+    """What the legend shows of a path."""
+    look = {key: course.line[key] for key in ("color", "linewidth", "linestyle") if key in course.line}
+    return Line2D([], [], label=course.label, **look)
+
+
+def _legend(figure: Figure, handles: list[Any], rows: int, known: bool, world: World) -> None:
     """Above both views, where it covers nothing."""
-    handles: list[Any] = [Line2D([], [], label=c.label, color=c.line["color"], linewidth=c.line["linewidth"],
-                                 linestyle=c.line.get("linestyle", "-")) for c in courses]  # fmt: skip
-    handles += marks
-    handles.append(Patch(facecolor=_SOLID, edgecolor=_EDGE, label="solid" if world.is_voxels else "obstacle"))
+    handles = [*handles, Patch(facecolor=_SOLID, edgecolor=_EDGE, label="solid" if world.is_voxels else "obstacle")]
     if known:
         handles.append(Patch(facecolor=_MAP, alpha=0.55, label="occupied in the map"))
     height = figure.get_figheight()
     figure.legend(
-        handles=handles, loc="center left", bbox_to_anchor=(0.6 / _WIDTH, 1 - 0.78 / height), ncols=len(handles),
-        fontsize=8.5, handlelength=1.6, columnspacing=1.3, borderpad=0, handletextpad=0.6,
+        handles=handles, loc="upper left", bbox_to_anchor=(0.6 / _WIDTH, 1 - 0.66 / height),
+        ncols=-(-len(handles) // rows), fontsize=8.5, handlelength=1.6, columnspacing=1.3, borderpad=0,
+        handletextpad=0.6, borderaxespad=0,
     )  # fmt: skip

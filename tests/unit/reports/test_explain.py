@@ -84,9 +84,9 @@ def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kerne
     injection = Injection("instruction", "pid.track", 2.5, 62, 1.0, -1.0, True, "mavfi/kernels/control/pid.py", 90,
                           INSTRUCTION)  # fmt: skip
     first = {"state": "control.command", "field": "vx", "element": None, "before": 1.0, "after": 8.0}
-    fault = InstructionFault("module:track", "0", 42, 7, kernel="pid", entry="track")
+    fault = InstructionFault("module:track", "0", 42, 7, kernel="pid", entry="track", stratum="exponent")
     story = told(found(log(injections=[injection], kernel=KernelEffect("sdc", "", first)), fault=fault))
-    assert story["fault"] == "pid.track, bit 62, at 2.500 s: 1 → -1"
+    assert story["fault"] == "pid.track, bit 62 (exponent), at 2.500 s: 1 → -1"
     assert story["source line"] == (
         "mavfi/kernels/control/pid.py:90, inlined at mavfi/kernels/control/pid.py:12: fmul double of rate "
         "(floating point), call 7, instruction 42"
