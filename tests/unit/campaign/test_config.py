@@ -1,30 +1,77 @@
 import pytest
+import yaml
 
-from mavfi.campaign.config import KERNELS, Campaign, load_campaign
-from mavfi.campaign.plan import count_runs
-from mavfi.config import parse
+from mavfi.campaign.config import Campaign, Study, load_campaign, load_study
+from mavfi.campaign.mission import plan_of
+from mavfi.campaign.plan import arms_of
+from mavfi.config import config_root, parse
 from mavfi.errors import BadInputError
-from mavfi.pipeline.functions import STRUCK
-from mavfi.states import KERNEL_STAGES, PPC_STAGES
+from mavfi.mission import MissionSpec
+from mavfi.states import INJECTABLE, KERNEL_STAGES, PPC_STAGES
+from tests.unit.campaign.fakes import small
 
 BASE = {"name": "c", "environments": ["sparse"]}
 GROUP = {"name": "g", "sites": ["planning.waypoint.x"]}
+GAUSSIAN = {"gaussian": {"detector": "gaussian"}}
+SHIPPED = sorted(path.stem for path in (config_root() / "campaigns").glob("*.yaml"))
 
 
-@pytest.mark.parametrize("name", ["table1", "states", "bits", "smoke", "kernels", "table1_instructions"])
-def test_shipped_campaigns_are_valid_and_fly_evaluation_seeds(name):
+def groups(*members, **changes):
+    return {"sampling": {"scheme": "groups", "groups": list(members), **changes}}
+
+
+def instructions(*kernels, **changes):
+    return {"sampling": {"level": "instruction", "kernels": list(kernels), **changes}}
+
+
+def count(campaign) -> int:
+    return plan_of(campaign, {}, {}).count()
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_campaigns_are_valid_and_survive_the_ledger(name):
     campaign = load_campaign(name)
     assert campaign.name == name
-    assert not campaign.on_design_seeds
+    assert campaign.on_design_seeds == (name == "fault_map")
+    again = Campaign.model_validate(campaign.to_json())
+    assert again == campaign and again.key() == campaign.key()
+    assert count(campaign) > 0
+
+
+def test_shipped_studies_name_campaigns():
+    study = load_study("paper")
+    assert study.campaigns == {"states": "table1", "instructions": "table1_instructions"}
+    for path in (config_root() / "studies").glob("*.yaml"):
+        for name in load_study(path.stem).campaigns.values():
+            load_campaign(name)
+    with pytest.raises(BadInputError, match="study 'table1': not known; allowed: paper, or a path"):
+        load_study("table1")
+    with pytest.raises(BadInputError, match="campaigns"):
+        parse(Study, {"name": "s", "campaigns": {}}, "s.yaml")
 
 
 def test_table1_has_the_size_of_the_paper():
     quick = load_campaign("table1")
-    assert count_runs(quick) - 4 * quick.null_runs == 4 * (3 * 30 + 3 * 90) == 1440
+    assert count(quick) - 4 * quick.nulls == 4 * (3 * 30 + 3 * 90) == 1440
     large = quick.at_scale("paper")
-    assert (large.flights, large.faults) == (100, 100)
+    assert (large.missions, large.faults) == (100, 100)
     assert quick.at_scale("quick") == quick
     assert large.key() != quick.key()
+
+
+def test_the_kernels_campaign_has_the_size_of_the_papers_study():
+    campaign = load_campaign("kernels").at_scale("paper")
+    assert count(campaign) == 7 * 100 + 3 * 100, "100 per kernel, and a golden run for each planner"
+    assert set(campaign.sampling.kernels) == set(INJECTABLE)
+
+
+def test_the_instruction_level_has_the_size_of_the_papers_table():
+    quick, paper = (load_campaign("table1_instructions").at_scale(scale) for scale in ("quick", "paper"))
+    assert count(paper) == 4 * (3 * 100 + 3 * 300), "golden with and without each detector, and three settings"
+    assert {KERNEL_STAGES[name] for name in quick.sampling.kernels} == set(PPC_STAGES)
+    assert quick.environments == load_campaign("table1").environments
+    assert quick.arms == load_campaign("table1").arms
+    assert quick.nulls == 0
 
 
 @pytest.mark.parametrize(
@@ -32,71 +79,153 @@ def test_table1_has_the_size_of_the_paper():
     [
         ({"colour": "red"}, "unknown key 'colour'; allowed: name"),
         ({"environments": []}, "key 'environments'"),
-        ({"law": "groups"}, "groups are given where, and only where"),
-        ({"groups": [GROUP]}, "groups are given where, and only where"),
-        ({"law": "groups", "groups": [GROUP, GROUP]}, "groups: 'g': named 2 times; allowed: once"),
         ({"environments": ["sparse", "sparse"]}, "campaign.yaml: environments: 'sparse': named 2 times; allowed: once"),
-        ({"law": "groups", "groups": [{"name": "g", "sites": ["planning.waypoint.roll"]}]}, "no field 'roll'"),
-        (
-            {"law": "groups", "groups": [{**GROUP, "strata": {"high": 1}}]},
-            "strata: 'high': not known; allowed: sign_exponent",
-        ),
-        ({"strata": {"mantissa": 0}}, "shares above 0"),
-        ({"monitored_set": "all"}, "monitored_set: 'all': not known; allowed: paper-13"),
-        ({"law": "kernels"}, "kernels are given where, and only where, law is 'kernels'"),
-        ({"kernels": {"names": ["pid"]}}, "kernels are given where, and only where, law is 'kernels'"),
-        ({"law": "kernels", "kernels": {"names": ["lidar"]}}, "kernels: 'lidar': not known; allowed: point_cloud"),
-        ({"law": "kernels", "kernels": {"names": ["pid", "pid"]}}, "kernels: 'pid': named 2 times; allowed: once"),
-        (
-            {
-                "law": "kernels",
-                "null_runs": 0,
-                "kernels": {"names": ["pid", "rrt"]},
-                "detectors": {"gaussian": {"detector": "gaussian"}},
-            },
-            "kernels: 'rrt': detectors are trained with one planner; allowed with detectors: kernels of missions with "
-            "planner 'rrt_connect'",
-        ),
-        ({"law": "kernels", "kernels": {"names": ["pid"]}}, "null_runs: 3; allowed: 0 where law is 'kernels'"),
+        ({"missions": 0}, "key 'missions': 0"),
         ({"first_seed": 999_990}, "seeds from 1000000 on are for training"),
+        ({"scales": {"huge": {"missions": 999_999}}}, "seeds from 1000000 on are for training"),
+        ({"scales": {"huge": {"flights": 3}}}, "unknown key 'scales.huge.flights'"),
+        ({"monitored_set": "all"}, "monitored_set: 'all': not known; allowed: paper-13"),
+        # sampling: states
+        ({"sampling": "groups"}, "key 'sampling"),
+        ({"sampling": {"level": "message"}}, "level"),
+        ({"sampling": {"scheme": "uniform"}}, "scheme"),
+        ({"sampling": {"kernels": ["pid"]}}, "kernels"),
+        ({"sampling": {"scheme": "groups"}}, "groups go with scheme groups, and only with it"),
+        ({"sampling": {"groups": [GROUP]}}, "groups go with scheme groups, and only with it"),
+        (groups(GROUP, GROUP), "groups: 'g': named 2 times; allowed: once"),
+        (groups({"name": "g", "sites": ["planning.waypoint.roll"]}), "no field 'roll'"),
+        (groups({"name": "g", "sites": ["planning.nothing.x"]}), "no state 'planning.nothing'"),
+        (groups({"name": "g", "sites": ["perception.odometry.x"]}), "only flights with localization estimator"),
+        (groups({**GROUP, "strata": {"high": 1}}), "strata: 'high': not known; allowed: sign_exponent"),
+        ({"sampling": {"strata": {"mantissa": 0}}}, "shares above 0"),
+        ({"sampling": {"strata": {}}}, "need at least one name"),
         (
-            {
-                "law": "groups",
-                "groups": [{"name": "flag", "sites": ["perception.collision_status.collision"]}],
-            },
+            groups({"name": "flag", "sites": ["perception.collision_status.collision"]}),
             "flag: no field has bits of the stratum 'mantissa'",
         ),
+        # sampling: instructions and registers
+        ({"sampling": {"level": "instruction"}}, "kernels"),
+        (instructions("lidar"), "kernels: 'lidar': not known; allowed: point_cloud"),
+        (instructions("pid", "pid"), "kernels: 'pid': named 2 times; allowed: once"),
+        (instructions("pid", model="gamma"), "model"),
+        (instructions("pid", strata={"mantissa": 1}), "strata"),
+        (
+            {**instructions("pid", "rrt"), "arms": GAUSSIAN},
+            "kernels: 'rrt': detectors are trained with one planner; allowed with arms: kernels of missions with "
+            "planner 'rrt_connect'",
+        ),
+        (
+            {**instructions("rrt_connect"), "arms": {"x": {"planner": "rrt_star"}}},
+            "arms: 'x': planner: 'rrt_star': does not call what faults in rrt_connect are drawn from",
+        ),
+        (
+            {**instructions("pid", "octomap"), "arms": {"x": {"map": "octree"}}},
+            "arms: 'x': map: 'octree': does not call what faults in octomap are drawn from; allowed: 'dense'",
+        ),
+        ({**instructions("pid"), "null_runs": 3}, "null_runs: 3; allowed: 0 with faults in instructions"),
+        ({"sampling": {"level": "register", "access": "both"}}, "sampling.access: 'both': not known; allowed: either"),
+        ({"sampling": {"level": "register", "registers": ["fp", "fp"]}}, "registers: 'fp': named 2 times"),
+        # missions and arms
+        ({"mission": {"colour": "red"}}, "mission: unknown key 'colour'"),
+        ({"mission": {"seed": 3}}, "mission.seed: belongs to the campaign (environments, first_seed)"),
+        ({"mission": {"wind": -1}}, "mission: key 'wind': -1"),
+        ({"mission": {"localization": "gps"}}, "key 'localization': 'gps': not known; allowed: 'truth' or 'estimator'"),
+        ({"mission": {"coupling": "tight"}}, "key 'coupling': 'tight'"),
+        ({"arms": {"x": {"environment": "dense"}}}, "arms.environment: belongs to the campaign"),
+        ({"arms": {"x": {"wind": 99}}}, "arms: key 'wind': 99"),
+        ({"arms": {"x": {"mission": {"colour": "red"}}}}, "arms: unknown key 'colour'"),
+        ({"arms": {"x": {"colour": "red"}}}, "unknown key 'arms.x.colour'"),
+        ({"arms": {"rrt": {}}}, "arms: 'rrt': is the name of a planner"),
+        # hosts
+        ({"host": "node"}, "the key node goes with host node"),
+        ({"node": {"name": "/x"}}, "key 'node"),
     ],
 )
 def test_mistakes_are_named_when_the_file_is_read(changes, message):
     with pytest.raises(BadInputError, match="campaign.yaml: .*") as caught:
         parse(Campaign, {**BASE, **changes}, "campaign.yaml")
     assert message in str(caught.value)
-    assert "{" not in str(caught.value).replace("{'mantissa'", ""), "nobody wants to see the whole file again"
+    shown = str(caught.value).replace("{'mantissa'", "").replace("strata: {}", "")
+    assert "{" not in shown, "nobody wants to see the whole file again"
     assert "Value error" not in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_unknown_names_tell_what_is_known():
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ({"law": "groups"}, "'law': is now 'sampling.scheme'"),
+        ({"strata": {"mantissa": 1}}, "'strata': is now 'sampling.strata'"),
+        ({"groups": [GROUP]}, "'groups': is now 'sampling.groups'"),
+        ({"sites": "monitored"}, "'sites': is now 'sampling.sites'"),
+        ({"kernels": {"names": ["pid"]}}, "'kernels': is now 'sampling.kernels (with level: instruction)'"),
+        ({"detectors": GAUSSIAN}, "'detectors': is now 'arms'"),
+        ({"flights": 3}, "'flights': is now 'missions'"),
+        ({"stack": "hardened"}, "'stack': is now 'mission.autopilot'"),
+        *(({key: "x"}, f"{key!r}: is now 'mission.{key}'") for key in ("platform", "planner", "map", "vehicle")),
+        ({"v_max": 3.0}, "'v_max': is now 'mission.v_max'"),
+        ({"trials": 3}, "'trials': is now 'faults'"),
+    ],
+)
+def test_keys_of_before_name_the_new_one(old, new):
+    with pytest.raises(BadInputError) as caught:
+        parse(Campaign, {**BASE, **old}, "campaign.yaml")
+    assert f"campaign.yaml: key {new}" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_names_say_what_is_known():
     with pytest.raises(BadInputError, match="allowed: .*bits.*smoke.*states.*table1"):
         load_campaign("table2")
     with pytest.raises(BadInputError, match="allowed: quick, paper"):
         load_campaign("table1").at_scale("huge")
 
 
-def test_the_kernels_campaign_has_the_size_of_the_papers_study():
-    campaign = load_campaign("kernels").at_scale("paper")
-    assert count_runs(campaign) == 7 * 100 + 3 * 100, "100 per kernel, and a golden flight for each planner"
-    assert set(campaign.kernels.names) == set(STRUCK) == set(KERNELS)
+def test_a_campaign_is_read_from_a_file_of_the_users_own(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump({**BASE, "mission": {"stack": "hardened"}, "arms": {"x": {"stack": "published"}}}))
+    campaign = load_campaign(path)
+    assert campaign.mission == {"autopilot": "hardened"}, "stack is another name for it"
+    assert campaign.arms["x"].mission == {"autopilot": "published"}
+    with pytest.raises(BadInputError, match="absent.yaml: cannot be read"):
+        load_campaign(tmp_path / "absent.yaml")
 
 
-def test_the_instruction_level_has_the_size_of_the_papers_table():
-    quick, paper = (load_campaign("table1_instructions").at_scale(scale) for scale in ("quick", "paper"))
-    assert count_runs(paper) == 4 * (3 * 100 + 3 * 300), "golden with and without each detector, and three settings"
-    assert {stage for name in quick.kernels.names for stage in [KERNEL_STAGES[name]]} == set(PPC_STAGES)
-    assert quick.environments == load_campaign("table1").environments
-    assert quick.detectors == load_campaign("table1").detectors
+@pytest.mark.parametrize("beside", [True, False])
+def test_keys_of_a_mission_stand_in_an_arm_or_under_its_mission(beside):
+    keys = {"stack": "hardened", "wind": 2, "coupling": "observer"}
+    arm = {"detector": "gaussian", **(keys if beside else {"mission": keys})}
+    campaign = Campaign.model_validate({**BASE, "mission": {"autopilot": "published"}, "arms": {"x": arm}})
+    own = {"autopilot": "hardened", "wind": 2.0, "coupling": "observer"}
+    assert campaign.arms["x"].mission == own
+    spec = campaign.spec("dense", 7, campaign.arms["x"].mission)
+    assert spec == MissionSpec(environment="dense", seed=7, **own)
+    assert campaign.spec("dense", 7) == MissionSpec(environment="dense", seed=7)
 
 
-def test_campaigns_without_kernels_keep_their_keys():
-    assert "kernels" not in load_campaign("table1").to_json()
+def test_every_key_of_a_mission_is_one_of_campaigns_and_arms():
+    values = {
+        "start": (1.0, 2.0, 3.0), "goal": (9.0, 2.0, 3.0), "autopilot": "hardened", "planner": "rrt",
+        "platform": "cortex-a57", "map": "octree", "map_resolution": 0.4, "vehicle": "small_quad", "v_max": 2.0,
+        "depth_noise": 0.1, "wind": 3.0, "localization": "estimator", "coupling": "observer",
+    }  # fmt: skip
+    assert set(values) == set(MissionSpec.model_fields) - {"environment", "seed"}
+    for key, value in values.items():
+        campaign = small(mission={key: value}, arms={"x": {key: value}})
+        again = Campaign.model_validate(campaign.to_json())
+        for campaign in (campaign, again):  # noqa: PLW2901
+            assert getattr(campaign.spec("sparse", 1), key) == value
+            assert getattr(campaign.spec("sparse", 1, campaign.arms["x"].mission), key) == value
+
+
+def test_null_runs_are_for_levels_that_have_them():
+    assert small().nulls == 3
+    assert small(null_runs=0).nulls == 0
+    assert small(**instructions("pid")).nulls == 0
+
+
+def test_the_key_of_a_campaign_depends_on_what_is_flown():
+    changes = [{}, {"faults": 7}, {"mission": {"wind": 1}}, {"arms": {}}, groups(GROUP), {"first_seed": 5}]
+    assert len({small(**change).key() for change in changes}) == len(changes)
+    assert small(mission={"stack": "hardened"}).key() == small(mission={"autopilot": "hardened"}).key()
+    assert [arm.name for arm in arms_of(small())] == ["", "gaussian"]

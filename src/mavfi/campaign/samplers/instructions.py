@@ -41,6 +41,7 @@ class InstructionSampler:
                 f"sampling.kernels: {others[0]!r}: detectors are trained with one planner; allowed with arms: kernels "
                 f"of missions with planner {planner!r}"
             )
+        _check_arms(campaign, self._sampling.kernels, {"planner": planner, "map": "octomap"})
         if campaign.nulls:
             raise BadInputError(f"null_runs: {campaign.nulls}; allowed: 0 with faults in instructions")
 
@@ -82,6 +83,28 @@ class InstructionSampler:
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
         """There are none."""
         raise BadInputError("null runs: allowed with faults in states")
+
+
+def _check_arms(campaign: Campaign, drawn: Sequence[str], kernels: Mapping[str, str]) -> None:
+    """Refuse an arm that swaps the functions that faults are drawn from: there they would never be activated.
+
+    Args:
+        campaign: The campaign.
+        drawn: Kernels that are injected.
+        kernels: Kernel that calls other functions, by key of the mission.
+
+    Raises:
+        BadInputError: An arm does.
+    """
+    place = campaign.environments[0], campaign.first_seed
+    for name, arm in campaign.arms.items():
+        for key, kernel in kernels.items():
+            base, own = (getattr(campaign.spec(*place, overrides), key) for overrides in (None, arm.mission))
+            if own != base and kernel in drawn:
+                raise BadInputError(
+                    f"arms: {name!r}: {key}: {own!r}: does not call what faults in {kernel} are drawn from; allowed: "
+                    f"{base!r}"
+                )
 
 
 def kernel_groups(sampling: InstructionSampling) -> list[tuple[str, ...]]:

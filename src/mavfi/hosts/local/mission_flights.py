@@ -82,8 +82,12 @@ class LocalFlights:
                 setup.scenario, [fault for _, fault in batch], self._detector(arm), self._golden.get(arm),
                 setup.coupling,
             ).flights  # fmt: skip
-        except Exception as error:  # noqa: BLE001 - it ends these flights, not those of other arms
-            yield from ((place, error) for place, _ in batch)
+        except Exception as error:  # noqa: BLE001 - it ends one of these flights, not the others
+            if len(batch) == 1:
+                yield batch[0][0], error
+                return
+            for one in batch:
+                yield from self._instructions(arm, [one])
             return
         yield from ((place, flight) for (place, _), flight in zip(batch, found, strict=True))
 
