@@ -1,6 +1,6 @@
 """Settings against each other in the same missions: McNemar's test, paired differences, and the recovery rate.
 
-All intervals are 95 %; worlds are the clusters, as in `mavfi.campaign.statistics`.
+All intervals are 95 %; worlds are the clusters, as in `mavfi.campaign.analysis.statistics`.
 """
 
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import beta, binomtest
 
-from mavfi.campaign.statistics import TAIL, Part, cluster_sums, percentiles, resample, score_bounds
+from mavfi.campaign.analysis.statistics import TAIL, Part, cluster_sums, percentiles, resample, score_bounds
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,12 @@
+"""Analysis of campaigns: `Runs` (one row per run) -> `View` -> `Table`.
+
+`views_for(runs)` answers the tables of a report, `table(runs, name)` one of them, `headline(runs)` the success table
+and what it says in words.
+"""
+
+from mavfi.campaign.analysis import flight_views, kernel_views  # noqa: F401  (they register their views)
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.table import Column, Table
+from mavfi.campaign.analysis.views import VIEWS, View, register, table, views_for
+
+__all__ = ["VIEWS", "Column", "Runs", "Table", "View", "register", "table", "views_for"]

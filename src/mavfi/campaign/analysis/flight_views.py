@@ -1,0 +1,436 @@
+"""Views of campaigns of flights: success, recovery, effects, flight time, alarms, and where faults were."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import polars as pl
+
+from mavfi.campaign.analysis import measures as m
+from mavfi.campaign.analysis import paper
+from mavfi.campaign.analysis.measures import Measure
+from mavfi.campaign.analysis.rows import ACTIVATED, KERNEL_DUE, NO_SITE, NOT_ACTIVATED
+from mavfi.campaign.analysis.runs import ALL, Runs
+from mavfi.campaign.analysis.table import NUMBER, PER_HOUR, PERCENT, POINTS, RATE, SIGNED, SMALL, TEXT
+from mavfi.campaign.analysis.views import View, has, register
+from mavfi.flight_record import FlightRecord
+from mavfi.states import PPC_STAGES, STATES
+
+ONE_FAULT = "rates are conditional on one fault per mission"
+INTERVALS = (
+    "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds; whole word: MOVER over bit strata], n"
+)
+_SETTINGS = (
+    "golden = no fault; fi = one fault; dr_X = the same faults with detector X on; golden_X = no fault, detector X on"
+)
+_HEALS = "a one-shot state fault heals on any recompute: recovery equals detection by construction"
+_HEALS_WITH_MEMORY = (
+    "a recomputation begins with the memory that the stage had before its step: it heals what the step corrupted, not "
+    "a map or a path that an earlier one did, nor a kernel that died"
+)
+STATE, INSTRUCTION = "state", "instruction"
+_TOTAL = ("environment", ALL)
+_SETTING = ("environment", "setting")
+
+
+# ---- what applies ------------------------------------------------------------------------------------------------
+def of_states(runs: Runs) -> bool:
+    """Whether faults in inter-kernel states were injected."""
+    return has(runs, level=STATE)
+
+
+def by_stages(runs: Runs) -> bool:
+    """Whether state faults were drawn for stages, as the paper does."""
+    return len(runs.injected.where(pl.col("target") == pl.col("stage"), level=STATE)) > 0
+
+
+def by_groups(runs: Runs) -> bool:
+    """Whether state faults were drawn for groups of fields."""
+    return len(runs.injected.where(pl.col("target") != pl.col("stage"), level=STATE)) > 0
+
+
+def watched(runs: Runs) -> bool:
+    """Whether a detector flew."""
+    return len(runs.where(pl.col("detector") != "")) > 0
+
+
+# ---- success -----------------------------------------------------------------------------------------------------
+def unknown_note(own: Runs) -> list[str]:
+    """How many flights could not be judged."""
+    unknown = len(own.where(~pl.col("judged")))
+    return [f"{unknown} flights could not be judged (unknown) and are left out"] if unknown else []
+
+
+def separable_note(runs: Runs) -> list[str]:
+    """Which differences a success table cannot show."""
+    told = [f"{environment} {_points(golden)} / {_points(dr)}" for environment, golden, dr in m.separable(runs)]
+    start = "smaller differences, in points, are not told apart (golden – fi / fi – dr, power 80 %): "
+    return [start + "; ".join(told)] if told else []
+
+
+def _points(share: float | None) -> str:
+    return "—" if share is None else f"{100 * share:.0f}"
+
+
+def of_missions(runs: Runs) -> Runs:
+    """All but null runs."""
+    return runs.where(pl.col("kind") != "null")
+
+
+def faulty_and_bare(runs: Runs) -> Runs:
+    """Golden runs without a detector, and all injected runs, under the names of the paper's rows."""
+    own = of_missions(runs).where((pl.col("kind") == "injected") | (pl.col("arm") == ""))
+    names = {"golden": "Golden run", "fi": "Injection run", "dr_gaussian": "Gaussian-based",
+             "dr_autoencoder": "Autoencoder-based"}  # fmt: skip
+    return own.adding(row=pl.col("setting").replace(names))
+
+
+def _here(own: Runs) -> Any:
+    return m.leading(own, m.population_names(own, ()), "success")
+
+
+_lead, _others = m.by_population("success")
+
+register(
+    View(
+        "success_as_in_the_paper", "State level: success rates, one fault per mission", ("row",),
+        (Measure("here", "here", RATE, _here), paper.beside(paper.success)),
+        where=faulty_and_bare, across="environment", headings=("",),
+        notes=lambda runs: (
+            paper.STATE_LEVEL, ONE_FAULT, "per cent, [95 % interval: Wilson, n reduced by the design effect of "
+            "worlds], successes / n; faults in sign and exponent bits", *separable_note(runs),
+        ), applies=by_stages,
+    ),
+    View(
+        "success", "Success of missions", _SETTING, (_lead, paper.beside(paper.success), _others), where=of_missions,
+        notes=lambda runs: (
+            paper.STATE_LEVEL, ONE_FAULT, _SETTINGS, INTERVALS,
+            "paper: instruction level, 100 golden flights, 300 with a fault", *unknown_note(of_missions(runs)),
+        ), applies=of_states,
+    ),
+)  # fmt: skip
+
+
+# ---- recovery ----------------------------------------------------------------------------------------------------
+def _recovery(part: str) -> Any:
+    def of(own: Runs) -> Any:
+        found = m.recovery_of(own)
+        return None if found is None else getattr(found, part)
+
+    return of
+
+
+def _recovery_rate(own: Runs) -> Any:
+    found = m.recovery_of(own)
+    if found is None:
+        return None
+    return "undefined" if found.rate is None else m.Rate(found.lost, found.rate, found.low, found.high)
+
+
+def _papers_recovery(own: Runs) -> float | None:
+    leads = own.first("population") in m.LEADING and paper.comparable(own.campaign, own.first("detector_profile"))
+    return paper.recovery(own.first("environment"), own.first("setting")) if leads else None
+
+
+def _loss(own: Runs) -> Any:
+    found = m.recovery_of(own)
+    return None if found is None else m.Rate(len(own), found.loss, found.loss_low, found.loss_high)
+
+
+def _population_names(runs: Runs) -> Runs:
+    return runs.adding(bits=pl.col("population").replace(m.POPULATIONS))
+
+
+def _judged_fi(runs: Runs) -> Runs:
+    known = pl.col("golden_success").is_not_null()
+    return _population_names(runs.injected.where("judged", known, detector=""))
+
+
+register(
+    View(
+        "recovery", "Recovery", ("environment", "bits", "setting"),
+        (
+            Measure("pairs", "pairs", NUMBER, len),
+            Measure("lost", "lost", NUMBER, _recovery("lost")),
+            Measure("brought_back", "brought back", NUMBER, _recovery("regained")),
+            Measure("newly_lost", "newly lost", NUMBER, lambda own: m.discordant(own).first_only),
+            Measure("only_dr", "only dr succeeds", NUMBER, lambda own: m.discordant(own).second_only),
+            Measure("p", "p", "number .3g", lambda own: m.discordant(own).p_value),
+            Measure("recovery", "recovery", "percent with interval", _recovery_rate),
+            Measure("paper", "paper", PERCENT, _papers_recovery),
+            Measure("loss", "golden – fi (points)", POINTS, _loss),
+        ),
+        where=lambda runs: _population_names(m.against_fi(runs)), total=_TOTAL,
+        notes=lambda runs: (
+            "lost: missions that succeed without the fault and fail with it; brought back: of these, those that "
+            "succeed with the detector on; newly lost: missions that fail only with the detector on",
+            "p: McNemar's exact test of newly lost against only dr succeeds",
+            "recovery = (dr – fi) / (golden – fi), [exact binomial interval]; undefined while the interval of golden – "
+            "fi contains 0; below 0 where more missions are newly lost than brought back",
+            *((_HEALS,) if of_states(runs) else (_HEALS_WITH_MEMORY,)),
+            "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT,
+        ), applies=watched,
+    ),
+    View(
+        "golden_against_faults", "Golden against one fault, in pairs", ("environment", "bits"),
+        (
+            Measure("pairs", "pairs", NUMBER, len),
+            Measure("only_golden", "only golden succeeds", NUMBER, lambda own: m.against_golden(own).first_only),
+            Measure("only_fi", "only fi succeeds", NUMBER, lambda own: m.against_golden(own).second_only),
+            Measure("p", "p", "number .3g", lambda own: m.against_golden(own).p_value),
+        ),
+        where=_judged_fi, total=_TOTAL, notes=lambda _: ("p: McNemar's exact test", ONE_FAULT),
+        applies=lambda runs: of_states(runs) or watched(runs),
+    ),
+)  # fmt: skip
+
+
+# ---- success by properties of the fault --------------------------------------------------------------------------
+FEWEST = 10
+"""Flights from which a field has a row in the report."""
+
+
+def _slow_note(runs: Runs) -> tuple[str, ...]:
+    return (
+        f"success: {INTERVALS}",
+        "hurt: fails or takes more than 5 % longer than the golden run; worst time of successes; both for the first "
+        "column's bits", ONE_FAULT,
+    )  # fmt: skip
+
+
+def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
+    """A view over all environments, and where there are several one with each of them."""
+    applies, detail = more.pop("applies", of_states), more.pop("detail", False)
+    columns: dict[str, Any] = {"measures": (_lead, _others, m.hurt), "where": _judged_injected, "notes": _slow_note}
+    register(
+        View(name, title, (*by, "setting"), detail=detail, applies=applies, **columns, **more),
+        View(
+            f"{name}_and_environment", f"{title}, each environment", ("environment", *by, "setting"), detail=True,
+            applies=lambda runs: applies(runs) and len(runs.values("environment")) > 1, **columns, **more,
+        ),
+    )  # fmt: skip
+
+
+def _judged_injected(runs: Runs) -> Runs:
+    return runs.injected.where("judged", level=STATE)
+
+
+_by("by_stage", "Success by stage of the fault", ("stage",), applies=by_stages)
+_by("by_target", "Success by group of fields", ("target",), applies=by_groups)
+_by("by_state", "Success by inter-kernel state", ("state",))
+_by("by_bits", "Success by class of the flipped bit", ("bit_class",))
+_by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST, detail=True)
+_by("by_every_field", "Success by field", ("state", "field"), detail=True, applies=lambda _: False)
+
+
+# ---- effects and endings -----------------------------------------------------------------------------------------
+_EFFECTS = (
+    Measure("n", "n", NUMBER, len),
+    m.count("masked", "masked", effect="masked"),
+    m.count("sdc", "sdc", effect="sdc"),
+    m.count("sdc_alarmed", "(alarm)", "detected_at_site", effect="sdc"),
+    m.count("due", "due", pl.col("effect").is_in(KERNEL_DUE)),
+    m.count("unknown", "unknown", effect="unknown"),
+    m.count("activated", "activated", site_outcome=ACTIVATED),
+    m.count("no_site", "no site", site_outcome=NO_SITE),
+    m.count("not_activated", "not activated", site_outcome=NOT_ACTIVATED),
+)
+
+
+def _effect_notes(_: Runs) -> tuple[str, ...]:
+    return (
+        "masked = bit for bit the golden run; sdc = the flight differs from the golden run, silent for the mission "
+        "computer unless a detector is on; of these, alarm = raised on the corrupted publication; due = died or hung",
+        "no site: the golden flight never published the state; not activated: the injected flight did not; both are "
+        "kept in every rate (intention to treat)",
+    )
+
+
+def _statuses(runs: Runs, _: tuple[str, ...]) -> Any:
+    for status in runs.values("status"):
+        yield m.count(status, status.replace("_", " "), status=status)
+
+
+register(
+    View(
+        "outcomes", "Effects of faults", _SETTING, _EFFECTS, where=lambda runs: runs.injected, notes=_effect_notes,
+        applies=of_states,
+    ),
+    View(
+        "outcomes_by_stage", "Effects of faults, by stage", (*_SETTING, "stage"), _EFFECTS, notes=_effect_notes,
+        where=lambda runs: runs.injected, detail=True, applies=of_states,
+    ),
+    View(
+        "endings", "How missions ended", _SETTING, (Measure("n", "n", NUMBER, len), _statuses), where=of_missions,
+        applies=of_states,
+    ),
+)  # fmt: skip
+
+
+# ---- flight time -------------------------------------------------------------------------------------------------
+def _paired(runs: Runs) -> Runs:
+    """Judged injected runs; `paired`: the mission succeeds with this fault in every setting."""
+    own = runs.injected.where("judged")
+    pair, complete = ("environment", "target", "index"), pl.col("inflation").is_not_null().all()
+    settings = pl.col("setting").n_unique().over("environment")
+    return own.adding(paired=(pl.len().over(pair) == settings) & complete.over(pair))
+
+
+def _of_pairs(column: str, share: float, key: str, heading: str, **more: Any) -> Measure:
+    return Measure(key, heading, SIGNED, lambda own: m.quantile_of(own.where("paired")[column], share), **more)
+
+
+register(
+    View(
+        "flight_times", "Flight time", _SETTING,
+        (
+            m.count("pairs", "pairs", "paired"),
+            _of_pairs("inflation", 0.5, "median", "median"),
+            _of_pairs("inflation", 0.75, "p75", "75 %", hidden=True),
+            _of_pairs("inflation", 0.95, "p95", "95 %"),
+            _of_pairs("inflation", 1.0, "worst", "worst"),
+            paper.beside(paper.worst_time, "paper's worst", SIGNED),
+            Measure("time_limit", "limit", "number .0f s", lambda own: own.frame["time_limit_s"].max()),
+            _of_pairs("energy_inflation", 1.0, "worst_energy", "worst energy"),
+            m.count("failing", "fail", ~pl.col("success")),
+            Measure("n", "of", NUMBER, len),
+            Measure("worst_run", "worst run", TEXT, lambda own: m.worst_run(own.where("paired")), hidden=True),
+        ),
+        where=_paired,
+        notes=lambda _: (
+            "flight time / that of the golden flight of the same world – 1, on pairs that succeed in all settings; "
+            "failures have no flight time, see the last columns",
+            "the time limit bounds the worst case; the paper recovers percentage points of its worst case", ONE_FAULT,
+        ), applies=of_states,
+    ),
+    View(
+        "golden_flights", "Golden flights that succeed, medians", _SETTING,
+        (
+            Measure("n", "n", NUMBER, len), m.median("flight_time_s", "flight time", "number .1f s"),
+            m.median("energy_j", "energy", "number .1f kJ"), m.median("distance_m", "distance", "number .1f m"),
+            m.median("replans", "replans", "number g"),
+        ),
+        where=lambda runs: runs.golden.where("success"), applies=of_states,
+    ),
+)  # fmt: skip
+
+
+# ---- alarms ------------------------------------------------------------------------------------------------------
+def _golden_watched(runs: Runs) -> Runs:
+    return runs.golden.where(pl.col("detector") != "", end="flown")
+
+
+def _kinds(own: Runs) -> str:
+    # "source/action/outcome"; the source is in the name of the setting
+    return ", ".join(f"{' '.join(kind.split('/')[1:])} {count}" for kind, count in m.alarm_kinds(own).items())
+
+
+def _systematic_note(runs: Runs) -> str:
+    parts = _golden_watched(runs).groups("setting", "environment").values()
+    always = {(state, time_s) for own in parts for state, time_s, _ in m.systematic(own)}
+    told = "".join(f"; {state} at {time_s:.2f} s" for state, time_s in sorted(always))
+    return f"systematic: same state and instant in more than 90 % of the flights{told}"
+
+
+def _detected(runs: Runs) -> Runs:
+    own = runs.injected.where("judged", pl.col("detector") != "", site_outcome=ACTIVATED)
+    watched_field = pl.when(pl.col("monitored")).then(pl.lit("yes")).otherwise(pl.lit("no"))
+    return _population_names(own).adding(field_watched=watched_field)
+
+
+def _recomputed(stage: str) -> Measure:
+    return Measure(stage or "total", stage or "total", SMALL, lambda own: m.recomputed(own, stage))
+
+
+def _papers_overhead(environment: str, setting: str) -> dict[str, float] | None:
+    found = {str(stage): paper.figure("recompute_overhead", environment=environment, setting=setting, stage=str(stage))
+             for stage in PPC_STAGES}  # fmt: skip
+    return found if all(value is not None for value in found.values()) else None
+
+
+register(
+    View(
+        "false_alarms", "False alarms", _SETTING,
+        (
+            Measure("flights", "flights", NUMBER, len), m.count("with_alarm", "with alarm", pl.col("alarms_total") > 0),
+            Measure("alarms", "alarms", NUMBER, lambda own: sum(own["alarms_total"])),
+            Measure("systematic", "systematic", NUMBER, lambda own: sum(n for _, _, n in m.systematic(own))),
+            Measure("hours", "exposure", "number .2f h", lambda own: sum(own["flight_time_s"]) / 3600),
+            Measure("per_hour", "per hour", PER_HOUR, m.alarm_rate),
+            Measure("upper", "upper bound", "number .1f", lambda own: m.alarm_rate(own).upper),
+            Measure("kinds", "kinds", TEXT, _kinds),
+        ),
+        where=_golden_watched, total=_TOTAL,
+        notes=lambda runs: (
+            "golden flights; per hour of flight, 95 % interval: bootstrap of flights, at least as wide as Poisson's, "
+            "which alone is left where there is no alarm; upper bound: one-sided 95 %", _systematic_note(runs),
+        ), applies=watched,
+    ),
+    View(
+        "detections", "Detection of activated faults", ("environment", "setting", "bits", "field_watched"),
+        (
+            m.rate("detected", "detected", "detected_at_site"),
+            m.rate("downstream", "detected downstream", "detected_downstream"),
+        ),
+        where=_detected,
+        notes=lambda _: (
+            _HEALS, "detected: alarm on the corrupted publication, before it is seen; coupling inline: the latency is "
+            "0 by construction", "detected downstream: within 1 s, an alarm of a state and instant that the golden "
+            "flight with the same detector has not; false alarms that the fault has shifted are among them",
+        ), detail=True, applies=lambda runs: of_states(runs) and watched(runs),
+    ),
+    View(
+        "overheads", "Overhead of recomputation", _SETTING,
+        (
+            Measure("flights", "flights", NUMBER, len), *(_recomputed(str(stage)) for stage in PPC_STAGES),
+            _recomputed(""),
+            Measure("compute_s", "compute time", "number .1f s", lambda own: m.compute_us(own) * 1e-6, hidden=True),
+            paper.beside(_papers_overhead, "paper (stages)", "small percents"),
+        ),
+        where=lambda runs: of_missions(runs).where(pl.col("detector") != "", end="flown"),
+        notes=lambda _: (
+            "recomputation / compute time of the pipeline, both in the platform's modelled time; nothing was measured "
+            "on that hardware",
+        ), applies=watched,
+    ),
+)  # fmt: skip
+
+
+# ---- sites -------------------------------------------------------------------------------------------------------
+def acted_on(record: FlightRecord) -> list[Mapping[str, Any]]:
+    """Publications of states on which consumers act now and then only, and those acted on; of a golden run."""
+    counts: Mapping[str, int] = record.extra.get("acted_on", {})
+    return [
+        {"state": name, "publications": record.publications.get(name, 0), "acted": counts.get(name, 0)}
+        for name, spec in STATES.items()
+        if spec.acted_on and "acted_on" in record.extra
+    ]
+
+
+def _acted_share(own: Runs) -> float | None:
+    publications = sum(own["publications"])
+    return sum(own["acted"]) / publications if publications else None
+
+
+register(
+    View(
+        "unmonitored_failures", "Failures at sites that no detector watches", ("environment",),
+        (
+            Measure("failures", "failures (fi)", NUMBER, len),
+            Measure("unmonitored", "at unmonitored sites", RATE,
+                    lambda own: m.wilson(len(own.where(~pl.col("monitored"))), len(own))),
+        ),
+        where=lambda runs: runs.injected.where("judged", ~pl.col("success"), detector=""),
+        notes=lambda runs: (f"monitored set {runs.campaign.get('monitored_set', '')}",), applies=of_states,
+    ),
+    View(
+        "acted_on", "Publications that consumers act on", ("environment", "state"),
+        (
+            Measure("publications", "publications", NUMBER, lambda own: sum(own["publications"])),
+            Measure("acted_on", "acted on", NUMBER, lambda own: sum(own["acted"])),
+            Measure("share", "share", "percent 2", _acted_share),
+        ),
+        where=lambda runs: runs.golden.where(arm="").exploded(acted_on),
+        notes=lambda _: ("golden flights; faults on this state are injected into publications that consumers act on",),
+        applies=of_states,
+    ),
+)  # fmt: skip

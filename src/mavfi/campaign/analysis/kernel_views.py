@@ -1,0 +1,281 @@
+"""Views of faults in instructions: the success table under both policies, and what kernels did with each fault."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import polars as pl
+
+from mavfi.campaign.analysis import measures as m
+from mavfi.campaign.analysis import paper
+from mavfi.campaign.analysis.flight_views import (
+    INSTRUCTION,
+    ONE_FAULT,
+    faulty_and_bare,
+    separable_note,
+    unknown_note,
+    watched,
+)
+from mavfi.campaign.analysis.measures import Measure
+from mavfi.campaign.analysis.rows import ACTIVATED, KERNEL_DUE
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.table import NUMBER, PERCENT, RATE, SIGNED, TEXT
+from mavfi.campaign.analysis.views import View, has, register
+from mavfi.flight_record import FlightRecord
+
+MEMORY = "(memory only)"
+"""State of a silent corruption that nothing published at once."""
+_DYING = (
+    "node restarts / mission ends: what becomes of a mission whose kernel crashes, hangs or raises; the paper's ROS "
+    "starts such nodes again; how many do is IR level, not machine level"
+)
+_RATES = "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds], successes / n; bits of all kinds"
+_LEVEL = "SDC rates are quoted; crash, hang and exception rates are IR level, not machine level"
+_POLICIES = (
+    "after a crash, hang or exception: restart = the node is there again after the restart latency with fresh memory; "
+    "end = the mission has failed"
+)
+_EFFECTS = (
+    "masked: what the kernel publishes and remembers is bit for bit the golden; sdc: it is not; intervals: 95 %, "
+    "Wilson, n reduced by the design effect of worlds"
+)
+_WEIGHTED = (
+    "drawn by value class and source line: rates are weighted back to uniform dynamic instructions; counts, times and "
+    "sizes of errors are of flights as drawn"
+)
+
+
+def of_instructions(runs: Runs) -> bool:
+    """Whether faults in instructions were injected."""
+    return has(runs, level=INSTRUCTION)
+
+
+def by_stages(runs: Runs) -> bool:
+    """Whether the stages have equal numbers of faults, so that rates over all faults are those of the paper's table."""
+    return of_instructions(runs) and runs.campaign.get("each") == "stage"
+
+
+# ---- success under both policies ---------------------------------------------------------------------------------
+def _policy(column: str) -> Any:
+    def of(own: Runs) -> Any:
+        return m.rate_of(own.where("judged"), column) if own.first("kind") == "injected" else None
+
+    return of
+
+
+def _golden(own: Runs) -> Any:
+    return m.rate_of(own.where("judged"), "success") if own.first("kind") == "golden" else None
+
+
+def _estimand(runs: Runs) -> str:
+    kernels = runs.injected.where(level=INSTRUCTION).groups("stage")
+    shares = "; ".join(f"{stage}: {', '.join(_in_order(runs, own))}" for (stage,), own in kernels.items())
+    which = runs.campaign.get("which", "all")
+    drawn = "dynamic instructions" if which == "all" else f"dynamic instructions of class {which}"
+    return (
+        f"equal numbers of faults per stage, shared equally among its kernels ({shares}); within a kernel uniform over "
+        f"its {drawn} in the golden flight, then over the bits of the value"
+    )
+
+
+def _in_order(runs: Runs, own: Runs) -> list[str]:
+    planned = list(runs.campaign.get("kernels", ()))
+    return sorted(own.values("kernel"), key=lambda name: planned.index(name) if name in planned else len(planned))
+
+
+def _missed_note(runs: Runs) -> str:
+    parts = runs.injected.where("judged").groups("setting")
+    told = ", ".join(f"{setting} {_missed(own)}" for (setting,), own in parts.items())
+    return f"faults that found no such call or were not activated, kept in every rate: {told}"
+
+
+def _missed(own: Runs) -> int:
+    return len(own.where(pl.col("site_outcome") != ACTIVATED))
+
+
+register(
+    View(
+        "instructions_as_in_the_paper", "Instruction level, the paper's Table I: success rates, one fault per mission",
+        ("row",),
+        (
+            Measure("here", "here", RATE, _golden),
+            Measure("restart", "here, node restarts", RATE, _policy("success")),
+            Measure("end", "here, mission ends", RATE, _policy("success_if_ended")),
+            paper.beside(paper.success),
+        ),
+        where=faulty_and_bare, across="environment", headings=("",),
+        notes=lambda runs: (
+            paper.INSTRUCTION_LEVEL, ONE_FAULT, _estimand(runs), _RATES, _DYING, _missed_note(runs),
+            *unknown_note(faulty_and_bare(runs)), *separable_note(runs),
+        ), applies=by_stages,
+    ),
+    View(
+        "instructions_by_stage", "Instruction level: success by stage of the fault", ("environment", "stage", "setting"),
+        (
+            m.rate("restart", "node restarts", "success"), m.rate("end", "mission ends", "success_if_ended"),
+            m.count("died", "died", pl.col("kernel_effect").is_in(KERNEL_DUE)),
+            Measure("not_activated", "not activated", NUMBER, _missed),
+        ),
+        where=lambda runs: runs.injected.where("judged", level=INSTRUCTION),
+        notes=lambda _: (_RATES, "died: kernels that crashed, hung or raised"), applies=by_stages,
+    ),
+    View(
+        "instruction_alarms", "Alarms after an instruction fault", ("environment", "setting"),
+        (m.rate("downstream", "alarm within 1 s", "detected_downstream"),),
+        where=lambda runs: runs.injected.where(
+            "judged", pl.col("detector") != "", level=INSTRUCTION, site_outcome=ACTIVATED
+        ),
+        notes=lambda _: (
+            "of the activated faults; within 1 s an alarm of a state and instant that the golden flight with the same "
+            "detector has not; most faults change nothing that is published, and there is nothing to see",
+        ), applies=lambda runs: by_stages(runs) and watched(runs),
+    ),
+)  # fmt: skip
+
+
+# ---- what kernels did --------------------------------------------------------------------------------------------
+def kernel_runs(runs: Runs) -> Runs:
+    """Flights with an instruction fault and no detector whose kernel, and whose golden run, can be judged."""
+    judged = (pl.col("kernel_effect") != "") & (pl.col("effect") != "unknown")
+    return runs.injected.where(judged, level=INSTRUCTION, detector="")
+
+
+def _effect(*effects: str) -> pl.Expr:
+    return pl.col("kernel_effect").is_in(effects)
+
+
+_THREE = (
+    m.rate("masked", "masked", _effect("masked"), weighted=True),
+    m.rate("sdc", "sdc", _effect("sdc"), weighted=True),
+    m.rate("due", "due", _effect(*KERNEL_DUE), weighted=True),
+)
+_GIVEN_SDC = m.rate("success_given_sdc", "success | sdc", "success", _effect("sdc"), weighted=True)
+
+
+def _due(own: Runs) -> str:
+    return " / ".join(str(len(own.where(kernel_effect=name))) for name in KERNEL_DUE)
+
+
+def _changed(own: Runs) -> Any:
+    return m.rate_of(own, pl.col("effect") != "masked", weighted=True)
+
+
+def _kernel_notes(*lines: str) -> Any:
+    def notes(runs: Runs) -> list[str]:
+        weighted = any(weight != 1.0 for weight in kernel_runs(runs)["weight"])
+        return [*lines, *([_WEIGHTED] if weighted else [])]
+
+    return notes
+
+
+def _replayable_note(runs: Runs) -> str:
+    own = kernel_runs(runs)
+    again = len(own.where("replayable"))
+    note = f"{again} of {len(own)} flights can be replayed bit for bit"
+    return note if again == len(own) else (
+        f"{note}: where an address or a branch was injected, only those flown in processes with fixed addresses, which "
+        "this system did not allow"
+    )  # fmt: skip
+
+
+def _split(name: str, title: str, column: str) -> View:
+    return View(
+        name, title, ("kernel", column),
+        (
+            Measure("n", "n", NUMBER, len), *_THREE, _GIVEN_SDC,
+            m.quantile("inflation", 1.0, "worst_time", "worst time"),
+        ),
+        where=lambda runs: _readable(kernel_runs(runs), column),
+        notes=_kernel_notes(
+            _LEVEL, "other: bits of integers, addresses and conditions; a result of one bit has no sign or exponent"
+        ),
+        applies=of_instructions,
+    )  # fmt: skip
+
+
+def _readable(own: Runs, column: str) -> Runs:
+    text = pl.col(column).str.replace_all("_", " ")
+    return own.adding(**{column: pl.when(text == "").then(pl.lit("—")).otherwise(text)})
+
+
+def _silent(runs: Runs) -> Runs:
+    """Silent corruptions, with the field that first differed and how many the kernel has in all."""
+    own = kernel_runs(runs).where(kernel_effect="sdc")
+    place = pl.concat_str(pl.col("error_state").fill_null(MEMORY), pl.col("error_field").fill_null(""), separator=" ")
+    return own.adding(first_differing_field=place.str.strip_chars(), in_kernel=pl.len().over("kernel"))
+
+
+def _finite(own: Runs) -> pl.Series:
+    sizes = own.frame["error_size"].drop_nulls()
+    return sizes.filter(sizes.is_finite())
+
+
+def counted(record: FlightRecord) -> list[Mapping[str, Any]]:
+    """Dynamic instructions and calls of each kernel in a golden run."""
+    return [
+        {"kernel": kernel, "instructions": data["instructions"], "calls": data["calls"]}
+        for kernel, data in record.counts.items()
+    ]
+
+
+register(
+    View(
+        "kernel_effects", "One fault in one instruction: what the kernel did", ("environment", "kernel"),
+        (Measure("n", "n", NUMBER, len), *_THREE, Measure("due_kinds", "crash / hang / exc.", TEXT, _due)),
+        where=kernel_runs, notes=lambda runs: [*_kernel_notes(_EFFECTS, _LEVEL)(runs), _replayable_note(runs)],
+        applies=of_instructions,
+    ),
+    View(
+        "kernel_missions", "One fault in one instruction: what became of the mission", ("environment", "kernel"),
+        (
+            Measure("golden", "golden", RATE, m.golden_rate), _GIVEN_SDC,
+            m.rate("success_restart", "success, restart", "success", weighted=True),
+            m.rate("success_end", "success, end", "success_if_ended", weighted=True),
+            Measure("changed", "changed", PERCENT, _changed),
+            m.quantile("inflation", 0.5, "median", "median"), m.quantile("inflation", 0.95, "p95", "p95"),
+            m.quantile("inflation", 1.0, "worst", "worst"),
+            Measure("worst_run", "worst run", TEXT, m.worst_run, hidden=True),
+            Measure("paper", "paper's Fig. 3", TEXT, lambda own: paper.figure("kernels", kernel=own.first("kernel"))),
+        ),
+        where=kernel_runs,
+        notes=_kernel_notes(
+            _POLICIES,
+            "changed: flights that are not bit for bit their golden run; median, p95, worst: flight time against the "
+            "golden run, where both arrive",
+            "the paper's Fig. 3 (Sparse, 100 runs per kernel) has no numbers to read off; its text: flight time up to "
+            f"{100 * paper.figure('kernels_worst', quantity='flight_time'):+.1f} %, success lower by up to "
+            f"{100 * paper.figure('kernels_worst', quantity='success_loss'):.0f} points, both in planning and control",
+        ), applies=of_instructions,
+    ),
+    _split("kernel_effects_by_value_class", "Effects by value class", "value_class"),
+    _split("kernel_effects_by_bit", "Effects by bit: sign, exponent, mantissa", "stratum"),
+    View(
+        "kernel_errors", "From instruction to inter-kernel state", ("kernel", "first_differing_field"),
+        (
+            Measure("n", "sdc", NUMBER, len),
+            Measure("share", "share", PERCENT, lambda own: len(own) / own.first("in_kernel")),
+            m.median("error_elements", "elements", "number .3g"),
+            Measure("size", "median size", "number .3g", lambda own: _finite(own).median()),
+            Measure("largest", "largest", "number .3g", lambda own: _finite(own).max()),
+            Measure("not_finite", "not finite", NUMBER,
+                    lambda own: own.frame["error_size"].drop_nulls().len() - _finite(own).len()),
+            m.count("changed", "changed", pl.col("effect") != "masked"),
+            m.rate("success", "success", "success", weighted=True),
+        ),
+        where=_silent, most="n",
+        notes=_kernel_notes(
+            "which silent corruptions within a kernel become which errors between kernels: state faults change one "
+            "element of one field, uniformly over its bits",
+            "elements: in how many places the field differs (median); size: largest difference in the field's unit",
+            "(memory only): nothing published differs at once, but what the kernel remembers does",
+        ), applies=of_instructions,
+    ),
+    View(
+        "kernel_instructions", "Dynamic instructions of golden flights", ("kernel",),
+        (
+            Measure("flights", "flights", NUMBER, len),
+            Measure("calls", "calls", NUMBER, lambda own: sum(own["calls"])),
+            Measure("instructions", "instructions", NUMBER, lambda own: sum(own["instructions"])),
+        ),
+        where=lambda runs: runs.golden.exploded(counted), detail=True, applies=of_instructions,
+    ),
+)  # fmt: skip

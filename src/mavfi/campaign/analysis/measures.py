@@ -1,0 +1,288 @@
+"""Measures: rows of a group -> one cell: a rate with its interval, a count, a quantile, a test."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from mavfi.campaign.analysis import pairs
+from mavfi.campaign.analysis.rows import ALL_BITS
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.statistics import (
+    EventRate,
+    Rate,
+    clustered_rate,
+    event_rate_by_flight,
+    smallest_difference,
+    weighted_rate,
+    wilson,
+)
+from mavfi.campaign.analysis.table import NUMBER, PERCENT, RATE, SIGNED, Cell, Column
+from mavfi.faults.strata import HEADLINE
+
+WHOLE_WORD = "whole_word"
+PARTITIONS = ({"sign_exponent", "mantissa"}, {"sign", "exponent", "mantissa"})
+"""Sets of strata that together make up whole words."""
+LEADING = (HEADLINE, ALL_BITS)
+"""Populations that tables lead with, and that stand beside the paper."""
+POPULATIONS = {
+    "all": "all", "sign_exponent": "sign + exponent", "mantissa": "mantissa", WHOLE_WORD: "whole word", "sign": "sign",
+    "exponent": "exponent", ALL_BITS: "all bits",
+}  # fmt: skip
+"""Populations for people."""
+SLOWER = 0.05
+"""Flight time over the golden run's from which a success counts as slower."""
+SYSTEMATIC = 0.9
+"""Share of flights from which alarms of one state at one instant are systematic: of the start, not of the mission."""
+_ORDER = (HEADLINE, "sign", "exponent", WHOLE_WORD, "mantissa")
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """One column of a view.
+
+    Attributes:
+        key: Name of the column in CSV and JSON.
+        heading: For people.
+        form: How cells are written for people; see `table`.
+        of: Rows of a group -> cell.
+        hidden: In CSV and JSON only.
+    """
+
+    key: str
+    heading: str
+    form: str
+    of: Callable[[Runs], Cell]
+    hidden: bool = False
+
+    @property
+    def column(self) -> Column:
+        """Its column."""
+        return Column(self.key, self.heading, self.form, self.hidden)
+
+
+Spread = Callable[[Runs, tuple[str, ...]], Iterable[Measure]]
+"""Measures that depend on the rows: selected rows and the columns that they are grouped by -> measures."""
+
+
+# ---- plain ones --------------------------------------------------------------------------------------------------
+def count(key: str, heading: str, *tests: pl.Expr | str, **values: Any) -> Measure:
+    """How many rows pass tests."""
+    return Measure(key, heading, NUMBER, lambda own: len(own.where(*tests, **values)))
+
+
+def first(column: str, heading: str = "", form: str = "text", key: str = "") -> Measure:
+    """Value of the first row: of a column that all rows of a group share."""
+    return Measure(key or column, heading or column.replace("_", " "), form, lambda own: own.first(column))
+
+
+def median(column: str, heading: str, form: str = NUMBER) -> Measure:
+    """Median of a column; None where it has no value."""
+    return Measure(column, heading, form, lambda own: own.frame[column].median())
+
+
+def quantile(column: str, share: float, key: str, heading: str, form: str = SIGNED) -> Measure:
+    """Quantile of a column."""
+    return Measure(key, heading, form, lambda own: quantile_of(own[column], share))
+
+
+def quantile_of(values: Iterable[float | None], share: float) -> float | None:
+    """Quantile of the values that are known."""
+    known = [value for value in values if value is not None]
+    return float(np.quantile(known, share)) if known else None
+
+
+def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str, weighted: bool = False) -> Measure:
+    """Share of rows that pass a test, with Wilson's interval for the effective number of flights.
+
+    Args:
+        key: Of the column.
+        heading: Of the column.
+        test: What is counted.
+        where: Rows that count at all.
+        weighted: Whether faults count with their weights.
+    """
+    return Measure(key, heading, RATE, lambda own: rate_of(own.where(*where), test, weighted=weighted))
+
+
+def rate_of(own: Runs, test: pl.Expr | str, *, weighted: bool = False) -> Rate:
+    """The same of some rows, worlds being the clusters."""
+    asked = pl.col(test) if isinstance(test, str) else test
+    passed = own.frame.select(asked.fill_null(value=False).alias("passed"))["passed"].to_list()
+    return clustered_rate(passed, own["world"], own["weight"] if weighted else None)
+
+
+# ---- by population -----------------------------------------------------------------------------------------------
+def populations(own: Runs, test: pl.Expr | str) -> dict[str, Rate]:
+    """Rate of a property by population: each bit stratum, and the whole word where the strata make one up.
+
+    Runs that could not be judged are left out.
+    """
+    judged = own.where("judged")
+    rates = {name: rate_of(part, test) for (name,), part in judged.groups("population").items()}
+    if set(rates) in PARTITIONS:
+        asked = pl.col(test) if isinstance(test, str) else test
+        passed = judged.frame.select(asked.alias("passed"))["passed"].to_list()
+        rates[WHOLE_WORD] = weighted_rate(passed, judged["weight"], judged["population"], judged["world"])
+    return rates
+
+
+def population_names(runs: Runs, by: Sequence[str]) -> list[str]:
+    """Populations in the order in which tables show them: headline, whole word, the others; golden runs have none."""
+    found: dict[str, None] = {}
+    for part in runs.groups(*by).values():
+        own = part.where("judged").values("population")
+        found |= dict.fromkeys([*own, *([WHOLE_WORD] if set(own) in PARTITIONS else [])])
+    own = [name for name in found if name != "all"]
+    return sorted(own, key=lambda name: _ORDER.index(name) if name in _ORDER else len(_ORDER))
+
+
+def leading(own: Runs, names: Sequence[str], test: pl.Expr | str) -> Rate | None:
+    """Rate in the population that a table leads with; of golden runs, in all of them."""
+    rates = populations(own, test)
+    return rates.get("all", rates.get(names[0]) if names else None)
+
+
+def by_population(test: pl.Expr | str, key: str = "success", title: str = "success %, ") -> tuple[Spread, Spread]:
+    """Two spreads: the leading population (golden runs in the same column), and the others."""
+
+    def lead(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
+        names = population_names(runs, by)
+        heading = title + POPULATIONS.get(names[0], names[0]) if names else title.rstrip(", ")
+        yield Measure(key, heading, RATE, lambda own: leading(own, names, test))
+
+    def others(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
+        for name in population_names(runs, by)[1:]:
+            of = partial(_population, name=name, test=test)
+            yield Measure(f"{key}_{name}", POPULATIONS.get(name, name), RATE, of)
+
+    return lead, others
+
+
+def _population(own: Runs, name: str, test: pl.Expr | str) -> Rate | None:
+    return populations(own, test).get(name)
+
+
+FAILS_OR_SLOWER = ~pl.col("success") | (pl.col("inflation") > SLOWER).fill_null(value=False)
+"""Whether the mission failed, or took `SLOWER` longer than its golden run."""
+
+
+def hurt(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
+    """Share of missions that fail or are slower, and the worst flight time, of the leading population of a group."""
+    names = population_names(runs, by)
+
+    def shown(own: Runs) -> str:
+        held = own.where("judged").values("population")
+        return names[0] if names[0] in held else str(held[0])
+
+    def worst(own: Runs) -> Any:
+        return own.where("judged", population=shown(own)).frame["inflation"].max()
+
+    def share(own: Runs) -> Rate:
+        return populations(own, FAILS_OR_SLOWER)[shown(own)]
+
+    if names:
+        yield Measure("hurt", "hurt", PERCENT, share)
+        yield Measure("worst_time", "worst time", SIGNED, worst)
+
+
+# ---- pairs -------------------------------------------------------------------------------------------------------
+def against_fi(runs: Runs) -> Runs:
+    """Runs with a detector, each with the run of the same fault without one: `fi_success`; unmatched ones left out."""
+    judged = runs.injected.where("judged")
+    pair = ["environment", "target", "index"]
+    alone = judged.where(pl.col("detector") == "").frame
+    arms = judged.where(pl.col("detector") != "").frame
+    shown = arms.select(*pair, "setting", "detector_profile", pl.col("success").alias("dr_success"))
+    joined = alone.drop("setting", "detector_profile").join(shown, on=pair, maintain_order="left_right")
+    order = {setting: place for place, setting in enumerate(runs.settings())}
+    joined = joined.sort(pl.col("setting").replace_strict(order, default=0, return_dtype=pl.Int64), maintain_order=True)
+    return Runs(joined.rename({"success": "fi_success"}), runs.records, runs.campaign)
+
+
+def recovery_of(own: Runs) -> pairs.Recovery | None:
+    """Recovery rate (dr - fi) / (golden - fi) of paired rows."""
+    known = own.where(pl.col("golden_success").is_not_null())
+    columns = (known[name] for name in ("world", "golden_success", "fi_success", "dr_success"))
+    return pairs.recovery(list(zip(*columns, strict=True)))
+
+
+def discordant(own: Runs) -> pairs.Paired:
+    """McNemar's test of fi against the arm."""
+    return pairs.mcnemar(own["fi_success"], own["dr_success"])
+
+
+def against_golden(own: Runs) -> pairs.Paired:
+    """McNemar's test of the golden run against the run with a fault."""
+    return pairs.mcnemar(own["golden_success"], own["success"])
+
+
+def separable(runs: Runs) -> list[tuple[str, float | None, float | None]]:
+    """By environment: the smallest differences (golden - fi, fi - dr) that the success table can be expected to show."""
+    found = []
+    for (environment,), part in runs.groups("environment").items():
+        golden = part.golden.where("judged", detector="", arm="")
+        faulty = part.injected.where("judged", pl.col("population").is_in(LEADING), detector="")
+        n, share = len(faulty), sum(faulty["success"]) / len(faulty) if len(faulty) else 1.0
+        found.append((environment, smallest_difference(share, len(golden), n), smallest_difference(share, n, n)))
+    return found
+
+
+# ---- alarms and time ---------------------------------------------------------------------------------------------
+def alarm_rate(own: Runs) -> EventRate:
+    """Alarms per hour of flight."""
+    return event_rate_by_flight(own["alarms_total"], [time / 3600 for time in own["flight_time_s"]])
+
+
+def systematic(own: Runs) -> list[tuple[str, float, int]]:
+    """State, instant (s) and flights of alarms that nearly all flights have; none where there is one flight."""
+    flights: Counter[tuple[str, int]] = Counter()
+    for record in own.recorded():
+        flights.update({(alarm.state, round(1e6 * alarm.time_s)) for alarm in record.alarms})
+    return [
+        (state, 1e-6 * time_us, n)
+        for (state, time_us), n in sorted(flights.items())
+        if len(own) > 1 and n > SYSTEMATIC * len(own)
+    ]
+
+
+def alarm_kinds(own: Runs) -> dict[str, int]:
+    """Alarms by "source/action/outcome"."""
+    kinds: Counter[str] = Counter()
+    for record in own.recorded():
+        kinds.update(record.alarm_counts)
+    return dict(kinds)
+
+
+def compute_us(own: Runs) -> int:
+    """Modelled compute time of the pipeline without recomputations, which kernels charge too."""
+    spent = sum(sum(record.recompute_us.values()) for record in own.recorded())
+    return sum(sum(record.compute_us.values()) for record in own.recorded()) - spent
+
+
+def recomputed(own: Runs, stage: str = "") -> float | None:
+    """Recomputation of a stage ("" = of all) / compute time."""
+    compute = compute_us(own)
+    spent = sum(us for record in own.recorded() for name, us in record.recompute_us.items() if stage in ("", name))
+    return spent / compute if compute else None
+
+
+def worst_run(own: Runs) -> str | None:
+    """Id of the run with the longest flight time against its golden run."""
+    known = own.frame.filter(pl.col("inflation").is_not_null())
+    return None if known.is_empty() else str(known["run_id"][int(known["inflation"].arg_max() or 0)])
+
+
+def golden_rate(own: Runs) -> Rate:
+    """Success of the golden runs of these runs, each world once."""
+    golden = dict(zip(own["world"], own["golden_success"], strict=True))
+    return clustered_rate([bool(success) for success in golden.values()], list(golden))
+
+
+def share_unjudged(own: Runs) -> Rate:
+    """Share of runs that could not be judged."""
+    return wilson(len(own.where(~pl.col("judged"))), len(own))

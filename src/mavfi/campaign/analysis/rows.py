@@ -1,0 +1,222 @@
+"""One run as one row: what was planned, what happened, and what is judged from the record and its golden run."""
+
+from collections.abc import Collection, Iterable, Mapping
+from functools import singledispatch
+from typing import TYPE_CHECKING, Any
+
+import polars as pl
+
+from mavfi.faults.fault import InstructionFault, MessageFault, RegisterFault, StateFault
+from mavfi.faults.strata import bit_class
+from mavfi.flight_log import AlarmRecord, Injection
+from mavfi.flight_record import AFTERMATH, INSTANT, End, FlightRecord
+from mavfi.mission import MissionStatus
+from mavfi.outcomes import DUE, Effect, effect_of
+from mavfi.qof import energy
+from mavfi.states import KERNEL_STAGES, STATES
+
+if TYPE_CHECKING:
+    from mavfi.campaign.store import Run
+
+ALL_BITS = "all_bits"
+"""Population of faults whose bits were drawn uniformly, so that no stratum of them is apart."""
+GOLDEN, INJECTED, NULL = "golden", "injected", "null"
+"""Kinds of run."""
+ACTIVATED, NO_SITE, NOT_ACTIVATED = "activated", "no_site", "not_activated"
+"""Where a fault went: `NO_SITE` in the golden run, or not reached in the injected one."""
+KERNEL_DUE = tuple(effect.label for effect in DUE)
+"""Effects on a kernel after which its node is started again, or the mission ends."""
+
+_TEXT, _INT, _REAL, _FLAG = pl.String, pl.Int64, pl.Float64, pl.Boolean
+SCHEMA: dict[str, Any] = {
+    "run_id": _TEXT, "kind": _TEXT, "setting": _TEXT, "arm": _TEXT, "detector": _TEXT, "detector_profile": _TEXT,
+    "environment": _TEXT, "seed": _INT, "world": _TEXT, "target": _TEXT, "index": _INT,
+    "level": _TEXT, "stage": _TEXT, "kernel": _TEXT, "state": _TEXT, "field": _TEXT, "element": _INT, "site": _TEXT,
+    "bit": _INT, "bit_class": _TEXT, "stratum": _TEXT, "population": _TEXT, "weight": _REAL, "has_site": _FLAG,
+    "monitored": _FLAG,
+    "function": _TEXT, "file": _TEXT, "line": _INT, "opcode": _TEXT, "value_class": _TEXT, "value_type": _TEXT,
+    "variable": _TEXT, "replayable": _FLAG, "register": _TEXT, "symbol": _TEXT, "library": _TEXT,
+    "end": _TEXT, "status": _TEXT, "success": _FLAG, "success_if_ended": _FLAG, "golden_success": _FLAG,
+    "judged": _FLAG, "effect": _TEXT, "kernel_effect": _TEXT, "kernel_effect_detail": _TEXT, "activated": _FLAG,
+    "site_outcome": _TEXT, "time_s": _REAL, "before": _REAL, "after": _REAL,
+    "error_state": _TEXT, "error_field": _TEXT, "error_elements": _REAL, "error_size": _REAL,
+    "flight_time_s": _REAL, "energy_j": _REAL, "distance_m": _REAL, "replans": _INT, "time_limit_s": _REAL,
+    "course_m": _REAL, "golden_flight_time_s": _REAL, "inflation": _REAL, "energy_inflation": _REAL,
+    "detected_at_site": _FLAG, "detected_downstream": _FLAG, "alarms_total": _INT,
+    "digest": _TEXT, "wall_s": _REAL, "note": _TEXT,
+}  # fmt: skip
+"""Columns of the frame and their types."""
+
+
+def row_of(
+    run: "Run", own: FlightRecord | None, reference: FlightRecord | None, monitored: Collection[tuple[str, str]]
+) -> dict[str, Any]:
+    """Columns of one run that is done.
+
+    Args:
+        run: Spec and record.
+        own: Record of the golden run of the same arm: what the digest is compared with.
+        reference: Record of the golden run of the same mission without a detector: what flight time is compared with.
+        monitored: States and fields that detectors watch.
+    """
+    spec, record = run.spec, run.record
+    fault = spec.fault
+    planned = {} if fault is None else {
+        "level": fault.level, "site": fault.site, "bit": fault.bit, "stratum": fault.stratum, "weight": fault.weight,
+        "has_site": fault.has_site, "population": ALL_BITS, **site_columns(fault),
+    }  # fmt: skip
+    planned["monitored"] = (planned.get("state", ""), planned.get("field", "")) in monitored
+    return {
+        "run_id": spec.run_id, "kind": spec.kind, "setting": spec.setting, "arm": spec.arm,
+        "detector": spec.detector, "detector_profile": spec.detector_profile, "environment": spec.environment,
+        "seed": spec.seed, "world": f"{spec.environment} {spec.seed}", "target": spec.target, "index": spec.index,
+        "weight": 1.0, "has_site": False, **dict.fromkeys(_TEXTS, ""), "population": "all", **planned,
+        **_happened(record, fault is not None, bool(planned.get("has_site"))), **_kernel(record),
+        **_judged(record, own, reference, spec.kind), **_detected(record, own, planned.get("state", "")),
+        "digest": record.digest, "wall_s": run.wall_s, "note": run.note,
+    }  # fmt: skip
+
+
+_TEXTS = (
+    "level", "stage", "kernel", "state", "field", "site", "bit_class", "stratum", "function", "file", "opcode",
+    "value_class", "value_type", "variable", "register", "symbol", "library", "site_outcome", "kernel_effect",
+    "kernel_effect_detail",
+)  # fmt: skip
+"""Columns that are empty text where nothing is known."""
+
+
+@singledispatch
+def site_columns(fault: Any) -> dict[str, Any]:
+    """What a planned fault of one level says of its site."""
+    raise TypeError(f"no columns for {type(fault).__name__}")
+
+
+@site_columns.register
+def _(fault: StateFault) -> dict[str, Any]:
+    spec, where = STATES[fault.where.state], fault.where
+    bits = "" if fault.bit is None else bit_class(spec.find(where.field), fault.bit)
+    return {
+        "stage": str(spec.stage), "kernel": spec.writer, "state": where.state, "field": where.field,
+        "element": where.element, "bit_class": bits, "population": fault.stratum,
+    }  # fmt: skip
+
+
+@site_columns.register
+def _(fault: InstructionFault) -> dict[str, Any]:
+    return {
+        "stage": str(KERNEL_STAGES.get(fault.kernel, "")), "kernel": fault.kernel, "function": fault.entry,
+        "value_class": fault.value_class, "bit_class": fault.stratum,
+    }  # fmt: skip
+
+
+@site_columns.register
+def _(fault: MessageFault) -> dict[str, Any]:
+    return {"state": fault.topic, "field": fault.field}
+
+
+@site_columns.register
+def _(fault: RegisterFault) -> dict[str, Any]:
+    return {"register": fault.registers, "symbol": fault.symbol}
+
+
+_DETAILS = {
+    "opcode": "opcode", "value_class": "value_class", "type": "value_type", "variable": "variable",
+    "function": "function", "register": "register", "symbol": "symbol", "library": "library",
+}  # fmt: skip
+"""Column by key in `Injection.details`."""
+
+
+def _happened(record: FlightRecord, faulty: bool, has_site: bool) -> dict[str, Any]:
+    """What was injected; of several injections the first activated one."""
+    activated = any(injection.activated for injection in record.injections)
+    columns: dict[str, Any] = {"activated": activated}
+    if faulty:
+        reached = activated or not record.flown
+        columns["site_outcome"] = (ACTIVATED if reached else NOT_ACTIVATED) if has_site else NO_SITE
+    if record.injections:
+        first = next((one for one in record.injections if one.activated), record.injections[0])
+        columns |= _injection(first)
+    return columns
+
+
+def _injection(injection: Injection) -> dict[str, Any]:
+    details = injection.details
+    known = {column: str(details[key]) for key, column in _DETAILS.items() if details.get(key) is not None}
+    if injection.bit is not None:
+        known["bit"] = injection.bit
+    return {
+        "time_s": injection.time_s, "before": _number(injection.before), "after": _number(injection.after),
+        "file": injection.file, "line": injection.line, "replayable": details.get("replayable"), **known,
+    }  # fmt: skip
+
+
+def _number(value: object) -> float | None:
+    try:
+        return None if value is None else float(value)  # type: ignore[arg-type]
+    except (OverflowError, ValueError):
+        return None
+
+
+def _kernel(record: FlightRecord) -> dict[str, Any]:
+    """What the injected call did to its kernel."""
+    if record.kernel is None:
+        return {}
+    first: Mapping[str, Any] = record.kernel.first_difference or {}
+    return {
+        "kernel_effect": record.kernel.effect, "kernel_effect_detail": record.kernel.detail,
+        "error_state": first.get("state"), "error_field": first.get("field"),
+        "error_elements": _number(first.get("elements")), "error_size": _number(first.get("largest")),
+    }  # fmt: skip
+
+
+def succeeded(record: FlightRecord) -> bool:
+    """Whether the mission succeeded; a run that died did not."""
+    return record.status == MissionStatus.SUCCESS.label
+
+
+def _judged(
+    record: FlightRecord, own: FlightRecord | None, reference: FlightRecord | None, kind: str
+) -> dict[str, Any]:
+    success, flown = succeeded(record), record.flown
+    died = record.kernel is not None and record.kernel.effect in KERNEL_DUE
+    known = reference is not None and reference.end is not End.UNKNOWN
+    columns: dict[str, Any] = {
+        "end": str(record.end), "status": record.status or str(record.end), "success": success,
+        "success_if_ended": success and not died, "judged": record.end is not End.UNKNOWN,
+        "golden_success": succeeded(reference) if reference is not None and known else None,
+        "effect": "" if kind == GOLDEN else effect_of(own, record).label,
+    }  # fmt: skip
+    if flown:
+        columns |= {
+            "flight_time_s": record.flight_time_s, "energy_j": energy(record.energy), "replans": record.replans,
+            "distance_m": record.distance_m, "time_limit_s": record.time_limit_s, "course_m": record.course_m,
+            "alarms_total": record.alarms_total,
+        }  # fmt: skip
+    if reference is not None and reference.flown:
+        columns["golden_flight_time_s"] = reference.flight_time_s
+        if success and succeeded(reference):
+            columns["inflation"] = record.flight_time_s / reference.flight_time_s - 1
+            columns["energy_inflation"] = energy(record.energy) / energy(reference.energy) - 1
+    return columns
+
+
+def _detected(record: FlightRecord, own: FlightRecord | None, state: str) -> dict[str, Any]:
+    """Alarms on the corrupted publication itself, and those soon after it that the golden run does not have."""
+    instants = [injection.time_s for injection in record.injections if injection.activated]
+    known = set() if own is None else instants_of(own.alarms)
+    at_site = any(
+        alarm.state == state and abs(alarm.time_s - time_s) < INSTANT for alarm in record.alarms for time_s in instants
+    )
+    downstream = any(
+        -INSTANT < alarm.time_s - time_s <= AFTERMATH and not instants_of([alarm]) <= known
+        for alarm in record.alarms for time_s in instants
+    )  # fmt: skip
+    return {"detected_at_site": at_site, "detected_downstream": downstream}
+
+
+def instants_of(alarms: Iterable[AlarmRecord]) -> set[tuple[str, int]]:
+    """State and instant (us) of alarms."""
+    return {(alarm.state, round(1e6 * alarm.time_s)) for alarm in alarms}
+
+
+NO_EFFECT = Effect.UNKNOWN.label

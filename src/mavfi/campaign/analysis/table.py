@@ -1,0 +1,109 @@
+"""`Table`: what a view answers.  Cells are numbers; renderers (`mavfi.reports`) make text, HTML or files of them."""
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, is_dataclass
+from typing import Any
+
+from mavfi.flight_record import plain
+
+RATE, PERCENT, SIGNED, SMALL, PER_HOUR, POINTS, NUMBER, TEXT = (
+    "rate", "percent", "signed percent", "small percent", "per hour", "points", "number", "text",
+)  # fmt: skip
+"""Forms of a cell; a number may carry digits and a unit: "number .1f s"."""
+UNKNOWN = "unknown"
+"""A cell whose measure raised."""
+Cell = Any
+"""None = there is nothing; text, a number, or a dataclass of numbers such as `Rate`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column.
+
+    Attributes:
+        key: Name in CSV and JSON.
+        heading: Name for people.
+        form: How its cells are written for people.
+        hidden: In CSV and JSON only.
+    """
+
+    key: str
+    heading: str
+    form: str = TEXT
+    hidden: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """One table.
+
+    Attributes:
+        name: Of its view.
+        title: What it shows.
+        columns: Of each row.
+        rows: Cells.
+        keys: How many of the first columns say what a row is of.
+        notes: Lines below it.
+        detail: Shown in files, and where it is asked for, only.
+    """
+
+    name: str
+    title: str
+    columns: tuple[Column, ...]
+    rows: Sequence[tuple[Cell, ...]]
+    keys: int = 1
+    notes: tuple[str, ...] = ()
+    detail: bool = False
+
+    @staticmethod
+    def of_text(title: str, headings: Sequence[str], rows: Sequence[tuple[str, ...]], notes: Sequence[str]) -> "Table":
+        """A table of ready cells."""
+        columns = tuple(Column(heading, heading) for heading in headings)
+        return Table(title, title, columns, rows, notes=tuple(notes))
+
+    def column(self, key: str) -> list[Cell]:
+        """Cells of a column.
+
+        Raises:
+            KeyError: There is no such column.
+        """
+        places = [place for place, column in enumerate(self.columns) if column.key == key]
+        if not places:
+            raise KeyError(key)
+        return [row[places[0]] for row in self.rows]
+
+    def entries(self) -> list[dict[str, Cell]]:
+        """Rows as mappings from the keys of the columns."""
+        keys = [column.key for column in self.columns]
+        return [dict(zip(keys, row, strict=True)) for row in self.rows]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data: name, title, notes, and rows by key; infinities and NaN as text."""
+        rows = [{key: asdict(cell) if is_dataclass(cell) else cell for key, cell in entry.items()}  # type: ignore[call-overload]
+                for entry in self.entries()]  # fmt: skip
+        data: dict[str, Any] = plain({"name": self.name, "title": self.title, "rows": rows, "notes": self.notes})
+        return data
+
+    def to_csv(self) -> str:
+        """Comma-separated values with a heading; a `Rate` becomes columns of its own, e.g. success, success_low."""
+        flat = [_flat(entry) for entry in self.entries()]
+        keys = list(dict.fromkeys(key for entry in flat for key in entry)) or [column.key for column in self.columns]
+        buffer = io.StringIO()
+        writer = csv.DictWriter(buffer, keys, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(flat)
+        return buffer.getvalue()
+
+
+def _flat(entry: dict[str, Cell]) -> dict[str, Cell]:
+    flat: dict[str, Cell] = {}
+    for key, cell in entry.items():
+        if is_dataclass(cell):
+            parts = asdict(cell)  # type: ignore[call-overload]
+            flat |= {key if part == "rate" else f"{key}_{part}": value for part, value in parts.items()}
+        else:
+            flat[key] = json.dumps(plain(cell)) if isinstance(cell, (list, tuple, dict)) else cell
+    return flat

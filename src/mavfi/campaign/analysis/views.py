@@ -1,0 +1,169 @@
+"""`View`: which rows, grouped by what, which measures -> `Table`.  A new table is a view; all are found by name."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from mavfi.campaign.analysis.measures import Measure, Spread
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.table import RATE, UNKNOWN, Cell, Column, Table
+from mavfi.errors import BadInputError
+
+DEVIATIONS = (
+    "deviates from the published code: grace 1 s not 0, slow-down of the clock capped at 10, flight-controller limits, "
+    "leg to the first point checked"
+)
+_PROFILES = {"published": DEVIATIONS, "hardened": "not the paper's: what a careful team would fly"}
+
+
+def _all_rows(runs: Runs) -> Runs:
+    return runs
+
+
+def _no_notes(_: Runs) -> tuple[str, ...]:
+    return ()
+
+
+def _always(_: Runs) -> bool:
+    return True
+
+
+@dataclass(frozen=True)
+class View:
+    """A question to a campaign.
+
+    Attributes:
+        name: How it is asked for.
+        title: What its table shows.
+        by: Columns whose values make the rows of the table.
+        measures: The other columns.
+        where: Selects rows of the frame; may add columns, or make several rows of one.
+        across: "" = measures are columns.  Else a column of the frame whose values become columns; each measure becomes
+            a row with its heading in the second cell.
+        total: Column of which a row over all values is added, where there are several; label of that row.
+        headings: Instead of the names of `by`.
+        notes: Lines below the table.
+        most: Key of the measure by which rows within the first cell are ordered, largest first; "" = order of the plan.
+        limit: Most rows.
+        least: Rows of fewer runs are left out of the report.
+        detail: Not among the tables in the terminal unless asked for.
+        applies: Whether the table belongs into the report of a campaign.
+    """
+
+    name: str
+    title: str
+    by: tuple[str, ...]
+    measures: tuple[Measure | Spread, ...]
+    where: Callable[[Runs], Runs] = _all_rows
+    across: str = ""
+    total: tuple[str, str] | None = None
+    headings: tuple[str, ...] = ()
+    notes: Callable[[Runs], Iterable[str]] = _no_notes
+    most: str = ""
+    limit: int | None = None
+    least: int = 1
+    detail: bool = False
+    applies: Callable[[Runs], bool] = field(default=_always)
+
+    def table(self, runs: Runs) -> Table:
+        """Answer the question; a measure that raises gives `UNKNOWN` in its cell, and a note says why."""
+        chosen = self.where(runs)
+        if self.total is not None and len(chosen):
+            chosen = chosen.with_total(*self.total)
+        raised: dict[str, str] = {}
+        columns, rows = (self._across if self.across else self._down)(chosen, raised)
+        notes = [*(self.notes(runs) if rows else ()), *(f"{name}: unknown ({why})" for name, why in raised.items())]
+        return Table(
+            self.name, self.title, tuple(columns), self._ordered(columns, rows), max(1, len(self.by)),
+            (*notes, *_flown_with(runs)), self.detail,
+        )  # fmt: skip
+
+    def _measures(self, chosen: Runs) -> list[Measure]:
+        found: list[Measure] = []
+        for measure in self.measures:
+            found += [measure] if isinstance(measure, Measure) else measure(chosen, self.by)
+        return found
+
+    def _keys(self) -> list[Column]:
+        headings = self.headings or tuple(name.replace("_", " ") for name in self.by)
+        return [Column(name, heading) for name, heading in zip(self.by, headings, strict=True)]
+
+    def _down(self, chosen: Runs, raised: dict[str, str]) -> tuple[list[Column], list[tuple[Cell, ...]]]:
+        """One row for each group."""
+        measures = self._measures(chosen) if len(chosen) else []
+        groups = {key: own for key, own in chosen.groups(*self.by).items() if len(own) >= self.least}
+        rows = [(*key, *(_cell(measure, own, raised) for measure in measures)) for key, own in groups.items()]
+        return [*self._keys(), *(measure.column for measure in measures)], rows
+
+    def _across(self, chosen: Runs, raised: dict[str, str]) -> tuple[list[Column], list[tuple[Cell, ...]]]:
+        """One row for each group and measure, one column for each value of `across`; rows without a number left out."""
+        values = chosen.values(self.across) if len(chosen) else []
+        measures = self._measures(chosen) if len(chosen) else []
+        rows = []
+        for key, own in chosen.groups(*self.by).items():
+            parts = own.groups(self.across)
+            for measure in measures:
+                cells = [_cell(measure, parts[(value,)], raised) if (value,) in parts else None for value in values]
+                if any(cell is not None for cell in cells):
+                    rows.append((*key, measure.heading, *cells))
+        return [*self._keys(), Column("measure", ""), *(Column(str(value), str(value), RATE) for value in values)], rows
+
+    def _ordered(self, columns: list[Column], rows: list[tuple[Cell, ...]]) -> list[tuple[Cell, ...]]:
+        """Rows that begin with the same cell one below the other, in the order in which these cells first appear."""
+        first = list(dict.fromkeys(row[0] for row in rows))
+        place = next((i for i, column in enumerate(columns) if self.most and column.key == self.most), None)
+
+        def order(row: tuple[Cell, ...]) -> tuple[float, float]:
+            return first.index(row[0]), 0.0 if place is None else -float(row[place])
+
+        return sorted(rows, key=order)[: self.limit]
+
+
+def _cell(measure: Measure, own: Runs, raised: dict[str, str]) -> Cell:
+    try:
+        return measure.of(own)
+    except Exception as error:  # one measure does not take the report with it; the cell and a note say so
+        raised.setdefault(measure.heading or measure.key, f"{type(error).__name__}: {error}"[:100])
+        return UNKNOWN
+
+
+def _flown_with(runs: Runs) -> tuple[str, ...]:
+    """Which autopilot profile flew, and its deviations."""
+    profile = runs.campaign.get("profile", "")
+    more = f"; {_PROFILES[profile]}" if profile in _PROFILES else ""
+    return (f"autopilot profile {profile}{more}",) if profile else ()
+
+
+VIEWS: dict[str, View] = {}
+"""All views by name, in the order in which reports show them."""
+
+
+def register(*views: View) -> None:
+    """Add views; a later one of the same name replaces the earlier one."""
+    VIEWS.update({view.name: view for view in views})
+
+
+def table(runs: Runs, name: str) -> Table:
+    """Table of a view.
+
+    Args:
+        runs: Of a campaign.
+        name: Of the view.
+
+    Raises:
+        BadInputError: There is no such view.
+    """
+    if name not in VIEWS:
+        raise BadInputError(f"view {name!r}: not known; allowed: {', '.join(VIEWS)}")
+    return VIEWS[name].table(runs)
+
+
+def views_for(runs: Runs) -> list[Table]:
+    """Tables of a campaign's report: those of all views that apply to it and have rows."""
+    found = [view.table(runs) for view in VIEWS.values() if view.applies(runs)]
+    return [table for table in found if table.rows]
+
+
+def has(runs: Runs, **values: Any) -> bool:
+    """Whether some run has these values."""
+    return len(runs.where(**values)) > 0
