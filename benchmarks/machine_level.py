@@ -26,7 +26,7 @@ import numpy as np
 
 from benchmarks.run import processor
 from benchmarks.single_step import SteppedCall
-from mavfi.campaign.statistics import Rate, wilson
+from mavfi.campaign.analysis.statistics import Rate, wilson
 from mavfi.errors import BadInputError
 from mavfi.faults.instruction import count, draw, run_forked
 from mavfi.faults.instruction.api import digest

@@ -30,7 +30,7 @@ from mavfi.mission import MissionSpec, Scenario
 from mavfi.reports.flight_result import FlightResult
 
 if TYPE_CHECKING:
-    from mavfi.reports.table import Table
+    from mavfi.campaign.analysis.table import Table
 
 
 def fly(

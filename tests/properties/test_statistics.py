@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import beta, binomtest, poisson
 
-from mavfi.campaign.pairs import mcnemar, paired_difference, recovery
-from mavfi.campaign.statistics import (
+from mavfi.campaign.analysis.pairs import mcnemar, paired_difference, recovery
+from mavfi.campaign.analysis.statistics import (
     cluster_sums,
     clustered_rate,
     event_rate,

@@ -15,6 +15,7 @@ from mavfi.cli import (
     report,
     reproduce,
     ros,
+    runs,
     states,
     train,
     vulnerability,
@@ -40,6 +41,7 @@ app.command("train")(train.train)
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(ros.app, name="ros")
 app.command("report")(report.report)
+app.command("runs")(runs.runs)
 app.command("replay")(replay.replay)
 app.command("explain")(explain.explain)
 app.command("vulnerability")(vulnerability.vulnerability)

@@ -1,4 +1,4 @@
-"""`mavfi export`: a flight as a ROS bag, an mcap file or a table."""
+"""`mavfi export`: a flight as a ROS bag, an mcap file or a table; the runs of a campaign as a table."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from mavfi.flight_log import FlightLog
 
 ENDINGS = (".bag", ".mcap", ".csv")
+RUNS = (".parquet", ".csv")
+"""Endings for the runs of a whole campaign."""
 
 
 def export(
@@ -24,18 +26,29 @@ def export(
         str, typer.Argument(metavar="[RUN_ID]", help="Run of the campaign; it is flown again.", show_default=False)
     ] = "",
     to: Annotated[
-        Path, typer.Option(metavar="FILE", help=".bag (ROS 1), .mcap (ROS 2, Foxglove, PlotJuggler), or .csv.")
+        Path,
+        typer.Option(
+            metavar="FILE",
+            help=".bag (ROS 1), .mcap (ROS 2, Foxglove, PlotJuggler), or .csv; of a campaign .parquet or .csv, a row "
+            "per run.",
+        ),
     ] = Path("flight.mcap"),
     as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
 ) -> None:
-    """Write a flight for other people's tools; no ROS is needed.
+    """Write a flight, or the runs of a campaign, for other people's tools; no ROS is needed.
 
-    Example: [bold]mavfi export flight.npz --to flight.mcap[/bold]
+    Example: [bold]mavfi export flight.npz --to flight.mcap[/bold]; [bold]mavfi export out/states --to runs.parquet[/bold]
     """
+    if flight.is_dir() and not run_id and to.suffix in RUNS:
+        _export_runs(flight, to, as_json)
+        return
     if to.suffix not in ENDINGS:
         raise BadInputError(f"--to: {to}: allowed: a file that ends in {', '.join(ENDINGS)}")
     if flight.is_dir() and not run_id:
-        raise BadInputError(f"{flight}: is a folder; name the run, too: mavfi export {flight} RUN_ID")
+        raise BadInputError(
+            f"{flight}: is a folder; name the run, too: mavfi export {flight} RUN_ID; of all runs a table can be "
+            f"written: --to runs{RUNS[0]}"
+        )
     if run_id and not flight.is_dir():
         raise BadInputError(f"{flight}: is not the folder of a campaign, so there is no run {run_id!r}")
     check_writable(to)
@@ -46,6 +59,22 @@ def export(
         return
     what = "rows" if to.suffix == ".csv" else "messages"
     console().print(f"{to}: {count} {what}, {float(log.column('time')[-1]):.1f} s of flight, {log.status.label}")
+
+
+def _export_runs(directory: Path, to: Path, as_json: bool) -> None:
+    """One row per run, all columns of the frame."""
+    from mavfi.campaign.analysis.runs import Runs
+
+    check_writable(to)
+    frame = Runs.read(directory).frame
+    if to.suffix == ".parquet":
+        frame.write_parquet(to)
+    else:
+        frame.write_csv(to)
+    if as_json:
+        write_json({"file": str(to), "written": frame.height, "unit": "rows"})
+        return
+    console().print(f"{to}: {frame.height} runs, {frame.width} columns", soft_wrap=True)
 
 
 def _log(flight: Path, run_id: str) -> FlightLog:

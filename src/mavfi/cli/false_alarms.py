@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mavfi.campaign.config import TRAINING_SEED
 from mavfi.campaign.executors.local import LocalPool, Lost
-from mavfi.campaign.statistics import EventRate, event_rate_by_flight
+from mavfi.campaign.analysis.statistics import EventRate, event_rate_by_flight
 from mavfi.campaign.tools import host_tools
 from mavfi.campaign.training import ENVIRONMENT
 from mavfi.detectors.model import Model

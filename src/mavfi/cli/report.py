@@ -1,53 +1,86 @@
-"""`mavfi report`: the tables of a campaign in the terminal; report.md and figures in its folder."""
+"""`mavfi report`: the headline or the tables of a campaign in the terminal; report.md and figures in its folder."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from mavfi.cli.console import JSON_HELP, check_folder, console, write_json
+from mavfi.errors import BadInputError
+
+if TYPE_CHECKING:
+    from mavfi.reports.campaign_report import Report
 
 
-def report(
+def report(  # noqa: PLR0913 - one parameter per option
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
+    view: Annotated[
+        str, typer.Option(metavar="NAME", help="Print this table only, and write nothing; `list` names all of them.")
+    ] = "",
+    show_all: Annotated[bool, typer.Option("--all", help="Print all tables, not only the headline.")] = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="The table as comma-separated values (with --view).")] = False,
     as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
     draw_run: Annotated[bool, typer.Option(help="Fly a telling run again and draw it.")] = True,
 ) -> None:
-    """Print the tables of a campaign, and write report.md, its figures and summary.json into its folder.
+    """Print the headline of a campaign, and write report.md, its figures and summary.json into its folder.
 
-    Example: [bold]mavfi report out/states[/bold]
+    Example: [bold]mavfi report out/states --view by_state --csv[/bold]
     """
     from mavfi.campaign.store import Store
-    from mavfi.reports.campaign_report import write_report
-    from mavfi.reports.terminal import show
 
-    with Store.open(directory) as store:  # what is no campaign is left as it is
-        of_nodes = store.is_of_nodes
+    if as_csv and not view:
+        raise BadInputError("--csv: allowed: with --view NAME")
+    Store.open(directory).close()  # what is no campaign is left as it is
+    if view:
+        _show_view(directory, view, as_csv=as_csv, as_json=as_json)
+        return
     check_folder(directory)
-    if of_nodes:
-        _report_nodes(directory, as_json)
-        return
-    out = console()
-
-    def tell(analysis: dict[str, Any]) -> None:
-        if as_json:
-            write_json(analysis)
-        else:
-            show(analysis, out)
-
-    written = write_report(directory, draw_run=draw_run, shown=tell)
-    if not as_json:
-        out.print(f"[dim]wrote[/dim] {', '.join(path.name for path in written.files)} [dim]in[/dim] {directory}")
-
-
-def _report_nodes(directory: Path, as_json: bool) -> None:
-    """The same of a campaign on a ROS node."""
-    from mavfi.reports.node_report import show_nodes, write_node_report
-
-    analysis, files = write_node_report(directory)
+    written = write_reports(directory, draw_run=draw_run)
     if as_json:
-        write_json(analysis)
+        write_json(written.to_json())
         return
+    show_report(written, show_all)
+    names = ", ".join(path.name for path in written.files)
+    console().print(f"[dim]wrote[/dim] {names} [dim]in[/dim] {directory}", soft_wrap=True)
+
+
+def write_reports(directory: Path, *, draw_run: bool = True) -> "Report":
+    """Write the report of a campaign into its folder; see `campaign_report.write_report`."""
+    from mavfi.reports.campaign_report import write_report
+
+    return write_report(directory, draw_run=draw_run)
+
+
+def show_report(found: "Report", show_all: bool) -> None:
+    """Print a report: what was flown, the leading table (or all), and the findings in words.
+
+    Args:
+        found: The report.
+        show_all: Whether all tables are printed.
+    """
+    from mavfi.reports.header import header, null_line, unknown_line
+    from mavfi.reports.terminal import show_header, show_lines, show_table
+
     out = console()
-    show_nodes(analysis, out)
-    out.print(f"[dim]wrote[/dim] {', '.join(path.name for path in files)} [dim]in[/dim] {directory}")
+    show_header(header(found.runs.campaign), out)
+    for table in found.tables if show_all else found.tables[:1]:
+        show_table(table, out)
+    checks = (line for line in (null_line(found.runs), unknown_line(found.runs)) if line)
+    show_lines([*(f"· {line}" for line in found.findings), *checks], out)
+
+
+def _show_view(directory: Path, name: str, *, as_csv: bool, as_json: bool) -> None:
+    from mavfi.campaign.analysis import VIEWS, Runs, table
+    from mavfi.reports.terminal import show_lines, show_table
+
+    if name == "list":
+        width = max(map(len, VIEWS))
+        show_lines([f"{view.name:{width}}  {view.title}" for view in VIEWS.values()], console())
+        return
+    found = table(Runs.read(directory), name)
+    if as_csv:
+        typer.echo(found.to_csv(), nl=False)
+    elif as_json:
+        write_json(found.to_json())
+    else:
+        show_table(found, console())

@@ -14,7 +14,7 @@ from mavfi.cli.console import JSON_HELP, check_folder, check_number, console, wr
 from mavfi.cli.stopping import stoppable
 
 if TYPE_CHECKING:
-    from mavfi.campaign.statistics import EventRate
+    from mavfi.campaign.analysis.statistics import EventRate
     from mavfi.detectors.model import Model
 
 

@@ -1,61 +1,76 @@
-"""A report as Markdown, and the block of it that the README shows."""
+"""A report as Markdown, and the block of it that the results page shows."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
-from mavfi.reports.header import each, header, null_line
-from mavfi.reports.table import Table
-from mavfi.reports.tables import Analysis, tables
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.table import Table
+from mavfi.reports.header import header, null_line, unknown_line
+from mavfi.reports.text import shown
 
-FIGURES = {
-    "success.png": "Success with 95 % intervals (sign + exponent); black: the paper's figure.",
-    "flight_time.png": "Share of missions that arrived, by flight time over the golden twin's; failures never arrive.",
-    "states.png": "Share of missions that fail or take more than 5 % longer, by what was struck (sign + exponent).",
-    "flight.png": "One telling run.",
-}
-"""What a report may draw, and what it says below it."""
+REMARKS = (
+    "Rates are conditional on one fault per mission.",
+    "Recomputation is charged in the platform's modelled time; nothing was measured on that hardware.",
+    "Faults without a site and faults that were not activated are kept in every rate (intention to treat).",
+)
 
 
-def report(analysis: Analysis, figures: Iterable[str], date: str, captions: Mapping[str, str]) -> str:
+def report(
+    runs: Runs, tables: Sequence[Table], findings: Sequence[str], figures: Mapping[str, str], date: str
+) -> str:  # fmt: skip
     """The whole report.
 
     Args:
-        analysis: As of `mavfi.campaign.analysis.analyse`.
-        figures: Names of the files that were drawn.
+        runs: Of the campaign.
+        tables: In the order in which they are shown.
+        findings: The headline in words.
+        figures: Captions by the name of the file that was drawn.
         date: Of the report.
-        captions: Instead of the default ones, by file.
     """
-    first, *rest = header(analysis)
-    parts = [f"# {first[0].upper()}{first[1:]}", "\n".join(f"- {line}" for line in [*rest, f"report of {date}"])]
-    parts += [f"![{name}]({name})\n\n{captions.get(name, FIGURES[name])}" for name in figures]
-    parts += [markdown_table(table) for table in tables(analysis)]
-    parts += ["## Checks", null_line(analysis), "## Remarks", "\n".join(f"- {line}" for line in analysis["remarks"])]
+    first, *rest = header(runs.campaign)
+    checks = [line for line in (null_line(runs), unknown_line(runs)) if line]
+    parts = [
+        f"# {first[0].upper()}{first[1:]}", _list([*rest, f"report of {date}"]),
+        *(["## Findings", _list(findings)] if findings else []),
+        *(f"![{name}]({name})\n\n{caption}" for name, caption in figures.items()), *map(markdown_table, tables),
+        "## Checks", *checks, "## Remarks", _list(REMARKS),
+    ]  # fmt: skip
     return "\n\n".join(parts) + "\n"
 
 
-def readme_block(analysis: Analysis, date: str) -> str:
-    """The success table with what one must know to read it."""
-    c = analysis["campaign"]
-    table = tables(analysis)[0]
+def readme_block(runs: Runs, table: Table, date: str) -> str:
+    """A table with what one must know to read it.
+
+    Args:
+        runs: Of the campaign.
+        table: The table that leads its report.
+        date: Of the report.
+    """
+    c = runs.campaign
     versions = ", ".join(f"{name} {version}" for name, version in sorted(c["versions"].items()) if name != "mavfi")
+    flown = "" if "node" in c else (
+        f", autopilot profile `{c['profile']}`, platform `{c['platform']}`, planner `{c['planner']}`, {c['missions']} "
+        f"missions per environment (seeds {c['seeds'][0]} to {c['seeds'][1]})"
+    )  # fmt: skip
     head = (
-        f"Generated on {date} by mavfi {c['versions']['mavfi']} ({versions}): campaign `{c['name']}`, stack "
-        f"`{c['stack']}`, platform `{c['platform']}`, planner `{c['planner']}`, {c['flights']} missions "
-        f"per environment (seeds {c['seeds'][0]} to {c['seeds'][1]}), {c['faults']} faults per {each(analysis)}, "
-        f"{c['done']} flights, digest `{c['digest'][:16]}`."
+        f"Generated on {date} by mavfi {c['versions'].get('mavfi', '')} ({versions}): campaign `{c['name']}`{flown}, "
+        f"{c['faults']} faults per {c['each']}, {c['done']} runs, digest `{c['digest'][:16]}`."
     )
-    parts = [f"**{table.title}**", head, _grid(table), _notes(table)]
-    return "\n\n".join(parts + ([null_line(analysis)] if analysis["null_check"]["n"] else [])) + "\n"
+    parts = [f"**{table.title}**", head, grid(table), _list(table.notes)]
+    return "\n\n".join(parts + ([null_line(runs)] if len(runs.null) else [])) + "\n"
 
 
 def markdown_table(table: Table) -> str:
     """One table with its notes."""
-    return "\n\n".join(part for part in (f"## {table.title}", _grid(table), _notes(table)) if part)
+    return "\n\n".join(part for part in (f"## {table.title}", grid(table), _list(table.notes)) if part)
 
 
-def _grid(table: Table) -> str:
-    lines = [_row(table.columns), _row(["---", "---", *(["---:"] * (len(table.columns) - 2))])]
+def grid(table: Table) -> str:
+    """The cells; in a row the first cell is empty where it is that of the row above."""
+    columns, rows = shown(table)
+    left = max(2, table.keys)
+    lines = [_row([column.heading for column in columns]), _row(["---"] * left + ["---:"] * (len(columns) - left))]
     before = ""
-    for row in table.rows:
+    for row in rows:
         lines.append(_row(["" if row[0] == before else row[0], *row[1:]]))
         before = row[0]
     return "\n".join(lines)
@@ -65,5 +80,5 @@ def _row(cells: Iterable[str]) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
-def _notes(table: Table) -> str:
-    return "\n".join(f"- {note}" for note in table.notes)
+def _list(lines: Iterable[str]) -> str:
+    return "\n".join(f"- {line}" for line in lines)

@@ -1,5 +1,7 @@
 """A report in the terminal."""
 
+from collections.abc import Iterable, Sequence
+
 from rich import box
 from rich.console import Console, Group
 from rich.markup import escape
@@ -7,53 +9,109 @@ from rich.panel import Panel
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from mavfi.reports.header import header, null_line
-from mavfi.reports.table import Table
-from mavfi.reports.tables import Analysis, tables
+from mavfi.campaign.analysis.table import TEXT, Table
+from mavfi.reports.text import shown
 
 _BETWEEN = 2
 """Characters between two columns."""
+Block = list[int]
+"""Places of columns that are printed side by side."""
 
 
-def show(analysis: Analysis, console: Console) -> None:
-    """Print the tables of an analysis; those of single environments and fields are in the file only.
+def show_header(lines: Sequence[str], console: Console) -> None:
+    """Print what was flown.
 
     Args:
-        analysis: As of `mavfi.campaign.analysis.analyse`.
+        lines: As of `header.header`.
         console: Where to.
     """
-    first, *rest = header(analysis)
-    console.print(Panel(Group(*(Text(line, style="dim") for line in rest)), title=f"[bold]{escape(first)}[/bold]",
-                        title_align="left", box=box.ROUNDED, expand=False))  # fmt: skip
-    for table in tables(analysis):
-        if not table.detail:
-            console.print(rendered(table, console.width))
-            for note in table.notes:
-                console.print(Text(note, style="dim"))
-            console.print()
-    console.print(null_line(analysis))
+    first, *rest = lines
+    inside = Group(*(Text(line, style="dim") for line in rest))
+    console.print(Panel(inside, title=f"[bold]{escape(first)}[/bold]", title_align="left", box=box.ROUNDED,
+                        expand=False))  # fmt: skip
 
 
-def rendered(table: Table, width: int) -> RichTable:
+def show_table(table: Table, console: Console) -> None:
+    """Print a table and its notes."""
+    console.print(rendered(table, console.width))
+    for note in table.notes:
+        console.print(Text(note, style="dim"))
+    console.print()
+
+
+def show_lines(lines: Iterable[str], console: Console) -> None:
+    """Print lines; names in them stay whole."""
+    for line in lines:
+        console.print(Text(line))
+
+
+def rendered(table: Table, width: int) -> Group:
     """One table; rows that begin with the same cell are grouped.
+
+    No word is broken: columns that do not fit side by side stand below, after the first columns again.
 
     Args:
         table: Of a report.
-        width: Characters of a line; where they suffice, columns of single words stay whole: names can be copied.
+        width: Characters of a line.
     """
-    lines = (table.columns, *table.rows)
-    words = [max((len(word) for line in lines for word in line[place].split()), default=0)
-             for place in range(len(table.columns))]  # fmt: skip
-    whole = sum(words) + _BETWEEN * len(words) + 1 <= width
-    shown = RichTable(title=escape(table.title), title_style="bold", title_justify="left", box=box.SIMPLE_HEAD,
-                      pad_edge=False, padding=(0, 1, 0, 0))  # fmt: skip
-    for place, heading in enumerate(table.columns):
-        shown.add_column(escape(heading), justify="left" if place < 2 else "right", overflow="fold",
-                         no_wrap=whole and not any(" " in row[place] for row in table.rows))  # fmt: skip
+    columns, rows = shown(table)
+    lines = [[column.heading for column in columns], *rows]
+    whole = [max(len(line[place]) for line in lines) for place in range(len(columns))]
+    words = [max(max(map(len, line[place].split()), default=0) for line in lines) for place in range(len(columns))]
+    names = [place for place, column in enumerate(columns) if _is_name(column.form, [row[place] for row in rows])]
+    least = [whole[place] if place in names else words[place] for place in range(len(columns))]
+    keys = list(range(min(table.keys, len(columns))))
+    parts: list[RichTable] = []
+    for block in _blocks(least, keys, width):
+        title = None if parts else escape(table.title)
+        widths = _widths([least[place] for place in block], [whole[place] for place in block], width)
+        cells = [[row[place] for place in block] for row in rows]
+        parts.append(_grid(title, [lines[0][place] for place in block], cells, widths, len(keys)))
+    return Group(*parts)
+
+
+def _is_name(form: str, cells: Sequence[str]) -> bool:
+    """Whether a column is of single words: they can be copied."""
+    return form == TEXT and not any(" " in cell for cell in cells)
+
+
+def _blocks(least: Sequence[int], keys: Block, width: int) -> list[Block]:
+    """Columns side by side, as many as fit; each block begins with the keys, as far as these leave room."""
+    blocks, own = [], list(keys)
+    for place in range(len(keys), len(least)):
+        if len(own) > len(keys) and _room([least[p] for p in (*own, place)]) > width:
+            blocks.append(own)
+            own = list(keys)
+        own.append(place)
+    return [*blocks, own]
+
+
+def _room(widths: Sequence[int]) -> int:
+    return sum(widths) + _BETWEEN * len(widths)
+
+
+def _widths(least: Sequence[int], whole: Sequence[int], width: int) -> list[int]:
+    """Widths of columns: the longest word; what is left goes to those first that need little to be whole."""
+    given, left = list(least), width - _room(least)
+    needy = sorted(range(len(least)), key=lambda place: whole[place] - least[place])
+    for number, place in enumerate(needy):
+        more = max(0, min(whole[place] - given[place], left // (len(needy) - number)))
+        given[place] += more
+        left -= more
+    return given
+
+
+def _grid(title: str | None, headings: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[int],
+          keys: int) -> RichTable:  # fmt: skip
+    grid = RichTable(title=title, title_style="bold", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False,
+                     padding=(0, 1, 0, 0))  # fmt: skip
+    for place, (heading, wide) in enumerate(zip(headings, widths, strict=True)):
+        grid.add_column(escape(heading), justify="left" if place < max(2, keys) else "right", overflow="fold",
+                        width=wide)  # fmt: skip
     before = None
-    for row in table.rows:
+    for row in rows:
         if before is not None and row[0] != before:
-            shown.add_section()
-        shown.add_row("" if row[0] == before else f"[bold]{escape(row[0])}[/bold]", *map(escape, row[1:]))
+            grid.add_section()
+        grid.add_row("" if row[0] == before else f"[bold]{escape(row[0])}[/bold]", *map(escape, row[1:]))
         before = row[0]
-    return shown
+    return grid

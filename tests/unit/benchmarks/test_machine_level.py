@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks import machine_level
 from benchmarks.machine_level import PAGE, Study, difference, main, table, wanted_faults
-from mavfi.campaign.statistics import wilson
+from mavfi.campaign.analysis.statistics import wilson
 from mavfi.errors import BadInputError
 from tools.markers import between
 

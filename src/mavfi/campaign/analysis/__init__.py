@@ -4,9 +4,17 @@
 and what it says in words.
 """
 
-from mavfi.campaign.analysis import flight_views, kernel_views  # noqa: F401  (they register their views)
+from pathlib import Path
+
+from mavfi.campaign.analysis import flight_views, kernel_views, node_views  # noqa: F401  (they register their views)
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Column, Table
 from mavfi.campaign.analysis.views import VIEWS, View, register, table, views_for
 
-__all__ = ["VIEWS", "Column", "Runs", "Table", "View", "register", "table", "views_for"]
+
+def load(directory: Path) -> Runs:
+    """The runs of a ledger; see `Runs.read`."""
+    return Runs.read(directory)
+
+
+__all__ = ["VIEWS", "Column", "Runs", "Table", "View", "load", "register", "table", "views_for"]

@@ -1,6 +1,7 @@
 """Views of campaigns of flights: success, recovery, effects, flight time, alarms, and where faults were."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import polars as pl
@@ -10,8 +11,10 @@ from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.rows import ACTIVATED, KERNEL_DUE, NO_SITE, NOT_ACTIVATED
 from mavfi.campaign.analysis.runs import ALL, Runs
+from mavfi.campaign.analysis.statistics import Rate, wilson
 from mavfi.campaign.analysis.table import NUMBER, PER_HOUR, PERCENT, POINTS, RATE, SIGNED, SMALL, TEXT
 from mavfi.campaign.analysis.views import View, has, register
+from mavfi.campaign.plan import FI
 from mavfi.flight_record import FlightRecord
 from mavfi.states import PPC_STAGES, STATES
 
@@ -46,6 +49,11 @@ def by_stages(runs: Runs) -> bool:
 def by_groups(runs: Runs) -> bool:
     """Whether state faults were drawn for groups of fields."""
     return len(runs.injected.where(pl.col("target") != pl.col("stage"), level=STATE)) > 0
+
+
+def compared(runs: Runs) -> bool:
+    """Whether faults were injected again in another arm."""
+    return len(runs.settings()) > 1
 
 
 def watched(runs: Runs) -> bool:
@@ -123,7 +131,7 @@ def _recovery_rate(own: Runs) -> Any:
     found = m.recovery_of(own)
     if found is None:
         return None
-    return "undefined" if found.rate is None else m.Rate(found.lost, found.rate, found.low, found.high)
+    return "undefined" if found.rate is None else Rate(found.lost, found.rate, found.low, found.high)
 
 
 def _papers_recovery(own: Runs) -> float | None:
@@ -133,16 +141,20 @@ def _papers_recovery(own: Runs) -> float | None:
 
 def _loss(own: Runs) -> Any:
     found = m.recovery_of(own)
-    return None if found is None else m.Rate(len(own), found.loss, found.loss_low, found.loss_high)
+    return None if found is None else Rate(len(own), found.loss, found.loss_low, found.loss_high)
 
 
 def _population_names(runs: Runs) -> Runs:
-    return runs.adding(bits=pl.col("population").replace(m.POPULATIONS))
+    """Rows in the order of the populations, of which `bits` is the name for people."""
+    order = {name: place for place, name in enumerate(m.POPULATIONS)}
+    place = pl.col("population").replace_strict(order, default=len(order), return_dtype=pl.Int64)
+    named = runs.frame.with_columns(bits=pl.col("population").replace(m.POPULATIONS))
+    return replace(runs, frame=named.sort(place, maintain_order=True))
 
 
 def _judged_fi(runs: Runs) -> Runs:
     known = pl.col("golden_success").is_not_null()
-    return _population_names(runs.injected.where("judged", known, detector=""))
+    return _population_names(runs.injected.where("judged", known, setting=FI))
 
 
 register(
@@ -168,7 +180,7 @@ register(
             "fi contains 0; below 0 where more missions are newly lost than brought back",
             *((_HEALS,) if of_states(runs) else (_HEALS_WITH_MEMORY,)),
             "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT,
-        ), applies=watched,
+        ), applies=compared,
     ),
     View(
         "golden_against_faults", "Golden against one fault, in pairs", ("environment", "bits"),
@@ -179,7 +191,7 @@ register(
             Measure("p", "p", "number .3g", lambda own: m.against_golden(own).p_value),
         ),
         where=_judged_fi, total=_TOTAL, notes=lambda _: ("p: McNemar's exact test", ONE_FAULT),
-        applies=lambda runs: of_states(runs) or watched(runs),
+        applies=lambda runs: of_states(runs) or compared(runs),
     ),
 )  # fmt: skip
 
@@ -373,9 +385,10 @@ register(
         ),
         where=_detected,
         notes=lambda _: (
-            _HEALS, "detected: alarm on the corrupted publication, before it is seen; coupling inline: the latency is "
-            "0 by construction", "detected downstream: within 1 s, an alarm of a state and instant that the golden "
-            "flight with the same detector has not; false alarms that the fault has shifted are among them",
+            _HEALS, "detected: alarm on the corrupted publication; with coupling inline before it is seen, so the "
+            "latency is 0 by construction",
+            "detected downstream: within 1 s, an alarm of a state and instant that the golden flight with the same "
+            "detector has not; false alarms that the fault has shifted are among them",
         ), detail=True, applies=lambda runs: of_states(runs) and watched(runs),
     ),
     View(
@@ -398,11 +411,10 @@ register(
 # ---- sites -------------------------------------------------------------------------------------------------------
 def acted_on(record: FlightRecord) -> list[Mapping[str, Any]]:
     """Publications of states on which consumers act now and then only, and those acted on; of a golden run."""
-    counts: Mapping[str, int] = record.extra.get("acted_on", {})
     return [
-        {"state": name, "publications": record.publications.get(name, 0), "acted": counts.get(name, 0)}
+        {"state": name, "publications": record.publications.get(name, 0), "acted": record.acted_on.get(name, 0)}
         for name, spec in STATES.items()
-        if spec.acted_on and "acted_on" in record.extra
+        if spec.acted_on and record.acted_on
     ]
 
 
@@ -417,9 +429,9 @@ register(
         (
             Measure("failures", "failures (fi)", NUMBER, len),
             Measure("unmonitored", "at unmonitored sites", RATE,
-                    lambda own: m.wilson(len(own.where(~pl.col("monitored"))), len(own))),
+                    lambda own: wilson(len(own.where(~pl.col("monitored"))), len(own))),
         ),
-        where=lambda runs: runs.injected.where("judged", ~pl.col("success"), detector=""),
+        where=lambda runs: runs.injected.where("judged", ~pl.col("success"), setting=FI),
         notes=lambda runs: (f"monitored set {runs.campaign.get('monitored_set', '')}",), applies=of_states,
     ),
     View(

@@ -18,8 +18,9 @@ from mavfi.campaign.analysis.flight_views import (
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.rows import ACTIVATED, KERNEL_DUE
 from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.analysis.table import NUMBER, PERCENT, RATE, SIGNED, TEXT
+from mavfi.campaign.analysis.table import NUMBER, PERCENT, RATE, TEXT
 from mavfi.campaign.analysis.views import View, has, register
+from mavfi.campaign.plan import FI
 from mavfi.flight_record import FlightRecord
 
 MEMORY = "(memory only)"
@@ -109,7 +110,8 @@ register(
         ), applies=by_stages,
     ),
     View(
-        "instructions_by_stage", "Instruction level: success by stage of the fault", ("environment", "stage", "setting"),
+        "instructions_by_stage", "Instruction level: success by stage of the fault",
+        ("environment", "stage", "setting"),
         (
             m.rate("restart", "node restarts", "success"), m.rate("end", "mission ends", "success_if_ended"),
             m.count("died", "died", pl.col("kernel_effect").is_in(KERNEL_DUE)),
@@ -134,9 +136,9 @@ register(
 
 # ---- what kernels did --------------------------------------------------------------------------------------------
 def kernel_runs(runs: Runs) -> Runs:
-    """Flights with an instruction fault and no detector whose kernel, and whose golden run, can be judged."""
+    """Runs of `fi` with an instruction fault whose kernel, and whose golden run, can be judged."""
     judged = (pl.col("kernel_effect") != "") & (pl.col("effect") != "unknown")
-    return runs.injected.where(judged, level=INSTRUCTION, detector="")
+    return runs.injected.where(judged, level=INSTRUCTION, setting=FI)
 
 
 def _effect(*effects: str) -> pl.Expr:

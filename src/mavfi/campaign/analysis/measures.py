@@ -22,6 +22,7 @@ from mavfi.campaign.analysis.statistics import (
     wilson,
 )
 from mavfi.campaign.analysis.table import NUMBER, PERCENT, RATE, SIGNED, Cell, Column
+from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.faults.strata import HEADLINE
 
 WHOLE_WORD = "whole_word"
@@ -30,8 +31,8 @@ PARTITIONS = ({"sign_exponent", "mantissa"}, {"sign", "exponent", "mantissa"})
 LEADING = (HEADLINE, ALL_BITS)
 """Populations that tables lead with, and that stand beside the paper."""
 POPULATIONS = {
-    "all": "all", "sign_exponent": "sign + exponent", "mantissa": "mantissa", WHOLE_WORD: "whole word", "sign": "sign",
-    "exponent": "exponent", ALL_BITS: "all bits",
+    "all": "all", "sign_exponent": "sign + exponent", "sign": "sign", "exponent": "exponent", WHOLE_WORD: "whole word",
+    "mantissa": "mantissa", ALL_BITS: "all bits",
 }  # fmt: skip
 """Populations for people."""
 SLOWER = 0.05
@@ -122,13 +123,17 @@ def populations(own: Runs, test: pl.Expr | str) -> dict[str, Rate]:
 
     Runs that could not be judged are left out.
     """
-    judged = own.where("judged")
-    rates = {name: rate_of(part, test) for (name,), part in judged.groups("population").items()}
-    if set(rates) in PARTITIONS:
-        asked = pl.col(test) if isinstance(test, str) else test
-        passed = judged.frame.select(asked.alias("passed"))["passed"].to_list()
-        rates[WHOLE_WORD] = weighted_rate(passed, judged["weight"], judged["population"], judged["world"])
-    return rates
+    memo, key = own.memo, ("populations", str(test))
+    if key not in memo:
+        judged = own.where("judged")
+        rates = {name: rate_of(part, test) for (name,), part in judged.groups("population").items()}
+        if set(rates) in PARTITIONS:
+            asked = pl.col(test) if isinstance(test, str) else test
+            passed = judged.frame.select(asked.alias("passed"))["passed"].to_list()
+            rates[WHOLE_WORD] = weighted_rate(passed, judged["weight"], judged["population"], judged["world"])
+        memo[key] = rates
+    found: dict[str, Rate] = memo[key]
+    return found
 
 
 def population_names(runs: Runs, by: Sequence[str]) -> list[str]:
@@ -192,20 +197,25 @@ def hurt(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 
 # ---- pairs -------------------------------------------------------------------------------------------------------
 def against_fi(runs: Runs) -> Runs:
-    """Runs with a detector, each with the run of the same fault without one: `fi_success`; unmatched ones left out."""
-    judged = runs.injected.where("judged")
-    pair = ["environment", "target", "index"]
-    alone = judged.where(pl.col("detector") == "").frame
-    arms = judged.where(pl.col("detector") != "").frame
-    shown = arms.select(*pair, "setting", "detector_profile", pl.col("success").alias("dr_success"))
-    joined = alone.drop("setting", "detector_profile").join(shown, on=pair, maintain_order="left_right")
-    order = {setting: place for place, setting in enumerate(runs.settings())}
-    joined = joined.sort(pl.col("setting").replace_strict(order, default=0, return_dtype=pl.Int64), maintain_order=True)
-    return Runs(joined.rename({"success": "fi_success"}), runs.records, runs.campaign)
+    """Runs of the other arms, each with the run of the same fault in `fi`: `fi_success`; unmatched ones left out."""
+    judged, pair = runs.injected.where("judged"), ["environment", "target", "index"]
+    alone = judged.where(setting=FI).frame.drop("setting", "arm", "detector", "detector_profile")
+    arms = judged.where(pl.col("setting") != FI).frame.select(
+        *pair, "setting", "arm", "detector", "detector_profile", pl.col("success").alias("dr_success")
+    )
+    joined = alone.rename({"success": "fi_success"}).join(arms, on=pair, maintain_order="left_right")
+    return Runs(joined, runs.records, runs.campaign)
 
 
 def recovery_of(own: Runs) -> pairs.Recovery | None:
     """Recovery rate (dr - fi) / (golden - fi) of paired rows."""
+    if "recovery" not in own.memo:
+        own.memo["recovery"] = _recovery_of(own)
+    found: pairs.Recovery | None = own.memo["recovery"]
+    return found
+
+
+def _recovery_of(own: Runs) -> pairs.Recovery | None:
     known = own.where(pl.col("golden_success").is_not_null())
     columns = (known[name] for name in ("world", "golden_success", "fi_success", "dr_success"))
     return pairs.recovery(list(zip(*columns, strict=True)))
@@ -222,11 +232,11 @@ def against_golden(own: Runs) -> pairs.Paired:
 
 
 def separable(runs: Runs) -> list[tuple[str, float | None, float | None]]:
-    """By environment: the smallest differences (golden - fi, fi - dr) that the success table can be expected to show."""
+    """By environment: the smallest differences (golden - fi, fi - dr) that a success table can be expected to show."""
     found = []
     for (environment,), part in runs.groups("environment").items():
-        golden = part.golden.where("judged", detector="", arm="")
-        faulty = part.injected.where("judged", pl.col("population").is_in(LEADING), detector="")
+        golden = part.golden.where("judged", setting=GOLDEN)
+        faulty = part.injected.where("judged", pl.col("population").is_in(LEADING), setting=FI)
         n, share = len(faulty), sum(faulty["success"]) / len(faulty) if len(faulty) else 1.0
         found.append((environment, smallest_difference(share, len(golden), n), smallest_difference(share, n, n)))
     return found

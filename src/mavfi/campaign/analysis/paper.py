@@ -1,4 +1,4 @@
-"""The paper's own figures (configs/figures/mavfi_paper.yaml), joined to rows by environment, setting, stage or kernel."""
+"""The paper's own figures (configs/figures/mavfi_paper.yaml), joined to rows by what these are of."""
 
 from collections.abc import Iterator, Mapping
 from functools import cache
@@ -24,8 +24,8 @@ def _data() -> dict[str, Any]:
 def figures() -> pl.DataFrame:
     """All figures: figure, source, environment, setting, stage, kernel, quantity ("" = of none), value, text."""
     rows = [
-        {"figure": name, "source": figure["source"], **_EMPTY, **key, "value": None if isinstance(value, str) else value,
-         "text": value if isinstance(value, str) else ""}
+        {"figure": name, "source": figure["source"], **_EMPTY, **key,
+         "value": None if isinstance(value, str) else value, "text": value if isinstance(value, str) else ""}
         for name, figure in _data()["figures"].items()
         for key, value in _leaves(figure["values"], figure["by"])
     ]  # fmt: skip

@@ -2,21 +2,20 @@
 
 from collections.abc import Collection, Iterable, Mapping
 from functools import singledispatch
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import polars as pl
 
+from mavfi.campaign.plan import RunSpec
+from mavfi.campaign.store import Run
 from mavfi.faults.fault import InstructionFault, MessageFault, RegisterFault, StateFault
 from mavfi.faults.strata import bit_class
 from mavfi.flight_log import AlarmRecord, Injection
 from mavfi.flight_record import AFTERMATH, INSTANT, End, FlightRecord
 from mavfi.mission import MissionStatus
-from mavfi.outcomes import DUE, Effect, effect_of
+from mavfi.outcomes import DUE, effect_of
 from mavfi.qof import energy
 from mavfi.states import KERNEL_STAGES, STATES
-
-if TYPE_CHECKING:
-    from mavfi.campaign.store import Run
 
 ALL_BITS = "all_bits"
 """Population of faults whose bits were drawn uniformly, so that no stratum of them is apart."""
@@ -49,18 +48,19 @@ SCHEMA: dict[str, Any] = {
 
 
 def row_of(
-    run: "Run", own: FlightRecord | None, reference: FlightRecord | None, monitored: Collection[tuple[str, str]]
-) -> dict[str, Any]:
+    run: Run, record: FlightRecord, own: FlightRecord | None, reference: FlightRecord | None,
+    monitored: Collection[tuple[str, str]],
+) -> dict[str, Any]:  # fmt: skip
     """Columns of one run that is done.
 
     Args:
-        run: Spec and record.
+        run: What was planned.
+        record: What it left.
         own: Record of the golden run of the same arm: what the digest is compared with.
         reference: Record of the golden run of the same mission without a detector: what flight time is compared with.
         monitored: States and fields that detectors watch.
     """
-    spec, record = run.spec, run.record
-    fault = spec.fault
+    spec, fault = run.spec, run.spec.fault
     planned = {} if fault is None else {
         "level": fault.level, "site": fault.site, "bit": fault.bit, "stratum": fault.stratum, "weight": fault.weight,
         "has_site": fault.has_site, "population": ALL_BITS, **site_columns(fault),
@@ -72,7 +72,7 @@ def row_of(
         "seed": spec.seed, "world": f"{spec.environment} {spec.seed}", "target": spec.target, "index": spec.index,
         "weight": 1.0, "has_site": False, **dict.fromkeys(_TEXTS, ""), "population": "all", **planned,
         **_happened(record, fault is not None, bool(planned.get("has_site"))), **_kernel(record),
-        **_judged(record, own, reference, spec.kind), **_detected(record, own, planned.get("state", "")),
+        **_judged(record, own, reference, spec), **_detected(record, own, planned.get("state", "")),
         "digest": record.digest, "wall_s": run.wall_s, "note": run.note,
     }  # fmt: skip
 
@@ -141,7 +141,9 @@ def _happened(record: FlightRecord, faulty: bool, has_site: bool) -> dict[str, A
 
 def _injection(injection: Injection) -> dict[str, Any]:
     details = injection.details
-    known = {column: str(details[key]) for key, column in _DETAILS.items() if details.get(key) is not None}
+    known: dict[str, Any] = {
+        column: str(details[key]) for key, column in _DETAILS.items() if details.get(key) is not None
+    }
     if injection.bit is not None:
         known["bit"] = injection.bit
     return {
@@ -175,7 +177,7 @@ def succeeded(record: FlightRecord) -> bool:
 
 
 def _judged(
-    record: FlightRecord, own: FlightRecord | None, reference: FlightRecord | None, kind: str
+    record: FlightRecord, own: FlightRecord | None, reference: FlightRecord | None, spec: RunSpec
 ) -> dict[str, Any]:
     success, flown = succeeded(record), record.flown
     died = record.kernel is not None and record.kernel.effect in KERNEL_DUE
@@ -184,7 +186,7 @@ def _judged(
         "end": str(record.end), "status": record.status or str(record.end), "success": success,
         "success_if_ended": success and not died, "judged": record.end is not End.UNKNOWN,
         "golden_success": succeeded(reference) if reference is not None and known else None,
-        "effect": "" if kind == GOLDEN else effect_of(own, record).label,
+        "effect": "" if spec.kind == GOLDEN else _effect(own, record),
     }  # fmt: skip
     if flown:
         columns |= {
@@ -198,6 +200,13 @@ def _judged(
             columns["inflation"] = record.flight_time_s / reference.flight_time_s - 1
             columns["energy_inflation"] = energy(record.energy) / energy(reference.energy) - 1
     return columns
+
+
+def _effect(own: FlightRecord | None, record: FlightRecord) -> str:
+    """Effect on the computation; a process that died says itself how."""
+    if record.end is End.DUE and record.kernel is not None:
+        return record.kernel.effect
+    return effect_of(own, record).label
 
 
 def _detected(record: FlightRecord, own: FlightRecord | None, state: str) -> dict[str, Any]:
@@ -217,6 +226,3 @@ def _detected(record: FlightRecord, own: FlightRecord | None, state: str) -> dic
 def instants_of(alarms: Iterable[AlarmRecord]) -> set[tuple[str, int]]:
     """State and instant (us) of alarms."""
     return {(alarm.state, round(1e6 * alarm.time_s)) for alarm in alarms}
-
-
-NO_EFFECT = Effect.UNKNOWN.label

@@ -2,16 +2,16 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import polars as pl
 
 from mavfi.campaign.analysis.rows import GOLDEN, INJECTED, NULL, SCHEMA, row_of
+from mavfi.campaign.plan import FI
+from mavfi.campaign.store import Run, Store
 from mavfi.flight_record import FlightRecord
 from mavfi.states import MONITORED_SETS
-
-if TYPE_CHECKING:
-    from mavfi.campaign.store import Run
 
 DEFAULT_MONITORED = "paper-13"
 ALL = "all"
@@ -31,9 +31,26 @@ class Runs:
     frame: pl.DataFrame
     records: Mapping[str, FlightRecord] = field(default_factory=dict)
     campaign: Mapping[str, Any] = field(default_factory=dict)
+    memo: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """What measures have already computed of these rows."""
 
     @staticmethod
-    def of(runs: Iterable["Run"], campaign: Mapping[str, Any] | None = None) -> "Runs":
+    def read(directory: Path) -> "Runs":
+        """The runs of a ledger that are done.
+
+        Args:
+            directory: Where it is.
+
+        Raises:
+            BadInputError: There is none.
+        """
+        from mavfi.campaign.analysis.about import describe
+
+        with Store.open(directory) as store:
+            return Runs.of(store.runs(done=True), describe(store))
+
+    @staticmethod
+    def of(runs: Iterable[Run], campaign: Mapping[str, Any] | None = None) -> "Runs":
         """Judge runs.
 
         Args:
@@ -41,21 +58,19 @@ class Runs:
             campaign: As of `about.describe`; `monitored_set` names the fields that detectors watch.
         """
         about = campaign or {}
-        done = [run for run in runs if run.record is not None]
-        golden = [run for run in done if run.spec.kind == GOLDEN]
-        own = {(run.spec.arm, run.spec.environment, run.spec.seed): run.record for run in golden}
+        done = [(run, run.record) for run in runs if run.record is not None]
+        golden = [(run.spec, record) for run, record in done if run.spec.kind == GOLDEN]
+        own = {(spec.arm, *spec.world): record for spec, record in golden}
         # the golden run of the same mission without a detector, whichever arm flew it
-        plain = {(run.spec.scenario, run.spec.environment, run.spec.seed): run.record
-                 for run in reversed(golden) if not run.spec.detector}  # fmt: skip
+        bare = {(spec.scenario, *spec.world): record for spec, record in reversed(golden) if not spec.detector}
         monitored = MONITORED_SETS[about.get("monitored_set", DEFAULT_MONITORED)]
         rows = []
-        for run in done:
+        for run, record in done:
             spec = run.spec
-            twin = own.get((spec.arm, spec.environment, spec.seed))
-            reference = plain.get((spec.scenario, spec.environment, spec.seed), twin)
-            rows.append(row_of(run, None if spec.kind == GOLDEN else twin, reference, monitored))
-        frame = pl.DataFrame(rows, schema=SCHEMA)
-        return Runs(frame, {run.spec.run_id: run.record for run in done}, about)
+            same_arm = own.get((spec.arm, *spec.world))
+            reference = bare.get((spec.scenario, *spec.world), same_arm)
+            rows.append(row_of(run, record, same_arm, reference, monitored))
+        return Runs(pl.DataFrame(rows, schema=SCHEMA), {run.spec.run_id: record for run, record in done}, about)
 
     def __len__(self) -> int:
         return self.frame.height
@@ -131,6 +146,5 @@ class Runs:
         return self.where(kind=NULL)
 
     def settings(self) -> list[str]:
-        """Settings that fly faults, those without a detector first."""
-        own = self.injected.frame.select("setting", "detector").unique(maintain_order=True).rows()
-        return [setting for setting, _ in sorted(own, key=lambda one: one[1] != "")]
+        """Settings that fly faults, `fi` first."""
+        return sorted(self.injected.values("setting"), key=lambda setting: setting != FI)

@@ -82,8 +82,7 @@ class Table:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data: name, title, notes, and rows by key; infinities and NaN as text."""
-        rows = [{key: asdict(cell) if is_dataclass(cell) else cell for key, cell in entry.items()}  # type: ignore[call-overload]
-                for entry in self.entries()]  # fmt: skip
+        rows = [{key: _parts(cell) for key, cell in entry.items()} for entry in self.entries()]
         data: dict[str, Any] = plain({"name": self.name, "title": self.title, "rows": rows, "notes": self.notes})
         return data
 
@@ -101,9 +100,14 @@ class Table:
 def _flat(entry: dict[str, Cell]) -> dict[str, Cell]:
     flat: dict[str, Cell] = {}
     for key, cell in entry.items():
-        if is_dataclass(cell):
-            parts = asdict(cell)  # type: ignore[call-overload]
+        parts = _parts(cell)
+        if parts is not cell:
             flat |= {key if part == "rate" else f"{key}_{part}": value for part, value in parts.items()}
         else:
             flat[key] = json.dumps(plain(cell)) if isinstance(cell, (list, tuple, dict)) else cell
     return flat
+
+
+def _parts(cell: Cell) -> Cell:
+    """Numbers of a cell by name, of one that has several."""
+    return asdict(cell) if is_dataclass(cell) and not isinstance(cell, type) else cell

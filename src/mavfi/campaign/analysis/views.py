@@ -44,6 +44,7 @@ class View:
         headings: Instead of the names of `by`.
         notes: Lines below the table.
         most: Key of the measure by which rows within the first cell are ordered, largest first; "" = order of the plan.
+        largest: Key of the measure by which all rows are ordered, largest first, then by their first cell.
         limit: Most rows.
         least: Rows of fewer runs are left out of the report.
         detail: Not among the tables in the terminal unless asked for.
@@ -60,6 +61,7 @@ class View:
     headings: tuple[str, ...] = ()
     notes: Callable[[Runs], Iterable[str]] = _no_notes
     most: str = ""
+    largest: str = ""
     limit: int | None = None
     least: int = 1
     detail: bool = False
@@ -110,13 +112,15 @@ class View:
 
     def _ordered(self, columns: list[Column], rows: list[tuple[Cell, ...]]) -> list[tuple[Cell, ...]]:
         """Rows that begin with the same cell one below the other, in the order in which these cells first appear."""
+        keys = [column.key for column in columns]
+        if self.largest and rows:
+            place = keys.index(self.largest)
+            return sorted(rows, key=lambda row: (-row[place], row[0]))[: self.limit]
         first = list(dict.fromkeys(row[0] for row in rows))
-        place = next((i for i, column in enumerate(columns) if self.most and column.key == self.most), None)
-
-        def order(row: tuple[Cell, ...]) -> tuple[float, float]:
-            return first.index(row[0]), 0.0 if place is None else -float(row[place])
-
-        return sorted(rows, key=order)[: self.limit]
+        if self.most and rows:
+            place = keys.index(self.most)
+            return sorted(rows, key=lambda row: (first.index(row[0]), -row[place]))[: self.limit]
+        return sorted(rows, key=lambda row: first.index(row[0]))[: self.limit]
 
 
 def _cell(measure: Measure, own: Runs, raised: dict[str, str]) -> Cell:

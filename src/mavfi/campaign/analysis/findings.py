@@ -1,0 +1,141 @@
+"""The headline of a campaign: its success table, and up to five findings in words, computed from the frame."""
+
+from collections.abc import Callable
+
+import polars as pl
+
+from mavfi.campaign.analysis import measures as m
+from mavfi.campaign.analysis.rows import ALL_BITS, KERNEL_DUE
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.statistics import Rate
+from mavfi.campaign.analysis.table import Table
+from mavfi.campaign.analysis.views import views_for
+from mavfi.campaign.plan import FI, GOLDEN
+
+MOST = 5
+"""Findings of a headline."""
+
+
+def headline(runs: Runs) -> tuple[Table | None, list[str]]:
+    """The table that leads a report (None where nothing is flown), and the findings.
+
+    Args:
+        runs: Of a campaign.
+    """
+    tables = views_for(runs)
+    return (tables[0] if tables else None), findings(runs)
+
+
+def findings(runs: Runs) -> list[str]:
+    """What a campaign shows, in up to `MOST` sentences; one that cannot be said is left out."""
+    found = [line for say in _SENTENCES for line in say(runs)]
+    return found[:MOST]
+
+
+def _leading(runs: Runs) -> Runs:
+    """Judged runs with a fault in the population that tables lead with."""
+    own = runs.injected.where("judged")
+    names = m.population_names(own, ())
+    return own.where(population=names[0]) if names else own
+
+
+def _bits(own: Runs) -> str:
+    name = own.first("population")
+    return "" if name == ALL_BITS else f" ({m.POPULATIONS.get(name, name)} bits)"
+
+
+def _percent(rate: Rate) -> str:
+    if rate.rate is None or rate.low is None or rate.high is None:
+        return "unknown"
+    return f"{100 * rate.rate:.1f} % [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
+
+
+def _success(runs: Runs) -> list[str]:
+    golden, faulty = runs.golden.where("judged", setting=GOLDEN), _leading(runs).where(setting=FI)
+    if not _has_missions(runs) or not len(golden) or not len(faulty):
+        return []
+    without, with_fault = m.rate_of(golden, "success"), m.rate_of(faulty, "success")
+    known = faulty.where(pl.col("golden_success").is_not_null())
+    test = m.against_golden(known)
+    return [
+        f"Without a fault {_percent(without)} of missions succeed, with one fault{_bits(faulty)} "
+        f"{_percent(with_fault)}: the fault loses {test.first_only} of {test.n} missions and saves {test.second_only} "
+        f"(McNemar p = {test.p_value:.2g})."
+    ]
+
+
+def _has_missions(runs: Runs) -> bool:
+    return len(runs.where(pl.col("flight_time_s") > 0)) > 0
+
+
+def _deaths(runs: Runs) -> list[str]:
+    own = runs.injected.where("judged", pl.col("kernel_effect").is_in(KERNEL_DUE), setting=FI)
+    faulty = runs.injected.where("judged", setting=FI)
+    if not len(own) or not _has_missions(runs):
+        return []
+    ended = m.rate_of(faulty, "success_if_ended")
+    return [
+        f"{len(own)} of {len(faulty)} faults kill their kernel; if a dead node ended the mission, {_percent(ended)} "
+        "would succeed."
+    ]
+
+
+def _effects(runs: Runs) -> list[str]:
+    own = runs.injected.where("judged", pl.col("effect") != "unknown", setting=FI)
+    if not len(own):
+        return []
+    shares = {name: m.rate_of(own, pl.col("effect") == name).rate or 0.0 for name in ("masked", "sdc")}
+    died = 1.0 - sum(shares.values())
+    rest = f", {100 * died:.0f} % end in a crash or a hang" if died > 1e-9 else ""
+    what = "flight" if _has_missions(runs) else "output"
+    return [
+        f"{100 * shares['masked']:.0f} % of {len(own)} faults are masked bit for bit, {100 * shares['sdc']:.0f} % "
+        f"change the {what} silently{rest}."
+    ]
+
+
+def _worst_stage(runs: Runs) -> list[str]:
+    own = _leading(runs).where(setting=FI)
+    rates = {stage: m.rate_of(part, m.FAILS_OR_SLOWER) for (stage,), part in own.groups("stage").items() if stage}
+    if len(rates) < 2:
+        return []
+    ordered = sorted(rates.items(), key=lambda item: -(item[1].rate or 0.0))
+    told = "; ".join(f"{stage} {_percent(rate)}" for stage, rate in ordered)
+    return [f"Missions that fail or take more than 5 % longer, by stage of the fault{_bits(own)}: {told}."]
+
+
+def _recovery(runs: Runs) -> list[str]:
+    paired = m.against_fi(runs)
+    if not len(paired):
+        return []
+    names = m.population_names(runs.injected, ())
+    told = []
+    for (setting,), own in paired.where(population=names[0]).groups("setting").items():
+        test, found = m.discordant(own), m.recovery_of(own)
+        back, lost = (0, 0) if found is None else (found.regained, found.lost)
+        told.append(f"{own.first('arm') or setting} brings back {back} of {lost} lost missions and newly loses "
+                    f"{test.first_only}")  # fmt: skip
+    return [f"{'; '.join(told)}."] if told else []
+
+
+def _false_alarms(runs: Runs) -> list[str]:
+    own = runs.golden.where(pl.col("detector") != "", end="flown")
+    rates = {arm: m.alarm_rate(part) for (arm,), part in own.groups("arm").items()}
+    told = "; ".join(f"{arm} {rate.per_hour:.1f} per hour" for arm, rate in rates.items() if rate.per_hour is not None)
+    return [f"Alarms on flights without a fault: {told}."] if told else []
+
+
+def _flight_time(runs: Runs) -> list[str]:
+    own = runs.injected.where("judged", "success", pl.col("inflation").is_not_null(), setting=FI)
+    if not len(own):
+        return []
+    median, worst = (m.quantile_of(own["inflation"], share) or 0.0 for share in (0.5, 1.0))
+    return [
+        f"Of the missions that succeed with a fault, the median takes {100 * median:+.1f} % flight time, the worst "
+        f"{100 * worst:+.1f} % ({m.worst_run(own)})."
+    ]
+
+
+_SENTENCES: tuple[Callable[[Runs], list[str]], ...] = (
+    _success, _deaths, _effects, _recovery, _worst_stage, _false_alarms, _flight_time,
+)  # fmt: skip

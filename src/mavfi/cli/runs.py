@@ -1,0 +1,36 @@
+"""`mavfi runs`: the runs of a campaign, one line each."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mavfi.cli.console import JSON_HELP, console, write_json
+
+
+def runs(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
+    failed: Annotated[bool, typer.Option("--failed", help="Only missions that did not succeed.")] = False,
+    where: Annotated[
+        list[str] | None,
+        typer.Option(metavar="COLUMN=VALUE", help="Only these, e.g. stage=planning; may be given several times."),
+    ] = None,
+    as_csv: Annotated[bool, typer.Option("--csv", help="All columns as comma-separated values.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+) -> None:
+    """List the runs of a campaign: what was injected, what it did, how the mission ended.
+
+    Example: [bold]mavfi runs out/states --failed --where environment=dense[/bold]
+    """
+    from mavfi.campaign.analysis.listing import listing
+    from mavfi.campaign.analysis.runs import Runs
+    from mavfi.reports.terminal import rendered
+
+    table = listing(Runs.read(directory), where or (), failed=failed)
+    if as_csv:
+        typer.echo(table.to_csv(), nl=False)
+    elif as_json:
+        write_json(table.to_json())
+    else:
+        out = console()
+        out.print(rendered(table, out.width))
