@@ -37,7 +37,9 @@ def export(
 ) -> None:
     """Write a flight, or the runs of a campaign, for other people's tools; no ROS is needed.
 
-    Example: [bold]mavfi export flight.npz --to flight.mcap[/bold]; [bold]mavfi export out/states --to runs.parquet[/bold]
+    Example: [bold]mavfi export flight.npz --to flight.mcap[/bold]
+
+    Example: [bold]mavfi export out/states --to runs.parquet[/bold]
     """
     if flight.is_dir() and not run_id and to.suffix in RUNS:
         _export_runs(flight, to, as_json)
