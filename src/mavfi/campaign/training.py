@@ -1,44 +1,62 @@
-"""Flies the error-free missions that detectors are trained on, and trains them."""
+"""Flies the error-free missions that detectors are trained on, trains them, and counts their false alarms."""
 
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from mavfi.campaign.config import TRAINING_SEED
-from mavfi.campaign.executors.local import LocalPool, Lost
+from mavfi.campaign.executors.executor import map_each
+from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.recordings import KeptRecordings
-from mavfi.campaign.tools import host_tools
-from mavfi.campaign.worker import Tools
+from mavfi.campaign.analysis.statistics import EventRate, event_rate_by_flight
+from mavfi.detectors.model import Model
 from mavfi.detectors.recorder import Recorder, Recording
-from mavfi.errors import BadInputError, MavfiError
-from mavfi.mission import MissionStatus, Scenario
+from mavfi.errors import BadInputError
+from mavfi.hosts.local.flight import fly
+from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.watching import detector_for
+from mavfi.mission import MissionSpec, MissionStatus, Scenario
+from mavfi.qof import quality_of_flight
 
 ENVIRONMENT = "training"
 """Randomised worlds; the laws of the evaluation environments are not among them."""
+CHECKING_SEED = TRAINING_SEED + 500_000
+"""First seed of the flights on which false alarms are counted, far behind those of training."""
+Progress = Callable[[int, int], None]
 _MOST_FLIGHTS_PER_WANTED = 3
 
 
 @dataclass(frozen=True, slots=True)
 class _Task:
+    """A flight, in words for the message of a worker that was lost."""
+
     scenario: Scenario
-    tools: Tools
+    model: Model | None = None
+    folder: Path | None = None
+
+    def __str__(self) -> str:
+        return f"{'training' if self.model is None else 'checking'} flight with seed {self.scenario.seed}"
+
+
+def training_mission(mission: MissionSpec, seed: int = TRAINING_SEED) -> Scenario:
+    """A mission in a training world, flown as another one: with its autopilot profile, platform, planner, and so on.
+
+    Raises:
+        BadInputError: A name is not known, or things do not fit together.
+    """
+    world = {"environment": ENVIRONMENT, "seed": seed, "start": None, "goal": None}
+    return resolve(mission.model_copy(update=world))
 
 
 def record_flight(task: _Task) -> Recording | None:
     """Fly one error-free mission; None if it did not reach its goal."""
     recorder = Recorder()
-    flight = task.tools.fly(task.scenario, None, recorder, want_profile=False)
-    return recorder.recording() if flight.log.status is MissionStatus.SUCCESS else None
+    log = fly(task.scenario, recorders=[recorder.accept]).log
+    return recorder.recording() if log.status is MissionStatus.SUCCESS else None
 
 
-def record_flights(  # noqa: PLR0913 - what is flown, and what is told of it
-    scenario: Scenario,
-    count: int,
-    workers: int,
-    tools: Tools,
-    progress: Callable[[int, int], None] | None = None,
-    disk: KeptRecordings | None = None,
+def record_flights(
+    scenario: Scenario, count: int, workers: int, progress: Progress | None = None, disk: KeptRecordings | None = None
 ) -> dict[int, Recording]:
     """Fly until `count` missions have reached their goals.
 
@@ -46,7 +64,6 @@ def record_flights(  # noqa: PLR0913 - what is flown, and what is told of it
         scenario: Mission whose seed is the first one.
         count: Flights wanted.
         workers: Number of processes; the result does not depend on it.
-        tools: What is flown with.
         progress: Called with flights kept and wanted, for the first time before anything is flown.
         disk: Where recordings are kept, so that stopping loses only the flights in the air; None = nowhere.
 
@@ -59,47 +76,36 @@ def record_flights(  # noqa: PLR0913 - what is flown, and what is told of it
     """
     if count < 1:
         raise BadInputError(f"flights: {count}; allowed: 1 or more")
-    tell = progress or _silent
+    executor = LocalExecutor(workers)
     kept: dict[int, Recording] = {}
     tried = 0
-    warm = False
     while len(kept) < count:
         if tried >= _MOST_FLIGHTS_PER_WANTED * count:
             raise BadInputError(f"training: only {len(kept)} of {tried} missions reached their goals; {count} wanted")
         seeds = range(scenario.seed + tried, scenario.seed + tried + count - len(kept))
-        tried += len(seeds)
-        if disk is not None:
-            kept |= disk.load(seeds)
-        tell(len(kept), count)
-        tasks = [_Task(scenario.model_copy(update={"seed": seed}), tools) for seed in seeds if seed not in kept]
-        if tasks and not warm:
+        tasks = [_Task(scenario.model_copy(update={"seed": seed})) for seed in seeds]
+        kept |= {} if disk is None else disk.load(seeds)
+        if progress is not None:
+            progress(len(kept), count)
+        tasks = [task for task in tasks if task.scenario.seed not in kept]
+        if tasks and tried == 0:
             record_flight(tasks[0])  # compiles in this process, and workers inherit it
-            warm = True
-        with closing(LocalPool(workers).run(record_flight, tasks)) as results:
-            for task, recording in results:
-                if isinstance(recording, Lost):
-                    raise MavfiError(f"training flight with seed {task.scenario.seed}: {recording.reason}")
-                if recording is None:
-                    continue
-                kept[task.scenario.seed] = recording
-                if disk is not None:
-                    disk.save(task.scenario.seed, recording)
-                tell(len(kept), count)
+        tried += len(seeds)
+        for task, recording in map_each(executor, record_flight, tasks):
+            if recording is None:
+                continue
+            kept[task.scenario.seed] = recording
+            if disk is not None:
+                disk.save(task.scenario.seed, recording)
+            if progress is not None:
+                progress(len(kept), count)
     return dict(sorted(kept.items()))
 
 
-def train(  # noqa: PLR0913 - what models are trained for, and how
-    folder: Path,
-    flights: int = 100,
-    *,
-    stack: str = "published",
-    platform: str = "i9-9940x",
-    planner: str = "rrt_connect",
-    v_max: float | None = None,
-    workers: int = 2,
-    tools: Tools | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> list[Path]:
+def train(
+    folder: Path, flights: int = 100, mission: MissionSpec | None = None, *, workers: int = 2,
+    progress: Progress | None = None,
+) -> list[Path]:  # fmt: skip
     """Fly error-free missions in randomised worlds, fit every detector in every profile, and write the models.
 
     Flights are kept in the folder until the models are written: the same call goes on where it was stopped.
@@ -107,12 +113,8 @@ def train(  # noqa: PLR0913 - what models are trained for, and how
     Args:
         folder: Where the models are written.
         flights: Missions that reach their goals.
-        stack: Name or path of the stack.
-        platform: Name or path of the modelled computer.
-        planner: Name of the planner.
-        v_max: Speed limit (m/s); None = the default.
+        mission: How they are flown; environment, seed, start and goal are training's own.
         workers: Number of processes; the models do not depend on it.
-        tools: None = the in-process host.
         progress: Called with flights kept and wanted.
 
     Returns:
@@ -121,15 +123,12 @@ def train(  # noqa: PLR0913 - what models are trained for, and how
     Raises:
         BadInputError: A name is not known, too few flights arrive, or the folder cannot be written.
     """
-    from mavfi.detectors.training import fit, save  # scikit-learn takes a second to load; only training needs it
+    from mavfi.detectors.training import fit, save  # imports every detector that learns
 
     _check_writable(folder)
-    tools = tools or host_tools()
-    scenario = tools.make_scenario(
-        ENVIRONMENT, TRAINING_SEED, stack=stack, platform=platform, planner=planner, v_max=v_max
-    )
+    scenario = training_mission(mission or MissionSpec())
     disk = KeptRecordings(folder, scenario)
-    recordings = record_flights(scenario, flights, workers, tools, progress, disk)
+    recordings = record_flights(scenario, flights, workers, progress, disk)
     provenance = {
         "stack": scenario.stack.name,
         "platform": scenario.platform.name,
@@ -144,8 +143,41 @@ def train(  # noqa: PLR0913 - what models are trained for, and how
     return files
 
 
-def _silent(_: int, __: int) -> None:
-    """Tell nobody."""
+def count_false_alarms(
+    models: Sequence[Model], folder: Path, flights: int, mission: MissionSpec, workers: int, progress: Progress
+) -> list[EventRate]:
+    """Fly error-free missions that were not trained on with each model, and count its alarms.
+
+    Args:
+        models: Trained for this mission.
+        folder: Where their files are.
+        flights: Missions for each model.
+        mission: As of `train`.
+        workers: Processes.
+        progress: Called with flights done and wanted.
+
+    Returns:
+        Alarms per flight hour by model.
+
+    Raises:
+        MavfiError: A worker was lost.
+    """
+    scenarios = [training_mission(mission, seed) for seed in range(CHECKING_SEED, CHECKING_SEED + flights)]
+    tasks = [_Task(scenario, model, folder) for scenario in scenarios for model in models]
+    counted: dict[str, list[tuple[int, float]]] = {model.sha256: [] for model in models}
+    for done, (task, result) in enumerate(map_each(LocalExecutor(workers), _count_alarms, tasks), 1):
+        counted[task.model.sha256 if task.model else ""].append(result)
+        progress(done, len(tasks))
+    flown = [sorted(own) for own in counted.values()]
+    return [event_rate_by_flight([events for events, _ in own], [hours for _, hours in own]) for own in flown]
+
+
+def _count_alarms(task: _Task) -> tuple[int, float]:
+    """Alarms, and hours of flight."""
+    assert task.model is not None  # only these are counted
+    detector, _ = detector_for(task.scenario, task.model.kind, task.model.profile, task.folder)
+    log = fly(task.scenario, detector=detector).log
+    return len(log.alarms), quality_of_flight(log).flight_time_s / 3600
 
 
 def _check_writable(folder: Path) -> None:

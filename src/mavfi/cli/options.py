@@ -3,7 +3,7 @@
 import functools
 import inspect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -40,26 +40,28 @@ Save = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Write the w
 Picture = Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the flight from above and from the side.")]
 
 
-def with_mission_options(verb: Callable[..., None]) -> Callable[..., None]:
+def with_mission_options(verb: Callable[..., None], without: Collection[str] = ()) -> Callable[..., None]:
     """Give a verb one option for each field of `MissionSpec`.
 
     Args:
         verb: Its first parameter is the `MissionSpec`; the others are options of its own.
+        without: Fields that the verb decides itself: they have no option.
 
     Returns:
         The verb as typer takes it.  A value that is not allowed raises `BadInputError`, one line that names the option.
     """
+    fields = {name: field for name, field in MissionSpec.model_fields.items() if name not in without}
 
     @functools.wraps(verb)
     def wrapped(**given: Any) -> None:
-        mission = mission_of({name: given.pop(name) for name in MissionSpec.model_fields})
+        mission = mission_of({name: given.pop(name) for name in fields})
         verb(mission, **given)
 
     own = [
         parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)
         for parameter in list(inspect.signature(verb, eval_str=True).parameters.values())[1:]
     ]
-    parameters = [_parameter(name, field) for name, field in MissionSpec.model_fields.items()] + own
+    parameters = [_parameter(name, field) for name, field in fields.items()] + own
     wrapped.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     wrapped.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return wrapped

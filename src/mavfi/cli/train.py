@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,27 +11,23 @@ import typer
 from rich import box
 from rich.table import Table
 
+from mavfi.cli import options
 from mavfi.cli.console import JSON_HELP, check_folder, check_number, console, write_json
 from mavfi.cli.stopping import stoppable
+from mavfi.mission import MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.campaign.analysis.statistics import EventRate
     from mavfi.detectors.model import Model
 
 
-def train(  # noqa: PLR0913 - one parameter per option
+@partial(options.with_mission_options, without=("environment", "seed", "start", "goal", "coupling"))
+def train(
+    mission: MissionSpec,
     flights: Annotated[
         int, typer.Option(help="Error-free missions; fewer than 100 give thresholds that do not hold.")
     ] = 100,
     out: Annotated[Path, typer.Option(help="Folder of the models; made if absent.")] = Path("out/models"),
-    stack: Annotated[str, typer.Option(help="published, hardened, or a YAML file.")] = "published",
-    platform: Annotated[
-        str, typer.Option(help="Computer whose latencies are charged: a name, or a YAML file.")
-    ] = "i9-9940x",
-    planner: Annotated[
-        str, typer.Option(help="rrt, rrt_connect, rrt_star, a YAML file, or package:Class.")
-    ] = "rrt_connect",
-    v_max: Annotated[float | None, typer.Option(help="Speed limit, m/s; the environment's by default.")] = None,
     workers: Annotated[int, typer.Option(help="Processes; the models do not depend on them.")] = 2,
     check: Annotated[int, typer.Option(help="Flights of other seeds on which false alarms are counted.")] = 10,
     as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
@@ -39,29 +36,27 @@ def train(  # noqa: PLR0913 - one parameter per option
 
     Ctrl-C stops (exit code 130); the same command goes on where it stopped.
 
-    Example: [bold]mavfi train --flights 100 --stack hardened --out out/models[/bold]
+    Example: [bold]mavfi train --flights 100 --autopilot hardened --out out/models[/bold]
     """
     check_number("--flights", flights, 1, 100_000)
     check_number("--check", check, 0, 100_000)
-    check_number("--v-max", v_max, 0.1, 20.0)
     check_folder(out)
 
+    # all that is slow to import comes before what Ctrl-C stops: no import is to be broken off half-way
+    import sklearn.neural_network  # noqa: F401
+
+    from mavfi.campaign.training import count_false_alarms
     from mavfi.campaign.training import train as train_models
-    from mavfi.cli.false_alarms import count_false_alarms
-    from mavfi.cli.progress import Bar, import_host
+    from mavfi.cli.progress import Bar
     from mavfi.detectors.model import Model
 
-    import_host(training=True)
     kept = f"Stopped. What is flown is kept in {out}; the same command goes on."
     with stoppable(kept), Bar("training flights") as bar:
-        files = train_models(
-            out, flights, stack=stack, platform=platform, planner=planner, v_max=v_max, workers=workers,
-            progress=bar.show,
-        )  # fmt: skip
+        files = train_models(out, flights, mission, workers=workers, progress=bar.show)
     models = [Model.load(path) for path in files]
     kept = f"Stopped. The models are in {out}; their false alarms are not counted."
     with stoppable(kept), Bar("checking flights") as bar:
-        alarms = count_false_alarms(models, out, check, workers, stack, bar.show)
+        alarms = count_false_alarms(models, out, check, mission, workers, bar.show)
     if as_json:
         rows = zip(files, models, alarms, strict=True)
         write_json({"models": [{"file": str(f), **told(m), "false_alarms": asdict(a)} for f, m, a in rows]})
