@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mavfi.campaign.tools import host_tools
 from mavfi.faults.sampling import draw, stage_target
 from mavfi.hosts.local import Flight, fly
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus
 from tools.markers import between
 
@@ -34,7 +34,6 @@ def peak(flight: Flight, golden: Flight) -> float:
 def pair(seed: int) -> dict[str, tuple[bool, float, float]]:
     """One mission with one fault in every arm: success, flight time (s), largest distance from its golden run (m)."""
     scenario = resolve(MissionSpec(environment=ENVIRONMENT, seed=seed, autopilot=STACK))
-    load = host_tools().load_detector
     profile = fly(scenario, profile=True).profile
     assert profile is not None
     stage = ("planning", "control")[seed % 2]
@@ -42,7 +41,7 @@ def pair(seed: int) -> dict[str, tuple[bool, float, float]]:
     found = {}
     for arm in ARMS:
         name, _, coupling = arm.partition(" ")
-        detector = None if name == "none" else load(name, "paper", None, scenario)[0]
+        detector = None if name == "none" else detector_for(scenario, name, "paper")[0]
         golden, flight = (
             fly(scenario, planned, detector, coupling="observer" if coupling == "observer" else "inline")
             for planned in (None, fault)

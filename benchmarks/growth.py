@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from benchmarks.depth import posts
 from benchmarks.rows import Row
-from mavfi.campaign.executors.local import LocalPool
+from mavfi.campaign.executors.executor import map_each
+from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.config import CameraConfig, MapConfig
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
@@ -74,7 +75,7 @@ def spin(_: int) -> int:
 def rate(workers: int, job: Callable[[int], Any], count: int) -> float:
     """Jobs per second of a pool."""
     start = time.perf_counter()
-    done = list(LocalPool(workers).run(job, range(count)))
+    done = list(map_each(LocalExecutor(workers), job, range(count)))
     return len(done) / (time.perf_counter() - start)
 
 

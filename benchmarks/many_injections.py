@@ -2,8 +2,8 @@
 
     python -m benchmarks.many_injections [N]
 
-Counted now and then: children that nobody waited for, open files, memory of this process, files in the temporary folder,
-which is one of its own.  The faults are of all kinds, so children end by themselves, by a signal and by
+Counted now and then: children that nobody waited for, open files, memory of this process, files in the temporary
+folder, which is one of its own.  The faults are of all kinds, so children end by themselves, by a signal and by
 their budget of instructions.
 """
 

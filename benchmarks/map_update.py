@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.rows import Row
+from mavfi.config import MapConfig
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.perception import octomap

@@ -1,50 +1,48 @@
+import numpy as np
 import pytest
 
+from mavfi.campaign import training
 from mavfi.campaign.config import TRAINING_SEED
 from mavfi.campaign.recordings import FOLDER, KeptRecordings
-from mavfi.campaign.training import record_flights, train
-from mavfi.campaign.worker import Tools
+from mavfi.campaign.training import record_flights, train, training_mission
 from mavfi.errors import BadInputError
-from mavfi.mission import MissionStatus
-from tests.unit.campaign import fakes
-from tests.unit.campaign.fakes import FAKE, publications
+from mavfi.flight_log import COLUMNS, FlightLog
+from mavfi.hosts.host import Flight
+from mavfi.mission import MissionSpec, MissionStatus
+from tests.unit.detectors.streams import command, status, waypoint
 
-SCENARIO = FAKE.make_scenario(
-    "training", TRAINING_SEED, stack="published", platform="i9-9940x", planner="rrt_connect", v_max=None
-)
-
-
-def fly_watched(scenario, fault, detector, *, want_profile):
-    """Every fourth mission fails; what is published is seen by the detector."""
-    assert fault is None
-    flight = fakes.fly(scenario, None, None, want_profile=want_profile)
-    detector.start()
-    for state, time_us in publications():
-        state.header[state.header.dtype.names[0]] = scenario.seed % 100
-        assert detector.check(state, time_us) is None
-        detector.accept(state, time_us)
-    if scenario.seed % 4 == 0:
-        flight.log.status = MissionStatus.TIMEOUT
-    return flight
+SCENARIO = training_mission(MissionSpec())
 
 
-def never_arrives(scenario, fault, detector, *, want_profile):
-    flight = fakes.fly(scenario, None, None, want_profile=want_profile)
-    flight.log.status = MissionStatus.NO_PATH
-    return flight
+def fly(scenario, *, recorders):
+    """Every fourth mission fails; what is published is seen by the recorders."""
+    for number in range(8):
+        for state in (status(30.0, scenario.seed % 100), waypoint([number, 0, 0], [1, 0, 0]), command([1, 0, 0])):
+            for record in recorders:
+                record(state, 20_000 * number)
+    end = MissionStatus.TIMEOUT if scenario.seed % 4 == 0 else MissionStatus.SUCCESS
+    return Flight(FlightLog(np.zeros((1, len(COLUMNS))), end, [], [], [], {}))
 
 
-WATCHED = Tools(fly_watched, FAKE.load_detector, FAKE.make_scenario)
+@pytest.fixture(autouse=True)
+def _no_simulator(monkeypatch):
+    monkeypatch.setattr(training, "fly", fly)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_only_successful_flights_are_kept_in_the_order_of_their_seeds(workers):
     told = []
-    recordings = record_flights(SCENARIO, 6, workers, WATCHED, lambda kept, wanted: told.append((kept, wanted)))
+    recordings = record_flights(SCENARIO, 6, workers, lambda kept, wanted: told.append((kept, wanted)))
     assert list(recordings) == [TRAINING_SEED + offset for offset in (1, 2, 3, 5, 6, 7)]
     assert (told[0], told[-1]) == ((0, 6), (6, 6))
     assert all(len(recording.times_us) for recording in recordings.values())
+
+
+def test_training_flies_its_own_worlds_as_the_mission_asks_for():
+    asked = MissionSpec(environment="dense", seed=3, goal=(1.0, 2.0, 3.0), autopilot="hardened", v_max=2.0)
+    scenario = training_mission(asked)
+    assert (scenario.environment.name, scenario.seed, scenario.goal) == ("training", TRAINING_SEED, None)
+    assert (scenario.stack.name, scenario.v_max) == ("hardened", 2.0)
 
 
 def _stop_at(wanted, told):
@@ -60,23 +58,22 @@ def _content(recordings):
     return {seed: (r.kinds.tolist(), r.times_us.tolist(), r.content.tobytes()) for seed, r in recordings.items()}
 
 
-@pytest.mark.slow
 def test_what_is_flown_is_kept_when_training_is_stopped(tmp_path):
     disk, told = KeptRecordings(tmp_path, SCENARIO), []
     with pytest.raises(KeyboardInterrupt):
-        record_flights(SCENARIO, 6, 1, WATCHED, _stop_at(4, told), disk)
+        record_flights(SCENARIO, 6, 1, _stop_at(4, told), disk)
     assert told == [0, 1, 2, 3, 4]
     told.clear()
-    found = record_flights(SCENARIO, 6, 1, WATCHED, lambda kept, _: told.append(kept), disk)
+    found = record_flights(SCENARIO, 6, 1, lambda kept, _: told.append(kept), disk)
     assert told[0] == 4
-    assert _content(found) == _content(record_flights(SCENARIO, 6, 1, WATCHED))
+    assert _content(found) == _content(record_flights(SCENARIO, 6, 1))
     disk.delete()
     assert not list(tmp_path.iterdir())
 
 
 def test_recordings_of_another_scenario_or_code_and_broken_ones_are_not_used(tmp_path, monkeypatch):
     disk = KeptRecordings(tmp_path, SCENARIO)
-    record_flights(SCENARIO, 3, 1, WATCHED, disk=disk)
+    record_flights(SCENARIO, 3, 1, disk=disk)
     seeds = [TRAINING_SEED + offset for offset in (1, 2, 3)]
     assert list(disk.load(seeds)) == seeds
     assert list(KeptRecordings(tmp_path, SCENARIO.model_copy(update={"seed": 7})).load(seeds)) == seeds
@@ -94,21 +91,25 @@ def test_recordings_are_deleted_when_the_models_are_saved(tmp_path, monkeypatch)
         assert len(list(folder.glob(f"{FOLDER}/*/*.npz"))) == 3
         return [folder / "model.json"]
 
-    monkeypatch.setattr("mavfi.detectors.training.fit", lambda recordings, provenance: len(recordings))
+    monkeypatch.setattr("mavfi.detectors.training.fit", lambda recordings, _: len(recordings))
     monkeypatch.setattr("mavfi.detectors.training.save", save)
-    assert train(tmp_path, 3, workers=1, tools=WATCHED) == [tmp_path / "model.json"]
+    assert train(tmp_path, 3, workers=1) == [tmp_path / "model.json"]
     assert not (tmp_path / FOLDER).exists()
 
 
-def test_too_few_successes_are_an_error():
-    tools = Tools(never_arrives, FAKE.load_detector, FAKE.make_scenario)
+def _never_arrives(task):
+    return None
+
+
+def test_too_few_successes_are_an_error(monkeypatch):
+    monkeypatch.setattr(training, "record_flight", _never_arrives)
     with pytest.raises(BadInputError, match="only 0 of 6 missions reached their goals; 2 wanted"):
-        record_flights(SCENARIO, 2, 1, tools)
+        record_flights(SCENARIO, 2, 1)
     with pytest.raises(BadInputError, match="flights: 0"):
-        record_flights(SCENARIO, 0, 1, tools)
+        record_flights(SCENARIO, 0, 1)
 
 
 def test_a_folder_that_cannot_be_written_is_found_before_the_flights(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(BadInputError, match="cannot be written"):
-        train(tmp_path / "file" / "models", 5, tools=WATCHED)
+        train(tmp_path / "file" / "models", 5)
