@@ -4,11 +4,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from mavfi.campaign.analysis.statistics import EventRate, event_rate_by_flight
 from mavfi.campaign.config import TRAINING_SEED
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.recordings import KeptRecordings
-from mavfi.campaign.analysis.statistics import EventRate, event_rate_by_flight
 from mavfi.detectors.model import Model
 from mavfi.detectors.recorder import Recorder, Recording
 from mavfi.errors import BadInputError

@@ -7,6 +7,8 @@ import llvmlite.binding
 import mujoco
 from numba import types
 
+GRAVITY = 9.80665
+"""Standard gravity (m/s^2)."""
 _WARNING_HANDLER_TYPE = ctypes.CFUNCTYPE(None, ctypes.c_char_p)
 
 

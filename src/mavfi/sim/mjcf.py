@@ -10,8 +10,9 @@ import numpy as np
 from mavfi.config import VehicleConfig, parse, read_yaml, shipped
 from mavfi.errors import BadInputError
 from mavfi.numerics.vectors import length, product
-from mavfi.sim.engine import keep_quiet
+from mavfi.sim.engine import GRAVITY, keep_quiet
 
+ROTORS = 4
 _TOLERANCE = 0.01
 """Share by which a mass or an inertia in the YAML file may differ from the model's, as rounding does."""
 _OPTIONS = [name for name in dir(mujoco.MjOption) if not name.startswith("_")]
@@ -41,13 +42,13 @@ def find_vehicle(name: str) -> VehicleConfig:
     are written down as well, they must agree with it within 1 %.
 
     Raises:
-        BadInputError: There is no such vehicle, or file, key or model is not as it must be.
+        BadInputError: There is no such vehicle, file, key or model is not as it must be, or its rotors cannot lift it.
     """
     if not name.endswith((".yaml", ".yml")):
         return shipped("vehicles", VehicleConfig, name)
     data = read_yaml(Path(name))
     if not isinstance(data.get("mjcf"), str):
-        return parse(VehicleConfig, data, name)
+        return _lifted(name, parse(VehicleConfig, data, name))
     path = Path(name).parent / data["mjcf"]
     try:
         body = measure(path)
@@ -55,7 +56,18 @@ def find_vehicle(name: str) -> VehicleConfig:
         raise BadInputError(f"{name}: key 'mjcf': {error}") from None
     vehicle = parse(VehicleConfig, {"mass": body.mass, "inertia": body.inertia} | data | {"mjcf": str(path)}, name)
     _check(name, vehicle, body)
-    return vehicle.model_copy(update={"mass": body.mass, "inertia": body.inertia})
+    return _lifted(name, vehicle.model_copy(update={"mass": body.mass, "inertia": body.inertia}))
+
+
+def _lifted(source: str, vehicle: VehicleConfig) -> VehicleConfig:
+    """The vehicle, if its rotors lift it."""
+    least = vehicle.mass * GRAVITY / ROTORS
+    if not vehicle.max_rotor_thrust > least:
+        raise BadInputError(
+            f"{source}: key 'max_rotor_thrust': {vehicle.max_rotor_thrust:g} N: {ROTORS} such rotors do not lift "
+            f"{vehicle.mass:g} kg; allowed: more than {least:.4g} N"
+        )
+    return vehicle
 
 
 def _check(source: str, vehicle: VehicleConfig, body: RigidBody) -> None:

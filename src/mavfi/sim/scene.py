@@ -5,12 +5,11 @@ import numpy as np
 
 from mavfi.config import VehicleConfig
 from mavfi.sim import mjcf
+from mavfi.sim.engine import GRAVITY
 from mavfi.sim.environments.world import World
 
 STEP_US = 4_000
 """Period of physics and flight controller (us)."""
-GRAVITY = 9.80665
-"""Standard gravity (m/s^2)."""
 
 ACCELEROMETER, GYRO, CONTACTS = slice(0, 3), slice(3, 6), 6
 """Where the sensors are in MjData.sensordata."""

@@ -15,9 +15,9 @@ from mavfi.config import VehicleConfig
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.rotations import rotation_matrix, wrap_angle, yaw_of
 from mavfi.sim.contact import sphere_touches_voxels
-from mavfi.sim.engine import mj_step
+from mavfi.sim.engine import GRAVITY, mj_step
 from mavfi.sim.environments.world import Voxels
-from mavfi.sim.scene import CONTACTS, GRAVITY, STEP_US
+from mavfi.sim.scene import CONTACTS, STEP_US
 from mavfi.sim.wind import Wind, wind_at
 
 STEP = STEP_US * 1e-6

@@ -11,7 +11,8 @@ from mavfi.hosts.local import fly as fly_mission
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.qof import quality_of_flight
-from mavfi.sim.scene import GRAVITY, STEP_US
+from mavfi.sim.engine import GRAVITY
+from mavfi.sim.scene import STEP_US
 from tests.unit.sim.flights import open_world, simulator
 
 VEHICLES = ("airsim_quad", "small_quad")

@@ -174,6 +174,23 @@ def test_a_model_that_was_changed_since_it_was_read_is_refused(tmp_path):
         build_model(open_world(), found)
 
 
+@pytest.mark.parametrize(("thrust", "lifts"), [(4.9, False), (4.903325, False), (4.91, True), (1e-3, False)])
+def test_a_vehicle_that_its_rotors_cannot_lift_is_refused(tmp_path, thrust, lifts):
+    airframe = {key: value for key, value in yaml.safe_load(YAML).items() if key != "mjcf"}
+    airframe |= {"mass": 2.0, "inertia": [0.01, 0.01, 0.02], "max_rotor_thrust": thrust}
+    (tmp_path / "plain.yaml").write_text(yaml.safe_dump(airframe), encoding="utf-8")
+    (tmp_path / "body.xml").write_text(xml(free(ROD)), encoding="utf-8")
+    (tmp_path / "mine.yaml").write_text(YAML.replace("10.0", str(thrust)), encoding="utf-8")
+    for name in ("plain.yaml", "mine.yaml"):
+        path = str(tmp_path / name)
+        if lifts:
+            assert find_vehicle(path).max_rotor_thrust == thrust
+            continue
+        with pytest.raises(BadInputError) as error:
+            find_vehicle(path)
+        assert f"{path}: key 'max_rotor_thrust': {thrust:g} N: 4 such rotors do not lift 2 kg" in str(error.value)
+
+
 def test_an_unknown_vehicle_is_refused():
     with pytest.raises(BadInputError, match="vehicle 'glider': not known; allowed: airsim_quad, small_quad, or a path"):
         find_vehicle("glider")

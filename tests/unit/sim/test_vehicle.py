@@ -7,7 +7,7 @@ import pytest
 
 from mavfi.config import VehicleConfig, shipped
 from mavfi.numerics.rotations import yaw_of
-from mavfi.sim.scene import GRAVITY
+from mavfi.sim.engine import GRAVITY
 from mavfi.sim.vehicle import STEP, airframe_of, apply_forces, hover_memory, mix_rotors, wanted_thrust
 from tests.unit.sim.flights import fly, open_world, simulator
 

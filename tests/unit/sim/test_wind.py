@@ -7,7 +7,7 @@ import pytest
 
 from mavfi.config import VehicleConfig, WindConfig, parse, shipped
 from mavfi.errors import BadInputError
-from mavfi.sim.scene import GRAVITY
+from mavfi.sim.engine import GRAVITY
 from mavfi.sim.simulator import Simulator
 from mavfi.sim.vehicle import airframe_of, apply_forces
 from mavfi.sim.wind import Weather, Wind, wind_at
