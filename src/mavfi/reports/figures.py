@@ -195,8 +195,7 @@ def sites(runs: Runs) -> Figure | None:
     settings = judged.settings()
     if not settings:
         return None
-    grouped = "sampling" in judged.campaign and judged.campaign["sampling"] == "groups"
-    column = "target" if grouped else _SITES[judged.first("level")]
+    column = "target" if judged.campaign.get("each") == "group" else _SITES[judged.first("level")]
     shown = _shown(judged, column)
     names = list(dict.fromkeys(name for name, _ in shown))
     counts = [_range(rate.n for (name, _), (_, rate) in shown.items() if name == value) for value in names]
