@@ -16,7 +16,7 @@ from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.reports import style
 
-_LEGEND = {"ncols": 4, "fontsize": 8.5, "handlelength": 1.8}
+_LEGEND = {"ncols": 6, "columnspacing": 1.2, "fontsize": 8.5, "handlelength": 1.8}
 
 
 def draw(runs: Runs, directory: Path) -> list[str]:
@@ -66,15 +66,15 @@ def success(runs: Runs) -> Figure | None:
         handles.append(Line2D([], [], label=style.setting_label(setting), linestyle="", markersize=7, **look))
         lowest = min([lowest, *(rate.low for rate in rates if rate.low is not None)])
         for x, (environment, rate) in zip(at, found.items(), strict=True):
-            if rate.high is not None:
-                axes.annotate(f"{rate.n}", (x, rate.high), (0, 3), textcoords="offset points", ha="center", **_SMALL)
+            if rate.low is not None:
+                axes.annotate(f"{rate.n}", (x, rate.low), (0, -9), textcoords="offset points", ha="center", **_SMALL)
             figured = _paper(chosen, environment, setting)
             if figured is not None:
                 axes.plot([x - 0.4 * width, x + 0.4 * width], [figured, figured], color=style.INK, zorder=5)
                 lowest = min(lowest, figured)
     if any(_paper(chosen, name, setting) is not None for name in environments for setting in settings):
         handles.append(Line2D([], [], color=style.INK, label="the paper's figure"))
-    axes.set_ylim(max(0.0, np.floor(10 * lowest) / 10 - 0.02), 1.0)
+    axes.set_ylim(max(0.0, np.floor(10 * lowest - 0.5) / 10), 1.0)
     axes.set_xlim(-0.5, len(environments) - 0.5)
     axes.set_xticks(range(len(environments)), environments)
     for place in range(1, len(environments)):
@@ -84,8 +84,10 @@ def success(runs: Runs) -> Figure | None:
     axes.grid(axis="y")
     axes.set_ylabel("missions that succeed")
     bits = f"faults in {POPULATIONS.get(names[0], names[0])}; " if names else ""
-    axes.set_xlabel(f"{bits}95 % intervals, number of missions above", fontsize=8.5, color=style.GREY)
-    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1.06), **_LEGEND)
+    axes.set_xlabel(f"{bits}95 % intervals, number of missions below each", fontsize=8.5, color=style.GREY)
+    profile = f" · autopilot {runs.campaign['profile']}" if runs.campaign.get("profile") else ""
+    axes.set_title(f"Success{profile} · one fault per mission", pad=26)
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.02, 1.0), **_LEGEND)
     return figure
 
 
