@@ -2,6 +2,7 @@
 PYTHON ?= python3
 SCALE ?= quick
 OUT ?= out/reproduce$(if $(filter-out quick,$(SCALE)),-$(SCALE))
+JOBS ?= $(shell nproc)
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
@@ -35,10 +36,10 @@ reproduce: setup  ## train, fly, print the success table at both levels, write $
 	@$(BIN)/mavfi reproduce --scale $(SCALE) --out $(OUT)
 
 test: setup  ## run the tests
-	@$(BIN)/python -m pytest
+	@$(BIN)/python -m pytest -n $(JOBS)
 
 test-all: setup  ## run all tests, including those that repeat others in more settings
-	@$(BIN)/python -m pytest -m ""
+	@$(BIN)/python -m pytest -n $(JOBS) -m ""
 
 lint: setup  ## formatting, lint, types, import contracts
 	@$(BIN)/ruff format --check $(CODE)
@@ -47,7 +48,7 @@ lint: setup  ## formatting, lint, types, import contracts
 	@$(BIN)/lint-imports
 
 check: lint  ## the same, and fast tests
-	@$(BIN)/python -m pytest -m "not slow"
+	@$(BIN)/python -m pytest -n $(JOBS) -m "not slow"
 
 check-nojit: setup  ## tests of kernels and numerics as plain Python, without the compiler
 	@$(BIN)/python -m tests.robustness.nojit

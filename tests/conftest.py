@@ -21,6 +21,17 @@ def pytest_addoption(parser):
     parser.addoption("--update-goldens", action="store_true", help="store the digests of the golden flights anew")
 
 
+def pytest_collection_modifyitems(config, items):
+    """A file's tests stay in one process, for the flights that they share; those with ROS stay behind each other."""
+    if not config.pluginmanager.hasplugin("xdist"):
+        return
+    for item in items:
+        path = item.path.relative_to(config.rootpath).as_posix()
+        group = "ros" if path.startswith(("tests/hosts/ros1", "tests/hosts/node")) else path
+        item.add_marker(pytest.mark.xdist_group(group))
+    items.sort(key=lambda item: "tests/hosts" not in item.path.as_posix())  # the longest files begin first
+
+
 @pytest.fixture(autouse=True, scope="module")
 def _no_templates_are_left():
     """Processes from which injected flights are forked wait for more; the next module may count its children."""

@@ -25,6 +25,7 @@ from mavfi.faults.spec import InstructionRequest, StateRequest, parse
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local import fly as fly_locally
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.recovery import Coupling
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.reports.flight_result import FlightResult
@@ -128,7 +129,7 @@ def table(runs: Runs, view: str) -> "Table":
 
 def fly_request(
     scenario: Scenario, request: StateRequest | InstructionRequest | None, seed: int, detector: Detector | None,
-    label: str, coupling: str,
+    label: str, coupling: Coupling,
 ) -> FlightResult:  # fmt: skip
     """Golden run first, then the draw of the fault from what happens in it, then the flight.
 
@@ -165,7 +166,7 @@ def _draw(
 
 
 def _fly_fault(
-    scenario: Scenario, fault: Fault | None, detector: Detector | None, label: str, coupling: str
+    scenario: Scenario, fault: Fault | None, detector: Detector | None, label: str, coupling: Coupling
 ) -> FlightResult:
     if isinstance(fault, InstructionFault):
         found = fly_instruction_faults(scenario, [fault], detector, None, coupling)

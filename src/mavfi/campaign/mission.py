@@ -9,6 +9,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 from mavfi.campaign.config import Campaign
@@ -207,7 +208,7 @@ def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flo
     try:
         for place, flight in flights.injected([_request(spec) for spec in specs]):
             wall_s, started = time.perf_counter() - started, time.perf_counter()
-            yield replace(_guarded(left.pop(place).run_id, lambda flight=flight: _judged(flight)), wall_s=wall_s)
+            yield replace(_guarded(left.pop(place).run_id, partial(_judged, flight)), wall_s=wall_s)
     except SpecMismatchError:
         raise
     except Exception:  # as in `_guarded`
@@ -221,7 +222,7 @@ def _alone(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]
     for spec in specs:
         late = False
         for _ in range(ATTEMPTS_ALONE):
-            ended = run_in_child(lambda spec=spec: pickle.dumps(next(_injected([spec], flights))), LONGEST_ALONE)
+            ended = run_in_child(partial(_pickled, spec, flights), LONGEST_ALONE)
             if ended.how == "done":
                 yield pickle.loads(ended.payload)
                 break
@@ -229,6 +230,10 @@ def _alone(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]
         else:
             end, error = (End.UNKNOWN, "took too long") if late else (End.DUE, "the process died each time")
             yield Flown(spec.run_id, FlightRecord(end, error=error), f"{ended.how} {ended.detail}".strip())
+
+
+def _pickled(spec: RunSpec, flights: MissionFlights) -> bytes:
+    return pickle.dumps(next(_injected([spec], flights)))
 
 
 def _request(spec: RunSpec) -> tuple[str, Fault]:
