@@ -17,7 +17,7 @@ export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all lint check check-nojit robust tune format bench coupling machine-level forking many-injections golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all lint check check-nojit robust tune format bench coupling machine-level fast-forward many-injections golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -63,8 +63,8 @@ format: setup  ## format the code, sort imports
 bench: setup  ## measure speed, write docs/generated/speed.md
 	@$(BIN)/python -m benchmarks.run
 
-forking: setup  ## fly runs of table1 with and without fast-forward, compare every byte, print the gain (N=... missions)
-	@$(BIN)/python benchmarks/forking.py --missions $(or $(N),3)
+fast-forward: setup  ## fly runs of table1 with and without fast-forward, compare every byte, print the gain (N=... missions)
+	@$(BIN)/python -m benchmarks.fast_forward --missions $(or $(N),3)
 
 many-injections: setup  ## inject 100,000 faults in forked children, and look for leaks (N=...)
 	@$(BIN)/python -m benchmarks.many_injections $(N)

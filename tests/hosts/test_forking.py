@@ -167,7 +167,7 @@ def table1(stack):
     + [pytest.param(name, "published", marks=pytest.mark.long) for name in ("factory", "farm", "sparse")],
 )
 def test_a_mission_of_the_table_leaves_the_same_records(environment, stack):
-    """All arms, all stages, both strata and a null fault; `benchmarks/forking.py` compares hundreds of runs."""
+    """All arms, all stages, both strata and a null fault; `benchmarks/fast_forward.py` compares hundreds of runs."""
     campaign, tools, scenarios, arms = table1(stack)
     world = environment, campaign.first_seed
     keys = {name: scenario.key() for name, scenario in scenarios.items()}

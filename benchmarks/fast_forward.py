@@ -1,0 +1,122 @@
+"""Flies missions of a campaign with and without fast-forward in one process: equal records, and what gain?
+
+    python -m benchmarks.fast_forward --missions 10
+    python -m benchmarks.fast_forward --campaign table1 --autopilot hardened --missions 2
+
+Every mission is flown both ways, one after the other, and every record is compared.  Time is CPU time of this process,
+so other load on the machine affects both.  The exit code is 1 if any record differs.
+"""
+
+import argparse
+import sys
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+from mavfi.campaign.config import Campaign, load_campaign
+from mavfi.campaign.mission import Flown, MissionPlan, Planned, fly_mission, scenarios_of
+from mavfi.campaign.plan import arms_of
+from mavfi.campaign.run import model_hashes, versions
+from mavfi.flight_record import FlightRecord
+
+TAKE_OFF, FAST = "from take-off", "fast-forward"
+
+
+@dataclass
+class Account:
+    """Results of the flights so far.
+
+    Attributes:
+        seconds: CPU time by way and setting (s).
+        runs: Runs by setting.
+        differing: Ids of runs whose records differ.
+    """
+
+    seconds: dict[tuple[str, str], float] = field(default_factory=lambda: defaultdict(float))
+    runs: Counter[str] = field(default_factory=Counter)
+    differing: list[str] = field(default_factory=list)
+
+    def total(self, way: str) -> float:
+        """CPU time of a way (s)."""
+        return sum(seconds for (name, _), seconds in self.seconds.items() if name == way)
+
+
+def plans(campaign: Campaign, missions: int) -> Iterator[dict[str, MissionPlan]]:
+    """Missions in every environment in turn, each in both ways."""
+    models = model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
+    for seed in campaign.seeds[:missions]:
+        for environment in campaign.environments:
+            yield {
+                way: MissionPlan(campaign, environment, seed, models=models, fast_forward=way == FAST)
+                for way in (TAKE_OFF, FAST)
+            }
+
+
+def fly(plan: MissionPlan, way: str, account: Account) -> dict[str, FlightRecord]:
+    """Records of a mission by run; its CPU time goes to the account."""
+    settings: dict[str, str] = {}
+    records: dict[str, FlightRecord] = {}
+    since = time.process_time()
+    for item in fly_mission(plan):
+        if isinstance(item, Planned):
+            settings |= {spec.run_id: spec.setting for spec in item.specs}
+        elif isinstance(item, Flown):
+            records[item.run_id] = item.record
+            now = time.process_time()
+            account.seconds[way, settings[item.run_id]] += now - since
+            since = now
+    if way == TAKE_OFF:
+        account.runs.update(settings.values())
+    return records
+
+
+def compare(campaign: Campaign, missions: int) -> Account:
+    """Fly all missions both ways."""
+    account = Account()
+    for both in plans(campaign, missions):
+        one, other = (fly(plan, way, account) for way, plan in both.items())
+        account.differing += [run_id for run_id in one | other if one.get(run_id) != other.get(run_id)]
+    return account
+
+
+def report(campaign: Campaign, missions: int, account: Account) -> str:
+    """The result as text."""
+    runs = sum(account.runs.values())
+    lines = [
+        f"{datetime.now(UTC):%Y-%m-%d}, {', '.join(f'{name} {number}' for name, number in versions().items())}",
+        f"campaign {campaign.name}, {campaign.mission}: {missions} missions from seed {campaign.first_seed} in each of "
+        f"{', '.join(campaign.environments)}",
+        f"{'runs':<22} {runs:>5}, of which {len(account.differing)} have another record with fast-forward",
+    ]
+    lines += [f"CPU {way:<18} {account.total(way):8.1f} s, {account.total(way) / runs:.4f} s per run"
+              for way in (TAKE_OFF, FAST)]  # fmt: skip
+    lines += [f"gain {account.total(TAKE_OFF) / account.total(FAST):.2f} x",
+              f"{'setting':<22} {'runs':>5} {'take-off':>9} {'fast':>9} {'gain':>7}"]  # fmt: skip
+    for setting, count in account.runs.items():
+        slow, fast = (account.seconds[way, setting] / count for way in (TAKE_OFF, FAST))
+        lines.append(f"{setting:<22} {count:>5} {slow:>8.3f}s {fast:>8.3f}s {slow / max(fast, 1e-9):>6.1f}x")
+    return "\n".join([*lines, *(f"DIFFERS: {run_id}" for run_id in account.differing)])
+
+
+def main() -> int:
+    """Read the command line, fly, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--campaign", default="table1", help="name or path")
+    parser.add_argument("--missions", type=int, default=3, help="missions per environment")
+    parser.add_argument("--autopilot", help="instead of the campaign's")
+    parser.add_argument("--map", help="instead of the campaign's")
+    arguments = parser.parse_args()
+    changes = {name: value for name in ("autopilot", "map") if (value := getattr(arguments, name)) is not None}
+    campaign = load_campaign(arguments.campaign)
+    campaign = campaign.model_copy(update={"mission": {**campaign.mission, **changes}})
+    for plan in next(plans(campaign, 1)).values():  # compiled code is loaded before the clock runs
+        fly(plan, "warm", Account())
+    account = compare(campaign, arguments.missions)
+    print(report(campaign, arguments.missions, account))
+    return 1 if account.differing else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
