@@ -37,7 +37,6 @@ import pickle, sys, time
 start = time.perf_counter()
 from mavfi.faults.instruction.variant import variant_of
 from mavfi.pipeline.functions import PLAIN
-from mavfi.mission import MissionSpec
 imported = time.perf_counter() - start
 for name, signature in pickle.loads(sys.stdin.buffer.read()):
     variant_of(getattr(PLAIN, name), signature)

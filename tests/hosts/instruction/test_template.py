@@ -19,6 +19,7 @@ from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.instruction import case, fly_instruction_faults, template
 from mavfi.hosts.loop.compose import resolve
 from mavfi.kernels.perception.point_cloud import back_project
+from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import code_folder
 
 pytestmark = pytest.mark.slow
@@ -29,7 +30,6 @@ ELSEWHERE = """
 import json, sys
 sys.path[:0] = {roots!r}
 from mavfi.faults.fault import fault_from_json
-from mavfi.mission import MissionSpec
 from tests.hosts.instruction.test_template import flown
 blocks = [bytearray(size) for size in range(1, 200_000, 977)]
 print(json.dumps(flown([fault_from_json(data) for data in json.loads(sys.stdin.read())])))

@@ -44,8 +44,8 @@ NEVER = 2**63 - 1
 MASK_BYTES = 512
 """Room for each of the masks `mavfi_keep` and `mavfi_flip`, and of the values before and after in the report."""
 REPORT_WORDS = 3
-"""The report begins with: injected?, block, offset.  A parent shares its memory with forked children, so that it outlives a
-crash."""
+"""The report begins with: injected?, block, offset.  Parents share its memory with forked children: it outlives
+a crash."""
 REPORT_BYTES = 8 * REPORT_WORDS + 2 * MASK_BYTES
 HANG_EXIT = 77
 """Exit status of a process whose kernel used up its budget of instructions."""
