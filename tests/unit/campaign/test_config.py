@@ -213,9 +213,9 @@ def test_every_key_of_a_mission_is_one_of_campaigns_and_arms():
     for key, value in values.items():
         campaign = small(mission={key: value}, arms={"x": {key: value}})
         again = Campaign.model_validate(campaign.to_json())
-        for campaign in (campaign, again):  # noqa: PLW2901
-            assert getattr(campaign.spec("sparse", 1), key) == value
-            assert getattr(campaign.spec("sparse", 1, campaign.arms["x"].mission), key) == value
+        for held in (campaign, again):
+            assert getattr(held.spec("sparse", 1), key) == value
+            assert getattr(held.spec("sparse", 1, held.arms["x"].mission), key) == value
 
 
 def test_null_runs_are_for_levels_that_have_them():

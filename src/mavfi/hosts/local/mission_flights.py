@@ -1,4 +1,4 @@
-"""All flights of one mission in this process: fast-forwarded where that gives the same bytes, flown the long way else."""
+"""All flights of one mission in this process: fast-forwarded where that gives the same bytes, else the long way."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
