@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare
 
-from mavfi.campaign.plan import share_out
-from mavfi.faults.sampling import draw, stage_target
+from mavfi.faults.sampling import draw, share_out, stage_target
 from mavfi.flight_log import Profile
 from mavfi.states import STATES
 
@@ -32,25 +31,25 @@ def uniform(counts: Counter, size: int) -> bool:
 
 def test_states_are_uniform(drawn):
     target, faults = drawn
-    assert uniform(Counter(fault.site.state for fault in faults), len(target.fields))
+    assert uniform(Counter(fault.where.state for fault in faults), len(target.fields))
 
 
 def test_fields_are_uniform_within_their_state_and_none_is_dead(drawn):
     target, faults = drawn
     for state, names in target.fields.items():
-        own = [fault for fault in faults if fault.site.state == state]
-        assert uniform(Counter(fault.site.field for fault in own), len(names))
-        assert not any(STATES[state].find(fault.site.field).dead_in(STACK) for fault in own)
+        own = [fault for fault in faults if fault.where.state == state]
+        assert uniform(Counter(fault.where.field for fault in own), len(names))
+        assert not any(STATES[state].find(fault.where.field).dead_in(STACK) for fault in own)
 
 
 def test_publications_elements_and_bits_are_uniform(drawn):
     target, faults = drawn
     for state in target.fields:
-        own = [fault for fault in faults if fault.site.state == state]
+        own = [fault for fault in faults if fault.where.state == state]
         assert uniform(Counter(fault.time_us for fault in own), LENGTHS[state])
-        elements = Counter(fault.site.element for fault in own if fault.site.element is not None)
+        elements = Counter(fault.where.element for fault in own if fault.where.element is not None)
         assert not elements or uniform(elements, 4)
-        doubles = Counter(f.bit for f in own if STATES[state].find(f.site.field).dtype == "f8")
+        doubles = Counter(f.bit for f in own if STATES[state].find(f.where.field).dtype == "f8")
         assert not doubles or uniform(doubles, 12)
 
 

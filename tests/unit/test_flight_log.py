@@ -16,7 +16,8 @@ def log(**changes):
     data = {
         "rows": rows, "status": MissionStatus.SUCCESS, "events": [Event(5, "plan", {"vertices": 3})],
         "injections": [Injection("state", "control.command.vx", 1.0, 62, 1.0, "inf", activated=True)],
-        "alarms": [AlarmRecord(1.0, "gaussian", "control.command", "control", fields=("control.command.vx",))], "meta": {"course_m": 3.5},
+        "alarms": [AlarmRecord(1.0, "gaussian", "control.command", "control", fields=("control.command.vx",))],
+        "meta": {"course_m": 3.5},
     }  # fmt: skip
     return FlightLog(**data | changes)
 

@@ -1,24 +1,31 @@
 import pytest
 
-from mavfi.outcomes import FlightEnd, Outcome, classify
+from mavfi.flight_record import End, FlightRecord
+from mavfi.outcomes import DUE, Effect, effect_of
+
+A, B = FlightRecord(End.FLOWN, digest="a"), FlightRecord(End.FLOWN, digest="b")
+LOST, DEAD = FlightRecord(End.UNKNOWN, error="ZeroDivisionError"), FlightRecord(End.DUE, error="died each time")
 
 
 @pytest.mark.parametrize(
-    ("golden", "injected", "outcome"),
+    ("golden", "injected", "effect"),
     [
-        (FlightEnd("a"), FlightEnd("a"), Outcome.MASKED),
-        (FlightEnd("a"), FlightEnd("b"), Outcome.SDC),
-        (FlightEnd("a"), FlightEnd(None, died=True), Outcome.DUE),
-        (None, FlightEnd(None, died=True), Outcome.DUE),
-        (None, FlightEnd("a"), Outcome.UNKNOWN),
-        (FlightEnd("a"), FlightEnd(None), Outcome.UNKNOWN),
-        (FlightEnd(None), FlightEnd(None), Outcome.UNKNOWN),
+        (A, A, Effect.MASKED),
+        (A, B, Effect.SDC),
+        (A, DEAD, Effect.CRASH),
+        (None, DEAD, Effect.CRASH),
+        (None, A, Effect.UNKNOWN),
+        (A, LOST, Effect.UNKNOWN),
+        (LOST, LOST, Effect.UNKNOWN),
+        (DEAD, A, Effect.UNKNOWN),
     ],
 )
-def test_classify(golden, injected, outcome):
-    assert classify(golden, injected) is outcome
+def test_the_effect_of_a_fault_on_a_flight(golden, injected, effect):
+    assert effect_of(golden, injected) is effect
 
 
-def test_outcomes_have_labels_and_sentences():
-    assert [outcome.label for outcome in Outcome] == ["masked", "sdc", "due", "unknown"]
-    assert all(outcome.value.endswith(".") for outcome in Outcome)
+def test_effects_have_labels_and_sentences():
+    labels = ["masked", "sdc", "crash", "hang", "exception", "not_activated", "unknown"]
+    assert [effect.label for effect in Effect] == labels
+    assert all(effect.value.endswith(".") for effect in Effect)
+    assert {effect.label for effect in DUE} == {"crash", "hang", "exception"}

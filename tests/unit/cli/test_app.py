@@ -15,7 +15,7 @@ from mavfi.states import STATES, states_with
 
 VERBS = (
     ["fly"], ["states"], ["train"], ["campaign"], ["campaign", "run"], ["campaign", "status"], ["campaign", "digest"],
-    ["report"], ["replay"], ["explain"], ["vulnerability"], ["reproduce"],
+    ["report"], ["runs"], ["replay"], ["explain"], ["vulnerability"], ["reproduce"], ["export"], ["inject"],
 )  # fmt: skip
 
 

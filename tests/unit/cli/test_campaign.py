@@ -1,5 +1,6 @@
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -8,21 +9,24 @@ import time
 import pytest
 
 from mavfi.cli import run
+from mavfi.errors import BadInputError
+from tests.unit.campaign.fakes import HOST
 
 CAMPAIGN = """
 name: tiny
 environments: [sparse]
-flights: {flights}
+missions: {missions}
 faults: 1
-strata: {{sign_exponent: 1}}
+sampling: {{strata: {{sign_exponent: 1}}}}
 null_runs: 1
 """
+FAKE = f"{CAMPAIGN}host: {HOST}\n"
 
 
 @pytest.fixture(scope="module")
 def config(tmp_path_factory):
     path = tmp_path_factory.mktemp("config") / "tiny.yaml"
-    path.write_text(CAMPAIGN.format(flights=1))
+    path.write_text(FAKE.format(missions=1))
     return path
 
 
@@ -31,6 +35,16 @@ def flown(config, tmp_path_factory):
     directory = tmp_path_factory.mktemp("flown")
     assert run(["campaign", "run", str(config), "--out", str(directory), "--workers", "1"]) == 0
     return directory
+
+
+@pytest.fixture(scope="module")
+def really_flown(tmp_path_factory):
+    """By the host `local`."""
+    directory = tmp_path_factory.mktemp("really")
+    (directory / "tiny.yaml").write_text(CAMPAIGN.format(missions=1))
+    arguments = [str(directory / "tiny.yaml"), "--out", str(directory / "out"), "--workers", "1"]
+    assert run(["campaign", "run", *arguments]) == 0
+    return directory / "out"
 
 
 def _json(capsys, *arguments):
@@ -42,27 +56,43 @@ def test_status_counts_by_setting(capsys, flown):
     data = _json(capsys, "campaign", "status", str(flown))
     assert data["complete"] and data["done"] == data["total"] == 5
     assert data["settings"]["fi"] == {"planned": 3, "flown": 3, "succeeded": data["settings"]["fi"]["succeeded"]}
+    assert run(["campaign", "status", str(flown)]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("5 of 5 runs, complete") and "golden" in text
 
 
 def test_digest_is_the_same_when_run_again(capsys, config, flown):
     digest = _json(capsys, "campaign", "digest", str(flown))["digest"]
     assert run(["campaign", "run", str(config), "--out", str(flown), "--workers", "1"]) == 0
-    capsys.readouterr()
+    assert f"mavfi report {flown}" in capsys.readouterr().out
     assert run(["campaign", "digest", str(flown)]) == 0
     assert capsys.readouterr().out.strip() == digest
 
 
-@pytest.mark.slow
-def test_the_long_way_gives_the_same_digest(capsys, config, flown, tmp_path):
-    arguments = ["campaign", "run", str(config), "--out", str(tmp_path), "--workers", "1", "--no-forking"]
-    assert run(arguments) == 0
-    capsys.readouterr()
-    digests = [_json(capsys, "campaign", "digest", str(folder))["digest"] for folder in (flown, tmp_path)]
-    assert digests[0] == digests[1]
+def test_a_dry_run_says_what_would_be_flown_and_writes_nothing(capsys, config, flown, tmp_path):
+    assert run(["campaign", "run", str(config), "--out", str(tmp_path / "out"), "--dry-run"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("5 runs at most, 0 of them done")
+    assert "1 missions in each of: sparse · seeds 10000 to 10000" in text
+    assert "faults of level state, 3 per environment: perception, planning, control" in text
+    assert not (tmp_path / "out").exists()
+    assert run(["campaign", "run", str(config), "--out", str(flown), "--dry-run"]) == 0
+    assert capsys.readouterr().out.startswith("5 runs at most, 5 of them done")
 
 
 @pytest.mark.slow
-def test_the_digest_of_a_part_says_that_it_is_one(capsys, tmp_path, flown):
+def test_the_long_way_gives_the_same_digest(capsys, really_flown, tmp_path):
+    (tmp_path / "tiny.yaml").write_text(CAMPAIGN.format(missions=1))
+    digests = [_json(capsys, "campaign", "digest", str(really_flown))["digest"]]
+    for option in ("--no-fast-forward", "--no-forking"):
+        arguments = [str(tmp_path / "tiny.yaml"), "--out", str(tmp_path / option), "--workers", "1", option]
+        assert run(["campaign", "run", *arguments]) == 0
+        capsys.readouterr()
+        digests.append(_json(capsys, "campaign", "digest", str(tmp_path / option))["digest"])
+    assert len(set(digests)) == 1
+
+
+def test_the_digest_of_a_part_says_that_it_is_one(capsys, tmp_path, flown, config):
     from mavfi.campaign.config import load_campaign
     from mavfi.campaign.run import run_campaign
 
@@ -70,42 +100,40 @@ def test_the_digest_of_a_part_says_that_it_is_one(capsys, tmp_path, flown):
         if progress.done == 1:
             raise KeyboardInterrupt
 
-    config = tmp_path / "tiny.yaml"
-    config.write_text(CAMPAIGN.format(flights=1))
     with pytest.raises(KeyboardInterrupt):
-        run_campaign(load_campaign(str(config)), tmp_path / "part", workers=1, progress=stop)
+        run_campaign(load_campaign(config), tmp_path / "part", progress=stop)
     assert run(["campaign", "digest", str(tmp_path / "part")]) == 0
     captured = capsys.readouterr()
     assert len(captured.out.strip()) == 64
-    assert captured.err.startswith("partial: 1 of 5 flights")
+    assert captured.err.startswith("partial: 1 of 5 runs")
     data = _json(capsys, "campaign", "digest", str(tmp_path / "part"))
     assert (data["partial"], data["done"], data["total"]) == (True, 1, 5)
     assert not _json(capsys, "campaign", "digest", str(flown))["partial"]
 
 
 @pytest.mark.slow
-def test_report_prints_tables_and_writes_files(capsys, flown):
-    assert run(["report", str(flown), "--no-draw-run"]) == 0
+def test_report_prints_tables_and_writes_files(capsys, really_flown):
+    assert run(["report", str(really_flown), "--no-draw-run"]) == 0
     text = capsys.readouterr().out
-    assert "Success of missions" in text and "stack published" in text
-    assert {"report.md", "readme_block.md", "summary.json", "success.png"} <= {path.name for path in flown.iterdir()}
-    assert _json(capsys, "report", str(flown), "--no-draw-run")["campaign"]["name"] == "tiny"
+    assert "autopilot published" in text and "success" in text.lower()
+    assert {"report.md", "summary.json"} <= {path.name for path in really_flown.iterdir()}
+    assert _json(capsys, "report", str(really_flown), "--no-draw-run")
 
 
 @pytest.mark.slow
-def test_replay_gives_the_same_bytes(capsys, flown):
-    data = _json(capsys, "replay", str(flown), "sparse-10000-fi-planning")
+def test_replay_gives_the_same_bytes(capsys, really_flown):
+    data = _json(capsys, "replay", str(really_flown), "sparse-10000-fi-planning")
     assert data["same"] and data["digest"] == data["stored_digest"]
-    assert run(["replay", str(flown), "sparse-10000-golden-"]) == 0
+    assert run(["replay", str(really_flown), "sparse-10000-golden-"]) == 0
     assert "the same flight, bit for bit" in capsys.readouterr().out
 
 
 @pytest.mark.slow
-def test_explain_tells_the_story(capsys, flown):
-    assert run(["explain", str(flown), "sparse-10000-fi-planning"]) == 0
+def test_explain_tells_the_story(capsys, really_flown):
+    assert run(["explain", str(really_flown), "sparse-10000-fi-planning"]) == 0
     text = capsys.readouterr().out
     assert text.startswith("run") and "first difference" in text and "end" in text
-    assert _json(capsys, "explain", str(flown), "sparse-10000-fi-planning")["same_digest"]
+    assert _json(capsys, "explain", str(really_flown), "sparse-10000-fi-planning")["same_digest"]
 
 
 @pytest.mark.parametrize(
@@ -117,37 +145,43 @@ def test_explain_tells_the_story(capsys, flown):
         (["campaign", "run", "CONFIG", "--out", "CONFIG"], "cannot be written"),
         (["campaign", "run", "CONFIG", "--out", "OUT", "--scale", "huge"], "scale 'huge'"),
         (["campaign", "run", "nothing"], "campaign 'nothing': not known"),
+        (["campaign", "run", "OLD"], "key 'flights': is now 'missions'"),
         (["campaign", "status", "OUT"], "holds no campaign"),
         (["campaign", "digest", "OUT"], "holds no campaign"),
         (["report", "OUT"], "holds no campaign"),
         (["replay", "OUT", "run"], "holds no campaign"),
         (["explain", "OUT", "run"], "holds no campaign"),
         (["replay", "FLOWN", "nothing"], "no run of that name"),
+        (["replay", "FLOWN", "sparse"], "5 runs begin so; allowed, among others: sparse-10000-golden-"),
         (["explain", "FLOWN", "sparse-10000-golden-"], "no fault to explain"),
         (["reproduce", "--scale", "huge", "--out", "OUT"], "scale 'huge'"),
         (["reproduce", "--workers", "0", "--out", "OUT"], "workers: 0"),
         (["reproduce", "--out", "CONFIG"], "cannot be written"),
-        (["reproduce", "--out", "FLOWN"], "holds another campaign (differs in: campaign, scenarios)"),
+        (["reproduce", "--out", "STUDY"], "holds another campaign (differs in: campaign, scenarios)"),
+        (["reproduce", "nothing", "--out", "OUT"], "study 'nothing': not known; allowed: paper"),
         (["train", "--flights", "0", "--out", "OUT"], "--flights: 0"),
         (["train", "--out", "CONFIG"], "cannot be written"),
-        (["states", "--stack", "soft"], "--stack"),
+        (["states", "--stack", "soft"], "soft"),
         (["nothing"], "nothing"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, config, flown, arguments, told):
-    places = {"OUT": str(tmp_path / "out"), "CONFIG": str(config), "FLOWN": str(flown)}
-    assert run([places.get(argument, argument) for argument in arguments]) == 2
+    places = {"OUT": tmp_path / "out", "CONFIG": config, "FLOWN": flown, "OLD": tmp_path / "old.yaml"}
+    places["OLD"].write_text("name: old\nenvironments: [sparse]\nflights: 3\n")
+    places["STUDY"] = tmp_path / "study"
+    shutil.copytree(flown, places["STUDY"] / "states")
+    assert run([str(places.get(argument, argument)) for argument in arguments]) == 2
     error = capsys.readouterr().err
     assert error.startswith("mavfi: ") and error.count("\n") == 1
     assert told in error
     assert not (tmp_path / "out").exists()
-    assert not (flown / "models").exists()
+    assert not (flown / "models").exists() and not (places["STUDY"] / "models").exists()
 
 
 def test_a_folder_with_another_campaign_is_left_alone(capsys, tmp_path, flown):
     before = _json(capsys, "campaign", "digest", str(flown))
     other = tmp_path / "other.yaml"
-    other.write_text(CAMPAIGN.format(flights=2))
+    other.write_text(FAKE.format(missions=2))
     assert run(["campaign", "run", str(other), "--out", str(flown)]) == 2
     assert "holds another campaign" in capsys.readouterr().err
     assert _json(capsys, "campaign", "digest", str(flown)) == before
@@ -156,7 +190,7 @@ def test_a_folder_with_another_campaign_is_left_alone(capsys, tmp_path, flown):
 @pytest.mark.slow
 def test_ctrl_c_stops_cleanly_and_the_same_command_goes_on(capsys, tmp_path):
     config, out = tmp_path / "many.yaml", tmp_path / "out"
-    config.write_text(CAMPAIGN.format(flights=8))
+    config.write_text(CAMPAIGN.format(missions=8))
     command = [sys.executable, "-c", "from mavfi.cli import main; main()", "campaign", "run", str(config)]
     command += ["--out", str(out), "--workers", "1"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True)
@@ -176,7 +210,6 @@ def test_ctrl_c_stops_cleanly_and_the_same_command_goes_on(capsys, tmp_path):
 
 def _flown(directory):
     from mavfi.campaign.run import status
-    from mavfi.errors import BadInputError
 
     try:
         return status(directory).done

@@ -66,7 +66,7 @@ def test_a_state_that_was_never_published_is_kept_as_no_site():
     fault = draw(stage_target("control", "published"), "sign_exponent", Profile(), 1, 0)
     assert fault.time_us == NO_SITE
     assert not fault.has_site
-    assert fault.site.state in ("control.command", "control.tracking")
+    assert fault.where.state in ("control.command", "control.tracking")
     assert fault.bit is not None
 
 
@@ -77,7 +77,7 @@ def test_an_element_is_drawn_only_from_publications_that_carry_some():
     )
     drawn = [draw(target, "sign_exponent", some, seed, 0) for seed in range(60)]
     assert {fault.time_us for fault in drawn} == {20}
-    assert {fault.site.element for fault in drawn} == {0, 1, 2}
+    assert {fault.where.element for fault in drawn} == {0, 1, 2}
 
 
 def test_weights_lead_back_to_the_whole_word():
@@ -91,7 +91,7 @@ def test_weights_count_the_fields_that_a_stratum_leaves_out():
     target = group_target("status", [f"perception.collision_status.{name}" for name in names])
     expected = {"time_to_collision": 52 / 64 * 2 / 3, "future_collision_seq": 31 / 32 * 2 / 3}
     drawn = [draw(target, "mantissa", Profile(), seed, 0) for seed in range(40)]
-    assert {fault.site.field: fault.weight for fault in drawn} == pytest.approx(expected)
+    assert {fault.where.field: fault.weight for fault in drawn} == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("stack", ["published", "hardened"])
@@ -105,7 +105,7 @@ def test_the_mean_weights_of_strata_that_make_up_words_add_up_to_one(stage, stac
         fault_weight = {}
         for seed in range(400):
             fault = draw(target, stratum, Profile(), seed, 0)
-            fault_weight[fault.site.state, fault.site.field] = fault.weight
+            fault_weight[fault.where.state, fault.where.field] = fault.weight
         for (state, _), weight in fault_weight.items():
             total += part.probability(state) * weight
         assert sum(map(len, part.fields.values())) == len(fault_weight)

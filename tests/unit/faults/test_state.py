@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import NO_SITE, Fault, FaultSite
+from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.faults.state import ActedOn, StateInjector, flip
 from mavfi.states import STATES, State, new_state
 
@@ -33,9 +33,9 @@ def collision_status(seq: int, time=12.0) -> State:
 )
 def test_flip_changes_the_bit_that_ieee_754_says(bit, after):
     state = waypoint()
-    struck, before, value = flip(state, WAYPOINT, bit)
+    changed, before, value = flip(state, WAYPOINT, bit)
     assert (before, value) == (50.0, after)
-    assert struck.header["x"][0] == after
+    assert changed.header["x"][0] == after
     assert state.header["x"][0] == 50.0
 
 
@@ -45,19 +45,19 @@ def test_flip_inverts_a_flag_and_changes_an_integer_in_twos_complement():
     assert flip(state, FaultSite("perception.collision_status", "future_collision_seq"), 31)[1:] == (5, 5 - 2**31)
 
 
-def test_flip_strikes_the_element_and_nothing_else():
+def test_flip_injects_the_element_and_nothing_else():
     state = trajectory(4)
-    struck, before, after = flip(state, FaultSite("planning.trajectory", "y", 2), 63)
+    changed, before, after = flip(state, FaultSite("planning.trajectory", "y", 2), 63)
     assert (before, after) == (12.0, -12.0)
-    assert struck.elements["y"].tolist() == [10.0, 11.0, -12.0, 13.0]
-    changed = np.frombuffer(struck.elements.tobytes(), np.uint8) != np.frombuffer(state.elements.tobytes(), np.uint8)
-    assert changed.sum() == 1
+    assert changed.elements["y"].tolist() == [10.0, 11.0, -12.0, 13.0]
+    differing = np.frombuffer(changed.elements.tobytes(), np.uint8) != np.frombuffer(state.elements.tobytes(), np.uint8)
+    assert differing.sum() == 1
 
 
 def test_flip_clamps_the_element_to_what_is_there():
-    struck, before, _ = flip(trajectory(2), FaultSite("planning.trajectory", "y", 9), 63)
+    changed, before, _ = flip(trajectory(2), FaultSite("planning.trajectory", "y", 9), 63)
     assert before == 11.0
-    assert struck.elements["y"].tolist() == [10.0, -11.0]
+    assert changed.elements["y"].tolist() == [10.0, -11.0]
 
 
 @pytest.mark.parametrize(("site", "bit"), [("x", 64), ("x", -1), ("trajectory_seq", 32)])
@@ -73,7 +73,7 @@ def test_flip_refuses_an_empty_list():
 
 # ---- the injector, and mutants of it that these checks must catch ---------------------------------------------------
 def run_injector(injector) -> list[State]:
-    """Publications at 0.5 s pitch of which the one at 2 s must be struck, with others in between."""
+    """Publications at 0.5 s pitch of which the one at 2 s must be changed, with others in between."""
     published = []
     for step in range(10):
         injector(new_state("control.command"), 500_000 * step)
@@ -81,7 +81,7 @@ def run_injector(injector) -> list[State]:
     return published
 
 
-FAULT = Fault("state", FaultSite("planning.trajectory", "y", 3), 1_700_000, 52)
+FAULT = StateFault(FaultSite("planning.trajectory", "y", 3), 1_700_000, 52)
 
 
 def check_injector(make) -> None:
@@ -92,7 +92,7 @@ def check_injector(make) -> None:
     expected = [10.0, 11.0, 12.0, 26.0, 14.0]  # 13 = 1.625 x 2^3: the lowest bit of the exponent doubles it
     assert published[5].elements["y"].tolist() == expected
     [injection] = injector.finish()
-    assert injection.hit
+    assert injection.activated
     assert (injection.before, injection.after, injection.bit) == (13.0, 26.0, 52)
     assert injection.time_s == pytest.approx(2.5)
     assert injection.site == "planning.trajectory.y[3]"
@@ -100,18 +100,18 @@ def check_injector(make) -> None:
 
 class OffByOneBit(StateInjector):
     def __init__(self, fault):
-        super().__init__(Fault(fault.level, fault.site, fault.time_us, fault.bit + 1))
+        super().__init__(StateFault(fault.where, fault.time_us, fault.bit + 1))
 
 
 class OffByOneElement(StateInjector):
     def __init__(self, fault):
-        site = FaultSite(fault.site.state, fault.site.field, fault.site.element + 1)
-        super().__init__(Fault(fault.level, site, fault.time_us, fault.bit))
+        site = FaultSite(fault.where.state, fault.where.field, fault.where.element + 1)
+        super().__init__(StateFault(site, fault.time_us, fault.bit))
 
 
 class OnePublicationLate(StateInjector):
     def __init__(self, fault):
-        super().__init__(Fault(fault.level, fault.site, fault.time_us + 1_000_000, fault.bit))
+        super().__init__(StateFault(fault.where, fault.time_us + 1_000_000, fault.bit))
 
 
 class Never(StateInjector):
@@ -122,7 +122,7 @@ class Never(StateInjector):
 class Sticky(StateInjector):
     def __call__(self, state, time_us):
         if self.injections and state.spec is self._spec and len(state.elements):
-            return flip(state, self._fault.site, self._fault.bit)[0]
+            return flip(state, self._fault.where, self._fault.bit)[0]
         return super().__call__(state, time_us)
 
 
@@ -134,12 +134,12 @@ class Twice(StateInjector):
 
 
 class Liar(StateInjector):
-    def _strike(self, state, time_us):
-        super()._strike(state, time_us)
+    def _inject(self, state, time_us):
+        super()._inject(state, time_us)
         return state
 
 
-def test_injector_strikes_as_the_fault_says():
+def test_injector_injects_as_the_fault_says():
     check_injector(StateInjector)
 
 
@@ -151,13 +151,13 @@ def test_the_checks_catch_mutants_of_the_injector(mutant):
 
 def test_injector_leaves_the_original_as_it_was():
     state = waypoint()
-    struck = StateInjector(Fault("state", WAYPOINT, 0, 63))(state, 0)
+    changed = StateInjector(StateFault(WAYPOINT, 0, 63))(state, 0)
     assert state.header["x"][0] == 50.0
-    assert struck.header["x"][0] == -50.0
+    assert changed.header["x"][0] == -50.0
 
 
 def test_untouched_publications_are_the_same_objects():
-    injector = StateInjector(Fault("state", WAYPOINT, 1_000_000, 63))
+    injector = StateInjector(StateFault(WAYPOINT, 1_000_000, 63))
     early, other = waypoint(), new_state("control.command")
     assert injector(early, 999_999) is early
     assert injector(other, 2_000_000) is other
@@ -166,36 +166,36 @@ def test_untouched_publications_are_the_same_objects():
 
 
 def test_null_fault_goes_the_whole_path_and_changes_nothing():
-    injector = StateInjector(Fault("state", WAYPOINT, 0, None))
+    injector = StateInjector(StateFault(WAYPOINT, 0, None))
     state = waypoint()
     passed = injector(state, 40_000)
     assert passed is not state
     assert passed.same_bits(state)
     [injection] = injector.finish()
-    assert injection.hit
+    assert injection.activated
     assert injection.bit is None
     assert injection.before == injection.after == 50.0
 
 
-def test_a_publication_that_never_comes_is_reported_as_not_hit():
-    injector = StateInjector(Fault("state", WAYPOINT, 5_000_000, 3))
+def test_a_publication_that_never_comes_is_reported_as_not_activated():
+    injector = StateInjector(StateFault(WAYPOINT, 5_000_000, 3))
     injector(waypoint(), 4_000_000)
     [injection] = injector.finish()
-    assert not injection.hit
+    assert not injection.activated
     assert injection.before is None
     assert injection.time_s == 5.0
 
 
-def test_a_fault_without_a_site_never_strikes():
-    injector = StateInjector(Fault("state", WAYPOINT, NO_SITE, 3))
+def test_a_fault_without_a_site_never_injects():
+    injector = StateInjector(StateFault(WAYPOINT, NO_SITE, 3))
     state = waypoint()
     assert injector(state, 0) is state
-    assert not injector.finish()[0].hit
+    assert not injector.finish()[0].activated
 
 
 def test_event_states_are_struck_only_when_consumers_act_on_them():
     site = FaultSite("perception.collision_status", "time_to_collision")
-    injector = StateInjector(Fault("state", site, 1_000_000, 63))
+    injector = StateInjector(StateFault(site, 1_000_000, 63))
     sequence = [(0, 0), (1, 500_000), (1, 1_000_000), (1, 1_500_000), (2, 2_000_000), (3, 2_500_000)]
     times = [time for seq, time in sequence if injector(collision_status(seq), time).header[site.field][0] < 0]
     assert times == [2_000_000]
@@ -209,19 +209,14 @@ def test_acted_on_tells_increments_from_repetitions():
 
 def test_injector_refuses_a_site_that_does_not_exist():
     with pytest.raises(BadInputError, match="no state"):
-        StateInjector(Fault("state", FaultSite("planning.nowhere", "x")))
+        StateInjector(StateFault(FaultSite("planning.nowhere", "x")))
     with pytest.raises(BadInputError, match="no field"):
-        StateInjector(Fault("state", FaultSite("planning.waypoint", "roll")))
+        StateInjector(StateFault(FaultSite("planning.waypoint", "roll")))
 
 
 def test_injection_is_strict_json_even_if_the_value_is_not_finite():
     state = waypoint(1.5)
-    injector = StateInjector(Fault("state", WAYPOINT, 0, 62))
+    injector = StateInjector(StateFault(WAYPOINT, 0, 62))
     injector(state, 0)
     [injection] = injector.finish()
     assert injection.to_json()["after"] == "nan"
-
-
-def test_fault_survives_json():
-    fault = Fault("state", FaultSite("planning.trajectory", "y", 3), 17, 52, stratum="mantissa", weight=0.5, stage="p")
-    assert Fault.from_json(fault.to_json()) == fault

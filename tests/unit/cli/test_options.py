@@ -1,0 +1,104 @@
+"""Every key of a mission is an option of the verbs that fly one."""
+
+from collections.abc import Callable
+from typing import Literal, get_args, get_origin
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from mavfi.cli.options import mission_of, option_name, with_mission_options
+from mavfi.config import parse
+from mavfi.errors import BadInputError
+from mavfi.mission import LARGEST_SEED, MissionSpec
+
+VALUES = {
+    "environment": "dense", "seed": 7, "start": (1.0, 2.0, 3.0), "goal": (9.0, 2.0, 3.0), "autopilot": "hardened",
+    "planner": "rrt", "platform": "cortex-a57", "map": "octree", "map_resolution": 0.4, "vehicle": "small_quad",
+    "v_max": 2.0, "depth_noise": 0.1, "wind": 3.0, "localization": "estimator", "coupling": "observer",
+}  # fmt: skip
+
+
+@pytest.fixture
+def fly() -> Callable[..., MissionSpec]:
+    """A verb; gives the mission that its arguments ask for."""
+    found = []
+    app = typer.Typer()
+
+    @app.command()
+    @with_mission_options
+    def verb(mission: MissionSpec, loud: bool = False) -> None:
+        found.append((mission, loud))
+
+    def call(*arguments):
+        CliRunner().invoke(app, [str(argument) for argument in arguments], catch_exceptions=False)
+        return found.pop()
+
+    return call
+
+
+def arguments_for(name):
+    value = VALUES[name]
+    return [option_name(name), *(value if isinstance(value, tuple) else (value,))]
+
+
+def test_without_options_it_is_the_default_mission(fly):
+    assert fly() == (MissionSpec(), False)
+
+
+@pytest.mark.parametrize("name", MissionSpec.model_fields)
+def test_each_key_is_an_option(fly, name):
+    mission, loud = fly(*arguments_for(name), "--loud")
+    assert mission == MissionSpec(**{name: VALUES[name]}) != MissionSpec() and loud
+
+
+def test_all_options_together(fly):
+    mission, _ = fly(*[part for name in VALUES for part in arguments_for(name)])
+    assert mission == MissionSpec(**VALUES)
+    assert set(VALUES) == set(MissionSpec.model_fields)
+
+
+def test_the_older_name_of_the_autopilot_still_works(fly):
+    assert fly("--stack", "hardened")[0].autopilot == "hardened"
+    assert MissionSpec(stack="hardened") == MissionSpec(autopilot="hardened")
+
+
+@pytest.mark.parametrize("name", MissionSpec.model_fields)
+def test_every_key_says_what_it_is(name):
+    description = MissionSpec.model_fields[name].description
+    assert description and description.endswith(".")
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"seed": -1}, f"--seed: -1: allowed: 0 to {LARGEST_SEED}"),
+        ({"seed": 2**63}, f"--seed: {2**63}: allowed: 0 to {LARGEST_SEED}"),
+        ({"wind": 31.0}, "--wind: 31.0: allowed: 0 to 30"),
+        ({"v_max": float("inf")}, "--v-max: inf: allowed: 0.1 to 20"),
+        ({"map_resolution": 0.0}, "--map-resolution: 0.0: allowed: 0.02 to 5"),
+        ({"localization": "gps"}, "--localization: gps: allowed: truth, estimator"),
+        ({"coupling": "tight"}, "--coupling: tight: allowed: inline, observer"),
+        ({"start": (float("nan"), 0.0, 1.0)}, "--start: nan 0.0 1.0: allowed: three finite numbers (m)"),
+        ({"goal": (0.0, float("inf"), 1.0)}, "--goal: 0.0 inf 1.0: allowed: three finite numbers (m)"),
+    ],
+)
+def test_a_value_that_is_not_allowed_is_named_with_its_option(given, message):
+    with pytest.raises(BadInputError) as caught:
+        mission_of(given)
+    assert str(caught.value).startswith(message)
+
+
+@pytest.mark.parametrize("name", MissionSpec.model_fields)
+def test_files_and_options_refuse_the_same(name):
+    """Numbers beyond their bounds, and words that are none of the allowed ones."""
+    field = MissionSpec.model_fields[name]
+    wrong = "nonsense" if get_origin(field.annotation) is Literal else -1.0 if field.metadata else None
+    if wrong is None:
+        return
+    with pytest.raises(BadInputError):
+        mission_of({name: wrong})
+    with pytest.raises(BadInputError, match=name):
+        parse(MissionSpec, {name: wrong}, "file.yaml")
+    for allowed in get_args(field.annotation) if get_origin(field.annotation) is Literal else ():
+        assert getattr(mission_of({name: allowed}), name) == allowed

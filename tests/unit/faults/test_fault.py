@@ -1,0 +1,125 @@
+"""Faults of all levels are one union of plain data."""
+
+import json
+from dataclasses import FrozenInstanceError
+from typing import get_args
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import (
+    ACCESSES,
+    LEVELS,
+    LONGEST_TIMEOUT,
+    LONGEST_WALK,
+    MODELS,
+    NO_SITE,
+    REGISTERS,
+    Fault,
+    FaultSite,
+    InstructionFault,
+    MessageFault,
+    RegisterFault,
+    StateFault,
+    fault_from_json,
+)
+from mavfi.states import STATES
+
+seeds = st.integers(0, 2**63 - 1)
+fields = [(spec.name, field.name) for spec in STATES.values() for field in spec.fields]
+sites = st.builds(
+    lambda place, element: FaultSite(*place, element), st.sampled_from(fields), st.none() | st.integers(0, 99)
+)
+state_faults = st.builds(
+    StateFault, sites, st.just(NO_SITE) | st.integers(0, 10**9), st.none() | st.integers(0, 63),
+    st.sampled_from(["", "mantissa"]), st.floats(0, 1), seeds,
+)  # fmt: skip
+instruction_faults = st.builds(
+    InstructionFault, st.text(), st.text(), st.integers(0), st.just(NO_SITE) | st.integers(0),
+    st.lists(st.integers(0, 127), max_size=3).map(tuple), st.integers(0, 2**128), st.integers(0),
+    model=st.sampled_from(MODELS), kernel=st.text(), entry=st.text(), seed=seeds, weight=st.floats(0, 9),
+)  # fmt: skip
+message_faults = st.builds(
+    MessageFault, st.text(), st.text(), st.none() | st.integers(0, 63), st.integers(1, 10**6),
+    st.none() | st.floats(0, 1, exclude_min=True), seed=seeds,
+)  # fmt: skip
+register_faults = st.builds(
+    RegisterFault, st.sampled_from(REGISTERS), st.sampled_from(ACCESSES), st.text(), st.integers(0, 2**22),
+    st.integers(1, LONGEST_WALK), st.floats(0, LONGEST_TIMEOUT, exclude_min=True), st.booleans(), st.text(), seed=seeds,
+)  # fmt: skip
+faults = state_faults | instruction_faults | message_faults | register_faults
+
+
+@given(faults)
+def test_a_fault_of_any_level_survives_json(fault):
+    again = fault_from_json(json.loads(json.dumps(fault.to_json(), allow_nan=False)))
+    assert again == fault and type(again) is type(fault)
+    assert hash(again) == hash(fault)
+
+
+@given(faults)
+def test_every_fault_says_level_site_weight_and_seed(fault):
+    assert LEVELS[fault.level] is type(fault)
+    assert isinstance(fault.site, str) and fault.weight >= 0 and fault.seed >= 0
+    assert fault.has_site in (True, False)
+    assert fault.bit is None or fault.bit >= 0
+    assert isinstance(fault.stratum, str)
+
+
+def test_levels_are_those_of_the_union():
+    assert tuple(LEVELS.values()) == get_args(Fault)
+    assert list(LEVELS) == ["state", "instruction", "message", "register"]
+
+
+def test_a_fault_is_data():
+    with pytest.raises(FrozenInstanceError):
+        StateFault(FaultSite("control.command", "vx")).bit = 3
+
+
+def test_sites_as_text():
+    assert StateFault(FaultSite("planning.path", "x", 2)).site == "planning.path.x[2]"
+    assert StateFault(FaultSite("control.command", "vx")).site == "control.command.vx"
+    assert InstructionFault("m.f", "sha", 1, kernel="pid", entry="track").site == "pid.track"
+    assert InstructionFault("m.f", "sha", 1).site == "m.f"
+    assert MessageFault("/joints", "position[0]").site == "/joints.position[0]"
+    assert (RegisterFault("fp", node="planner").site, RegisterFault("fp").site) == ("planner:fp", "fp")
+
+
+def test_a_draw_without_a_site_says_so():
+    assert not StateFault(FaultSite("control.command", "vx"), NO_SITE).has_site
+    assert not InstructionFault("f", "", 0, NO_SITE).has_site
+    assert StateFault(FaultSite("control.command", "vx")).has_site and InstructionFault("f", "", 0).has_site
+
+
+@given(st.lists(st.integers(0, 63), min_size=1, max_size=4, unique=True), st.integers(0, 2**64 - 1))
+def test_bits_are_flipped_or_the_whole_value_is_replaced(bits, value):
+    for fault, wanted in (
+        (InstructionFault("f", "", 0, bits=tuple(bits)), lambda v: v ^ sum(1 << bit for bit in bits)),
+        (InstructionFault("f", "", 0, value=value), lambda v: value),
+    ):
+        keep, flip = fault.masks
+        for before in (0, 2**64 - 1, value):
+            assert (before & keep) ^ flip == wanted(before)
+    assert InstructionFault("f", "", 0, bits=tuple(bits)).bit == (bits[0] if len(bits) == 1 else None)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: MessageFault("t", "f", at=0), "at: 0: allowed: 1 or more"),
+        (lambda: MessageFault("t", "f", rate=0.0), "rate: 0.0: allowed: above 0, to 1"),
+        (lambda: RegisterFault("vector"), "registers: 'vector': allowed: all, general, fp"),
+        (lambda: RegisterFault(access="both"), "access: 'both': allowed: either, read, write"),
+        (lambda: RegisterFault(walk=0), "walk: 0: allowed: 1 to 100000"),
+        (lambda: RegisterFault(timeout=0.0), "timeout: 0.0: allowed: above 0, to 3600 s"),
+        (lambda: RegisterFault(thread=-1), "thread: -1: allowed"),
+        (lambda: fault_from_json({"level": "planet"}), "level 'planet': not known; allowed: state, instruction"),
+        (lambda: fault_from_json({}), "level None: not known"),
+    ],
+)
+def test_what_is_not_allowed_is_named(make, message):
+    with pytest.raises(BadInputError) as caught:
+        make()
+    assert message in str(caught.value)

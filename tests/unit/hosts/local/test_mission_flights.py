@@ -1,0 +1,132 @@
+"""Which flights of a mission are fast-forwarded, and what becomes of those that cannot be flown."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import FaultSite, InstructionFault, MessageFault, StateFault
+from mavfi.flight_log import Profile
+from mavfi.hosts.host import ArmSetup, Flight
+from mavfi.hosts.local import mission_flights
+from mavfi.hosts.local.mission_flights import LocalHost
+
+SITE = FaultSite("control.command", "vx")
+FAULT, NULL = StateFault(SITE, 5, 62), StateFault(SITE, 5)
+DATA, WRONG = InstructionFault("f", "sha", 1), InstructionFault("f", "wrong", 1)
+
+
+class Scenario(SimpleNamespace):
+    def key(self):
+        return self.name
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """What was flown, and how; `broken` lets fast-forwarding fail."""
+    found = SimpleNamespace(flown=[], made=[], detectors=0, broken=False)
+
+    class FastForward:
+        def __init__(self, scenario):
+            found.made.append(scenario.name)
+
+        def fly(self, fault, detector, arm, coupling):
+            if found.broken:
+                raise TypeError("cannot be copied")
+            found.flown.append(("fast", fault, detector, arm, coupling))
+            return SimpleNamespace(log=fault, profile=Profile())
+
+    def fly(scenario, fault, detector, *, coupling, profile):
+        found.flown.append(("long", fault, detector, scenario.name, coupling))
+        return Flight(fault, Profile() if profile else None)
+
+    def fly_instruction_faults(scenario, faults, detector, golden, coupling):
+        if WRONG in faults:
+            raise BadInputError("other machine code")
+        found.flown.append(("instructions", tuple(faults), detector, golden, coupling))
+        return SimpleNamespace(flights=[Flight(fault) for fault in faults])
+
+    monkeypatch.setattr(mission_flights, "FastForward", FastForward)
+    monkeypatch.setattr(mission_flights, "fly", fly)
+    monkeypatch.setattr(mission_flights, "fly_instruction_faults", fly_instruction_faults)
+    return found
+
+
+@pytest.fixture
+def arms(calls):
+    def make():
+        calls.detectors += 1
+        return "watcher"
+
+    return {
+        "": ArmSetup(Scenario(name="own")), "g": ArmSetup(Scenario(name="own"), make, "observer"),
+        "slow": ArmSetup(Scenario(name="other")),
+    }  # fmt: skip
+
+
+def ways(calls):
+    return [(way, fault) for way, fault, *_ in calls.flown]
+
+
+def test_flights_of_a_mission_share_what_is_known_of_their_scenario(calls, arms):
+    flights = LocalHost().mission(arms)
+    assert flights.golden("", profile=True).profile is not None
+    for _, flight in flights.injected([("", FAULT), ("g", FAULT), ("slow", FAULT)]):
+        assert flight.log is FAULT
+    flights.golden("g")
+    assert [way for way, *_ in calls.flown] == ["fast"] * 5
+    assert calls.made == ["own", "other"]
+    assert calls.flown[2] == ("fast", FAULT, "watcher", "g", "observer"), "known flights are told apart by arm"
+    assert calls.flown[3][3] == "", "without a detector it is the scenario alone that counts"
+    assert calls.detectors == 1
+
+
+def test_golden_flights_are_flown_once(calls, arms):
+    flights = LocalHost().mission(arms, fast_forward=False)
+    first = flights.golden("")
+    assert flights.golden("") is first
+    assert flights.golden("", profile=True).profile is not None, "a profile is worth another flight"
+    assert len(calls.flown) == 2
+
+
+def test_null_runs_and_those_who_do_not_want_it_are_flown_the_long_way(calls, arms):
+    list(LocalHost().mission(arms).injected([("", NULL), ("", FAULT)]))
+    list(LocalHost().mission(arms, fast_forward=False).injected([("", FAULT)]))
+    assert ways(calls) == [("long", NULL), ("fast", FAULT), ("long", FAULT)]
+
+
+def test_what_cannot_be_fast_forwarded_is_flown_the_long_way_and_tried_again_afresh(calls, arms):
+    flights = LocalHost().mission(arms)
+    calls.broken = True
+    [(_, flight)] = flights.injected([("", FAULT)])
+    assert flight.log is FAULT
+    calls.broken = False
+    flights.golden("")
+    assert ways(calls) == [("long", FAULT), ("fast", None)]
+    assert calls.made == ["own", "own"], "one that failed is not kept"
+
+
+def test_instruction_faults_are_flown_arm_by_arm_and_keep_their_places(calls, arms):
+    golden = Flight("golden")
+    flights = LocalHost().mission(arms)
+    flights.know("", golden)
+    assert flights.golden("") is golden
+    other = InstructionFault("f", "sha", 2)
+    found = dict(flights.injected([("", DATA), ("g", DATA), ("", other), ("g", FAULT)]))
+    assert {place: flight.log for place, flight in found.items()} == {0: DATA, 1: DATA, 2: other, 3: FAULT}
+    assert calls.flown == [
+        ("long", FAULT, "watcher", "own", "observer"), ("instructions", (DATA, other), None, golden, "inline"),
+        ("instructions", (DATA,), "watcher", None, "observer"),
+    ]  # fmt: skip
+
+
+def test_a_fault_that_cannot_be_flown_ends_its_own_flight_only(calls, arms, monkeypatch):
+    flights = LocalHost().mission(arms)
+    found = dict(flights.injected([("", DATA), ("", WRONG), ("", MessageFault("t", "f")), ("", DATA), ("", FAULT)]))
+    assert {place for place, flight in found.items() if isinstance(flight, Exception)} == {1, 2}
+    assert "other machine code" in str(found[1])
+    assert "level 'message': allowed: state, instruction" in str(found[2])
+    monkeypatch.setattr(mission_flights, "fly", lambda *_, **__: 1 / 0)
+    calls.broken = True
+    [(_, error)] = flights.injected([("", FAULT)])
+    assert isinstance(error, ZeroDivisionError)
