@@ -6,7 +6,7 @@ The public names below are imported when they are first used, so that `import ma
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from mavfi.version import __version__
 
 _PUBLIC = {
     "fly": "mavfi.api", "draw": "mavfi.api", "run": "mavfi.api", "load": "mavfi.api", "table": "mavfi.api",

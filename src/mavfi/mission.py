@@ -78,7 +78,7 @@ class MissionSpec(Config):
         "truth", description="truth, or estimator (from IMU and position fixes)."
     )
     coupling: Literal["inline", "observer"] = Field(
-        "inline", description="Of a detector: inline (a gate before the value is seen) or observer (acts one step later)."
+        "inline", description="Of a detector: inline (a gate before the value is seen) or observer (one step late)."
     )
 
 

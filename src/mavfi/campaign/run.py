@@ -11,7 +11,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from mavfi import __version__
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Done, Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
@@ -23,6 +22,7 @@ from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import require_level
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionStatus, Scenario
+from mavfi.version import __version__
 
 _PACKAGES = ("numpy", "numba", "llvmlite", "mujoco-core", "scikit-learn")
 ATTEMPTS = 3

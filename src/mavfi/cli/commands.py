@@ -50,7 +50,7 @@ app.command("reproduce")(reproduce.reproduce)
 
 def _tell_version(wanted: bool) -> None:
     if wanted:
-        from mavfi import __version__
+        from mavfi.version import __version__
 
         typer.echo(__version__)
         raise typer.Exit

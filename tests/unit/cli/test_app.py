@@ -6,7 +6,7 @@ import sys
 import pytest
 import typer
 
-from mavfi import __version__
+from mavfi.version import __version__
 from mavfi.cli import run
 from mavfi.cli.commands import app
 from mavfi.cli.progress import Bar
