@@ -16,6 +16,7 @@ from pydantic.fields import FieldInfo
 
 from mavfi import config
 from mavfi.campaign import config as campaigns
+from mavfi.detectors.registry import DetectorConfig
 from mavfi.faults.fault import LEVELS
 from mavfi.mission import MissionSpec
 from tools.markers import GENERATED, banner
@@ -56,7 +57,7 @@ As text, for `--fault` of `mavfi fly` and `mavfi ros fly`; whatever is left out 
 As data, in ledgers, in `mavfi explain --json`, and in Python:
 
 """
-CONFIGS = """# Keys of vehicles, platforms, autopilot profiles, planners, environments
+CONFIGS = """# Keys of vehicles, platforms, autopilot profiles, planners, environments, detectors
 
 Files of `configs/`, and of one's own: every option that takes a name takes a path to such a file too.
 
@@ -69,7 +70,7 @@ SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {
         (
             config.VehicleConfig, config.PlatformConfig, config.StackConfig, config.PlannerConfig,
             config.EnvironmentConfig, config.CameraConfig, config.MapConfig, config.WindConfig,
-            config.LocalizationConfig,
+            config.LocalizationConfig, DetectorConfig,
         ),
     ),
 }  # fmt: skip

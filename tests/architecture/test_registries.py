@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mavfi import config
+from mavfi.detectors.registry import DetectorConfig, detector_names, settings_of, trainable
 from mavfi.mission import MissionStatus
 from mavfi.states import MONITORED_SETS, PPC_STAGES, STACKS, STATES, Stage
 
@@ -16,6 +17,7 @@ MODELS = {
     "platforms": config.PlatformConfig,
     "vehicles": config.VehicleConfig,
     "planners": config.PlannerConfig,
+    "detectors": DetectorConfig,
 }
 
 
@@ -84,6 +86,12 @@ def test_what_the_paper_flew_is_shipped():
     assert {"i9-9940x", "cortex-a57"} <= set(config.names("platforms"))
     assert set(STACKS) == set(config.names("stacks"))
     assert {"rrt", "rrt_connect", "rrt_star"} == set(config.names("planners"))
+
+
+def test_detectors_that_learn_are_entry_points_with_a_file_each():
+    assert list(trainable()) == ["gaussian", "autoencoder"]
+    assert set(config.names("detectors")) == set(trainable()) <= set(detector_names())
+    assert [settings_of(name, "tuned").gate for name in (*trainable(), "another")] == [True] * 3
 
 
 @pytest.mark.parametrize("name", config.names("environments"))

@@ -213,7 +213,8 @@ def _trained(
 ) -> tuple[dict[str, Probe], Detector, int]:
     """What is watched, the detector, and how many messages it has learned from."""
     from mavfi.detectors.foreign import KINDS
-    from mavfi.hosts.node.watch import make_probes, read_bag, train
+    from mavfi.flight_logs import open_flight_log
+    from mavfi.hosts.node.watch import make_probes, train
 
     if chosen[0] not in KINDS:
         raise BadInputError(f"--detector: {chosen[0]!r}: allowed: {', '.join(KINDS)}")
@@ -221,11 +222,11 @@ def _trained(
     if source == "online":
         probes = make_probes(listener.first(), fields)
         return probes, train(*chosen, probes, listener.take(seconds), used.append), used[0]
-    messages = list(read_bag(Path(source), listener.topics))
-    first = {topic: (definition, message) for topic, definition, message in reversed(messages)}
+    messages = list(open_flight_log(Path(source)).messages(listener.topics))
+    first = {message.topic: (message.layout, message.data) for message in reversed(messages)}
     for topic, definition in listener.definitions.items():
-        if topic in first and definition.types != first[topic][0].types:
+        if topic in first and definition != first[topic][0]:
             raise BadInputError(f"{source}: {topic} has another type there than now ({definition.kind})")
     probes = make_probes(first, fields)
-    parts = ((topic, message) for topic, _, message in messages)
+    parts = ((message.topic, message.data) for message in messages)
     return probes, train(*chosen, probes, parts, used.append), used[0]

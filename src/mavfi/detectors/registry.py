@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
+from pydantic import Field
+
 from mavfi.config import Config, names, shipped
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.detectors.gate import UNKNOWN_ARENA, PhysicsGate
@@ -30,19 +32,17 @@ _SHIPPED = {
 class ProfileSettings(Config):
     """A detector in one profile."""
 
-    policy: str | None = None
-    """Recovery policy, where there is a choice."""
-    gate: bool = False
-    """Whether the physics gate stands in front."""
-    fit: dict[str, float | int | list[int]] = {}
-    """Figures of training, by argument of the detector's `fit`."""
+    policy: str | None = Field(None, description="recovery policy, where there is a choice: paper or keyed")
+    gate: bool = Field(False, description="whether the physics gate stands in front")
+    fit: dict[str, float | int | list[int]] = Field({}, description="figures of training, by name")
 
 
 class DetectorConfig(Config):
-    """A trained detector: configs/detectors/<name>.yaml; of one without such a file, the defaults."""
+    """A trained detector in its two profiles; one without a file in configs/detectors has the defaults."""
 
-    paper: ProfileSettings = ProfileSettings()
-    tuned: ProfileSettings = ProfileSettings(gate=True)
+    name: str = Field(description="entry point of the group mavfi.detectors")
+    paper: ProfileSettings = Field(ProfileSettings(), description="as the paper's")
+    tuned: ProfileSettings = Field(ProfileSettings(gate=True), description="limits by field and regime")
 
 
 class NoDetector:
@@ -87,7 +87,7 @@ def settings_of(name: str, profile: str) -> ProfileSettings:
     """
     if profile not in PROFILES:
         raise BadInputError(f"detector profile {profile!r}: not known; allowed: {', '.join(PROFILES)}")
-    config = shipped("detectors", DetectorConfig, name) if name in names("detectors") else DetectorConfig()
+    config = shipped("detectors", DetectorConfig, name) if name in names("detectors") else DetectorConfig(name=name)
     found: ProfileSettings = getattr(config, profile)
     return found
 

@@ -94,6 +94,12 @@ class Definition:
                     raise BadInputError(f"type {kind}: its definition lacks {member.kind}")
         self._sizes: dict[str, int | None] = {}
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Definition) and self.types == other.types
+
+    def __hash__(self) -> int:
+        return hash(self.kind)
+
     @staticmethod
     def _members(owner: str, text: str) -> tuple[Member, ...]:
         package = owner.partition("/")[0]

@@ -8,19 +8,17 @@ import os
 import queue
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from pathlib import Path
 from types import TracebackType
 from typing import Any
-
-from rosbags.rosbag1 import Reader, ReaderError
 
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.foreign import foreign_spec, foreign_state, learn
 from mavfi.errors import BadInputError, MavfiError, allowed
 from mavfi.faults.message.definition import AbsentError, Definition
+from mavfi.flight_logs import Layout
 from mavfi.hosts.node.guardian import Guardian, Registered
 from mavfi.hosts.node.master import Master
 from mavfi.hosts.node.message import Composer
@@ -75,7 +73,7 @@ class Probe:
     """
 
     topic: str
-    definition: Definition
+    definition: Layout
     spec: StateSpec
 
     def read(self, message: bytes) -> State | None:
@@ -87,7 +85,7 @@ class Probe:
         return foreign_state(self.spec, [float(leaf.value(message)) for leaf in leaves])
 
 
-def make_probes(first: dict[str, tuple[Definition, bytes]], wanted: Sequence[str]) -> dict[str, Probe]:
+def make_probes(first: Mapping[str, tuple[Layout, bytes]], wanted: Sequence[str]) -> dict[str, Probe]:
     """What is watched of each topic.
 
     Args:
@@ -110,7 +108,7 @@ def make_probes(first: dict[str, tuple[Definition, bytes]], wanted: Sequence[str
     }
 
 
-def _assign(name: str, first: dict[str, tuple[Definition, bytes]], fields: dict[str, list[str]]) -> None:
+def _assign(name: str, first: Mapping[str, tuple[Layout, bytes]], fields: dict[str, list[str]]) -> None:
     """Give a wanted field to its topics."""
     topic, colon, path = name.rpartition(":")
     if colon and absolute(topic) not in first:
@@ -127,32 +125,6 @@ def _assign(name: str, first: dict[str, tuple[Definition, bytes]], fields: dict[
             found = True
     if not found and refusal is not None:
         raise refusal
-
-
-def read_bag(path: Path, topics: Sequence[str]) -> Iterator[tuple[str, Definition, bytes]]:
-    """Messages of a ROS 1 bag: topic, definition, bytes.
-
-    Args:
-        path: The file.
-        topics: Which.
-
-    Raises:
-        BadInputError: The file cannot be read, or lacks a topic.
-    """
-    try:
-        with Reader(path) as reader:
-            chosen = [connection for connection in reader.connections if connection.topic in topics]
-            for topic in topics:
-                if topic not in {connection.topic for connection in chosen}:
-                    raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(reader.topics, topic)}")
-            definitions = {
-                connection.id: Definition(connection.msgtype.replace("/msg/", "/"), connection.msgdef.data)
-                for connection in chosen
-            }
-            for connection, _, message in reader.messages(chosen):
-                yield connection.topic, definitions[connection.id], bytes(message)
-    except (OSError, ReaderError) as error:
-        raise BadInputError(f"{path}: is not a ROS 1 bag that can be read ({error})") from None
 
 
 class Listener:

@@ -13,7 +13,7 @@ from mavfi.hosts.node.master import Master
 from mavfi.hosts.node.message import Composer
 from mavfi.hosts.node.station import Station
 from mavfi.hosts.node.tcpros import Source, decode_header, encode_header
-from mavfi.hosts.node.watch import make_probes, read_bag
+from mavfi.hosts.node.watch import make_probes
 
 COMPOSER = Composer("sensor_msgs/JointState")
 MESSAGE = COMPOSER.pack({"name": ["a"], "position": [0.5]})
@@ -101,13 +101,6 @@ def test_fields_are_given_to_the_topics_that_have_them():
         with pytest.raises(BadInputError) as error:
             make_probes(first, wanted)
         assert told in str(error.value)
-
-
-def test_a_bag_that_is_none_is_refused(tmp_path):
-    path = tmp_path / "x.bag"
-    path.write_text("nothing")
-    with pytest.raises(BadInputError, match="is not a ROS 1 bag"):
-        list(read_bag(path, ["/a"]))
 
 
 @pytest.mark.parametrize(

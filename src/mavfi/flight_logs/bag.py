@@ -1,0 +1,43 @@
+"""ROS 1 bags, with the definitions of their messages inside; ROS is not needed."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from rosbags.rosbag1 import Reader, ReaderError
+
+from mavfi.errors import BadInputError, allowed
+from mavfi.faults.message.definition import Definition
+from mavfi.flight_logs.reader import LoggedMessage
+
+
+class BagReader:
+    """Reads a ROS 1 bag; see `FlightLogReader`.
+
+    Args:
+        path: The file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
+        """The messages of some topics, in their order.
+
+        Raises:
+            BadInputError: The file cannot be read, or lacks a topic.
+        """
+        path = self._path
+        try:
+            with Reader(path) as reader:
+                chosen = [connection for connection in reader.connections if connection.topic in topics]
+                for topic in topics:
+                    if topic not in {connection.topic for connection in chosen}:
+                        raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(reader.topics, topic)}")
+                layouts = {
+                    connection.id: Definition(connection.msgtype.replace("/msg/", "/"), connection.msgdef.data)
+                    for connection in chosen
+                }
+                for connection, time_ns, data in reader.messages(chosen):
+                    yield LoggedMessage(connection.topic, time_ns // 1000, layouts[connection.id], bytes(data))
+        except (OSError, ReaderError) as error:
+            raise BadInputError(f"{path}: is not a ROS 1 bag that can be read ({error})") from None

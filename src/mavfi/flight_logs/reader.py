@@ -1,0 +1,82 @@
+"""What a reader of recorded flights is, and which formats there are."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from mavfi.errors import BadInputError
+from mavfi.plugins import build, known, load_object
+
+GROUP = "mavfi.flight_logs"
+"""Entry points of this group are readers by file name extension: classes that are made with a path."""
+_SHIPPED = {"bag": "mavfi.flight_logs.bag:BagReader"}
+
+
+class Number(Protocol):
+    """Where a message holds a number."""
+
+    def value(self, data: bytes) -> int | float:
+        """The number."""
+
+
+class Layout(Protocol):
+    """What the messages of a topic hold.
+
+    Attributes:
+        kind: Name of their type.
+    """
+
+    kind: str
+
+    def check(self, path: str) -> str:
+        """Refuse a path that names no number; `BadInputError` says why."""
+
+    def locate(self, data: bytes, path: str) -> Number:
+        """The number with a path; `AbsentError` if this message does not have it."""
+
+    def numbers(self, data: bytes, longest_list: int) -> list[str]:
+        """Paths of all numbers of a message; lists that are longer are left out."""
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedMessage:
+    """One message of a recorded flight.
+
+    Attributes:
+        topic: Who published it, by topic.
+        time_us: When it was recorded (us, by the clock of the file).
+        layout: What it holds.
+        data: Its bytes.
+    """
+
+    topic: str
+    time_us: int
+    layout: Layout
+    data: bytes
+
+
+class FlightLogReader(Protocol):
+    """Reads one file."""
+
+    def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
+        """The messages of some topics, in their order.
+
+        Raises:
+            BadInputError: The file cannot be read, or lacks a topic.
+        """
+
+
+def open_flight_log(path: Path) -> FlightLogReader:
+    """The reader of a file, by its extension; the file is opened when messages are asked for.
+
+    Raises:
+        BadInputError: Nothing reads files with this extension.
+    """
+    extension, formats = path.suffix.removeprefix("."), known(GROUP, _SHIPPED)
+    if extension not in formats:
+        allowed = ", ".join(f".{name}" for name in sorted(formats))
+        raise BadInputError(f"{path}: no reader of flight logs knows this format; allowed: {allowed}")
+    factory = load_object("reader of flight logs", extension, GROUP, _SHIPPED)
+    reader: FlightLogReader = build("reader of flight logs", extension, factory, path, needs=("messages",))
+    return reader
