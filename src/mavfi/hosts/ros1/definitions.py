@@ -49,12 +49,12 @@ bool stop
 float64 score
 string[] fields
 """,
-    "Recompute": """# A detector's request: the kernels of a stage put their memory back and compute again.
+    "Recompute": """# A detector's request: some kernels put their memory back, and one of them computes again.
 std_msgs/Header header
+string kind
 string stage
 string kernel
-bool abandon_waypoint
-bool stop
+string[] restores
 """,
     "Injection": """# What an injector did.
 std_msgs/Header header

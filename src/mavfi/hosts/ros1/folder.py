@@ -5,13 +5,14 @@ import os
 import socket
 from pathlib import Path
 
-from mavfi.faults.fault import Injection
+from mavfi.flight_log import Injection
 from mavfi.hosts.ros1 import finder
 
 FOLDER_VARIABLE = "MAVFI_ROS_FLIGHT"
 """Environment variable: folder of the flight that a node belongs to."""
 MESSAGES, DEFINITIONS, LOG, JOIN, PID = "messages", "definitions", "log", "join", "pid"
-FLIGHT, FAILURE, TIMES, STRIKES = "flight.npz", "failure.txt", "times.json", "strikes.json"
+FLIGHT, PROFILE, FAILURE, TIMES = "flight.npz", "profile.npz", "failure.txt", "times.json"
+INJECTIONS = "injections.json"
 LAUNCH_FILE = "flight.launch"
 _PORT_VARIABLE, _USUAL_PORT = "MAVFI_ROS_PORT", "11311"
 _TOLD = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOME", "ROS_LOG_DIR", "ROS_PACKAGE_PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
@@ -22,17 +23,22 @@ def flight_folder() -> Path:
     return Path(os.environ[FOLDER_VARIABLE])
 
 
-def write_strikes(hits: list[Injection]) -> None:
-    """Note what the injector did; it is a node that may die, and what it has struck it must not strike again."""
-    part = flight_folder() / f"part-{STRIKES}"
-    part.write_text(json.dumps([hit.to_json() for hit in hits]))
-    part.rename(flight_folder() / STRIKES)
+def write_file(name: str, content: bytes) -> None:
+    """Write a file of the flight's folder, at once and whole for those who read it."""
+    part = flight_folder() / f"part-{name}"
+    part.write_bytes(content)
+    part.rename(flight_folder() / name)
 
 
-def read_strikes() -> list[Injection]:
+def write_injections(injections: list[Injection]) -> None:
+    """Note what the injector did; it is a node that may die, and what it has injected it must not inject again."""
+    write_file(INJECTIONS, json.dumps([injection.to_json() for injection in injections]).encode())
+
+
+def read_injections() -> list[Injection]:
     """What the injector has done so far."""
-    path = flight_folder() / STRIKES
-    return [Injection(**hit) for hit in json.loads(path.read_text())] if path.exists() else []
+    path = flight_folder() / INJECTIONS
+    return [Injection.from_json(done) for done in json.loads(path.read_text())] if path.exists() else []
 
 
 def master_port() -> str:

@@ -1,7 +1,7 @@
 """Nodes of a flight that nobody here wrote: Debian's nodelet `depth_image_proc/point_cloud_xyz`.
 
 The world does not drive such a node, and it answers no roll call of ours; what is known of it is what the ROS master
-and `/proc` say.  It is expected to die: it can be struck in its registers.
+and `/proc` say.  It is expected to die: its registers can be injected.
 """
 
 from dataclasses import dataclass

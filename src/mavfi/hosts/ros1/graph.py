@@ -9,13 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from mavfi.pipeline.kernel import Kernel
-from mavfi.pipeline.ppc import PERIODIC
-from mavfi.states import ODOMETRY, STATES, Stage
+from mavfi.states import KERNELS, ODOMETRY, PERIODIC, STATES, Stage
 
 WORLD, INJECTOR, DETECTOR = "world", "injector", "detector"
 NODELET = "point_cloud_xyz"
 """Debian's C++ node that computes the point cloud, where it is to; the node `point_cloud` then hands images to it."""
-_TOGETHER = {"trajectory": "planner"}
 PREFIX = "/mavfi"
 VERDICT, ALARM = f"{PREFIX}/verdict", f"{PREFIX}/alarm"
 RECOMPUTE, INJECTION = f"{PREFIX}/recompute", f"{PREFIX}/injection"
@@ -104,26 +102,25 @@ class Graph:
 
     Attributes:
         faces: Of the kernels, by name.
-        nodes: Kernels of each node: one each, but path and trajectory are made on one map, by one node, as in the
-            paper.
+        nodes: Kernels of each node, as the table of kernels says.
         ways: By the name of the state.
     """
 
-    def __init__(self, kernels: Mapping[str, Kernel], struck: str | None = None, gate: bool = False) -> None:
+    def __init__(self, kernels: Mapping[str, Kernel], injected: str | None = None, gate: bool = False) -> None:
         """Derive it.
 
         Args:
             kernels: All of the flight.
-            struck: State at which the injector sits; None = there is no injector.
+            injected: State at which the injector sits; None = there is no injector.
             gate: Whether the detector is a gate.
         """
         self.faces = {name: face_of(kernel) for name, kernel in kernels.items()}
         self.nodes: dict[str, tuple[str, ...]] = {}
         for name in kernels:
-            node = _TOGETHER.get(name, name)
+            node = KERNELS[name].node
             self.nodes[node] = (*self.nodes.get(node, ()), name)
         self.ways = {
-            name: Way(name, self.node_of(spec.writer), self._readers(name), name == struck, gate)
+            name: Way(name, self.node_of(spec.writer), self._readers(name), name == injected, gate)
             for name, spec in STATES.items()
             if spec.writer in self.faces or self._readers(name)
         }

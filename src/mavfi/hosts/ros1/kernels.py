@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.hosts.compose import CONTROL_PERIOD_US
-from mavfi.hosts.inprocess import Host
+from mavfi.hosts.loop.assemble import new_loop
+from mavfi.hosts.loop.recovery import SCANNING
+from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.hosts.ros1.ending import fatal
 from mavfi.hosts.ros1.generate import message_type
 from mavfi.hosts.ros1.graph import RECOMPUTE
@@ -19,16 +20,12 @@ from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.planning_service import offer_planning
 from mavfi.hosts.ros1.ports import Ports
 from mavfi.pipeline.kernel import Kernel
-from mavfi.pipeline.ppc import PERIODIC, build_pipeline
+from mavfi.pipeline.ppc import build_pipeline
 from mavfi.platforms.compute import latency
-from mavfi.states import State
+from mavfi.states import PERIODIC, State
 
 _LOADING_FLIGHT_US = 3_000_000
 """By then every kernel has worked."""
-_SCAN_INPUT = {
-    "point_cloud": "sensor.depth", "octomap": "perception.point_cloud", "collision_check": "perception.map_update",
-}  # fmt: skip
-"""What brings a new scan to each kernel of perception; its memory as it was before is what a recomputation needs."""
 
 
 class KernelNode:
@@ -162,6 +159,7 @@ class FreeNode(KernelNode):
         super().__init__(name, plan)
         self._latency_us = {kernel: latency(plan.scenario.platform, kernel) for kernel in self.kernels}
         self._queue: queue.SimpleQueue[tuple[State | None, int, Any]] = queue.SimpleQueue()
+        self._triggers = {kernel: plan.graph.faces[kernel].triggers for kernel in self.kernels}
         self._marks = plan.detector is not None
         self._number = 0
 
@@ -184,8 +182,8 @@ class FreeNode(KernelNode):
 
     def _take(self, state: State, now: int) -> None:
         for kernel in self.reading(state.spec.name):
-            if self._marks and state.spec.name == _SCAN_INPUT.get(kernel.name):
-                kernel.mark()
+            if self._marks and kernel.name in SCANNING and state.spec.name in self._triggers[kernel.name]:
+                kernel.mark()  # its memory before a new scan is what a recomputation needs
             due = kernel.receive(state, now)
             if due if kernel.name not in PERIODIC else self._begins_period(state, now):
                 self._step(kernel, now)
@@ -195,7 +193,7 @@ class FreeNode(KernelNode):
         return state.spec.name == self.ports.plan.config.odometry and now % CONTROL_PERIOD_US == 0
 
     def _step(self, kernel: Kernel, now: int) -> None:
-        if self._marks and kernel.name not in _SCAN_INPUT:
+        if self._marks and kernel.name not in SCANNING:
             kernel.mark()
         self._publish(kernel, lambda: kernel.step(now), now)
 
@@ -210,27 +208,21 @@ class FreeNode(KernelNode):
             self._outlets[state.spec.name].publish(state, self._number, now + latency_us)
 
     def _recompute(self, request: Any, now: int) -> None:
-        """A detector's request, if it is for one of these kernels."""
-        for kernel in self.kernels.values():
-            if kernel.name in _SCAN_INPUT and request.kernel in _SCAN_INPUT:
-                kernel.rollback()
-                if kernel.name == request.kernel:
-                    self._step(kernel, now)
-            elif kernel.name == request.kernel:
-                self._obey(kernel, request, now)
-
-    def _obey(self, kernel: Any, request: Any, now: int) -> None:
-        if request.stop:
-            self._publish(kernel, kernel.stop, now)
-        elif request.abandon_waypoint:
-            self._publish(kernel, lambda: kernel.abandon(now), now)
-        else:
-            kernel.rollback()
+        """A detector's request, as far as it is for these kernels."""
+        for name in request.restores:
+            if name in self.kernels:
+                self.kernels[name].rollback()
+        kernel: Any = self.kernels.get(request.kernel)
+        if kernel is None:
+            return
+        if request.kind == "recompute":
             self._step(kernel, now)
+        else:
+            self._publish(kernel, kernel.stop if request.kind == "stop" else lambda: kernel.abandon(now), now)
 
 
 def _load_compiled(plan: Plan) -> None:
     """Fly the first seconds in this process: functions are loaded at their first use, and the vehicle would wait."""
-    host = Host(plan.scenario)
-    host.limit_us = _LOADING_FLIGHT_US
-    host.fly()
+    loop = new_loop(plan.scenario)
+    loop.judge.limit_us = _LOADING_FLIGHT_US
+    loop.fly()

@@ -164,7 +164,7 @@ class Exchange:
 
 
 def points_of(cloud: Any, count: int) -> np.ndarray:
-    """The points of a `sensor_msgs/PointCloud2`, whatever a struck node has put into it.
+    """The points of a `sensor_msgs/PointCloud2`, whatever an injected node has put into it.
 
     Args:
         cloud: The message.

@@ -1,16 +1,18 @@
-"""How the world sends a value on its way through the topics, and learns what became of it."""
+"""How the world sends a value on its way through the topics, and learns what became of it: the taps of the loop."""
 
 import time
 from collections.abc import Callable
 from typing import Any
 
 from mavfi.detectors.detector import Alarm
-from mavfi.faults.fault import Injection
 from mavfi.faults.state import StateInjector
-from mavfi.hosts.ros1.folder import read_strikes
+from mavfi.flight_log import Injection
+from mavfi.hosts.ros1.folder import read_injections
 from mavfi.hosts.ros1.graph import DETECTOR, VERDICT, WORLD
 from mavfi.hosts.ros1.inbox import Inbox
+from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Ports, world_listens
+from mavfi.hosts.ros1.register_injector import RegisterInjector
 from mavfi.hosts.ros1.remote import PUBLISH, Counter, Link, NodeLostError, Publication
 from mavfi.hosts.ros1.roll_call import is_alive
 from mavfi.states import State
@@ -19,12 +21,13 @@ _LOOK_S = 0.5
 
 
 class Passage:
-    """The host's injector: every value that is published goes through here, and comes back as consumers see it."""
+    """The first tap: every value that is published goes through here, and comes back as the injector left it."""
 
     spent = False
 
     def __init__(
-        self, ports: Ports, counter: Counter, links: dict[str, Link], on_loss: Callable[[Link, str], None]
+        self, ports: Ports, counter: Counter, links: dict[str, Link], registers: RegisterInjector,
+        on_loss: Callable[[Link, str], None],
     ) -> None:  # fmt: skip
         """Listen to what the host looks into.
 
@@ -32,11 +35,12 @@ class Passage:
             ports: Of the world.
             counter: Numbers of publications.
             links: Every node of the flight.
+            registers: Injects into registers of nodes.
             on_loss: Told of a node that has died while something was waited for.
         """
         self.verdict: Alarm | None = None
         self._counter = counter
-        self._links = links
+        self._links, self._registers = links, registers
         self._on_loss = on_loss
         self._plan = ports.plan
         self._ways = ports.ways
@@ -53,16 +57,24 @@ class Passage:
             ports.listen(VERDICT, "Verdict", self._judged)
         self._judging = self._plan.detector is not None
 
-    def taps(self, state: str) -> tuple[str, ...]:
-        """Nodes through which the values of a state go."""
-        return self._ways[state].taps
+    def __call__(self, state: State, time_us: int) -> State | None:
+        """Publish a value; gives it as it came out of the injector, None if it got lost on its way."""
+        if self._is_lost(state):
+            return None
+        try:
+            return self._pass(state, time_us)
+        except NodeLostError:
+            return None
 
-    def __call__(self, state: State, time_us: int) -> State:
-        """Publish a value; gives it as it came out of the injector.
+    def _is_lost(self, state: State) -> bool:
+        """Whether a value died with its node, or comes to one that is away."""
+        if isinstance(state, Publication) and state.is_lost:
+            return True
+        name = state.spec.name
+        there = (*self._ways[name].taps, *(self._plan.foreign if name == "sensor.depth" else ()))
+        return any(self._links[node].lost for node in there)
 
-        Raises:
-            NodeLostError: It got lost on its way.
-        """
+    def _pass(self, state: State, time_us: int) -> State:
         if isinstance(state, Publication) and state.link is not None:
             number = state.number
             if not state.sent and state.link.call(PUBLISH, state.kernel, number, time_us) is None:
@@ -77,10 +89,8 @@ class Passage:
         return Publication(seen.spec, seen.header, seen.elements, number)
 
     def finish(self) -> list[Injection]:
-        """What the injector did, as it has noted itself; or that the publication never came."""
-        if self._plan.fault is None:
-            return []
-        return read_strikes() or StateInjector(self._plan.fault).finish()
+        """What was injected into the state, and into registers."""
+        return state_injections(self._plan) + self._registers.injections
 
     def _judges(self) -> bool:
         return self._judging and not self._links[DETECTOR].lost
@@ -121,8 +131,15 @@ class Passage:
         self._inbox.put(("verdict", verdict.number), alarm)
 
 
+def state_injections(plan: Plan) -> list[Injection]:
+    """What the injector's node did, as it has noted; or that the publication never came."""
+    if plan.fault is None:
+        return []
+    return read_injections() or StateInjector(plan.fault).finish()
+
+
 class LockStepDetector:
-    """The host's detector: hands on what the detector's node has said of the value that was just published."""
+    """The detector of the loop: hands on what the detector's node has said of the value that was just published."""
 
     def __init__(self, passage: Passage) -> None:
         """Ask there.

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Literal
 
 from mavfi.detectors.detector import Detector
-from mavfi.faults.fault import Fault
+from mavfi.faults.fault import RegisterFault, StateFault
+from mavfi.hosts.loop.recovery import Coupling
 from mavfi.hosts.ros1.folder import flight_folder
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, NODELET, Graph
 from mavfi.mission import Scenario
@@ -14,25 +15,7 @@ from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline
 
 _PLAN = "plan.pickle"
-Coupling = Literal["inline", "observer"]
 CloudNode = Literal["mavfi", "depth_image_proc"]
-
-
-@dataclass(frozen=True, slots=True)
-class Strike:
-    """A bit that is flipped in a register of a node's process.
-
-    Attributes:
-        node: Its name.
-        time_us: From when on (microseconds of the flight).
-        seed: Draws instruction, register and bit among those that the process comes by.
-        registers: "general" (with the flags), "fp" (XMM and YMM), or "all".
-    """
-
-    node: str
-    time_us: int
-    seed: int = 0
-    registers: str = "all"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +25,7 @@ class Plan:
     Attributes:
         scenario: The mission.
         config: What the kernels are told of it.
-        fault: What to inject.
+        fault: What to inject into a state.
         detector: What watches, as it is before the flight.
         coupling: "inline": a gate before the consumers; "observer": a subscriber whose requests act one step later.
         free_running: Whether time passes as on the wall, instead of waiting for every node.
@@ -50,14 +33,15 @@ class Plan:
         restart_us: For how long a node that was lost is away, in simulated time.
         patience_s: How long to wait for a node (s, wall clock).
         cloud_node: Who computes the point cloud: the project's kernel, or Debian's nodelet.
-        strikes: Bits flipped in registers.
+        register_faults: Bits flipped in registers of nodes.
+        profile: Whether to note when which state was published; the world then listens to all of them.
         graph: Nodes and topics.
         nodes: All nodes of the project but the world's.
     """
 
     scenario: Scenario
     config: PipelineConfig
-    fault: Fault | None = None
+    fault: StateFault | None = None
     detector: Detector | None = None
     coupling: Coupling = "inline"
     free_running: bool = False
@@ -65,13 +49,14 @@ class Plan:
     restart_us: int = 1_000_000
     patience_s: float = 60.0
     cloud_node: CloudNode = "mavfi"
-    strikes: tuple[Strike, ...] = ()
+    register_faults: tuple[RegisterFault, ...] = ()
+    profile: bool = False
     graph: Graph = field(init=False)
     nodes: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        struck = None if self.fault is None else self.fault.site.state
-        object.__setattr__(self, "graph", Graph(build_pipeline(self.config), struck, self.gated))
+        injected = None if self.fault is None else self.fault.where.state
+        object.__setattr__(self, "graph", Graph(build_pipeline(self.config), injected, self.gated))
         taps = (INJECTOR,) * (self.fault is not None) + (DETECTOR,) * (self.detector is not None)
         object.__setattr__(self, "nodes", (*self.graph.nodes, *taps))
 

@@ -155,8 +155,9 @@ def listeners(way: Way, topic: str, plan: Plan) -> int:
 def world_listens(plan: Plan, state: str) -> bool:
     """Whether the world listens to the values of a state.
 
-    In lock-step it knows itself when a map was updated, but waits for every value that a gate may hold back.
+    In lock-step it knows itself when a map was updated, but waits for every value that a gate may hold back, and
+    for all if their profile is wanted.
     """
     if plan.free_running:
         return state in JUDGED_BY_WORLD or state == "perception.map_update"
-    return state in JUDGED_BY_WORLD or plan.gated
+    return state in JUDGED_BY_WORLD or plan.gated or plan.profile

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.flight_log import FlightLog
-from mavfi.hosts.compose import pipeline_config
-from mavfi.hosts.inprocess import Flight
+from mavfi.flight_log import FlightLog, Profile
+from mavfi.hosts.host import Flight
+from mavfi.hosts.loop.compose import pipeline_config
 from mavfi.hosts.node import nodelets
 from mavfi.hosts.ros1 import finder
 from mavfi.hosts.ros1.folder import (
@@ -26,6 +26,7 @@ from mavfi.hosts.ros1.folder import (
     LOG,
     MESSAGES,
     PID,
+    PROFILE,
     TIMES,
     free_port,
     own_path,
@@ -168,7 +169,8 @@ def _result(folder: Path, plan: Plan) -> Flight:
         raise MavfiError("ROS: the flight ended without a record")
     scenario = plan.scenario
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
-    return Flight(FlightLog.load(folder / FLIGHT), None, world, {})
+    profile = Profile.from_bytes((folder / PROFILE).read_bytes()) if plan.profile else None
+    return Flight(FlightLog.load(folder / FLIGHT), profile, world)
 
 
 def _spent(folder: Path, began: float, prepared: float) -> dict[str, float]:
