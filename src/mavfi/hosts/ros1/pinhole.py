@@ -71,8 +71,8 @@ class Pinhole:
             points[:, axis] = origin[axis] + rotation[axis, 0] * x + rotation[axis, 1] * y + rotation[axis, 2] * z
 
 
-def twin_functions(plan: Plan) -> KernelFunctions:
-    """What the kernels call in the twin of a flight that is flown in one process, and gives the same digest.
+def functions_of(plan: Plan) -> KernelFunctions:
+    """What the kernels call where a flight on ROS is flown in one process, with the same digest.
 
     Args:
         plan: The flight.

@@ -1,0 +1,174 @@
+"""Options of `mavfi ros fly` that name nodes: who computes the point cloud, is killed, or injected in registers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast, get_args
+
+import typer
+
+from mavfi.cli.console import check_seed, console
+from mavfi.errors import BadInputError
+
+if TYPE_CHECKING:
+    from mavfi.faults.fault import RegisterFault
+    from mavfi.flight_log import FlightLog, Injection
+    from mavfi.hosts.host import Flight
+    from mavfi.hosts.ros1.plan import CloudNode, Plan
+
+_LONGEST_S = 1e6
+_Value = TypeVar("_Value")
+
+KillOption = Annotated[
+    list[str] | None, typer.Option(metavar="NODE@SECONDS", help="Kill a node; roslaunch restarts it.")
+]
+CloudOption = Annotated[
+    str, typer.Option(help="Who computes the point cloud: mavfi, or depth_image_proc, Debian's C++ nodelet.")
+]
+FaultOption = Annotated[
+    list[str] | None,
+    typer.Option(metavar="NODE@SECONDS", help="Flip a bit in a register of a node's process, e.g. point_cloud_xyz@5."),
+]
+RegistersOption = Annotated[
+    str | None, typer.Option(help="Of register faults: general (with the flags), fp (XMM, YMM), or all (the default).")
+]
+SeedOption = Annotated[
+    int | None, typer.Option(help="Draws instruction, register and bit of register faults; 0 by default.")
+]
+OldFaultOption = Annotated[list[str] | None, typer.Option("--strike", hidden=True)]
+OldRegistersOption = Annotated[str | None, typer.Option("--strike-registers", hidden=True)]
+OldSeedOption = Annotated[int | None, typer.Option("--strike-seed", hidden=True)]
+
+
+def renamed(new: tuple[str, _Value | None], old: tuple[str, _Value | None]) -> _Value | None:
+    """The value of an option that has another name now; the older name still works, and says so.
+
+    Args:
+        new: Name and value.
+        old: Same.
+    """
+    if old[1] is not None:
+        console(error=True).print(f"mavfi: {old[0]}: deprecated, is now {new[0]}", markup=False)
+    return old[1] if new[1] is None else new[1]
+
+
+def cloud_node(text: str) -> CloudNode:
+    """Who computes the point cloud.
+
+    Raises:
+        BadInputError: It is not known.
+    """
+    from mavfi.hosts.ros1.plan import CloudNode
+
+    allowed = get_args(CloudNode)
+    if text not in allowed:
+        raise BadInputError(f"--point-cloud-node: {text!r}: allowed: {', '.join(allowed)}")
+    return cast("CloudNode", text)
+
+
+def instant(option: str, text: str) -> tuple[str, int]:
+    """Node and instant (microseconds) of "octomap@20".
+
+    Raises:
+        BadInputError: It is something else.
+    """
+    node, separator, seconds = text.partition("@")
+    try:
+        time_s = float(seconds)
+    except ValueError:
+        separator, time_s = "", 0.0
+    if not separator or not 0.0 <= time_s < _LONGEST_S:
+        raise BadInputError(f"{option}: {text!r}: allowed: NODE@SECONDS, e.g. octomap@20")
+    return node, round(1e6 * time_s)
+
+
+def register_faults(texts: list[str] | None, registers: str | None, seed: int | None) -> tuple[RegisterFault, ...]:
+    """Faults in registers of nodes.
+
+    Args:
+        texts: "NODE@SECONDS" each.
+        registers: Which; None = all.
+        seed: Of the first one; each has the next; None = 0.
+
+    Raises:
+        BadInputError: Something is not allowed.
+    """
+    from mavfi.faults.fault import REGISTERS
+    from mavfi.hosts.ros1.register_injector import fault_in_node
+
+    for option, value in (("--registers", registers), ("--register-seed", seed)):
+        if value is not None and not texts:
+            raise BadInputError(f"{option}: {value}: allowed: with --register-fault only")
+    if registers is not None and registers not in REGISTERS:
+        raise BadInputError(f"--registers: {registers!r}: allowed: {', '.join(REGISTERS)}")
+    check_seed("--register-seed", seed or 0)
+    named = (instant("--register-fault", text) for text in texts or ())
+    return tuple(
+        fault_in_node(*each, registers or "all", (seed or 0) + place) for place, each in enumerate(named)
+    )  # fmt: skip
+
+
+def check(plan: Plan) -> None:
+    """Refuse nodes that are not in the flight.
+
+    Raises:
+        BadInputError: Names those that are.
+    """
+    allowed = (*plan.nodes, *plan.foreign)
+    named = [("--kill", node) for node, _ in plan.kills]
+    named += [("--register-fault", fault.node) for fault in plan.register_faults]
+    for option, node in named:
+        if node not in allowed:
+            raise BadInputError(f"{option}: no node {node!r} in this flight; allowed: {', '.join(allowed)}")
+
+
+def without_registers(plan: Plan, with_fault: bool) -> Flight:
+    """The flight without faults in registers, in this process; in lock-step its digest is the same.
+
+    Args:
+        plan: The flight.
+        with_fault: Whether the fault in a state is injected.
+    """
+    from mavfi.hosts.local import fly
+    from mavfi.hosts.ros1.pinhole import functions_of
+
+    fault = plan.fault if with_fault else None
+    return fly(plan.scenario, fault, plan.detector, coupling=plan.coupling, functions=functions_of(plan))
+
+
+def effect(plan: Plan, log: FlightLog) -> str | None:
+    """Effect of the faults in registers; None where nothing was injected.
+
+    Returns:
+        "crash" or "hang": an injected node ended, or was ended as it did not answer; "masked": the flight is bit for
+        bit that without the injection; "sdc": it is not; "unknown": there is no flight to compare it with
+        (free-running, or nodes were killed besides).
+    """
+    from mavfi.hosts.ros1.register_injector import end_of_nodes
+
+    end = end_of_nodes(log.injections, log.events)
+    if end is None or end != "alive":
+        return end
+    if plan.free_running or plan.kills:
+        return "unknown"
+    return "masked" if without_registers(plan, with_fault=True).log.digest() == log.digest() else "sdc"
+
+
+def to_json(plan: Plan, log: FlightLog) -> dict[str, Any]:
+    """What `--json` says of all this; the injections stand beside the others of the flight."""
+    return {"point_cloud_node": plan.cloud_node, "register_effect": effect(plan, log)}
+
+
+def lines(plan: Plan, log: FlightLog) -> list[str]:
+    """The same for people."""
+    told = [line_of(one) for one in log.injections if one.level == "register"]
+    found = effect(plan, log)
+    return told if found is None else [*told, f"           effect: {found}"]
+
+
+def line_of(injection: Injection) -> str:
+    """One injection into a register in one line, or why there is none."""
+    details = injection.details
+    what = details.get("why") or (
+        f"{injection.site} bit {injection.bit} of {details['instruction']!r}: {injection.before} → {injection.after}"
+    )
+    return f"{injection.time_s:8.3f} s  register of {details['node']}: {what}"
