@@ -50,6 +50,8 @@ def states(
 
 def _readers(autopilot: str, localization: str) -> dict[str, list[str]]:
     """Kernels by the state that they read, of a pipeline that is built but not flown."""
+    import numpy as np
+
     from mavfi.hosts.loop.compose import pipeline_config, resolve
     from mavfi.mission import MissionSpec
     from mavfi.pipeline.ppc import build_pipeline
@@ -58,7 +60,7 @@ def _readers(autopilot: str, localization: str) -> dict[str, list[str]]:
     scenario = resolve(MissionSpec.model_validate({"autopilot": autopilot, "localization": localization}))
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
     readers: dict[str, list[str]] = {}
-    for name, kernel in build_pipeline(pipeline_config(scenario, world, None)).items():
+    for name, kernel in build_pipeline(pipeline_config(scenario, world, np.zeros((1, 3)))).items():
         for state in kernel.reads:
             readers.setdefault(state, []).append(name)
     return readers
@@ -93,13 +95,14 @@ def _page(rows: list[dict[str, Any]], autopilot: str, monitored: str) -> Group:
     return Group(title, *parts, Text(), Text(notes, style="dim"))
 
 
-def _heading(row: dict[str, Any]) -> Text:
-    about = [f"{row['writer']} → {', '.join(row['readers'])}", row["rate"]]
+def _heading(row: dict[str, Any]) -> Group:
+    about = [row["rate"]]
     if row["acted_on_when_grows"]:
         about.append(f"acted on when {row['acted_on_when_grows']} grows")
     if row["only_with_localization"]:
         about.append(f"only with localization {row['only_with_localization']}")
-    return Text.assemble((row["state"], "bold"), "\n", (f"  {' · '.join(about)}", "dim"))
+    lines = f"written by {row['writer']}, read by {', '.join(row['readers'])}", "; ".join(about)
+    return Group(Text(row["state"], style="bold"), *(Padding(Text(line, style="dim"), (0, 0, 0, 2)) for line in lines))
 
 
 def _fields(fields: list[dict[str, Any]]) -> Table:

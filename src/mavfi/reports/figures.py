@@ -1,9 +1,11 @@
 """Figures of a report: success with intervals, flight times, and what each state or kernel costs."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -16,7 +18,7 @@ from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.reports import style
 
-_LEGEND = {"ncols": 6, "columnspacing": 1.2, "fontsize": 8.5, "handlelength": 1.8}
+_LEGEND: dict[str, Any] = {"ncols": 6, "columnspacing": 1.2, "fontsize": 8.5, "handlelength": 1.8}
 
 
 def draw(runs: Runs, directory: Path) -> list[str]:
@@ -91,14 +93,14 @@ def success(runs: Runs) -> Figure | None:
     return figure
 
 
-_SMALL = {"fontsize": 6.5, "color": style.GREY}
+_SMALL: dict[str, Any] = {"fontsize": 6.5, "color": style.GREY}
 
 
 def _flown(runs: Runs) -> Runs:
     """Golden runs without a detector, and runs with faults; those that could not be judged are left out."""
     judged = runs.where("judged")
     kept = [GOLDEN, *judged.injected.values("setting")]
-    return judged.where(judged.frame["setting"].is_in(kept))
+    return judged.where(pl.col("setting").is_in(kept))
 
 
 def _settings(runs: Runs) -> list[str]:
@@ -121,16 +123,24 @@ def _paper(runs: Runs, environment: str, setting: str) -> float | None:
     return paper.success(environment, setting)
 
 
-def _percent(share: float, _: int) -> str:
+def _percent(share: float, _: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def _points(axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, str], *, vertical: bool) -> None:
+def _points(axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, Any], *, vertical: bool) -> None:
     """Rates with intervals, upright or along the x axis."""
     values = np.array([rate.rate or 0.0 for rate in rates])
     bounds = np.array([[rate.low or 0.0, rate.high or 0.0] for rate in rates]).reshape(-1, 2)
     errors = np.abs(bounds.T - values)
-    common = {"fmt": "", "linestyle": "", "markersize": 6, "elinewidth": 1.8, "clip_on": False, "zorder": 4, **look}
+    common: dict[str, Any] = {
+        "fmt": "",
+        "linestyle": "",
+        "markersize": 6,
+        "elinewidth": 1.8,
+        "clip_on": False,
+        "zorder": 4,
+        **look,
+    }
     if vertical:
         axes.errorbar(at, values, yerr=errors, **common)
     else:
@@ -174,13 +184,13 @@ def flight_time(runs: Runs) -> Figure | None:
     return figure
 
 
-def _range(counts: object) -> str:
+def _range(counts: Iterable[int]) -> str:
     """One number, or the smallest and the largest."""
-    numbers = sorted(set(counts))  # type: ignore[call-overload]
+    numbers = sorted(set(counts))
     return f"{numbers[0]}" if len(numbers) == 1 else f"{numbers[0]}–{numbers[-1]}"
 
 
-def _signed(share: float, _: int) -> str:
+def _signed(share: float, _: float) -> str:
     """A difference as text; none has no sign."""
     percent = round(100 * share)
     return f"{percent:+d} %" if percent else "0 %"

@@ -36,7 +36,7 @@ _HANDLE, _LETTER, _ROW = 0.62, 0.066, 0.22
 _SIDE_STRETCH = 1.6
 """Heights in the side view are drawn larger by this factor."""
 _SOLID, _EDGE, _MAP = "#D4D4D4", "#A8A8A8", "#3B3B3B"
-_DARK_EDGE = {"markeredgecolor": style.INK, "markeredgewidth": 0.8}
+_DARK_EDGE: dict[str, Any] = {"markeredgecolor": style.INK, "markeredgewidth": 0.8}
 _HALO = [effects.withStroke(linewidth=5.0, foreground="white")]
 
 
@@ -71,7 +71,7 @@ def draw_flight(
     with style.house_style():
         lower, upper = _limits(flight.world, courses)
         marks = [*_alarm_marks(recovered or flight), *_marks(flight)]
-        rows = _legend_rows([thing.label for thing in (*courses, *marks)])
+        rows = _legend_rows([*(course.label for course in courses), *(mark.label for mark in marks)])
         figure, above, side = _axes(lower, upper, rows)
         _draw_world(above, side, flight.world, courses[-1 if recovered is None else -2].points)
         known = _draw_map(above, side, flight, (lower, upper))
@@ -261,7 +261,7 @@ def _alarm_marks(flight: Flight) -> list[_Mark]:
     """Alarms: filled within a second of the injection, hollow elsewhere."""
     near, others = ([alarm.time_s for alarm in alarms] for alarms in around(flight.log))
     kinds = (("other alarm" if near else "alarm", others, "white"), ("alarm at the injection", near, style.PURPLE))
-    look = {"marker": "v", "markersize": 9, **_DARK_EDGE}
+    look: dict[str, Any] = {"marker": "v", "markersize": 9, **_DARK_EDGE}
     return [_Mark(label, _places(flight, times), look | {"color": fill}, 14.0) for label, times, fill in kinds if times]
 
 
@@ -277,7 +277,7 @@ def _draw_marks(figure: Figure, views: tuple[Axes, Axes], marks: list[_Mark]) ->
     """Draw marks in both views; answers what the legend says of them."""
     handles = []
     for mark in marks:
-        look = {"linestyle": "", "markeredgecolor": "white", "markeredgewidth": 1.0} | mark.look
+        look: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white", "markeredgewidth": 1.0} | mark.look
         for axes, index in zip(views, (1, 2), strict=True):
             lifted = offset_copy(axes.transData, figure, y=mark.lift, units="points")
             axes.plot(mark.points[:, 0], mark.points[:, index], zorder=9, clip_on=False, transform=lifted, **look)

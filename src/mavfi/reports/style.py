@@ -49,17 +49,20 @@ def house_style() -> Iterator[None]:
         yield
 
 
-def setting_looks(settings: list[str]) -> dict[str, dict[str, str]]:
+def setting_looks(settings: list[str]) -> dict[str, dict[str, Any]]:
     """Colour and marker of each setting: golden runs blue discs, faults orange squares, then one for each arm."""
     arms = [setting for setting in settings if setting not in ("golden", "fi")]
-    looks = {"golden": {"color": BLUE, "marker": "o"}, "fi": {"color": ORANGE, "marker": "s"}}
+    looks: dict[str, dict[str, Any]] = {
+        "golden": {"color": BLUE, "marker": "o"},
+        "fi": {"color": ORANGE, "marker": "s"},
+    }
     for place, setting in enumerate(arms):
         colour, marker, _ = _ARMS[place % len(_ARMS)]
         looks[setting] = {"color": colour, "marker": marker}
     return {setting: looks[setting] for setting in settings}
 
 
-def curve(look: dict[str, str], *, wide: bool) -> dict[str, Any]:
+def curve(look: dict[str, Any], *, wide: bool) -> dict[str, Any]:
     """Colour, dashes and width of a curve of a setting."""
     dashes = {colour: line for colour, _, line in _ARMS}
     return {"color": look["color"], "linestyle": dashes.get(look["color"], "-"), "linewidth": 2.8 if wide else 1.4}
