@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from mavfi.campaign.config import load_any
+from mavfi.campaign.config import load_campaign
 from mavfi.faults.fault import DEFAULT_WALK, RegisterFault
 from mavfi.faults.register import inject
 from mavfi.flight_log import Injection
@@ -93,14 +93,15 @@ def measure_relay(bench: Bench) -> None:
 
 def measure_stops(bench: Bench) -> None:
     """How long robot_state_publisher stands still for an injection at a symbol."""
-    campaign = load_any("ros_robot_state_publisher")
-    for name, value in campaign.parameters.items():
+    node = load_campaign("ros_robot_state_publisher").node
+    assert node is not None
+    for name, value in node.parameters.items():
         bench.master.call("setParam", name, value)
-    process = bench.start(list(campaign.command))
-    bench.wait_for_node(campaign.node, process)
-    composer = Composer(campaign.inputs.type)
-    outlet = bench.station().advertise(campaign.inputs.topic, composer.header)
-    message = composer.pack(campaign.inputs.messages[0])
+    process = bench.start(list(node.command))
+    bench.wait_for_node(node.name, process)
+    composer = Composer(node.inputs.type)
+    outlet = bench.station().advertise(node.inputs.topic, composer.header)
+    message = composer.pack(node.inputs.messages[0])
     for walk in (1, DEFAULT_WALK):
         fault = RegisterFault(symbol="SubscriptionQueue4call", walk=walk, null=True, timeout=20.0)
         done: list[Injection] = []

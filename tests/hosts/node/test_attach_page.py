@@ -31,14 +31,14 @@ LASTS_S = 20.0
 
 def test_the_page_has_no_command_that_is_not_run_here():
     assert len(CAMPAIGN) == 2 and all("ros_robot_state_publisher" in command for command in CAMPAIGN)
-    assert 'load_any("ros_robot_state_publisher")' in inspect.getsource(test_node_campaign)
+    assert 'load_campaign("ros_robot_state_publisher")' in inspect.getsource(test_node_campaign)
     others = [command for command in ALL if command not in CAMPAIGN]
     assert all(sum(key in command for key in SAYS) == 1 for command in others)
     assert len(others) == len(SAYS)
 
 
 def order(command):
-    """As on the page, but the strike at a register, of which the target may die, is the last one."""
+    """As on the page, but the fault in a register, of which the target may die, is the last one."""
     return "inject" in command, ALL.index(command)
 
 

@@ -3,21 +3,21 @@
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.hosts.inprocess import Host
+from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD, Graph, face_of
 from mavfi.hosts.ros1.launch import launch_text
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import world_listens
 from mavfi.hosts.ros1.session import configure, isolation
-from mavfi.pipeline.ppc import PERIODIC, build_pipeline
-from mavfi.states import STATES, Stage
+from mavfi.pipeline.ppc import build_pipeline
+from mavfi.states import PERIODIC, STATES, Stage
 from tests.hosts.missions import STACKS, fault, mission
 
 KERNELS = build_pipeline(configure(mission()))
 
 
-def ways(struck, gate):
-    return Graph(KERNELS, struck, gate).ways
+def ways(injected, gate):
+    return Graph(KERNELS, injected, gate).ways
 
 
 def test_every_kernel_is_run_by_one_node():
@@ -59,9 +59,9 @@ def test_an_injector_sits_at_one_state():
 
 def test_a_gate_comes_after_the_injector():
     found = ways("planning.waypoint", gate=True)
-    struck, other = found["planning.waypoint"], found["control.command"]
-    assert struck.taps == (INJECTOR, DETECTOR)
-    assert struck.after_injector == struck.before_gate == f"{struck.final}/injected"
+    injected, other = found["planning.waypoint"], found["control.command"]
+    assert injected.taps == (INJECTOR, DETECTOR)
+    assert injected.after_injector == injected.before_gate == f"{injected.final}/injected"
     assert (other.first, other.before_gate, other.last) == (f"{other.final}/raw", f"{other.final}/raw", DETECTOR)
     assert found["sensor.depth"].writer == WORLD and found["sensor.depth"].last == DETECTOR
 
@@ -70,13 +70,7 @@ def test_a_gate_comes_after_the_injector():
 def test_only_triggers_make_steps_due(stack):
     seen = set()
 
-    class Watched(Host):
-        def __init__(self, scenario):
-            super().__init__(scenario)
-            for kernel in self.kernels.values():
-                watch(kernel)
-
-    def watch(kernel):
+    def watch_inputs(kernel):
         receive = kernel.receive
 
         def watched(state, time_us):
@@ -87,7 +81,10 @@ def test_only_triggers_make_steps_due(stack):
 
         kernel.receive = watched
 
-    Watched(mission(stack)).fly()
+    loop = new_loop(mission(stack))
+    for kernel in loop.kernels.values():
+        watch_inputs(kernel)
+    loop.fly()
     faces = Graph(KERNELS).faces.values()
     assert seen and seen <= {(face.name, state) for face in faces for state in face.triggers}
     assert not any(face.triggers for face in faces if face.name in PERIODIC)

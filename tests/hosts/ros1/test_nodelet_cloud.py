@@ -1,9 +1,8 @@
-"""The pipeline with Debian's C++ nodelet as its kernel `point_cloud`: its figures, its deaths, and strikes at it.
+"""The pipeline with Debian's C++ nodelet as its kernel `point_cloud`: figures, deaths, faults in registers.
 
 A flight of these tests takes about 8 s on two idle cores, and none may take more than a minute.
 """
 
-import json
 import os
 import signal
 import time
@@ -12,23 +11,24 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mavfi.cli import ros_strike, run
+from mavfi.cli import ros_nodes, run
 from mavfi.config import CameraConfig
 from mavfi.errors import BadInputError
-from mavfi.flight_log import Event
-from mavfi.hosts.compose import make_scenario
-from mavfi.hosts.inprocess import fly as fly_here
+from mavfi.flight_log import Event, Injection
+from mavfi.hosts.local import fly as fly_here
+from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.node import nodelets
 from mavfi.hosts.ros1 import finder
 from mavfi.hosts.ros1.foreign import ask_foreign
 from mavfi.hosts.ros1.launch import launch_text
 from mavfi.hosts.ros1.nodelet_cloud import points_of
-from mavfi.hosts.ros1.pinhole import Pinhole, projection, twin_functions
-from mavfi.hosts.ros1.plan import Plan, Strike
+from mavfi.hosts.ros1.pinhole import Pinhole, functions_of, projection
+from mavfi.hosts.ros1.plan import Plan
+from mavfi.hosts.ros1.register_injector import end_of_nodes, fault_in_node
 from mavfi.hosts.ros1.session import configure
 from mavfi.hosts.ros1.session import fly as fly_there
-from mavfi.hosts.ros1.strikes import FAILED, STRUCK, fate
 from mavfi.kernels.perception.point_cloud import back_project
+from mavfi.mission import MissionSpec
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.sim.camera import pixel_directions
 from tests.hosts.missions import Scripted, fault
@@ -68,7 +68,7 @@ def in_time():
 
 def short(seed=8):
     """1.7 s with seed 8, 3.6 s with seed 5, in which there is time for a nodelet to fail and come back."""
-    return make_scenario("dense", seed, goal=(14.0, 0.0, 3.0))
+    return resolve(MissionSpec(environment="dense", seed=seed, goal=(14.0, 0.0, 3.0)))
 
 
 def plan(wrong=None, detector=None, seed=8, **options):
@@ -120,7 +120,7 @@ def test_points_without_a_depth_are_none():
 @pytest.mark.parametrize(
     ("step", "size", "there"), [(16, 64, 4), (12, 48, 4), (16, 40, 2), (16, 0, 0), (0, 64, 0), (8, 64, 0), (16, 160, 4)]
 )
-def test_a_cloud_of_a_struck_node_is_read_as_far_as_it_goes(step, size, there):
+def test_a_cloud_of_an_injected_node_is_read_as_far_as_it_goes(step, size, there):
     data = np.arange(size // 4, dtype="<f4").tobytes()
     found = points_of(SimpleNamespace(point_step=step, data=data), 4)
     assert found.shape == (4, 3)
@@ -140,15 +140,15 @@ def test_the_nodelet_is_a_node_of_the_launch_file_only_where_it_is_wanted():
     ("arguments", "told"),
     [
         (["--point-cloud-node", "pcl"], "--point-cloud-node: 'pcl': allowed: mavfi, depth_image_proc"),
-        (["--strike", "point_cloud_xyz"], "NODE@SECONDS"),
-        (["--strike", "point_cloud_xyz@-1"], "NODE@SECONDS"),
-        (["--strike", "point_cloud_xyz@5"], "allowed: point_cloud, octomap"),
+        (["--register-fault", "point_cloud_xyz"], "NODE@SECONDS"),
+        (["--register-fault", "point_cloud_xyz@-1"], "NODE@SECONDS"),
+        (["--register-fault", "point_cloud_xyz@5"], "allowed: point_cloud, octomap"),
         (["--kill", "point_cloud_xyz@5"], "allowed: point_cloud, octomap"),
         (["--point-cloud-node", "depth_image_proc", "--kill", "nodelet@5"], NODE),
-        (["--strike", "octomap@5", "--strike-registers", "xmm"], "allowed: all, general, fp"),
-        (["--strike", "octomap@5", "--strike-seed", "-3"], "--strike-seed"),
-        (["--strike-seed", "3"], "with --strike only"),
-        (["--strike-registers", "fp"], "with --strike only"),
+        (["--register-fault", "octomap@5", "--registers", "xmm"], "allowed: all, general, fp"),
+        (["--register-fault", "octomap@5", "--register-seed", "-3"], "--register-seed"),
+        (["--register-seed", "3"], "with --register-fault only"),
+        (["--registers", "fp"], "with --register-fault only"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, told):
@@ -156,6 +156,15 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, t
     assert run(["ros", "fly", *arguments]) == 2
     text = capsys.readouterr().err
     assert text.count("\n") == 1 and told in text
+
+
+def test_the_older_names_of_options_still_work_and_say_what_they_are_now(capsys, monkeypatch):
+    monkeypatch.setattr(finder, "missing", list)
+    assert run(["ros", "fly", "--strike", "nobody@5", "--strike-seed", "3"]) == 2
+    first, second, third = capsys.readouterr().err.splitlines()
+    assert first == "mavfi: --strike: deprecated, is now --register-fault"
+    assert second == "mavfi: --strike-seed: deprecated, is now --register-seed"
+    assert "no node 'nobody' in this flight" in third
 
 
 def test_without_the_packages_it_says_what_to_install(capsys, monkeypatch, tmp_path):
@@ -167,7 +176,7 @@ def test_without_the_packages_it_says_what_to_install(capsys, monkeypatch, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("why", "hit", "told"),
+    ("why", "activated", "told"),
     [
         ("has ended", True, "crash"),
         ("did not answer", True, "hang"),
@@ -176,11 +185,12 @@ def test_without_the_packages_it_says_what_to_install(capsys, monkeypatch, tmp_p
         ("has ended", False, None),
     ],
 )
-def test_what_becomes_of_a_struck_node(why, hit, told):
-    events = [Event(1, STRUCK, {"node": "a", "hit": hit}), Event(2, "node_lost", {"node": "b", "why": "has ended"})]
+def test_what_becomes_of_an_injected_node(why, activated, told):
+    injections = [Injection("register", "rax", 1e-6, 3, "0x0", "0x8", activated, details={"node": "a"})]
+    events = [Event(2, "node_lost", {"node": "b", "why": "has ended"})]
     if why is not None:
         events.append(Event(3, "node_lost", {"node": "a", "why": why}))
-    assert fate(events) == told
+    assert end_of_nodes(injections, events) == told
 
 
 # ---- in flight ------------------------------------------------------------------------------------------------------
@@ -188,22 +198,22 @@ class TestFlights:
     pytestmark = flying
 
     def test_the_points_are_those_of_the_nodelet_bit_by_bit(self, in_time):
-        """The record of a fault holds one coordinate before it was struck: the nodelet's, not that of our kernel."""
+        """The record of a fault holds one coordinate before the injection: the nodelet's, not that of our kernel."""
         scenario, wrong = short(), fault("perception.point_cloud", "x", 0.4, 1, 2351)
         flown = plan(wrong)
         log = fly_there(flown).flight.log
-        twin = fly_here(scenario, wrong, functions=twin_functions(flown)).log
+        twin = fly_here(scenario, wrong, functions=functions_of(flown)).log
         ours = fly_here(scenario, wrong).log
-        assert log.injections == json.loads(json.dumps(twin.injections))
-        assert log.injections[0]["before"] != ours.injections[0]["before"]
-        assert log.injections[0]["before"] == pytest.approx(ours.injections[0]["before"], abs=BOUND_M)
+        assert log.injections == twin.injections
+        assert log.injections[0].before != ours.injections[0].before
+        assert log.injections[0].before == pytest.approx(ours.injections[0].before, abs=BOUND_M)
         assert log.digest() == twin.digest()
         assert log.status.label == "success"
 
     @pytest.mark.parametrize(
         ("number", "why"), [(signal.SIGSEGV, "has ended"), (signal.SIGSTOP, "did not answer")], ids=["crash", "hang"]
     )
-    def test_a_nodelet_that_fails_is_started_anew_and_the_flight_goes_on(self, in_time, number, why):
+    def test_a_nodelet_that_fails_is_restarted_and_the_flight_goes_on(self, in_time, number, why):
         began = time.monotonic()
         flown = plan(None, Sender(number), 5, coupling="observer", restart_us=200_000)
         log = fly_there(flown).flight.log
@@ -216,19 +226,18 @@ class TestFlights:
         assert before + 1 < clouds(log) < clouds(fly_here(short(5)).log)
         assert time.monotonic() - began < LONGEST_S
 
-    def test_a_strike_in_its_registers_has_an_outcome(self, in_time):
-        flown = plan(strikes=(Strike(NODE, 100_000, 3, "fp"),))
+    def test_a_fault_in_its_registers_has_an_effect(self, in_time):
+        flown = plan(register_faults=(fault_in_node(NODE, 100_000, "fp", 3),))
         log = fly_there(flown).flight.log
-        told = ros_strike.to_json(flown, log)
-        (strike,) = told["strikes"]
-        assert strike["event"] != FAILED, strike
-        assert strike["hit"] and strike["node"] == NODE
-        assert int(strike["before"], 16) ^ int(strike["after"], 16) == 1 << strike["bit"]
-        assert "libdepth_image_proc" in strike["library"] and "convert" in strike["symbol"]
+        (injection,) = log.injections
+        details = injection.details
+        assert injection.activated and details["node"] == NODE, injection
+        assert int(injection.before, 16) ^ int(injection.after, 16) == 1 << injection.bit
+        assert "libdepth_image_proc" in details["library"] and "convert" in details["symbol"]
         gone = [kind for kind, node, _ in lives(log) if node == NODE]
-        digest = fly_here(short(), functions=twin_functions(flown)).log.digest()
+        digest = fly_here(short(), functions=functions_of(flown)).log.digest()
         expected = ("crash", "hang") if gone else ("masked",) if log.digest() == digest else ("sdc",)
-        assert told["strike_outcome"] in expected
+        assert ros_nodes.to_json(flown, log)["register_effect"] in expected
 
 
 class Sender(Scripted):

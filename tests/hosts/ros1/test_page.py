@@ -25,11 +25,11 @@ OTHERWISE = (
     "--coupling observer",
     "--kill",
     "--json",
-    "--point-cloud-node depth_image_proc --strike point_cloud_xyz@5 ",
+    "--point-cloud-node depth_image_proc --register-fault point_cloud_xyz@5 ",
 )
 """Other tests fly these too, in shorter missions."""
-STRIKE = next(command for command in ALL if "mavfi inject" in command)
-JOINED = [command for command in ALL if command.startswith("$FLIGHT/join ") and command != STRIKE]
+INJECT = next(command for command in ALL if "mavfi inject" in command)
+JOINED = [command for command in ALL if command.startswith("$FLIGHT/join ") and command != INJECT]
 SAYS = {
     "rosnode list": r"/octomap\n(.*\n)*/world",
     "rostopic hz": r"average rate: \d+\.\d+\n\s+min: ",
@@ -49,7 +49,7 @@ def need_nodelets():
 
 
 def test_the_page_has_no_command_that_is_not_run_here():
-    assert set(ALL) == {"make ros", *FLIGHTS, *FREE, *JOINED, STRIKE}
+    assert set(ALL) == {"make ros", *FLIGHTS, *FREE, *JOINED, INJECT}
     assert (len(FLIGHTS), len(FREE)) == (9, 2)
     assert ["--point-cloud-node" in command for command in FREE] == [False, True]
     assert {" ".join(command.split()[1:3]) for command in JOINED} == set(SAYS)
@@ -97,13 +97,13 @@ def going_on(command):
         flown.send_signal(signal.SIGINT)
 
 
-def test_a_strike_from_a_second_terminal():
+def test_an_injection_from_a_second_terminal():
     need_nodelets()
     with going_on(FREE[1]) as folder:
         time.sleep(10.0)  # until images come
         here = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
         done = subprocess.run(
-            arguments(STRIKE, {"FLIGHT": folder}), env=here, capture_output=True, text=True, check=False
+            arguments(INJECT, {"FLIGHT": folder}), env=here, capture_output=True, text=True, check=False
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         assert "bit" in done.stdout

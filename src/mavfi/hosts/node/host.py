@@ -1,7 +1,8 @@
 """The host `node`: a foreign ROS node under test.  A flight is a trial: start the node, drive it, compare its outputs.
 
 A mission is error-free trials whose outputs must agree, then trials with a fault.  The instant of an injection is the
-machine's, not the seed's, so a trial cannot be repeated bit for bit; `masked` says that all outputs were the golden ones.
+machine's, not the seed's, so a trial cannot be repeated bit for bit; `masked` says that all outputs were
+the golden ones.
 """
 
 import hashlib
@@ -10,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
 
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.flight_log import Injection, KernelEffect
 from mavfi.flight_record import End, FlightRecord

@@ -46,8 +46,8 @@ class Trial:
     """What became of a node.
 
     Attributes:
-        effect: Label of an `Effect`: "masked" = no output differs, "sdc" = some do, "crash" = the process ended, "hang" =
-            it gave no output, "unknown" = it could not be judged.
+        effect: Label of an `Effect`: "masked" = no output differs, "sdc" = some do, "crash" = the process ended,
+            "hang" = it gave no output, "unknown" = it could not be judged.
         reason: Why it could not be judged, or how the process ended.
         outputs: Hash of the output to each input, before the injection.
         asked: Inputs from the injection on.

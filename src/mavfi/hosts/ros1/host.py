@@ -1,0 +1,80 @@
+"""The host `ros1`: missions flown by ROS nodes in lock-step, bit for bit the flights of the host `local`."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from mavfi.detectors.detector import Detector
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import Fault, StateFault
+from mavfi.hosts.host import ArmSetup, Flight
+from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.ros1 import finder
+from mavfi.hosts.ros1.plan import Plan
+from mavfi.hosts.ros1.session import configure, fly, isolation
+from mavfi.mission import MissionSpec, Scenario
+
+
+class Ros1Host:
+    """Every kernel, the world, injector and detector are ROS nodes of their own."""
+
+    name = "ros1"
+    levels = frozenset({StateFault.level})
+    deterministic = True
+    in_process = False
+
+    def resolve(self, spec: MissionSpec) -> Scenario:
+        """See `Host.resolve`."""
+        return resolve(spec)
+
+    def check(self) -> None:
+        """See `Host.check`.
+
+        Raises:
+            BadInputError: ROS is not installed, or there can be no private network.
+        """
+        finder.require()
+        isolation()
+
+    def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "Ros1Flights":
+        """See `Host.mission`; every flight is flown from its beginning."""
+        del fast_forward
+        return Ros1Flights(arms)
+
+
+class Ros1Flights:
+    """The flights of one mission; see `MissionFlights`."""
+
+    def __init__(self, arms: Mapping[str, ArmSetup]) -> None:
+        self._arms = arms
+        self._detectors: dict[str, Detector | None] = {}
+        self._golden: dict[str, Flight] = {}
+
+    def golden(self, arm: str, *, profile: bool = False) -> Flight:
+        """See `MissionFlights.golden`."""
+        known = self._golden.get(arm)
+        if known is None or (profile and known.profile is None):
+            self._golden[arm] = known = self._fly(arm, None, profile=profile)
+        return known
+
+    def know(self, arm: str, flight: Flight) -> None:
+        """See `MissionFlights.know`."""
+        self._golden[arm] = flight
+
+    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
+        """See `MissionFlights.injected`; one flight after the other."""
+        for place, (arm, fault) in enumerate(runs):
+            try:
+                if not isinstance(fault, StateFault):
+                    raise BadInputError(f"host ros1: faults of level {fault.level!r}: allowed: state")
+                yield place, self._fly(arm, fault)
+            except Exception as error:  # noqa: BLE001 - it ends this flight, not the others
+                yield place, error
+
+    def _fly(self, arm: str, fault: StateFault | None, *, profile: bool = False) -> Flight:
+        setup = self._arms[arm]
+        if arm not in self._detectors:
+            self._detectors[arm] = None if setup.make_detector is None else setup.make_detector()
+        scenario = setup.scenario
+        plan = Plan(
+            scenario, configure(scenario), fault, self._detectors[arm], setup.coupling, profile=profile
+        )  # fmt: skip
+        return fly(plan).flight
