@@ -1,11 +1,14 @@
 import json
+from io import StringIO
 
 import pytest
 from rich.console import Console
 
+from mavfi.campaign.analysis.table import Table
+from mavfi.cli import report as cli
 from mavfi.errors import BadInputError
-from mavfi.reports.campaign_report import write_report
-from mavfi.reports.terminal import show
+from mavfi.reports import markdown
+from mavfi.reports.campaign_report import report_of, write_report
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -15,9 +18,13 @@ def written(flown):
     return write_report(flown)
 
 
+def read(written, name):
+    return next(path for path in written.files if path.name == name).read_text(encoding="utf-8")
+
+
 def test_all_files_are_there_and_pictures_are_pictures(written):
     names = {path.name for path in written.files}
-    assert {"report.md", "readme_block.md", "summary.json", "success.png", "flight_time.png", "states.png"} <= names
+    assert {"report.md", "readme_block.md", "summary.json", "success.png", "flight_time.png", "sites.png"} <= names
     for path in written.files:
         content = path.read_bytes()
         assert len(content) > 500
@@ -25,56 +32,77 @@ def test_all_files_are_there_and_pictures_are_pictures(written):
 
 
 def test_report_shows_every_table_and_figure(written):
-    text = next(path for path in written.files if path.name == "report.md").read_text(encoding="utf-8")
-    titles = ("Success of missions", "Success by inter-kernel state", "Outcomes of faults, by stage", "False alarms")
-    for title in titles:
+    text = read(written, "report.md")
+    for title in (
+        "Success of missions",
+        "Success by inter-kernel state",
+        "Effects of faults, by stage",
+        "False alarms",
+    ):
         assert f"## {title}" in text
-    assert "![success.png](success.png)" in text
-    assert "have the digest of their golden twins" in text
+    assert "![success.png](success.png)" in text and "## Findings" in text
+    assert "have the digest of their golden runs" in text
 
 
 def test_markdown_tables_are_rectangular(written):
-    text = next(path for path in written.files if path.name == "report.md").read_text(encoding="utf-8")
-    blocks = [block.splitlines() for block in text.split("\n\n") if block.startswith("| ")]
+    blocks = [block.splitlines() for block in read(written, "report.md").split("\n\n") if block.startswith("| ")]
     assert len(blocks) > 8
     for block in blocks:
         assert len({line.count("|") for line in block}) == 1
 
 
 def test_readme_block_is_the_success_table_with_its_origin(written):
-    text = next(path for path in written.files if path.name == "readme_block.md").read_text(encoding="utf-8")
+    text = read(written, "readme_block.md")
     assert text.startswith("**State level: success rates, one fault per mission**\n\nGenerated on ")
-    for part in (
+    parts = (
         "campaign `tiny`",
-        "stack `published`",
+        "autopilot profile `published`",
         "numba",
         "seeds 10000 to 10001",
         "| Golden run | here |",
-        "sparse",
-    ):
+    )
+    for part in parts:
         assert part in text
     assert "## " not in text
 
 
-def test_summary_is_the_analysis(written):
-    summary = json.loads(
-        next(path for path in written.files if path.name == "summary.json").read_text(encoding="utf-8")
-    )
-    assert summary["campaign"]["digest"] == written.analysis["campaign"]["digest"]
-    assert summary["success"] == json.loads(json.dumps(written.analysis["success"]))
+def test_summary_holds_every_table_in_numbers(written):
+    summary = json.loads(read(written, "summary.json"))
+    assert summary["campaign"]["digest"] == written.runs.campaign["digest"]
+    assert summary["null_runs"] == {"n": 2, "differing": []} and summary["unknown"] == []
+    assert {table.name for table in written.tables} <= set(summary["tables"])
+    assert "by_every_field" in summary["tables"], "what the report leaves out"
+    [fi] = [row for row in summary["tables"]["success"]["rows"] if row["setting"] == "fi"]
+    assert fi["success"]["n"] == 3 and fi["paper"] == 0.883
 
 
-def test_terminal_shows_tables_without_details(analysis):
-    console = Console(width=140, record=True, quiet=False, file=open("/dev/null", "w"))  # noqa: SIM115
-    show(analysis, console)
-    console.file.close()
-    text = console.export_text()
-    assert "Success of missions" in text
-    assert "Null runs: all 2" in text
-    assert "Success by field" not in text
+def test_an_idle_detector_changes_nothing(runs):
+    rows = {
+        row["setting"]: row for table in report_of(runs).tables if table.name == "success" for row in table.entries()
+    }
+    assert list(rows) == ["golden", "golden_idle", "fi", "dr_idle"]
+    for key in ("success", "success_whole_word", "success_mantissa"):
+        assert rows["fi"][key] == rows["dr_idle"][key]
+
+
+@pytest.mark.parametrize("show_all", [False, True])
+def test_the_terminal_shows_the_headline_or_everything(runs, monkeypatch, show_all):
+    out = StringIO()
+    monkeypatch.setattr(cli, "console", lambda: Console(file=out, width=100))
+    found = report_of(runs)
+    cli.show_report(found, show_all)
+    text = out.getvalue()
+    assert "State level: success rates" in text and "Null runs: all 2" in text
+    assert ("How missions ended" in text) == show_all
+    assert all(line.split()[0] in text for line in found.findings) and found.findings
 
 
 def test_no_campaign_no_report(tmp_path):
     with pytest.raises(BadInputError, match="holds no campaign"):
         write_report(tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_bars_in_cells_do_not_end_them():
+    table = Table.of_text("T", ("a", "b"), [("x|y", "1"), ("x|y", "2")], ("note",))
+    assert markdown.markdown_table(table) == "## T\n\n| a | b |\n| --- | --- |\n| x\\|y | 1 |\n|  | 2 |\n\n- note"

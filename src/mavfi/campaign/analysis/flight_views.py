@@ -38,7 +38,7 @@ _SETTING = ("environment", "setting")
 # ---- what applies ------------------------------------------------------------------------------------------------
 def of_states(runs: Runs) -> bool:
     """Whether faults in inter-kernel states were injected."""
-    return has(runs, level=STATE)
+    return has(runs.injected, level=STATE)
 
 
 def by_stages(runs: Runs) -> bool:

@@ -47,7 +47,7 @@ _WEIGHTED = (
 
 def of_instructions(runs: Runs) -> bool:
     """Whether faults in instructions were injected."""
-    return has(runs, level=INSTRUCTION)
+    return has(runs.injected, level=INSTRUCTION)
 
 
 def by_stages(runs: Runs) -> bool:

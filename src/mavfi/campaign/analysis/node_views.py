@@ -24,7 +24,7 @@ _MOST = 12
 
 def of_registers(runs: Runs) -> bool:
     """Whether faults in registers were injected."""
-    return has(runs, level="register")
+    return has(runs.injected, level="register")
 
 
 def _trials(runs: Runs) -> Runs:

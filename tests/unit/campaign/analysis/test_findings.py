@@ -1,0 +1,31 @@
+from mavfi.campaign.analysis.findings import MOST, findings, headline
+from mavfi.campaign.analysis.runs import Runs
+from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, died, flown, golden, injected, runs
+
+
+def test_the_headline_is_the_success_table_and_five_sentences(fake):
+    table, told = headline(fake)
+    assert table.name == "success_as_in_the_paper"
+    assert len(told) == MOST
+    assert told[0].startswith("Without a fault 100.0 % [83.9, 100.0] of missions succeed, with one fault (sign + exp")
+    assert any("gaussian brings back" in line and "newly loses 0" in line for line in told)
+    assert any(line.startswith("Missions that fail or take more than 5 % longer, by stage") for line in told)
+
+
+def test_figures_are_those_of_the_frame():
+    own = runs(golden(1), golden(2), injected(1, flown(success=False)), injected(2, flown(digest="g")))
+    told = findings(own)
+    assert "the fault loses 1 of 2 missions and saves 0" in told[0]
+    assert told[1] == "50 % of 2 faults are masked bit for bit, 50 % change the flight silently."
+
+
+def test_kernels_that_die_are_said():
+    own = runs(golden(1), golden(2), injected(1, died(), INSTRUCTION), injected(2, GOLDEN, INSTRUCTION))
+    assert any(
+        line.startswith("1 of 2 faults kill their kernel; if a dead node ended the mission") for line in findings(own)
+    )
+
+
+def test_nothing_flown_says_nothing():
+    assert headline(Runs.of([])) == (None, [])
+    assert findings(runs(golden(1))) == []

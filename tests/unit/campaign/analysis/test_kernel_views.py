@@ -1,0 +1,149 @@
+"""Tables of faults in instructions, and of faults in registers, from records made by hand."""
+
+from dataclasses import replace
+
+import pytest
+
+from mavfi.campaign.analysis import table, views_for
+from mavfi.flight_log import Injection, KernelEffect
+from mavfi.flight_record import FlightRecord
+from tests.unit.campaign.analysis.handmade import (
+    DUE,
+    GOLDEN,
+    INSTRUCTION,
+    REGISTER,
+    UNKNOWN,
+    died,
+    flown,
+    golden,
+    injected,
+    null,
+    runs,
+)
+
+PLANNING = replace(INSTRUCTION, kernel="rrt_connect", entry="plan_rrt_connect", value_class="address", stratum="other")
+FIRST = {"state": "control.command", "field": "vx", "element": None, "elements": 1, "largest": 2.0}
+ABOUT = {"level": "instruction", "each": "stage", "kernels": ["pid", "rrt_connect"], "which": "all"}
+
+
+def silent(success=True, first=None, **changes):
+    return flown(success, kernel=KernelEffect("sdc", "", first), **changes)
+
+
+@pytest.fixture
+def own():
+    faulty = [
+        injected(0, silent(first=FIRST), INSTRUCTION, target="pid"), injected(1, died(), INSTRUCTION, target="pid"),
+        injected(2, died("hang", success=False), PLANNING, target="rrt_connect"),
+        injected(3, flown(activated=False, digest="g", kernel=KernelEffect("masked")), PLANNING, target="rrt_connect"),
+        injected(4, UNKNOWN, PLANNING, target="rrt_connect"),
+        injected(0, silent(), INSTRUCTION, target="pid", arm="gaussian"),
+    ]  # fmt: skip
+    counts = {"pid": {"instructions": 100, "calls": 10, "lines": []}}
+    without = [golden(seed, replace(GOLDEN, counts=counts)) for seed in range(5)]
+    return runs(*without, golden(0, arm="gaussian"), *faulty, **ABOUT)
+
+
+def test_a_death_is_a_lost_mission_only_where_missions_end_with_it(own):
+    rows = {(row[0], row[1]): row[2] for row in table(own, "instructions_as_in_the_paper").rows}
+    restarted, ended = rows["Injection run", "here, node restarts"], rows["Injection run", "here, mission ends"]
+    assert (restarted.successes, restarted.n, ended.successes, ended.n) == (3, 4, 2, 4)
+    assert rows["Golden run", "here"].successes == 5
+    assert (rows["Golden run", "paper"], rows["Injection run", "paper"]) == (0.95, 0.883)
+    notes = table(own, "instructions_as_in_the_paper").notes
+    assert "faults that found no such call or were not activated, kept in every rate: fi 1, dr_gaussian 0" in notes
+    assert any("control: pid; planning: rrt_connect" in note for note in notes)
+    assert "1 flights could not be judged (unknown) and are left out" in notes
+
+
+def test_stages_add_up(own):
+    parts = [entry for entry in table(own, "instructions_by_stage").entries() if entry["setting"] == "fi"]
+    assert {entry["stage"] for entry in parts} == {"control", "planning"}
+    assert sum(entry["end"].successes for entry in parts) == 2 and sum(entry["end"].n for entry in parts) == 4
+    assert sum(entry["died"] for entry in parts) == 2 and sum(entry["not_activated"] for entry in parts) == 1
+
+
+def test_only_the_papers_profile_stands_beside_its_figures(own):
+    hardened = replace(own, campaign={**own.campaign, "profile": "hardened"})
+    assert "paper" not in table(hardened, "instructions_as_in_the_paper").column("measure")
+
+
+def test_what_kernels_did(own):
+    pid, planner = table(own, "kernel_effects").entries()
+    assert (pid["kernel"], pid["n"], pid["sdc"].successes, pid["due"].successes) == ("pid", 2, 1, 1)
+    assert (planner["n"], planner["masked"].successes, planner["due_kinds"]) == (2, 1, "0 / 1 / 0")
+    missions = table(own, "kernel_missions").entries()
+    assert (missions[0]["success_restart"].successes, missions[0]["success_end"].successes) == (2, 1)
+    assert missions[1]["golden"].n == 2 and missions[1]["paper"] == "flight time widely spread"
+    assert missions[1]["changed"].successes == 1, "one flight is bit for bit the golden run"
+    assert table(own, "kernel_effects_by_value_class").column("value_class") == ["—", "address"]
+
+
+def test_weights_lead_back_to_uniform_instructions(own):
+    faults = [replace(INSTRUCTION, weight=3.0), replace(INSTRUCTION, weight=1.0)]
+    records = (silent(), flown(digest="g", kernel=KernelEffect("masked")))
+    weighted = runs(
+        golden(0), golden(1), *(injected(i, r, f) for i, (r, f) in enumerate(zip(records, faults, strict=True)))
+    )
+    [entry] = table(weighted, "kernel_effects").entries()
+    assert entry["sdc"].rate == 0.75 and entry["sdc"].successes is None
+    assert any("weighted back" in note for note in table(weighted, "kernel_effects").notes)
+    assert not any("weighted back" in note for note in table(own, "kernel_effects").notes)
+
+
+def test_silent_corruptions_by_the_field_that_differed_first():
+    infinite = {**FIRST, "largest": "inf"}
+    records = [silent(first=FIRST), silent(first=FIRST, digest="g"), silent(first=infinite), silent(first=None)]
+    own = runs(*(golden(seed) for seed in range(4)), *(injected(i, r, INSTRUCTION) for i, r in enumerate(records)))
+    first, second = table(own, "kernel_errors").entries()
+    assert (first["first_differing_field"], first["n"], first["share"]) == ("control.command vx", 3, 0.75)
+    assert (first["size"], first["largest"], first["not_finite"], first["changed"]) == (2.0, 2.0, 1, 2)
+    assert (second["first_differing_field"], second["size"], second["largest"]) == ("(memory only)", None, None)
+
+
+def test_which_tables_a_campaign_of_kernels_has(own):
+    names = [found.name for found in views_for(own)]
+    assert names[0] == "recovery" or "instructions_as_in_the_paper" in names
+    assert {"kernel_effects", "kernel_missions", "kernel_errors", "kernel_instructions", "recovery"} <= set(names)
+    assert not {"success", "by_stage", "outcomes", "register_effects"} & set(names)
+    per_kernel = replace(own, campaign={**own.campaign, "each": "kernel"})
+    assert "instructions_as_in_the_paper" not in [found.name for found in views_for(per_kernel)]
+    [counted] = table(own, "kernel_instructions").entries()
+    assert (counted["flights"], counted["calls"], counted["instructions"]) == (5, 50, 500)
+
+
+# ---- registers ---------------------------------------------------------------------------------------------------
+def trial(record: FlightRecord = GOLDEN, **changes):
+    details = {"register": "rax", "symbol": "f+0x3", "library": "/l.so", "instruction": "add", "stopped_us": 9000}
+    injection = Injection("register", "rax", 0.0, 3, None, None, True, details=details)
+    return replace(record, status="", injections=(injection,), **changes)
+
+
+@pytest.fixture
+def trials():
+    differing = {"differences": [{"field": "data", "before": 1.0, "after": 2.0}], "differing": 1, "asked": 10}
+    floating = replace(REGISTER, registers="fp")
+    return runs(
+        golden(1, replace(GOLDEN, status="")), injected(1, trial(), REGISTER, target="general", index=0),
+        injected(1, trial(digest="x", extra=differing), floating, target="fp", index=1),
+        injected(1, trial(DUE, kernel=KernelEffect("crash", "SIGSEGV")), REGISTER, target="general", index=2),
+        injected(1, UNKNOWN, REGISTER, target="general", index=3), null(1, trial(), REGISTER), level="register",
+    )  # fmt: skip
+
+
+def test_what_one_bit_in_a_register_does(trials):
+    assert [found.name for found in views_for(trials)] == [
+        "register_effects", "register_functions", "register_corruptions"
+    ]  # fmt: skip
+    found = table(trials, "register_effects")
+    assert found.column("registers") == ["general + flags", "XMM, YMM", "in all"]
+    whole = found.entries()[-1]
+    assert (whole["n"], whole["unknown"]) == (3, 1)
+    assert [whole[name].successes for name in ("masked", "sdc", "crash", "hang")] == [1, 1, 1, 0]
+    assert {"crashes: SIGSEGV 1", "the process stood still for 9.0 ms (median)"} <= set(found.notes)
+
+
+def test_functions_and_corruptions(trials):
+    assert table(trials, "register_functions").rows == [("f", 3, 1, 1, 1, 0)]
+    [row] = table(trials, "register_corruptions").rows
+    assert row[1:] == ("rax bit 3", "add", "data", "1.0", "2.0", "1 of 10")

@@ -1,0 +1,38 @@
+import pytest
+
+from mavfi.campaign.analysis.listing import listing
+from mavfi.campaign.analysis.rows import SCHEMA
+from mavfi.errors import BadInputError
+from tests.unit.campaign.analysis.handmade import UNKNOWN, flown, golden, injected, runs
+
+
+@pytest.fixture
+def own():
+    return runs(golden(1), golden(2), injected(1, flown()), injected(2, flown(success=False)), injected(3, UNKNOWN))
+
+
+def test_every_run_is_a_row_with_all_columns_in_files(own):
+    found = listing(own)
+    assert len(found.rows) == 5 and found.title == "5 of 5 runs"
+    assert {column.key for column in found.columns} == set(SCHEMA)
+    assert [column.key for column in found.columns if not column.hidden][:3] == ["run_id", "site", "bit"]
+
+
+def test_failed_are_those_that_did_not_succeed(own):
+    assert listing(own, failed=True).column("status") == ["collision", "unknown"]
+
+
+@pytest.mark.parametrize(
+    ("where", "count"),
+    [(["kind=golden"], 2), (["seed=1"], 2), (["seed=1,3"], 3), (["success=no", "kind=injected"], 2), (["bit=62"], 3)],
+)
+def test_filters(own, where, count):
+    assert len(listing(own, where).rows) == count
+
+
+@pytest.mark.parametrize(
+    ("where", "told"), [("seed", "allowed: column=value"), ("seeds=1", "column 'seeds': not known")]
+)
+def test_filters_that_are_none_are_refused(own, where, told):
+    with pytest.raises(BadInputError, match=told):
+        listing(own, [where])
