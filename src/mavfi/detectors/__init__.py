@@ -2,11 +2,11 @@
 
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.detectors.model import Model, check_fits
-from mavfi.detectors.parts import Keyed, Reading, Scorer, ScoringDetector, Threshold, Verdict
+from mavfi.detectors.parts import Reading, Scorer, ScoringDetector, Threshold, Verdict
 from mavfi.detectors.recorder import Recorder, Recording
 from mavfi.detectors.registry import detector_names, load_detector
 
 __all__ = [
-    "Alarm", "Detector", "Keyed", "Model", "Reading", "Recorder", "Recording", "Scorer", "ScoringDetector",
+    "Alarm", "Detector", "Model", "Reading", "Recorder", "Recording", "Scorer", "ScoringDetector",
     "Threshold", "Verdict", "check_fits", "detector_names", "load_detector",
 ]  # fmt: skip

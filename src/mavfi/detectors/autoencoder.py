@@ -11,7 +11,7 @@ from mavfi.detectors import features
 from mavfi.detectors.deltas import DeltaScorer
 from mavfi.detectors.features import Watch
 from mavfi.detectors.model import Model
-from mavfi.detectors.parts import ScoringDetector, Threshold, Verdict, make_policy
+from mavfi.detectors.parts import ScoringDetector, Threshold, Verdict, find_policy
 from mavfi.detectors.preprocess import Preprocessor
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics.jit import kernel_jit
@@ -123,11 +123,7 @@ class AutoencoderScorer(DeltaScorer):
         super().__init__(preprocessor)
         self._network = network
         self._held = np.zeros_like(self._deltas)
-
-    def start(self) -> None:
-        """Forget the last flight."""
-        super().start()
-        self._held[:] = 0
+        self.kept += (self._held,)
 
     def measure(self, content: np.ndarray, slot: int) -> int:
         """See `read_residuals`."""
@@ -138,15 +134,6 @@ class AutoencoderScorer(DeltaScorer):
         """Hold normal deltas."""
         first, last = self.features.range_of(slot)
         self._held[first:last] = self._deltas[first:last] if verdict.score <= 1.0 else 0
-
-    def memory(self) -> Any:  # noqa: ANN401
-        """What is remembered of the flight."""
-        return super().memory(), self._held.tobytes()
-
-    def restore(self, memory: Any) -> None:  # noqa: ANN401
-        """Inverse of `memory`."""
-        super().restore(memory[0])
-        self._held[:] = np.frombuffer(memory[1], np.int16)
 
 
 class AutoencoderDetector(ScoringDetector):
@@ -172,7 +159,7 @@ class AutoencoderDetector(ScoringDetector):
         sizes = np.array(model.parameters["sizes"], np.int64)
         network = Network(numbers["scale"], sizes, numbers["weights"], np.zeros((3, int(sizes.max()))))
         threshold = Threshold(numbers["limit"], len(deltas.fields), numbers["key"])
-        super().__init__(SOURCE, AutoencoderScorer(deltas, network), threshold, make_policy(policy))
+        super().__init__(SOURCE, AutoencoderScorer(deltas, network), threshold, find_policy(policy))
 
     @staticmethod
     def fit(sample: Sample, preprocessor: Preprocessor, figures: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """What scorers share that measure deltas of watched fields: the features, and the memory of them."""
 
 from abc import abstractmethod
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ class DeltaScorer(Scorer):
     """
 
     def __init__(self, preprocessor: Preprocessor) -> None:
-        self.features = preprocessor
+        self.features, self.kept = preprocessor, preprocessor.kept
         self.fields, self.stages = preprocessor.fields, preprocessor.stages
         size = len(self.fields)
         self._deltas = np.zeros(size, np.int16)
@@ -28,10 +27,6 @@ class DeltaScorer(Scorer):
     @abstractmethod
     def measure(self, content: np.ndarray, slot: int) -> int:
         """Fill in `_deltas`, `_distance` and, where they are no plain numbers, `_unit`; see `features.measure`."""
-
-    def start(self) -> None:
-        """Forget the last flight."""
-        self.features.start()
 
     def read(self, state: State) -> Reading | None:
         """Measure a publication."""
@@ -60,11 +55,3 @@ class DeltaScorer(Scorer):
         first, last = self.features.range_of(self.features.slots[state.spec.name])
         found = features.not_finite(state.header.view(np.uint8), self.features.watch.table[first:last])
         return first + np.flatnonzero(found)
-
-    def memory(self) -> Any:  # noqa: ANN401
-        """What is remembered of the flight."""
-        return self.features.memory()
-
-    def restore(self, memory: Any) -> None:  # noqa: ANN401
-        """Inverse of `memory`."""
-        self.features.restore(memory)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ IMPLAUSIBLE = 2.0
 """Score of what cannot be."""
 _FINE = -1
 _SPEED, _LOWER, _UPPER = 0, 1, 4
+_SEQUENCE, _TRAJECTORY = 0, 1
 
 
 @kernel_jit
@@ -105,13 +105,8 @@ class PlausibilityScorer(Scorer):
         owners = [spec.name for spec, _ in watched]
         self._ranges = {name: (owners.index(name), owners.index(name) + owners.count(name)) for name in self._rules}
         self._distance, self._unit = np.zeros(len(owners)), np.ones(len(owners))
-        self.start()
-
-    def start(self) -> None:
-        """Forget the last flight."""
-        self._sequence: int | None = None
-        self._trajectory: int | None = None
-        self._position = np.zeros(3)
+        self._known, self._numbers, self._position = np.zeros(2, bool), np.zeros(2, np.int64), np.zeros(3)
+        self.kept = self._known, self._numbers, self._position
 
     def read(self, state: State) -> Reading | None:
         """Measure a publication."""
@@ -128,32 +123,19 @@ class PlausibilityScorer(Scorer):
     def accept(self, state: State, verdict: Verdict | None) -> None:
         """Take note of a value that was published."""
         if state.spec.name == "perception.collision_status":
-            self._sequence = int(state.header["future_collision_seq"][0])
+            self._known[_SEQUENCE], self._numbers[_SEQUENCE] = True, state.header["future_collision_seq"][0]
         elif state.spec.name == "planning.waypoint":
-            self._trajectory = int(state.header["trajectory_seq"][0])
+            self._known[_TRAJECTORY], self._numbers[_TRAJECTORY] = True, state.header["trajectory_seq"][0]
             self._position[:] = _reals(state)[:3]
-
-    def not_finite(self, state: State) -> np.ndarray:
-        """None: a number that is not finite is one that cannot be."""
-        return np.zeros(0, np.int64)
-
-    def memory(self) -> Any:  # noqa: ANN401
-        """What is remembered of the flight."""
-        return self._sequence, self._trajectory, self._position.tobytes()
-
-    def restore(self, memory: Any) -> None:  # noqa: ANN401
-        """Inverse of `memory`."""
-        self._sequence, self._trajectory, position = memory
-        self._position[:] = np.frombuffer(position)
 
     def _judge_status(self, state: State) -> int:
         if not (0.0 <= float(state.header["time_to_collision"][0]) <= LONGEST_TIME_TO_COLLISION):
             return _index(state.spec, "time_to_collision")
-        step = 0 if self._sequence is None else int(state.header["future_collision_seq"][0]) - self._sequence
-        return _FINE if step in (0, 1) else _index(state.spec, "future_collision_seq")
+        step = int(state.header["future_collision_seq"][0]) - int(self._numbers[_SEQUENCE])
+        return _FINE if step in (0, 1) or not self._known[_SEQUENCE] else _index(state.spec, "future_collision_seq")
 
     def _judge_waypoint(self, state: State) -> int:
-        same = self._trajectory == int(state.header["trajectory_seq"][0])
+        same = self._known[_TRAJECTORY] and self._numbers[_TRAJECTORY] == state.header["trajectory_seq"][0]
         return int(implausible_waypoint(_reals(state), self._position if same else self._position[:0], self._limits))
 
     def _judge_command(self, state: State) -> int:

@@ -83,6 +83,7 @@ class OnlineScorer(DeltaScorer):
     def __init__(self, preprocessor: Preprocessor, statistics: np.ndarray, min_count: float) -> None:
         super().__init__(preprocessor)
         self._trained, self._statistics, self._min_count = statistics, statistics.copy(), min_count
+        self.kept += (self._statistics,)
 
     def start(self) -> None:
         """Forget the last flight."""
@@ -100,15 +101,6 @@ class OnlineScorer(DeltaScorer):
         """Learn normal deltas; a first publication has none."""
         if verdict.score < NOT_FINITE and self.features.watch.memory[slot, features.SEEN] != 0.0:
             update(self._statistics, self._deltas, verdict.ratios, *self.features.range_of(slot))
-
-    def memory(self) -> Any:  # noqa: ANN401
-        """What is remembered of the flight."""
-        return super().memory(), self._statistics.tobytes()
-
-    def restore(self, memory: Any) -> None:  # noqa: ANN401
-        """Inverse of `memory`."""
-        super().restore(memory[0])
-        self._statistics[:] = np.frombuffer(memory[1]).reshape(-1, 3)
 
 
 class FrozenScorer(DeltaScorer):

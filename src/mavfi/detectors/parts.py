@@ -4,6 +4,8 @@ A scorer says how far a publication is from normal, a threshold when that is an 
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,16 +57,14 @@ class Scorer(ABC):
     Attributes:
         fields: Watched fields, "state.field".
         stages: Stage of each.
+        kept: All that is remembered of a flight; 0 before it.
         adapts: Whether `accept` needs the verdict on what was published.
     """
 
     fields: tuple[str, ...]
     stages: tuple[str, ...]
+    kept: tuple[np.ndarray, ...] = ()
     adapts = False
-
-    @abstractmethod
-    def start(self) -> None:
-        """Forget the last flight."""
 
     @abstractmethod
     def read(self, state: State) -> Reading | None:
@@ -82,17 +82,23 @@ class Scorer(ABC):
             verdict: On it, if it is watched and the scorer adapts; `read` was called with it last.
         """
 
-    @abstractmethod
     def not_finite(self, state: State) -> np.ndarray:
-        """Indices of the watched fields of a publication that are not finite."""
+        """Indices of the watched fields of a publication that are not finite, for readings of a negative regime."""
+        return _NONE
 
-    @abstractmethod
-    def memory(self) -> Any:  # noqa: ANN401 - whatever `==` compares
-        """What is remembered of the flight, see `Detector`."""
+    def start(self) -> None:
+        """Forget the last flight."""
+        for part in self.kept:
+            part[...] = 0
 
-    @abstractmethod
-    def restore(self, memory: Any) -> None:  # noqa: ANN401
+    def memory(self) -> tuple[bytes, ...]:
+        """What is remembered of the flight."""
+        return tuple(part.tobytes() for part in self.kept)
+
+    def restore(self, memory: tuple[bytes, ...]) -> None:
         """Inverse of `memory`."""
+        for part, content in zip(self.kept, memory, strict=True):
+            part[...] = np.frombuffer(content, part.dtype).reshape(part.shape)
 
 
 @kernel_jit
@@ -163,75 +169,29 @@ class Threshold:
         return reading.first + np.flatnonzero(verdict.ratios[reading.first : reading.last] > 1.0)
 
 
-class Keyed:
-    """Policy: the stage of the field that stands out is recomputed."""
-
-    remembers = False
-
-    def start(self) -> None:
-        """Nothing to forget."""
-
-    def alarm(self, source: str, state: State, score: float, fields: tuple[str, ...], stage: str) -> Alarm:
-        """What to ask for.
-
-        Args:
-            source: Name of the detector.
-            state: The publication.
-            score: Its score.
-            fields: What stands out.
-            stage: Of the first of these fields.
-        """
-        return Alarm(source, stage, score=score, fields=fields)
-
-    def note(self, state: State, normal: bool) -> None:
-        """Take note of what was published, and of whether it was normal; nothing here."""
-
-    def memory(self) -> Any:  # noqa: ANN401
-        """What is remembered."""
-        return None
-
-    def restore(self, memory: Any) -> None:  # noqa: ANN401
-        """Inverse of `memory`."""
+Policy = Callable[[Alarm, State, bool], Alarm]
+"""What an alarm asks for; made of an alarm for the stage of the field that stands out, the publication, and whether the
+way-point in force was anomalous as well."""
 
 
-class AbandonWaypoint(Keyed):
-    """Policy of the paper's AAD: control is recomputed, and an anomalous way-point is abandoned for the next one.
+def keyed(alarm: Alarm, state: State, persists: bool) -> Alarm:
+    """The stage of the field that stands out is recomputed."""
+    return alarm
+
+
+def abandon_waypoint(alarm: Alarm, state: State, persists: bool) -> Alarm:
+    """The paper's policy of the AAD: control is recomputed, and an anomalous way-point is abandoned for the next one.
 
     Where the way-point published last was anomalous as well, alarms persist: stop and plan anew.
     """
-
-    remembers = True
-
-    def __init__(self) -> None:
-        self._anomalous = False
-
-    def start(self) -> None:
-        """Forget the last flight."""
-        self._anomalous = False
-
-    def alarm(self, source: str, state: State, score: float, fields: tuple[str, ...], stage: str) -> Alarm:
-        """What to ask for, see `Keyed`."""
-        waypoint = state.spec.name == _WAYPOINT
-        return Alarm(source, "control", waypoint, waypoint and self._anomalous, score, fields)
-
-    def note(self, state: State, normal: bool) -> None:
-        """Keep whether the way-point in force is normal."""
-        if state.spec.name == _WAYPOINT:
-            self._anomalous = not normal
-
-    def memory(self) -> Any:  # noqa: ANN401
-        """Whether the way-point in force is anomalous."""
-        return self._anomalous
-
-    def restore(self, memory: Any) -> None:  # noqa: ANN401
-        """Inverse of `memory`."""
-        self._anomalous = memory
+    waypoint = state.spec.name == _WAYPOINT
+    return replace(alarm, stage="control", abandon_waypoint=waypoint, stop=waypoint and persists)
 
 
-POLICIES = {"paper": AbandonWaypoint, "keyed": Keyed}
+POLICIES: dict[str, Policy] = {"paper": abandon_waypoint, "keyed": keyed}
 
 
-def make_policy(name: str) -> Keyed:
+def find_policy(name: str) -> Policy:
     """A recovery policy by name.
 
     Raises:
@@ -239,7 +199,7 @@ def make_policy(name: str) -> Keyed:
     """
     if name not in POLICIES:
         raise BadInputError(f"recovery policy {name!r}: not known; allowed: {', '.join(POLICIES)}")
-    return POLICIES[name]()
+    return POLICIES[name]
 
 
 class ScoringDetector:
@@ -249,20 +209,19 @@ class ScoringDetector:
         source: Name in alarms.
         scorer: Measures publications.
         threshold: Makes scores of what was measured.
-        policy: Says what an alarm asks for.
+        policy: Says what an alarm asks for, see `POLICIES`.
     """
 
-    def __init__(self, source: str, scorer: Scorer, threshold: Threshold, policy: Keyed | None = None) -> None:
-        self.source, self.scorer, self.threshold = source, scorer, threshold
-        self.policy = policy or Keyed()
-        self._learns = scorer.adapts or self.policy.remembers
+    def __init__(self, source: str, scorer: Scorer, threshold: Threshold, policy: Policy = keyed) -> None:
+        self.source, self.scorer, self.threshold, self.policy = source, scorer, threshold, policy
+        self._learns = scorer.adapts or policy is not keyed
+        self._persists = False
         self._judged: tuple[State, Reading, Verdict] | None = None
 
     def start(self) -> None:
         """Forget the last flight."""
-        self._judged = None
+        self._judged, self._persists = None, False
         self.scorer.start()
-        self.policy.start()
 
     def score(self, state: State, time_us: int) -> float | None:
         """Score of a publication, in units of the threshold: > 1 is an alarm; None if it is not watched."""
@@ -278,7 +237,8 @@ class ScoringDetector:
         lacking = self.scorer.not_finite(state) if reading.regime < 0 else _NONE
         found = self.threshold.standing_out(reading, verdict, lacking)
         names = tuple(self.scorer.fields[index] for index in found)
-        return self.policy.alarm(self.source, state, float(verdict.score), names, self.scorer.stages[found[0]])
+        alarm = Alarm(self.source, self.scorer.stages[found[0]], score=float(verdict.score), fields=names)
+        return self.policy(alarm, state, self._persists)
 
     def accept(self, state: State, time_us: int) -> None:
         """Take note of a value that was published."""
@@ -286,18 +246,18 @@ class ScoringDetector:
         self._judged = None
         verdict = None if judged is None else judged[1]
         self.scorer.accept(state, verdict)
-        if verdict is not None:
-            self.policy.note(state, verdict.score <= 1.0)
+        if verdict is not None and state.spec.name == _WAYPOINT:
+            self._persists = not verdict.score <= 1.0
 
-    def memory(self) -> Any:  # noqa: ANN401
+    def memory(self) -> tuple[tuple[bytes, ...], bool]:
         """What is remembered, see `Detector`."""
-        return self.scorer.memory(), self.policy.memory()
+        return self.scorer.memory(), self._persists
 
-    def restore(self, memory: Any) -> None:  # noqa: ANN401
+    def restore(self, memory: tuple[tuple[bytes, ...], bool]) -> None:
         """Inverse of `memory`."""
         self._judged = None
-        self.scorer.restore(memory[0])
-        self.policy.restore(memory[1])
+        kept, self._persists = memory
+        self.scorer.restore(kept)
 
     def _judge(self, state: State) -> tuple[Reading, Verdict] | None:
         """Reading and verdict; a publication is checked and then accepted, and is measured once for both."""
@@ -340,11 +300,11 @@ class Chain:
         for detector in self._detectors:
             detector.accept(state, time_us)
 
-    def memory(self) -> Any:  # noqa: ANN401
+    def memory(self) -> tuple[Any, ...]:
         """What they remember."""
         return tuple(detector.memory() for detector in self._detectors)
 
-    def restore(self, memory: Any) -> None:  # noqa: ANN401
+    def restore(self, memory: tuple[Any, ...]) -> None:
         """Inverse of `memory`."""
         for detector, kept in zip(self._detectors, memory, strict=True):
             detector.restore(kept)

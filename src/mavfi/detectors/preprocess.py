@@ -84,11 +84,15 @@ class Preprocessor:
             vehicle=np.zeros(features.KNOWN + 1),
         )
 
+    @property
+    def kept(self) -> tuple[np.ndarray, ...]:
+        """All that is remembered of a flight."""
+        return self.watch.memory, self.watch.last, self.watch.vehicle
+
     def start(self) -> None:
         """Forget the last flight."""
-        self.watch.memory[:] = 0.0
-        self.watch.last[:] = 0
-        self.watch.vehicle[:] = 0.0
+        for part in self.kept:
+            part[...] = 0
 
     def note(self, state: State) -> None:
         """Remember where the vehicle is, if this state says so."""
@@ -103,18 +107,6 @@ class Preprocessor:
     def slot_of(self, index: int) -> int:
         """Number of the state of the field at an index of the vector."""
         return int(np.searchsorted(self.watch.places[:, features.LAST], index, side="right"))
-
-    def memory(self) -> tuple[bytes, ...]:
-        """What is remembered of the flight."""
-        return tuple(part.tobytes() for part in self._remembered())
-
-    def restore(self, memory: tuple[bytes, ...]) -> None:
-        """Inverse of `memory`."""
-        for part, kept in zip(self._remembered(), memory, strict=True):
-            part[...] = np.frombuffer(kept, part.dtype).reshape(part.shape)
-
-    def _remembered(self) -> tuple[np.ndarray, ...]:
-        return self.watch.memory, self.watch.last, self.watch.vehicle
 
 
 def _known(name: str, allowed: Collection[str], what: str) -> str:

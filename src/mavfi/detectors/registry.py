@@ -8,14 +8,13 @@ from typing import Any, cast
 from pydantic import Field
 
 from mavfi.config import Config, names, shipped
-from mavfi.detectors.detector import Alarm, Detector
+from mavfi.detectors.detector import Detector
 from mavfi.detectors.gate import UNKNOWN_ARENA, PhysicsGate
 from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
 from mavfi.detectors.parts import Chain
 from mavfi.detectors.preprocess import PROFILES
 from mavfi.errors import BadInputError
 from mavfi.plugins import build, known, load_object
-from mavfi.states import State
 
 GROUP = "mavfi.detectors"
 """Entry points of this group are detectors: classes without arguments; or, where a class says its `model_kind`, with a
@@ -45,27 +44,8 @@ class DetectorConfig(Config):
     tuned: ProfileSettings = Field(ProfileSettings(gate=True), description="limits by field and regime")
 
 
-class NoDetector:
+class NoDetector(Chain):
     """Watches nothing."""
-
-    def start(self) -> None:
-        """Nothing to forget."""
-
-    def score(self, state: State, time_us: int) -> None:
-        """No score."""
-
-    def check(self, state: State, time_us: int) -> Alarm | None:
-        """No alarm."""
-        return None
-
-    def accept(self, state: State, time_us: int) -> None:
-        """Nothing to remember."""
-
-    def memory(self) -> None:
-        """Nothing."""
-
-    def restore(self, memory: None) -> None:
-        """Nothing to put back."""
 
 
 def detector_names() -> list[str]:

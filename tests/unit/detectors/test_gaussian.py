@@ -21,7 +21,7 @@ def trained(count, mean=0.0, sigma=1.0):
 
 def statistics(detector):
     """k, M, S of each field, from what the detector remembers."""
-    (_, learned), _ = detector.memory()
+    (*_, learned), _ = detector.memory()
     return np.frombuffer(learned).reshape(13, 3)
 
 

@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 
-from mavfi.detectors import load_detector
-from mavfi.detectors.parts import NOT_FINITE, AbandonWaypoint, Keyed, Reading, Threshold, make_policy
+from mavfi.detectors import Alarm, load_detector
+from mavfi.detectors.parts import NOT_FINITE, Reading, Threshold, find_policy
 from mavfi.errors import BadInputError
-from tests.unit.detectors.streams import command, flight, later, strike, waypoint
+from tests.unit.detectors.streams import command, flight, later, strike
+from tests.unit.detectors.streams import waypoint as point
 from tests.unit.detectors.test_registry import FITS
 
 DETECTORS = [(name, profile) for name in ("gaussian", "autoencoder") for profile in ("paper", "tuned")]
@@ -38,17 +39,14 @@ def test_what_is_not_finite_has_its_own_score():
 
 
 def test_policies_ask_for_what_they_are_named_after():
-    state = waypoint([0, 0, 0], [0, 0, 0])
-    assert Keyed().alarm("a", state, 2.0, (), "planning").stage == "planning"
-    policy = make_policy("paper")
-    assert (policy.alarm("a", state, 2.0, (), "planning").stop, policy.memory()) == (False, False)
-    policy.note(state, normal=False)
-    assert policy.alarm("a", state, 2.0, (), "planning").stop
-    other = AbandonWaypoint()
-    other.restore(policy.memory())
-    assert other.alarm("a", state, 2.0, (), "planning").stop
+    alarm = Alarm("a", "planning", score=2.0)
+    for state, waypoint in ((point([0, 0, 0], [0, 0, 0]), True), (command([0, 0, 0]), False)):
+        assert find_policy("keyed")(alarm, state, True) == alarm
+        for persists in (False, True):
+            asked = find_policy("paper")(alarm, state, persists)
+            assert (asked.stage, asked.abandon_waypoint, asked.stop) == ("control", waypoint, waypoint and persists)
     with pytest.raises(BadInputError, match="recovery policy 'both': not known; allowed: paper, keyed"):
-        make_policy("both")
+        find_policy("both")
 
 
 @pytest.mark.parametrize(("name", "profile"), DETECTORS)
