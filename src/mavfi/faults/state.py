@@ -48,19 +48,22 @@ class ActedOn:
     """Tells which publications of one state consumers act upon: the same rule for drawing and for injecting.
 
     Where `StateSpec.acted_on` names a counter, these are the publications in which it grew; elsewhere all.
+
+    Attributes:
+        last: The counter when this was asked last.
     """
 
     def __init__(self, spec: StateSpec) -> None:
         self._counter = spec.acted_on
-        self._last = 0
+        self.last = 0
 
     def __call__(self, state: State) -> bool:
         """Whether consumers act on this publication, given those that were asked about before."""
         if not self._counter:
             return True
         value = int(state.header[self._counter][0])
-        grew = value > self._last
-        self._last = value
+        grew = value > self.last
+        self.last = value
         return grew
 
 
@@ -75,6 +78,18 @@ class CounterWatch:
 
     def __init__(self) -> None:
         self.acted_on = {spec.name: ActedOn(spec) for spec in STATES.values() if spec.acted_on}
+
+    def copy(self) -> "CounterWatch":
+        """One that has seen the same, and then sees other things."""
+        other = CounterWatch()
+        other.acted_on = {name: copy(acted_on) for name, acted_on in self.acted_on.items()}
+        return other
+
+    def same(self, other: object) -> bool:
+        """Whether both have seen the same counters last."""
+        return isinstance(other, CounterWatch) and all(
+            acted_on.last == other.acted_on[name].last for name, acted_on in self.acted_on.items()
+        )
 
     def __call__(self, state: State, time_us: int) -> State:
         """Answer the publication itself."""
@@ -111,6 +126,12 @@ class StateInjector:
         self._in_elements = self._spec.in_elements(fault.where.field)
         self._spec.find(fault.where.field)
         self._armed = fault.has_site
+
+    def copy(self) -> "StateInjector":
+        """One that has done the same, and then does other things."""
+        other = copy(self)
+        other.injections, other._acted_on = list(self.injections), copy(self._acted_on)
+        return other
 
     @property
     def spent(self) -> bool:

@@ -1,23 +1,40 @@
 """Control: the tracker (MAVFI section III-A, kernel "PID")."""
 
+from dataclasses import dataclass, field
+
 import numpy as np
 
 from mavfi.kernels.control import pid
 from mavfi.kernels.planning.trajectory import POINT_WIDTH
 from mavfi.pipeline.kernel import PipelineConfig
+from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.states import Stage, State, floats, new_state
 
 MAX_YAW_RATE = 1.5707963267948966
 """90 deg/s, as the published code (rad/s)."""
 
 
-class Tracker:
+@dataclass(slots=True)
+class _TrackerMemory(Memory):
+    """Memory of the law, time that the way-point in force has left, inputs, and the first ones as they were marked."""
+
+    law: np.ndarray = field(default_factory=lambda: np.zeros(pid.MEMORY_WIDTH))
+    remaining: float = 0.0
+    waypoint: State | None = None
+    fresh: bool = False
+    odometry: np.ndarray = field(default_factory=lambda: np.zeros(13))
+    marked: tuple[np.ndarray, float, bool, State | None] = field(
+        default_factory=lambda: (np.zeros(pid.MEMORY_WIDTH), 0.0, False, None)
+    )
+
+
+class Tracker(Remembers):
     """Kernel `pid`; stepped at the control period."""
 
     name = "pid"
     stage = Stage.CONTROL
     writes = ("control.command", "control.tracking")
-    not_memory = ("_dt", "_slowdown", "_gains", "_track")
+    memory: _TrackerMemory
 
     def __init__(self, config: PipelineConfig) -> None:
         self.reads = ("planning.waypoint", config.odometry)
@@ -31,21 +48,16 @@ class Tracker:
             stack.velocity_feed_forward / (config.tracker_slowdown if held else 1.0), stack.acceleration_feed_forward,
             stack.command_limit * config.v_max, stack.slowdown_cap, MAX_YAW_RATE,
         )  # fmt: skip
-        self._memory = np.zeros(pid.MEMORY_WIDTH)
-        self._remaining = 0.0
-        self._waypoint: np.ndarray | None = None
-        self._fresh = False
-        self._marked: tuple[np.ndarray, float, bool, np.ndarray | None] = (self._memory.copy(), 0.0, False, None)
-        self._odometry = np.zeros(13)
+        self.memory = _TrackerMemory()
 
     def receive(self, state: State, time_us: int) -> bool:
         """Note an input; steps are due at the control period only."""
         del time_us
         if state.spec.name == "planning.waypoint":
-            self._waypoint = floats(state.header, POINT_WIDTH)
-            self._fresh = True
+            self.memory.waypoint = state
+            self.memory.fresh = True
         else:
-            self._odometry = floats(state.header, 13)
+            self.memory.odometry = floats(state.header, 13)
         return False
 
     def step(self, time_us: int) -> list[State]:
@@ -54,24 +66,28 @@ class Tracker:
         command, tracking = new_state("control.command"), new_state("control.tracking")
         values = floats(command.header, 5)
         values[4] = self._dt
-        if self._waypoint is None:
+        memory = self.memory
+        if memory.waypoint is None:
             return [command, tracking]
-        if self._fresh:
+        waypoint = floats(memory.waypoint.header, POINT_WIDTH)
+        if memory.fresh:
             # the overrun of the last point is subtracted from this one
-            carry = self._remaining if -self._dt <= self._remaining <= 0.0 else 0.0
-            self._remaining = float(self._waypoint[10]) + carry
-            self._fresh = False
-        slowdown = self._track(self._waypoint, self._odometry, self._memory, self._gains, self._dt, values[:4])
-        self._remaining -= self._dt / (slowdown * self._slowdown)
-        tracking.header["remaining"] = self._remaining
+            carry = memory.remaining if -self._dt <= memory.remaining <= 0.0 else 0.0
+            memory.remaining = float(waypoint[10]) + carry
+            memory.fresh = False
+        slowdown = self._track(waypoint, memory.odometry, memory.law, self._gains, self._dt, values[:4])
+        memory.remaining -= self._dt / (slowdown * self._slowdown)
+        tracking.header["remaining"] = memory.remaining
         return [command, tracking]
 
     def mark(self) -> None:
         """Remember the memory as it is."""
-        self._marked = (self._memory.copy(), self._remaining, self._fresh, self._waypoint)
+        memory = self.memory
+        memory.marked = (memory.law.copy(), memory.remaining, memory.fresh, memory.waypoint)
 
     def rollback(self) -> None:
         """Restore the memory; a way-point that came since is new to it."""
-        memory, self._remaining, fresh, waypoint = self._marked
-        self._fresh = fresh or self._waypoint is not waypoint
-        self._memory[:] = memory
+        memory = self.memory
+        law, memory.remaining, fresh, waypoint = memory.marked
+        memory.fresh = fresh or memory.waypoint is not waypoint
+        memory.law[:] = law

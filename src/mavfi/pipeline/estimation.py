@@ -1,10 +1,11 @@
 """Perception without the truth: where the vehicle is, from IMU, position fixes and compass."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mavfi.kernels.perception import state_estimation as filtering
+from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.states import ODOMETRY, Stage, State, floats, new_state
 
 AT_REST = filtering.Spread(velocity=0.02, tilt=0.01, force_bias=0.002, rate_bias=0.0002)
@@ -15,9 +16,9 @@ PATIENCE = 10
 _ODOMETRY_WIDTH = 19
 
 
-@dataclass
-class _Memory:
-    """Everything that decides the next estimates."""
+@dataclass(slots=True)
+class _Filter(Memory):
+    """The filter, and a fix that waits for it."""
 
     nominal: np.ndarray = field(default_factory=lambda: np.zeros(filtering.NOMINAL_WIDTH))
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((filtering.ERROR_WIDTH, filtering.ERROR_WIDTH)))
@@ -27,12 +28,17 @@ class _Memory:
     refused: int = 0
     fix: np.ndarray | None = None
 
-    def copy(self) -> "_Memory":
-        """A copy that shares nothing that is written."""
-        return replace(self, nominal=self.nominal.copy(), covariance=self.covariance.copy(), sample=self.sample.copy())
+
+@dataclass(slots=True)
+class _EstimatorMemory(Memory):
+    """The last sample, the filter now, and the filter at the mark."""
+
+    sample: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    filter: _Filter = field(default_factory=_Filter)
+    marked: _Filter = field(default_factory=_Filter)
 
 
-class StateEstimator:
+class StateEstimator(Remembers):
     """Kernel `state_estimation`; stepped at each sample of the IMU, aligned by the first fix.
 
     It trusts plausible measurements: samples outside of the sensors' range are replaced by the last valid one,
@@ -43,32 +49,31 @@ class StateEstimator:
     stage = Stage.PERCEPTION
     reads = ("sensor.imu", "sensor.position")
     writes = (ODOMETRY["estimator"],)
+    memory: _EstimatorMemory
 
     def __init__(self, noise: filtering.Noise) -> None:
         self._noise = noise
-        self._sample = np.zeros(6)
-        self._memory = _Memory()
-        self._marked = self._memory.copy()
+        self.memory = _EstimatorMemory()
 
     @property
     def covariance(self) -> np.ndarray:
         """Of the error, see `kernels.perception.state_estimation`. Shape (15, 15)."""
-        return self._memory.covariance
+        return self.memory.filter.covariance
 
     def receive(self, state: State, time_us: int) -> bool:
         """A sample of the IMU makes a step due; a fix waits for the next one."""
         del time_us
         if state.spec.name == "sensor.imu":
-            self._sample = floats(state.header, 6)
+            self.memory.sample = floats(state.header, 6)
             return True
-        self._memory.fix = floats(state.header, filtering.FIX_WIDTH)
+        self.memory.filter.fix = floats(state.header, filtering.FIX_WIDTH)
         return False
 
     def step(self, time_us: int) -> list[State]:
         """Carry the estimate to now, and work in a fix that has come; gives nothing before the first fix."""
-        memory = self._memory
-        if filtering.usable_sample(self._sample):
-            memory.sample = self._sample
+        memory = self.memory.filter
+        if filtering.usable_sample(self.memory.sample):
+            memory.sample = self.memory.sample
         if memory.aligned:
             dt = 1e-6 * (time_us - memory.time_us)
             filtering.predict(memory.nominal, memory.covariance, memory.sample, dt, self._noise)
@@ -78,7 +83,7 @@ class StateEstimator:
         memory.fix = None
         return [self._estimate(memory)] if memory.aligned else []
 
-    def _take_fix(self, memory: _Memory, fix: np.ndarray) -> None:
+    def _take_fix(self, memory: _Filter, fix: np.ndarray) -> None:
         if memory.aligned:
             distance = filtering.correct(memory.nominal, memory.covariance, fix, self._noise)
             memory.refused = 0 if distance <= filtering.GATE else memory.refused + 1
@@ -88,7 +93,7 @@ class StateEstimator:
         filtering.align(memory.nominal, memory.covariance, fix, self._noise, spread)
         memory.aligned, memory.refused = True, 0
 
-    def _estimate(self, memory: _Memory) -> State:
+    def _estimate(self, memory: _Filter) -> State:
         estimate = new_state(self.writes[0])
         values = floats(estimate.header, _ODOMETRY_WIDTH)
         values[:10] = memory.nominal[:10]
@@ -98,11 +103,11 @@ class StateEstimator:
 
     def mark(self) -> None:
         """Remember the memory as it is."""
-        self._marked = self._memory.copy()
+        self.memory.marked = self.memory.filter.copy()
 
     def rollback(self) -> None:
         """Put the memory back; the last sample stays, and so does a fix that came since."""
-        waiting = self._memory.fix
-        self._memory = self._marked.copy()
+        waiting = self.memory.filter.fix
+        self.memory.filter = self.memory.marked.copy()
         if waiting is not None:
-            self._memory.fix = waiting
+            self.memory.filter.fix = waiting

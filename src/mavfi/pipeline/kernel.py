@@ -4,8 +4,7 @@ A kernel knows no faults, no detectors, no simulator and no middleware.  A host 
 that the kernel reads; where that makes a step due, the host calls `step` and publishes the result after the latency of
 its platform.  `mark` and `rollback` let a host run a stage again from the same memory.
 
-A host can also take the memory of a kernel as a whole: all its attributes but those that the class lists in
-`not_memory`, which are configuration or scratch.  A class that lists too little is saved slowly, never wrongly.
+The memory of a kernel is explicit, see `mavfi.pipeline.memory`: a host can save it, put it back, and compare it.
 
 A class may list in `quiet` the inputs that never make a step due: a host whose kernels are elsewhere then need not ask.
 """

@@ -12,6 +12,7 @@ from mavfi.kernels.perception.octomap import UpdateRule
 from mavfi.kernels.perception.octree import Octree
 from mavfi.pipeline.changes import Change, Changes
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.pipeline.memory import Foreign
 from mavfi.plugins import build, load_object, reason
 
 FIRST_CAPACITY = 1 << 14
@@ -199,17 +200,18 @@ def _same_nodes(one: Octree, other: Octree) -> bool:
     return one is other or all(a.tobytes() == b.tobytes() for a, b in zip(one, other, strict=True))
 
 
-class GuardedMap:
+class GuardedMap(Foreign[OccupancyMap]):
     """A user's map, whose answers are looked at before the pipeline works with them."""
 
     def __init__(self, name: str, inner: OccupancyMap, size: int) -> None:
-        self._name, self._inner, self._size = name, inner, size
+        super().__init__(inner)
+        self._name, self._size = name, size
 
     @property
     def log_odds(self) -> np.ndarray:
         """Of every voxel of the grid, 0 = unknown. Shape (size,), float32."""
         try:
-            values = np.asarray(self._inner.log_odds)
+            values = np.asarray(self.content.log_odds)
         except AttributeError:
             raise self._wrong("lacks log_odds") from None
         self._must(values.shape == (self._size,), f"log_odds has shape {values.shape}", f"({self._size},)")
@@ -223,7 +225,7 @@ class GuardedMap:
             BadInputError: The map raised, or its answer does not have the form of `OccupancyMap.insert`.
         """
         try:
-            voxels, log_odds = map(np.asarray, self._inner.insert(points, origin))
+            voxels, log_odds = map(np.asarray, self.content.insert(points, origin))
         except MavfiError:
             raise
         except Exception as error:  # noqa: BLE001 - whatever a user's map raises
@@ -240,11 +242,11 @@ class GuardedMap:
 
     def mark(self) -> None:
         """Remember the map as it is."""
-        self._inner.mark()
+        self.content.mark()
 
     def rollback(self) -> None:
         """Put the map back to the last mark."""
-        self._inner.rollback()
+        self.content.rollback()
 
     def _must(self, right: bool, found: str, allowed: str) -> None:
         if not right:

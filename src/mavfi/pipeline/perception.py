@@ -1,6 +1,7 @@
 """Perception: depth image -> point cloud -> map update -> collision status (MAVFI section III-A)."""
 
 import math
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,36 +11,43 @@ from mavfi.numerics.rotations import rotation_matrix
 from mavfi.numerics.voxels import voxel_of
 from mavfi.pipeline.kernel import PipelineConfig, map_grid
 from mavfi.pipeline.maps import make_map
+from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.pipeline.room import Room
 from mavfi.states import STATES, Stage, State, floats, new_state
 
 _UNKNOWN_HORIZON = 15.0
 
 
-class PointCloud:
-    """Kernel `point_cloud`: depth image -> points in the world frame; it has no memory."""
+@dataclass(slots=True)
+class _CloudMemory(Memory):
+    depth: State
+
+
+class PointCloud(Remembers):
+    """Kernel `point_cloud`: depth image -> points in the world frame."""
 
     name = "point_cloud"
     stage = Stage.PERCEPTION
     reads = ("sensor.depth",)
     writes = ("perception.point_cloud",)
-    not_memory = ("_config",)
+    memory: _CloudMemory
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
-        self._depth = new_state("sensor.depth")
+        self.memory = _CloudMemory(new_state("sensor.depth"))
 
     def receive(self, state: State, time_us: int) -> bool:
         """A depth image makes a step due."""
         del time_us
-        self._depth = state
+        self.memory.depth = state
         return True
 
     def step(self, time_us: int) -> list[State]:
         """Back-project the image that `receive` took; returns the point cloud."""
         del time_us
-        pose = floats(self._depth.header, 7)
-        ranges = np.ascontiguousarray(self._depth.elements["range"])
+        depth = self.memory.depth
+        pose = floats(depth.header, 7)
+        ranges = np.ascontiguousarray(depth.elements["range"])
         count = min(len(ranges), len(self._config.directions))
         cloud = new_state("perception.point_cloud", count)
         points = cloud.elements.view(np.float32).reshape(count, 3)
@@ -52,13 +60,20 @@ class PointCloud:
         return [cloud]
 
     def mark(self) -> None:
-        """Nothing to do: the kernel has no memory."""
+        """Nothing but the input is remembered."""
 
     def rollback(self) -> None:
-        """Nothing to do: the kernel has no memory."""
+        """Inputs stay."""
 
 
-class OctoMap:
+@dataclass(slots=True)
+class _MapMemory(Memory):
+    cloud: State
+    scan: int = 0
+    marked_scan: int = 0
+
+
+class OctoMap(Remembers):
     """Kernel `octomap`, on a dense array, an octree or a map of the user's, as the configuration says.
 
     Attributes:
@@ -71,7 +86,7 @@ class OctoMap:
     stage = Stage.PERCEPTION
     reads = ("perception.point_cloud",)
     writes = ("perception.map_update",)
-    not_memory = ("grid", "frame")
+    memory: _MapMemory
 
     def __init__(self, config: PipelineConfig) -> None:
         self.grid = grid = map_grid(config)
@@ -86,24 +101,23 @@ class OctoMap:
         self.map = make_map(
             rule.kind, self.frame, update_rule, config.camera.range, config.functions, config.rewindable
         )
-        self._scan = 0
-        self._marked_scan = 0
-        self._cloud = new_state("perception.point_cloud")
+        self.keepers = (self.map,)
+        self.memory = _MapMemory(new_state("perception.point_cloud"))
 
     def receive(self, state: State, time_us: int) -> bool:
         """A point cloud makes a step due."""
         del time_us
-        self._cloud = state
+        self.memory.cloud = state
         return True
 
     def step(self, time_us: int) -> list[State]:
         """Integrate the cloud that `receive` took; returns the map update."""
         del time_us
-        self._scan += 1
-        points = self._cloud.elements.view(np.float32).reshape(-1, 3)
-        voxels, log_odds = self.map.insert(points, floats(self._cloud.header, 3))
+        self.memory.scan += 1
+        points = self.memory.cloud.elements.view(np.float32).reshape(-1, 3)
+        voxels, log_odds = self.map.insert(points, floats(self.memory.cloud.header, 3))
         update = new_state("perception.map_update", len(voxels))
-        update.header["scan"] = self._scan
+        update.header["scan"] = self.memory.scan
         update.elements["voxel"] = voxels
         update.elements["log_odds"] = log_odds
         return [update]
@@ -111,15 +125,48 @@ class OctoMap:
     def mark(self) -> None:
         """Remember the map as it is, and the number of the scan."""
         self.map.mark()
-        self._marked_scan = self._scan
+        self.memory.marked_scan = self.memory.scan
 
     def rollback(self) -> None:
         """Take the scan since the last mark back."""
         self.map.rollback()
-        self._scan = self._marked_scan
+        self.memory.scan = self.memory.marked_scan
 
 
-class CollisionCheck:
+@dataclass(slots=True)
+class _CheckMemory(Memory):
+    """Inputs, those of the last step, and whether it is repeated.
+
+    Attributes:
+        trajectories: The last two, by number.
+        waypoint: The one in force.
+        position: Of the vehicle (m). Shape (3,).
+        remaining: Time that the tracker gives the way-point in force (s).
+        published: The last status, and so the counter of collisions.
+        escaping: Number of a trajectory that started too near to an obstacle; -1 = none.
+        used: Inputs of the last step other than the map.
+        stepped: Whether there was a step since the mark.
+        rolled_back: Whether that step was taken back.
+        again: Whether the next step repeats it.
+    """
+
+    published: State
+    trajectories: dict[int, State] = field(default_factory=dict)
+    waypoint: State | None = None
+    position: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    remaining: float = 0.0
+    escaping: int = -1
+    used: "_Inputs | None" = None
+    stepped: bool = False
+    rolled_back: bool = False
+    again: bool = False
+
+
+_Inputs = tuple[State | None, int, int, np.ndarray, float]
+"""Trajectory in force, index of its point, its sequence number, position, remaining time."""
+
+
+class CollisionCheck(Remembers):
     """Kernel `collision_check`: one-shot alarm by sequence numbers, or a check of every map.
 
     The counter of collisions lives in the last published status, as in the published code, where the message is kept
@@ -130,7 +177,7 @@ class CollisionCheck:
     stage = Stage.PERCEPTION
     writes = ("perception.collision_status",)
     quiet = ("planning.waypoint", "sensor.odometry", "perception.collision_status", "control.tracking")
-    not_memory = ("_config", "_every_map", "_reach")
+    memory: _CheckMemory
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
@@ -142,16 +189,8 @@ class CollisionCheck:
         # not beyond the planner's clearance, or a path along a wall would always see the unknown inside of the wall
         self._reach = max(1, math.ceil(config.plan_radius / config.map.resolution))
         self.room = Room(config, config.functions.apply_updates)
-        self._trajectories: dict[int, State] = {}
-        self._waypoint: State | None = None
-        self._position = np.zeros(3)
-        self._remaining = 0.0
-        self._published = new_state("perception.collision_status")
-        self._escaping_seq = -1
-        self._used = self._inputs()
-        self._stepped = False
-        self._rolled_back = False
-        self._again = False
+        self.keepers = (self.room,)
+        self.memory = _CheckMemory(new_state("perception.collision_status"))
 
     def receive(self, state: State, time_us: int) -> bool:
         """A map update makes a step due; where every map is checked, a new trajectory does too."""
@@ -159,16 +198,16 @@ class CollisionCheck:
         name = state.spec.name
         if name == "perception.map_update":
             self.room.apply(state)
-            self._again = self._rolled_back
+            self.memory.again = self.memory.rolled_back
             return True
         if name == self._config.odometry:
-            self._position = floats(state.header, 3)
+            self.memory.position = floats(state.header, 3)
         elif name == "planning.waypoint":
-            self._waypoint = state
+            self.memory.waypoint = state
         elif name == "control.tracking":
-            self._remaining = float(state.header["remaining"][0])
+            self.memory.remaining = float(state.header["remaining"][0])
         elif name == "perception.collision_status":
-            self._published = state
+            self.memory.published = state
         else:
             return self._take_trajectory(state)
         return False
@@ -177,48 +216,51 @@ class CollisionCheck:
         if self._every_map and len(state.elements) == 0:
             return False  # no plan was found: the present trajectory stays in force
         # a new trajectory is in force some ticks after it was sent: the one before is still wanted
-        self._trajectories[int(state.header["trajectory_seq"][0])] = state
-        while len(self._trajectories) > 2:
-            del self._trajectories[next(iter(self._trajectories))]
+        self.memory.trajectories[int(state.header["trajectory_seq"][0])] = state
+        while len(self.memory.trajectories) > 2:
+            del self.memory.trajectories[next(iter(self.memory.trajectories))]
         if len(state.elements) == 0:
             return False
         points = floats(state.elements, 11).reshape(-1, 11)
         voxel = voxel_of(self.room.grid, points[0, 0], points[0, 1], points[0, 2])
         if voxel >= 0 and self.room.narrow[voxel] > 0:
-            self._escaping_seq = int(state.header["trajectory_seq"][0])
+            self.memory.escaping = int(state.header["trajectory_seq"][0])
         return self._every_map
 
-    def _inputs(self) -> tuple[State | None, int, int, np.ndarray, float]:
+    def _inputs(self) -> _Inputs:
         """Inputs of a step other than the map."""
-        return (*self._in_force(), self._position, self._remaining)
+        return (*self._in_force(), self.memory.position, self.memory.remaining)
 
     def _in_force(self) -> tuple[State | None, int, int]:
         """Trajectory in force, index of its point, and its sequence number."""
-        if self._every_map and self._trajectories:
-            newest = next(reversed(self._trajectories))
-            if self._waypoint is None or int(self._waypoint.header["trajectory_seq"][0]) != newest:
-                trajectory = self._trajectories[newest]
+        if self._every_map and self.memory.trajectories:
+            newest = next(reversed(self.memory.trajectories))
+            if self.memory.waypoint is None or int(self.memory.waypoint.header["trajectory_seq"][0]) != newest:
+                trajectory = self.memory.trajectories[newest]
                 return trajectory, 0, int(trajectory.header["future_collision_seq"][0])
-        if self._waypoint is None:
+        if self.memory.waypoint is None:
             return None, -1, 0
-        header = self._waypoint.header[0]
+        header = self.memory.waypoint.header[0]
         return (
-            self._trajectories.get(int(header["trajectory_seq"])), int(header["index"]),
+            self.memory.trajectories.get(int(header["trajectory_seq"])), int(header["index"]),
             int(header["future_collision_seq"]),
         )  # fmt: skip
 
     def step(self, time_us: int) -> list[State]:
         """Check the rest of the trajectory in force on the present map."""
         del time_us
-        self._stepped = True
-        seq = int(self._published.header["future_collision_seq"][0])
-        status = State(STATES[self.writes[0]], np.zeros(1, self._published.header.dtype), self._published.elements)
+        self.memory.stepped = True
+        seq = int(self.memory.published.header["future_collision_seq"][0])
+        status = State(
+            STATES[self.writes[0]], np.zeros(1, self.memory.published.header.dtype), self.memory.published.elements
+        )
         status.header[0] = (collision_check.NO_COLLISION, np.inf, np.inf, seq, -1, False)
-        if self._again:
-            self._again = self._rolled_back = False  # a recomputation works on the inputs of the first time
+        if self.memory.again:
+            self.memory.again = self.memory.rolled_back = False  # a recomputation works on the inputs of the first time
         else:
-            self._used = self._inputs()
-        trajectory, index, epoch, position, remaining = self._used
+            self.memory.used = self._inputs()
+        assert self.memory.used is not None  # only what was done is done again
+        trajectory, index, epoch, position, remaining = self.memory.used
         if trajectory is None or index < 0 or index >= len(trajectory.elements):
             return [status]
         if epoch < seq and not self._every_map:
@@ -246,20 +288,20 @@ class CollisionCheck:
 
     def _still_escaping(self, number: int, point: np.ndarray) -> bool:
         """Whether the trajectory started too near to an obstacle and the reference has not left that zone yet."""
-        if number != self._escaping_seq:
+        if number != self.memory.escaping:
             return False
         voxel = voxel_of(self.room.grid, point[0], point[1], point[2])
         if voxel >= 0 and self.room.narrow[voxel] > 0:
             return True
-        self._escaping_seq = -1
+        self.memory.escaping = -1
         return False
 
     def mark(self) -> None:
         """Remember the map as it is."""
         self.room.mark()
-        self._stepped = False
+        self.memory.stepped = False
 
     def rollback(self) -> None:
         """Take the map updates since the last mark back; a step since then is repeated with the inputs that it had."""
         self.room.rollback()
-        self._rolled_back = self._stepped
+        self.memory.rolled_back = self.memory.stepped

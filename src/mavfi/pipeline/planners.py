@@ -46,10 +46,9 @@ class PathSearch(Protocol):
         """
 
 
-class _SamplingSearch(ABC):
-    """Runs of a sampling planner; the best path, shortened."""
+class SamplingSearch(ABC):
+    """Runs of a sampling planner; the best path, shortened.  Its generator is its only memory."""
 
-    not_memory = ("_config", "_runs", "_longest", "_path", "_buffer", "_tree", "_trees", "functions")
     functions: KernelFunctions = PLAIN
     """Compiled functions that it calls."""
 
@@ -93,7 +92,7 @@ class _SamplingSearch(ABC):
         return best
 
 
-class Rrt(_SamplingSearch):
+class Rrt(SamplingSearch):
     """Best of several RRT runs, shortened."""
 
     def __init__(self, config: PlannerConfig, seed: int) -> None:
@@ -110,7 +109,7 @@ class Rrt(_SamplingSearch):
         ))  # fmt: skip
 
 
-class RrtConnect(_SamplingSearch):
+class RrtConnect(SamplingSearch):
     """Best of several RRT-Connect runs, shortened."""
 
     def __init__(self, config: PlannerConfig, seed: int) -> None:
@@ -126,7 +125,7 @@ class RrtConnect(_SamplingSearch):
         ))  # fmt: skip
 
 
-class RrtStar(_SamplingSearch):
+class RrtStar(SamplingSearch):
     """One RRT* run, shortened.
 
     Its budget is `iterations`.  Without a path by then, the same tree keeps growing to the first one, for at most
@@ -164,6 +163,6 @@ def make_search(config: PlannerConfig, seed: int, functions: KernelFunctions = P
     """
     factory = load_object("planner", config.name, GROUP, _SHIPPED)
     search = cast(PathSearch, build("planner", config.name, factory, config, seed, needs=("search",)))
-    if isinstance(search, _SamplingSearch):
+    if isinstance(search, SamplingSearch):
         search.functions = functions
     return search

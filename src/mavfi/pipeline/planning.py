@@ -5,7 +5,7 @@ collision and when nothing is flown (the published code).  `every_map`: whenever
 short or makes no progress, from a junction at which the vehicle can still stop.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from mavfi.kernels.planning import waypoint as handover
 from mavfi.numerics.vectors import length
 from mavfi.numerics.voxels import segment_free
 from mavfi.pipeline.kernel import PipelineConfig
+from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.pipeline.routes import PLANNING_ACCELERATION, Routes
 from mavfi.pipeline.trajectories import BRAKING
 from mavfi.states import Stage, State, floats, new_state
@@ -33,7 +34,7 @@ _EMERGENCY_STOP_TIME = 0.6
 
 
 @dataclass(slots=True)
-class _Decisions:
+class _Decisions(Memory):
     """Small memory of the planner that a rollback restores."""
 
     acted_seq: int = 0
@@ -47,14 +48,28 @@ class _Decisions:
     progress_us: int = 0
 
 
-class MotionPlanner:
+@dataclass(slots=True)
+class _PlannerMemory(Memory):
+    """Inputs, where the vehicle was, decisions, and with the generator's state the last ones as they were marked."""
+
+    marked: tuple[_Decisions, np.ndarray]
+    status: State | None = None
+    odometry: np.ndarray = field(default_factory=lambda: np.zeros(13))
+    waypoint: State | None = None
+    trajectory: State | None = None
+    arc: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    crumbs: list[np.ndarray] = field(default_factory=list)
+    decisions: _Decisions = field(default_factory=_Decisions)
+
+
+class MotionPlanner(Remembers):
     """Kernel `planner`: request -> path, on a clearance map of its own."""
 
     name = "planner"
     stage = Stage.PLANNING
     writes = ("planning.path",)
     quiet = ("perception.map_update", "planning.waypoint", "planning.trajectory")
-    not_memory = ("_config", "_every_map")
+    memory: _PlannerMemory
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
@@ -65,15 +80,8 @@ class MotionPlanner:
         self._every_map = config.stack.replanning == "every_map"
         self.routes = Routes(config)
         self.room = self.routes.room
-        self._random = self.routes.search.random
-        self._status: State | None = None
-        self._odometry = np.zeros(13)
-        self._waypoint: State | None = None
-        self._trajectory: State | None = None
-        self._arc = np.zeros(0)
-        self._crumbs: list[np.ndarray] = []
-        self._memory = _Decisions()
-        self._marked = (_Decisions(), self._random.copy())
+        self.keepers = (self.room, self.routes)
+        self.memory = _PlannerMemory((_Decisions(), self.routes.random.copy()))
 
     # ---- inputs -----------------------------------------------------------------------------------------------------
     def receive(self, state: State, time_us: int) -> bool:
@@ -87,7 +95,7 @@ class MotionPlanner:
             if self._every_map:
                 return self._wants_new_plan(time_us)
         elif name == "planning.waypoint":
-            self._waypoint = state
+            self.memory.waypoint = state
         elif name == "planning.trajectory":
             self._take_trajectory(state, time_us)
         else:
@@ -95,70 +103,72 @@ class MotionPlanner:
         return False
 
     def _take_status(self, state: State) -> None:
-        self._status = state
+        self.memory.status = state
         seq = int(state.header["future_collision_seq"][0])
-        if bool(state.header["collision"][0]) and seq > self._memory.acted_seq:
-            self._memory.acted_seq = seq
-            self._memory.alarm = float(state.header["time_to_collision"][0])
+        if bool(state.header["collision"][0]) and seq > self.memory.decisions.acted_seq:
+            self.memory.decisions.acted_seq = seq
+            self.memory.decisions.alarm = float(state.header["time_to_collision"][0])
 
     def _take_trajectory(self, state: State, time_us: int) -> None:
         if self._every_map and len(state.elements) == 0:
             return  # no plan was found: the present trajectory stays in force
-        self._trajectory = state
+        self.memory.trajectory = state
         if len(state.elements):
-            self._arc = np.empty(len(state.elements))
-            handover.arc_lengths(floats(state.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH), self._arc)
-        self._memory.progress, self._memory.progress_us = -np.inf, time_us
+            self.memory.arc = np.empty(len(state.elements))
+            handover.arc_lengths(
+                floats(state.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH), self.memory.arc
+            )
+        self.memory.decisions.progress, self.memory.decisions.progress_us = -np.inf, time_us
 
     def _take_odometry(self, state: State, time_us: int) -> bool:
-        self._odometry = floats(state.header, 13)
-        position = self._odometry[:3]
-        if not self._crumbs or paths.distance(self._crumbs[-1], position) > _CRUMB:
-            self._crumbs.append(position.copy())
+        self.memory.odometry = floats(state.header, 13)
+        position = self.memory.odometry[:3]
+        if not self.memory.crumbs or paths.distance(self.memory.crumbs[-1], position) > _CRUMB:
+            self.memory.crumbs.append(position.copy())
         if self._every_map:
             return False
-        if self._memory.alarm >= 0.0:
+        if self.memory.decisions.alarm >= 0.0:
             return True
-        return self._idle() and time_us >= self._memory.retry_us and not self._adoption_pending(time_us)
+        return self._idle() and time_us >= self.memory.decisions.retry_us and not self._adoption_pending(time_us)
 
     def _idle(self) -> bool:
         """Whether nothing is flown although a map and no plan is there."""
-        if self._waypoint is None or self.room.updates == 0:
+        if self.memory.waypoint is None or self.room.updates == 0:
             return False
-        return int(self._waypoint.header["index"][0]) < 0
+        return int(self.memory.waypoint.header["index"][0]) < 0
 
     def _adoption_pending(self, time_us: int) -> bool:
         """Whether the last trajectory is about to be taken over, e.g. once the vehicle has come to rest."""
-        if self._trajectory is None or len(self._trajectory.elements) == 0:
+        if self.memory.trajectory is None or len(self.memory.trajectory.elements) == 0:
             return False
-        new = self._waypoint is None or not self._same_trajectory(self._waypoint)
-        return new and time_us - self._memory.progress_us < _ADOPTION_US
+        new = self.memory.waypoint is None or not self._same_trajectory(self.memory.waypoint)
+        return new and time_us - self.memory.decisions.progress_us < _ADOPTION_US
 
     def _on_trajectory(self) -> tuple[int, float]:
         """Index of the way-point on the trajectory known here, and its arc length; (-1, 0) when none is flown."""
-        if self._waypoint is None or self._trajectory is None or len(self._trajectory.elements) == 0:
+        if self.memory.waypoint is None or self.memory.trajectory is None or len(self.memory.trajectory.elements) == 0:
             return -1, 0.0
-        index = int(self._waypoint.header["index"][0])
-        if index < 0 or not self._same_trajectory(self._waypoint):
+        index = int(self.memory.waypoint.header["index"][0])
+        if index < 0 or not self._same_trajectory(self.memory.waypoint):
             return -1, 0.0
-        index = min(index, len(self._arc) - 1)
-        return index, float(self._arc[index])
+        index = min(index, len(self.memory.arc) - 1)
+        return index, float(self.memory.arc[index])
 
     def _same_trajectory(self, state: State) -> bool:
         """Whether a state speaks of the trajectory that was published last."""
-        return self._trajectory is not None and int(state.header["trajectory_seq"][0]) == int(
-            self._trajectory.header["trajectory_seq"][0]
+        return self.memory.trajectory is not None and int(state.header["trajectory_seq"][0]) == int(
+            self.memory.trajectory.header["trajectory_seq"][0]
         )
 
     def _wants_new_plan(self, time_us: int) -> bool:
         """Policy `every_map`: none flown, blocked, ended short, or no progress."""
-        memory, config = self._memory, self._config
-        if self._status is None:
+        memory, config = self.memory.decisions, self._config
+        if self.memory.status is None:
             return False
         if time_us < memory.settled_us:
             return False  # the last plan is on its way
         index, along = self._on_trajectory()
-        position = self._odometry[:3]
+        position = self.memory.odometry[:3]
         to_goal = paths.distance(position, config.goal)
         if to_goal < memory.best_distance - 1.0:
             memory.best_distance, memory.best_us = to_goal, time_us
@@ -166,19 +176,19 @@ class MotionPlanner:
             memory.progress, memory.progress_us = along, time_us
         if index < 0:
             return time_us >= memory.retry_us
-        if bool(self._status.header["collision"][0]) and self._same_trajectory(self._status):
+        if bool(self.memory.status.header["collision"][0]) and self._same_trajectory(self.memory.status):
             return True
         stuck = time_us - memory.progress_us > _STUCK_US
         patience = config.stack.progress_timeout
         lost = patience > 0.0 and time_us - memory.best_us > 1e6 * patience
         if stuck or lost:
             memory.progress_us = memory.best_us = time_us
-        return stuck or lost or index >= len(self._arc) - 1
+        return stuck or lost or index >= len(self.memory.arc) - 1
 
     # ---- planning ---------------------------------------------------------------------------------------------------
     def step(self, time_us: int) -> list[State]:
         """Plan once; an empty path says that none was found."""
-        memory = self._memory
+        memory = self.memory.decisions
         if self._every_map:
             path = self._plan_from_junction()
         else:
@@ -204,7 +214,7 @@ class MotionPlanner:
 
     def _plan_from_rest(self) -> State | None:
         """From the place where the vehicle will stand; with the checker's radius where the planner's does not fit."""
-        position, velocity = self._odometry[:3], self._odometry[3:6]
+        position, velocity = self.memory.odometry[:3], self.memory.odometry[3:6]
         speed = length(velocity)
         stop = position + velocity * self._config.velocity_lag if speed < 2.0 * self._config.v_max else position.copy()
         found = self.routes.first_found(stop)
@@ -213,11 +223,11 @@ class MotionPlanner:
     def _plan_in_flight(self, alarm: float) -> State | None:
         """Replace the trajectory without a stop, if the collision is far enough away."""
         stack = self._config.stack
-        velocity = self._odometry[3:6]
+        velocity = self.memory.odometry[3:6]
         speed = length(velocity)
         if not alarm > stack.grace + _EMERGENCY_STOP_TIME or self._idle() or not speed < 2.0 * self._config.v_max:
             return None
-        start = self._odometry[:3] + velocity * self._config.plan_latency
+        start = self.memory.odometry[:3] + velocity * self._config.plan_latency
         lead = start + velocity * (speed / (2.0 * PLANNING_ACCELERATION))
         if not segment_free(self.room.narrow, self.room.grid, start, lead):
             return None
@@ -237,16 +247,16 @@ class MotionPlanner:
             junction, start, speed = -1, self._standing_point(), 0.0
             velocity = np.zeros(3)
         else:
-            waypoint = floats(self._waypoint.header, timing.POINT_WIDTH)  # type: ignore[union-attr]
+            waypoint = floats(self.memory.waypoint.header, timing.POINT_WIDTH)  # type: ignore[union-attr]
             speed = length(waypoint[4:7])
             distance = along
             if speed > 0.1:
                 distance += 1.5 * speed * config.plan_latency + speed**2 / (2.0 * PLANNING_ACCELERATION) + 0.2
-            blocked = float(self._status.header["distance_to_blocked"][0])  # type: ignore[union-attr]
+            blocked = float(self.memory.status.header["distance_to_blocked"][0])  # type: ignore[union-attr]
             soonest = along + speed * config.plan_latency + speed**2 / (2.0 * BRAKING)
             distance = max(min(distance, blocked - _MARGIN), soonest)
-            junction = min(int(np.searchsorted(self._arc, distance)), len(self._arc) - 1)
-            points = floats(self._trajectory.elements, timing.POINT_WIDTH)  # type: ignore[union-attr]
+            junction = min(int(np.searchsorted(self.memory.arc, distance)), len(self.memory.arc) - 1)
+            points = floats(self.memory.trajectory.elements, timing.POINT_WIDTH)  # type: ignore[union-attr]
             point = points.reshape(-1, timing.POINT_WIDTH)[junction]
             start, velocity = point[:3].copy(), point[4:7].copy()
         found = self.routes.fastest(start, velocity)
@@ -254,17 +264,17 @@ class MotionPlanner:
 
     def _standing_point(self) -> np.ndarray:
         """Reference position while nothing is flown."""
-        if self._waypoint is None:
-            return self._odometry[:3].copy()
-        return floats(self._waypoint.header, timing.POINT_WIDTH)[:3].copy()
+        if self.memory.waypoint is None:
+            return self.memory.odometry[:3].copy()
+        return floats(self.memory.waypoint.header, timing.POINT_WIDTH)[:3].copy()
 
     def _backtrack(self) -> State | None:
         """After repeated failures: back along the flown path, into space that was free (policy `every_map`)."""
-        failures = self._memory.failures
+        failures = self.memory.decisions.failures
         if not self._every_map or failures % _BACKTRACK_AFTER or failures > _BACKTRACK_UNTIL:
             return None
         vertices, flown = [self._standing_point()], 0.0
-        for crumb in reversed(self._crumbs):
+        for crumb in reversed(self.memory.crumbs):
             step = paths.distance(vertices[-1], crumb)
             if step < _CRUMB:
                 continue
@@ -277,12 +287,10 @@ class MotionPlanner:
     # ---- recomputation ----------------------------------------------------------------------------------------------
     def mark(self) -> None:
         """Remember decisions and randomness; the map is not rolled back, updates carry absolute values."""
-        memory = self._memory
-        copy = _Decisions(*(getattr(memory, name) for name in memory.__slots__))
-        self._marked = (copy, self._random.copy())
+        self.memory.marked = (self.memory.decisions.copy(), self.routes.random.copy())
 
     def rollback(self) -> None:
         """Restore decisions and random state to those of `mark`."""
-        self._memory = self._marked[0]
-        self._random[:] = self._marked[1]
-        self.mark()
+        decisions, random = self.memory.marked
+        self.memory.decisions = decisions.copy()
+        self.routes.random[:] = random

@@ -4,6 +4,8 @@ A path keeps the planner's radius where it can.  Where that leads far around, or
 passage is looked for; the quickest path is flown.
 """
 
+from typing import Any
+
 import numpy as np
 
 from mavfi.kernels.perception.clearance import OCCUPIED
@@ -11,7 +13,8 @@ from mavfi.kernels.planning import path as paths
 from mavfi.kernels.planning import travel
 from mavfi.numerics.voxels import voxel_of
 from mavfi.pipeline.kernel import PipelineConfig
-from mavfi.pipeline.planners import PathSearch, make_search
+from mavfi.pipeline.memory import Foreign
+from mavfi.pipeline.planners import PathSearch, SamplingSearch, make_search
 from mavfi.pipeline.room import Room
 
 TIGHT_SPEED = 2.0
@@ -38,18 +41,16 @@ class Routes:
 
     Attributes:
         room: The clearance map that is searched.
-        search: The planner that the configuration names; its generator is the only memory.
     """
-
-    not_memory = ("_config", "_pace", "_occupied", "_buffer")
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
         self.room = Room(config)
-        self.search: PathSearch = make_search(config.planner, config.seed, config.functions)
+        search = make_search(config.planner, config.seed, config.functions)
         small = config.planner.model_copy(update={"iterations": _LOCAL_ITERATIONS, "restarts": 1})
-        self._local: PathSearch = make_search(small, config.seed, config.functions)
-        self._local.random = self.search.random  # one stream, one thing to roll back
+        local = make_search(small, config.seed, config.functions)
+        local.random = search.random  # one stream, one thing to roll back
+        self._searches: Foreign[tuple[PathSearch, PathSearch]] = Foreign((search, local))
         v_max = config.v_max
         self._pace = travel.Pace(
             v_max, min(TIGHT_SPEED, v_max), PLANNING_ACCELERATION, LATERAL_SHARE * config.a_max,
@@ -57,6 +58,33 @@ class Routes:
         )  # fmt: skip
         self._occupied = np.zeros(self.room.grid.size, np.int16)
         self._buffer = np.zeros((2, 20_000, 3))
+
+    @property
+    def search(self) -> PathSearch:
+        """The planner that the configuration names."""
+        return self._searches.content[0]
+
+    @property
+    def random(self) -> np.ndarray:
+        """State of its generator. Shape (4,), uint64."""
+        return self.search.random
+
+    def save(self) -> Any:  # noqa: ANN401
+        """What searches remember: the generator; of a planner of a user's own, everything."""
+        return self.random.copy() if isinstance(self.search, SamplingSearch) else self._searches.save()
+
+    def restore(self, saved: Any) -> None:  # noqa: ANN401
+        """Put it back to what `save` gave."""
+        if isinstance(self.search, SamplingSearch):
+            self.random[:] = saved
+        else:
+            self._searches.restore(saved)
+
+    def same(self, saved: Any) -> bool:  # noqa: ANN401
+        """Whether `save` would give the same."""
+        if isinstance(self.search, SamplingSearch):
+            return bool((self.random == saved).all())
+        return self._searches.same(saved)
 
     def between(self, start: np.ndarray, counter: np.ndarray, goal: np.ndarray | None = None) -> np.ndarray | None:
         """Vertices from (next to) `start` to (next to) the goal (None = the mission's) in `counter`, or None."""
@@ -152,7 +180,7 @@ class Routes:
         lower = np.maximum(config.flight_lower, stretch.min(0) - _LOCAL_MARGIN)
         upper = np.minimum(config.flight_upper, stretch.max(0) + _LOCAL_MARGIN)
         if not self._is_tight(stretch[-1]):
-            found = self._local.search(room.wide, room.grid, stretch[0], stretch[-1], lower, upper)
+            found = self._searches.content[1].search(room.wide, room.grid, stretch[0], stretch[-1], lower, upper)
             still = np.zeros(3)
             if len(found) and self._time(found, still) < self._time(stretch, still):
                 return found[1:]

@@ -12,6 +12,7 @@ from mavfi.kernels.planning import waypoint as handover
 from mavfi.numerics.vectors import length
 from mavfi.pipeline.control import MAX_YAW_RATE
 from mavfi.pipeline.kernel import PipelineConfig
+from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.pipeline.room import Room
 from mavfi.pipeline.routes import BLEND, LATERAL_SHARE, NOMINAL_SPEED, PLANNING_ACCELERATION, TIGHT_SPEED
 from mavfi.states import Stage, State, floats, new_state
@@ -46,7 +47,16 @@ class _Motion:
     yaw: float = math.nan
 
 
-class TrajectoryGenerator:
+@dataclass(slots=True)
+class _GeneratorMemory(Memory):
+    path: State
+    waypoint: State | None = None
+    flown: State | None = None
+    seq: int = 0
+    marked_seq: int = 0
+
+
+class TrajectoryGenerator(Remembers):
     """Kernel `trajectory`: smooths a path, times it, publishes points.  It runs in the planner's node, on the same map.
 
     Attributes:
@@ -58,21 +68,14 @@ class TrajectoryGenerator:
     reads = ("planning.path", "planning.waypoint", "planning.trajectory")
     writes = ("planning.trajectory",)
     quiet = ("planning.waypoint", "planning.trajectory")
-    not_memory = (
-        "_config", "_splices", "_blend", "_inner", "_corners", "_curve", "_arc", "_speed", "_dense", "_held", "_work",
-        "fallbacks",
-    )  # fmt: skip
+    memory: _GeneratorMemory
 
     def __init__(self, config: PipelineConfig, room: Room) -> None:
         self._config = config
         self._splices = config.stack.replanning == "every_map"
         self._blend, self._inner = (BLEND, _ROUND) if self._splices else (_CLOSE_BLEND, _CLOSE)
         self._room = room
-        self._path = new_state("planning.path")
-        self._waypoint: State | None = None
-        self._flown: State | None = None
-        self._seq = 0
-        self._marked_seq = 0
+        self.memory = _GeneratorMemory(new_state("planning.path"))
         self._corners = np.zeros((timing.CURVE_LIMIT, 3))
         self._curve = np.zeros((timing.CURVE_LIMIT, 3))
         self._arc = np.zeros(timing.CURVE_LIMIT)
@@ -87,29 +90,29 @@ class TrajectoryGenerator:
         del time_us
         name = state.spec.name
         if name == "planning.path":
-            self._path = state
+            self.memory.path = state
             return True
         if name == "planning.waypoint":
-            self._waypoint = state
+            self.memory.waypoint = state
         elif len(state.elements) or not self._splices:
-            self._flown = state
+            self.memory.flown = state
         return False
 
     def step(self, time_us: int) -> list[State]:
         """Time the path; an empty one becomes an empty trajectory, as in the published code."""
         del time_us
-        self._seq += 1
+        self.memory.seq += 1
         points = self._points()
         trajectory = new_state("planning.trajectory", len(points))
-        trajectory.header["trajectory_seq"] = self._seq
-        trajectory.header["future_collision_seq"] = self._path.header["future_collision_seq"]
+        trajectory.header["trajectory_seq"] = self.memory.seq
+        trajectory.header["future_collision_seq"] = self.memory.path.header["future_collision_seq"]
         floats(trajectory.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH)[:] = points
         return [trajectory]
 
     def _points(self) -> np.ndarray:
         config = self._config
-        vertices = floats(self._path.elements, 3).reshape(-1, 3)
-        motion = _Motion(float(self._path.header["entry_speed"][0]))
+        vertices = floats(self.memory.path.elements, 3).reshape(-1, 3)
+        motion = _Motion(float(self.memory.path.header["entry_speed"][0]))
         if len(vertices) and self._splices:
             vertices, motion = self._splice(vertices, motion.speed)
         vertices = _without_repeats(vertices)
@@ -172,16 +175,16 @@ class TrajectoryGenerator:
 
     def _splice(self, vertices: np.ndarray, entry: float) -> tuple[np.ndarray, _Motion]:
         """Rest of the trajectory in force up to the junction, then the new path; timed from the present speed."""
-        junction = int(self._path.header["junction"][0])
-        if self._waypoint is None or self._flown is None or junction < 0:
+        junction = int(self.memory.path.header["junction"][0])
+        if self.memory.waypoint is None or self.memory.flown is None or junction < 0:
             return vertices, _Motion(0.0)
-        points = floats(self._flown.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH)
-        index = int(self._waypoint.header["index"][0])
+        points = floats(self.memory.flown.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH)
+        index = int(self.memory.waypoint.header["index"][0])
         if not 0 <= index < len(points) or not junction < len(points):
             return vertices, _Motion(entry)
         arc = np.empty(len(points))
         handover.arc_lengths(points, arc)
-        waypoint = floats(self._waypoint.header, timing.POINT_WIDTH)
+        waypoint = floats(self.memory.waypoint.header, timing.POINT_WIDTH)
         speed = length(waypoint[4:7])
         stand = int(np.searchsorted(arc, arc[index] + speed**2 / (2.0 * BRAKING)))
         tail = vertices
@@ -199,11 +202,11 @@ class TrajectoryGenerator:
 
     def mark(self) -> None:
         """Remember the sequence number."""
-        self._marked_seq = self._seq
+        self.memory.marked_seq = self.memory.seq
 
     def rollback(self) -> None:
         """Restore the sequence number of `mark`."""
-        self._seq = self._marked_seq
+        self.memory.seq = self.memory.marked_seq
 
 
 def _without_repeats(vertices: np.ndarray) -> np.ndarray:

@@ -4,7 +4,7 @@ Trajectories and collision messages are numbered; numbers below the last one are
 code.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from mavfi.kernels.planning.trajectory import POINT_WIDTH
 from mavfi.numerics.rotations import yaw_of
 from mavfi.numerics.vectors import length
 from mavfi.pipeline.kernel import PipelineConfig
+from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.pipeline.routes import PLANNING_ACCELERATION
 from mavfi.states import Stage, State, floats, new_state
 
@@ -26,8 +27,8 @@ _ADOPTION_WINDOW = 50
 
 
 @dataclass(frozen=True, slots=True)
-class _Memory:
-    """Memory of the generator; replaced, never changed, so that a mark is a reference."""
+class _InForce(Memory):
+    """What is flown, and what waits; replaced, never changed, so that a mark is a reference."""
 
     trajectory: State | None = None
     index: int = -1
@@ -41,28 +42,35 @@ class _Memory:
     clock: tuple[float, float, float] = (0.0, 1.0, 0.0)
 
 
-class WaypointHandOver:
+@dataclass(slots=True)
+class _HandOverMemory(Memory):
+    """What is flown, inputs, limits of the known space, the trajectory in force with its arc, and the marks."""
+
+    now: _InForce = field(default_factory=_InForce)
+    inbox: list[State] = field(default_factory=list)
+    odometry: np.ndarray = field(default_factory=lambda: np.zeros(13))
+    remaining: float = 0.0
+    limits: tuple[float, float, int] = (np.inf, np.inf, -1)
+    points: np.ndarray = field(default_factory=lambda: np.zeros((0, POINT_WIDTH)))
+    arc: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    published: State | None = None
+    marked: _InForce = field(default_factory=_InForce)
+    marked_inputs: tuple[list[State], float, State | None] = field(default_factory=lambda: ([], 0.0, None))
+
+
+class WaypointHandOver(Remembers):
     """Kernel `waypoint`; stepped at the control period, publishes when the point in force changes."""
 
     name = "waypoint"
     stage = Stage.PLANNING
     writes = ("planning.waypoint",)
-    not_memory = ("_config", "_governed", "_creep")
+    memory: _HandOverMemory
 
     def __init__(self, config: PipelineConfig) -> None:
         self._config = config
         self.reads = ("planning.trajectory", "perception.collision_status", config.odometry, "control.tracking")
         self._governed = config.stack.sampling == "interpolated"
-        self._memory = _Memory()
-        self._marked = self._memory
-        self._inbox: list[State] = []
-        self._odometry = np.zeros(13)
-        self._remaining = 0.0
-        self._limits = (np.inf, np.inf, -1)
-        self._points = np.zeros((0, POINT_WIDTH))
-        self._arc = np.zeros(0)
-        self._published: State | None = None
-        self._marked_inputs: tuple[list[State], float, State | None] = ([], 0.0, None)
+        self.memory = _HandOverMemory()
         self._creep = min(_CREEP_SHARE * config.v_max, _CREEP_STEP / max(config.map_latency, 1e-3))
 
     def receive(self, state: State, time_us: int) -> bool:
@@ -70,23 +78,23 @@ class WaypointHandOver:
         del time_us
         name = state.spec.name
         if name == self._config.odometry:
-            self._odometry = floats(state.header, 13)
+            self.memory.odometry = floats(state.header, 13)
         elif name == "control.tracking":
-            self._remaining = float(state.header["remaining"][0])
+            self.memory.remaining = float(state.header["remaining"][0])
         else:
-            self._inbox.append(state)
+            self.memory.inbox.append(state)
         return False
 
     def step(self, time_us: int) -> list[State]:
         """Hand over if it is time; gives no state where the point in force stays."""
-        inbox, self._inbox = self._inbox, []
+        inbox, self.memory.inbox = self.memory.inbox, []
         for state in inbox:
             if state.spec.name == "planning.trajectory":
                 self._offer(state, time_us)
             else:
                 self._warn(state, time_us)
         self._watch(time_us)
-        memory = self._memory
+        memory = self.memory.now
         if memory.stop_us >= 0 and time_us >= memory.stop_us:
             return [self._brake()]
         waiting = memory.waiting
@@ -94,7 +102,7 @@ class WaypointHandOver:
             return [self._adopt(waiting)]
         if waiting is not None and not memory.stopping:
             return [self._brake()]
-        if self._published is None:
+        if self.memory.published is None:
             return [self._hold()]
         if memory.trajectory is None:
             return []  # nothing is flown: the point in force stays
@@ -102,13 +110,13 @@ class WaypointHandOver:
 
     def abandon(self, time_us: int) -> list[State]:
         """Drop the way-point in force for the next one."""
-        if self._memory.trajectory is None:
+        if self.memory.now.trajectory is None:
             return self.step(time_us)
         if self._governed:
-            position, rate, change = self._memory.clock
+            position, rate, change = self.memory.now.clock
             self._set(clock=(position + 1.0, rate, change))
             return self._governed_point()
-        self._remaining = 0.0
+        self.memory.remaining = 0.0
         return self._held_point()
 
     def stop(self) -> list[State]:
@@ -118,23 +126,23 @@ class WaypointHandOver:
 
     def mark(self) -> None:
         """Remember the memory as it is."""
-        self._marked = self._memory
-        self._marked_inputs = (list(self._inbox), self._remaining, self._published)
+        self.memory.marked = self.memory.now
+        self.memory.marked_inputs = (list(self.memory.inbox), self.memory.remaining, self.memory.published)
 
     def rollback(self) -> None:
         """Put the memory, and the inputs that the step consumed, back."""
-        self._memory = self._marked
-        inbox, self._remaining, self._published = self._marked_inputs
-        self._inbox = inbox + self._inbox
-        self._load(self._memory.trajectory)
+        self.memory.now = self.memory.marked
+        inbox, self.memory.remaining, self.memory.published = self.memory.marked_inputs
+        self.memory.inbox = inbox + self.memory.inbox
+        self._load(self.memory.now.trajectory)
 
     # ---- sequence numbers -------------------------------------------------------------------------------------------
     def _set(self, **changes: object) -> None:
-        self._memory = replace(self._memory, **changes)  # type: ignore[arg-type]
+        self.memory.now = replace(self.memory.now, **changes)  # type: ignore[arg-type]
 
     def _offer(self, state: State, time_us: int) -> None:
         """Accept or reject a trajectory."""
-        memory = self._memory
+        memory = self.memory.now
         seq = int(state.header["trajectory_seq"][0])
         epoch = int(state.header["future_collision_seq"][0])
         if seq < memory.last_seq or epoch < memory.epoch:
@@ -154,13 +162,13 @@ class WaypointHandOver:
         """Act on a collision status: stop at once, or after the grace period if there is time."""
         header = state.header[0]
         if self._governed:
-            self._limits = (
+            self.memory.limits = (
                 float(header["distance_to_blocked"]), float(header["distance_to_unknown"]),
                 int(header["trajectory_seq"]),
             )  # fmt: skip
             return
         seq = int(header["future_collision_seq"])
-        memory = self._memory
+        memory = self.memory.now
         if not bool(header["collision"]) or seq <= memory.seen_seq:
             return
         grace = self._config.stack.grace
@@ -171,10 +179,10 @@ class WaypointHandOver:
     def _watch(self, time_us: int) -> None:
         """Deviation monitor: too far from the reference means stop and replan."""
         limit = self._config.stack.deviation_limit
-        if limit <= 0.0 or self._memory.trajectory is None or self._published is None:
+        if limit <= 0.0 or self.memory.now.trajectory is None or self.memory.published is None:
             return
-        reference = floats(self._published.header, POINT_WIDTH)[:3]
-        if not length(reference - self._odometry[:3]) < limit:
+        reference = floats(self.memory.published.header, POINT_WIDTH)[:3]
+        if not length(reference - self.memory.odometry[:3]) < limit:
             self._set(stop_us=time_us)
 
     def _sane(self, state: State) -> bool:
@@ -198,17 +206,17 @@ class WaypointHandOver:
     def _load(self, trajectory: State | None) -> None:
         if trajectory is None:
             return
-        self._points = floats(trajectory.elements, POINT_WIDTH).reshape(-1, POINT_WIDTH)
-        self._arc = np.empty(len(self._points))
-        if len(self._points):
-            handover.arc_lengths(self._points, self._arc)
+        self.memory.points = floats(trajectory.elements, POINT_WIDTH).reshape(-1, POINT_WIDTH)
+        self.memory.arc = np.empty(len(self.memory.points))
+        if len(self.memory.points):
+            handover.arc_lengths(self.memory.points, self.memory.arc)
 
     def _slow_enough(self, waiting: State) -> bool:
         """Whether a trajectory may be taken over at the present speed."""
         if self._governed or len(waiting.elements) == 0:
             return True
-        speed = length(self._odometry[3:6])
-        if self._memory.stopping:
+        speed = length(self.memory.odometry[3:6])
+        if self.memory.now.stopping:
             return not speed > _STANDING
         first = length(floats(waiting.elements, POINT_WIDTH).reshape(-1, POINT_WIDTH)[0, 4:7])
         return not speed > first + _SPEED_STEP
@@ -219,7 +227,7 @@ class WaypointHandOver:
 
     def _adopt(self, trajectory: State) -> State:
         if len(trajectory.elements) == 0:
-            if self._governed and self._memory.trajectory is not None and self._memory.clock[1] > 0.0:
+            if self._governed and self.memory.now.trajectory is not None and self.memory.now.clock[1] > 0.0:
                 self._set(waiting=None)  # the present trajectory still leads to a place where the vehicle can stop
                 return self._governed_point()[0]
             self._set(trajectory=None, index=-1, waiting=None)
@@ -227,66 +235,66 @@ class WaypointHandOver:
         self._load(trajectory)
         self._set(trajectory=trajectory, waiting=None, stopping=False, stop_us=-1, index=0, clock=(0.0, 1.0, 0.0))
         if not self._governed:
-            return self._publish(0, self._points[0])
+            return self._publish(0, self.memory.points[0])
         start = self._nearest_start()
         self._set(clock=(float(start), 1.0, 0.0), index=start)
         waypoint = np.zeros(POINT_WIDTH)
-        handover.reference(np.array(self._memory.clock), self._points, waypoint)
+        handover.reference(np.array(self.memory.now.clock), self.memory.points, waypoint)
         return self._publish(start, waypoint)
 
     def _nearest_start(self) -> int:
         """Point of a spliced trajectory that is nearest to the reference in force (it has moved on meanwhile)."""
-        if self._published is None:
+        if self.memory.published is None:
             return 0
-        reference = floats(self._published.header, POINT_WIDTH)[:3]
-        window = self._points[:_ADOPTION_WINDOW, :3]
+        reference = floats(self.memory.published.header, POINT_WIDTH)[:3]
+        window = self.memory.points[:_ADOPTION_WINDOW, :3]
         return int(np.argmin(((window - reference) ** 2).sum(1)))
 
     def _held_point(self) -> list[State]:
         waypoint = np.empty(POINT_WIDTH)
-        index = handover.hand_over(self._points, self._memory.index, self._remaining, waypoint)
-        if index == self._memory.index:
+        index = handover.hand_over(self.memory.points, self.memory.now.index, self.memory.remaining, waypoint)
+        if index == self.memory.now.index:
             return []
-        if index >= len(self._points):
+        if index >= len(self.memory.points):
             self._set(trajectory=None, index=-1)
             return [self._hold()]
         self._set(index=index)
-        self._remaining = np.inf  # until the tracker reports on the new point
+        self.memory.remaining = np.inf  # until the tracker reports on the new point
         return [self._publish(index, waypoint)]
 
     def _governed_point(self) -> list[State]:
-        clock = np.array(self._memory.clock)
-        blocked, unknown, seq = self._limits
-        trajectory = self._memory.trajectory
+        clock = np.array(self.memory.now.clock)
+        blocked, unknown, seq = self.memory.limits
+        trajectory = self.memory.now.trajectory
         if not self._config.stack.known_space_limit or (
             trajectory is not None and seq != int(trajectory.header["trajectory_seq"][0])
         ):
             blocked = unknown = np.inf
         handover.advance_clock(
-            clock, self._points, self._arc, 1e-6 * self._config.control_period_us, blocked, unknown,
+            clock, self.memory.points, self.memory.arc, 1e-6 * self._config.control_period_us, blocked, unknown,
             PLANNING_ACCELERATION, self._creep, 1.0 / self._config.tracker_slowdown,
         )  # fmt: skip
         self._set(clock=tuple(clock), index=int(clock[0]))
         waypoint = np.zeros(POINT_WIDTH)
-        handover.reference(clock, self._points, waypoint)
+        handover.reference(clock, self.memory.points, waypoint)
         return [self._publish(int(clock[0]), waypoint)]
 
     def _publish(self, index: int, waypoint: np.ndarray) -> State:
         state = new_state("planning.waypoint")
         floats(state.header, POINT_WIDTH)[:] = waypoint
-        trajectory = self._memory.trajectory
+        trajectory = self.memory.now.trajectory
         state.header["index"] = index
-        state.header["future_collision_seq"] = self._memory.epoch
+        state.header["future_collision_seq"] = self.memory.now.epoch
         if trajectory is not None:
             state.header["trajectory_seq"] = trajectory.header["trajectory_seq"]
-        self._published = state
+        self.memory.published = state
         return state
 
     def _hold(self, turn: float = 0.0) -> State:
         """Stand where the vehicle comes to rest; `turn` looks around (rad)."""
         waypoint = np.zeros(POINT_WIDTH)
         lag = self._config.velocity_lag if not self._governed else 0.0
-        waypoint[:3] = self._odometry[:3] + lag * self._odometry[3:6]
-        waypoint[3] = yaw_of(self._odometry[6:10]) + turn
+        waypoint[:3] = self.memory.odometry[:3] + lag * self.memory.odometry[3:6]
+        waypoint[3] = yaw_of(self.memory.odometry[6:10]) + turn
         waypoint[10] = self._config.stack.point_period
         return self._publish(-1, waypoint)

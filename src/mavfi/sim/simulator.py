@@ -38,6 +38,17 @@ class Snapshot:
     rejected_commands: int
     imu: Imu
 
+    def same(self, other: "Snapshot") -> bool:
+        """Whether both are equal, bit for bit."""
+        return self._content() == other._content()
+
+    def _content(self) -> tuple[int | bytes, ...]:
+        arrays = (
+            self.physics, self.sensors, self.warnings, self.controller, self.setpoint, self.odometry, self.imu.bias,
+        )  # fmt: skip
+        numbers = self.time_us, self.expiry_us, self.collided, self.rejected_commands, self.imu.time_us
+        return (*numbers, *(array.tobytes() for array in arrays))
+
 
 def _shortened(velocity: tuple[float, float, float], limit: float) -> tuple[float, float, float]:
     """The same direction, not longer than the limit; the largest part is divided out before squares can overflow."""
@@ -189,6 +200,10 @@ class Simulator:
             self._controller.copy(), self._setpoint.copy(), self._expiry_us, self.odometry.copy(),
             self.collided, self.rejected_commands, copy.deepcopy(self._imu),
         )  # fmt: skip
+
+    def is_at(self, snapshot: Snapshot) -> bool:
+        """Whether `snapshot` would give the same, bit for bit."""
+        return self.odometry.tobytes() == snapshot.odometry.tobytes() and self.snapshot().same(snapshot)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Continue from a snapshot of this simulator, or of another one of the same world and scenario.

@@ -25,7 +25,7 @@ from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
 from mavfi.faults.instruction.variant import Variant, variant_for
 from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, case_of, flight_of
-from mavfi.hosts.instruction.output import Output, copied
+from mavfi.hosts.instruction.output import Output
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
 from mavfi.hosts.loop.recovery import Coupling
@@ -33,6 +33,7 @@ from mavfi.hosts.loop.restarts import Restarts
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
+from mavfi.pipeline.memory import copied
 from mavfi.states import State
 
 TIMEOUT = 60.0

@@ -3,12 +3,12 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from mavfi.hosts import memory
 from mavfi.pipeline.kernel import Kernel
+from mavfi.pipeline.memory import Remembers
 from mavfi.states import State
 
 
@@ -28,7 +28,7 @@ class Output:
     def of(kernel: Kernel, states: Sequence[State]) -> "Output":
         """Output of a step that has just been made."""
         published = {state.spec.name: (state.header.copy(), state.elements.copy()) for state in states}
-        return Output(published, memory.fingerprint(kernel))
+        return Output(published, cast(Remembers, kernel).fingerprint())
 
     def same(self, other: "Output") -> bool:
         """Whether both are the same, bit for bit, with what is remembered."""
@@ -79,13 +79,3 @@ def _difference(
         "state": state, "field": field, "element": element, "before": before, "after": after, "elements": elements,
         "largest": largest,
     }  # fmt: skip
-
-
-def copied(value: Any) -> Any:
-    """A copy of an argument that the call may change."""
-    if isinstance(value, np.ndarray):
-        return value.copy()
-    if isinstance(value, tuple):
-        parts = [copied(part) for part in value]
-        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
-    return value

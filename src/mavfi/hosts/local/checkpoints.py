@@ -1,25 +1,29 @@
 """Everything that decides how a flight goes on: taken, put back, and compared, at the instant before a control tick."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
+from mavfi.detectors.detector import Detector
+from mavfi.faults.state import CounterWatch, StateInjector
 from mavfi.flight_log import AlarmRecord
-from mavfi.hosts import memory
-from mavfi.hosts.loop.scheduler import Loop
+from mavfi.hosts.loop.scheduler import Loop, LoopMemory
+from mavfi.pipeline.memory import Foreign, Remembers, Saved
 from mavfi.states import Stage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Instant:
-    """State of plant, kernels and queue of a loop at an instant; never changed, and shared by flights.
+    """State of plant, loop and kernels at an instant; never changed, and shared by flights.
 
     Attributes:
         plant: Its snapshot.
-        memory: All the loop's attributes but those of `Loop.not_memory`.
+        loop: Its memory.
+        kernels: Theirs, by name.
     """
 
     plant: Any
-    memory: Any
+    loop: LoopMemory
+    kernels: dict[str, Saved]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,9 +37,8 @@ class Checkpoint:
         shown: How many publications.
         alarms: The alarms until then, with the outcomes that were known.
         counts: See `Record.counts`.
-        spent: Whether the tap in the injector's place leaves what comes untouched.
-        injector: Its memory.
-        detector: Memory of the detector.
+        injector: A copy of the first tap.
+        detector: Memory of the detector, see `Watched`.
     """
 
     instant: Instant | None
@@ -44,9 +47,14 @@ class Checkpoint:
     shown: int
     alarms: tuple[AlarmRecord, ...]
     counts: tuple[int, ...]
-    spent: bool
-    injector: Any
+    injector: CounterWatch | StateInjector
     detector: Any
+
+    @property
+    def watch(self) -> CounterWatch:
+        """What passed until then, in a flight without a fault."""
+        assert isinstance(self.injector, CounterWatch)
+        return self.injector
 
     @property
     def here(self) -> Instant:
@@ -55,24 +63,62 @@ class Checkpoint:
         return self.instant
 
 
+class Watched:
+    """A detector whose memory is explicit: `memory()` and `restore()`.
+
+    Attributes:
+        content: The detector.
+    """
+
+    def __init__(self, detector: Any) -> None:  # noqa: ANN401
+        self.content = detector
+
+    def save(self) -> Any:  # noqa: ANN401
+        """What it remembers."""
+        return self.content.memory()
+
+    def restore(self, saved: Any) -> None:  # noqa: ANN401
+        """Put it back to what `save` gave."""
+        self.content.restore(saved)
+
+    def same(self, saved: Any) -> bool:  # noqa: ANN401
+        """Whether `save` would give the same."""
+        return bool(self.content.memory() == saved)
+
+
+def keeper_of(detector: Detector | None) -> Watched | Foreign[Any]:
+    """What saves the memory of a detector; one that has no such methods is copied whole."""
+    explicit = all(callable(getattr(detector, name, None)) for name in ("memory", "restore"))
+    return Watched(detector) if explicit else Foreign(detector)
+
+
 def take(loop: Loop) -> Instant:
     """The present instant of a loop."""
     _settle(loop)
-    return Instant(loop.plant.snapshot(), memory.save(loop))
+    kernels = {name: kernel.save() for name, kernel in _kernels(loop).items()}
+    return Instant(loop.plant.snapshot(), loop.memory().copy(), kernels)
 
 
 def put(loop: Loop, instant: Instant) -> None:
     """Put a loop back to an instant that was taken of it; record and taps are left alone."""
     loop.plant.restore(instant.plant)
-    memory.restored(instant.memory)
+    loop.restore(instant.loop)
+    for name, kernel in _kernels(loop).items():
+        kernel.restore(instant.kernels[name])
 
 
 def is_at(loop: Loop, instant: Instant) -> bool:
     """Whether a loop is at an instant: all bits of all that decides how it goes on, taps left aside."""
-    if loop.plant.odometry.tobytes() != instant.plant.odometry.tobytes():
+    if not loop.plant.is_at(instant.plant):
         return False
     _settle(loop)
-    return memory.same(loop.plant.snapshot(), instant.plant) and memory.same(loop, instant.memory)
+    return loop.memory().same(instant.loop) and all(
+        kernel.same(instant.kernels[name]) for name, kernel in _kernels(loop).items()
+    )
+
+
+def _kernels(loop: Loop) -> dict[str, Remembers]:
+    return cast(dict[str, Remembers], loop.kernels)  # those of this process are
 
 
 def _settle(loop: Loop) -> None:

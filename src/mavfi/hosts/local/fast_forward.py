@@ -11,6 +11,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -19,8 +20,7 @@ from mavfi.errors import MavfiError
 from mavfi.faults.fault import StateFault
 from mavfi.faults.state import CounterWatch, StateInjector
 from mavfi.flight_log import FlightLog, Profile
-from mavfi.hosts import memory
-from mavfi.hosts.local.checkpoints import Checkpoint, Instant, is_at, put, take
+from mavfi.hosts.local.checkpoints import Checkpoint, Instant, is_at, keeper_of, put, take
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.recovery import Coupling, Watch
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
@@ -172,15 +172,14 @@ class FastForward:
         own, plain = self.golden(detector, arm), self.golden()
         rows = own.before(fault.time_us)
         start = own.checkpoints[rows]
-        injector = StateInjector(fault, memory.restored(start.injector))
+        injector = StateInjector(fault, start.watch)
         as_plain = rows in plain.checkpoints and start.instant is plain.checkpoints[rows].instant
         # where nothing has alarmed yet, the flight without a detector shows what happens until it does
         along = self._struck(fault) if detector is not None and as_plain and not injector.spent else None
         branch = _Branch(self, detector, [plain] if along is None else [along, plain], own, keeps=detector is None)
         branch.begin(own, start)
         branch.loop.taps.injector = injector
-        if detector is not None:
-            memory.restored(start.detector)
+        branch.remember(start.detector)
         if injector.spent:
             branch.join(own, rows)
         elif along is not None:
@@ -193,10 +192,10 @@ class FastForward:
 
 
 class _Branch:
-    """A flight that comes about, on the one host of the family.
+    """A flight that comes about, on the one host of the forward.
 
     Args:
-        family: Where it belongs.
+        forward: Where it belongs.
         detector: What watches.
         twins: Flights without a detector that it may come to equal.
         own: The golden flight with the same detector.
@@ -204,20 +203,32 @@ class _Branch:
     """
 
     def __init__(
-        self, family: FastForward, detector: Detector | None, twins: Sequence[Track] = (), own: Track | None = None,
+        self, forward: FastForward, detector: Detector | None, twins: Sequence[Track] = (), own: Track | None = None,
         keeps: bool = False,
     ) -> None:  # fmt: skip
-        self.loop = family.loop
-        self._share, self._pitch = family.share, family.pitch
-        self._detector, self._twins, self._own, self._keeps = detector, twins, own, keeps
+        self.loop = forward.loop
+        self._share, self._pitch = forward.share, forward.pitch
+        self._detector = None if detector is None else keeper_of(detector)
+        self._twins, self._own, self._keeps = twins, own, keeps
         self._checkpoints: dict[int, Checkpoint] = {}
         self._shown: list[tuple[State, int]] = []
         self._flown = False
         self._log: FlightLog | None = None
-        self.loop.status, taps = None, self.loop.taps
-        taps.detector = None if detector is None else Watch(self.loop, detector, family.coupling)
+        self._coupling = forward.coupling
+        self.loop.status, self.loop.taps.detector = None, None
+        self._watch()
         shows = keeps and detector is None
-        taps.recorders[:] = [lambda state, now: self._shown.append((state, now))] if shows else []
+        self.loop.taps.recorders[:] = [lambda state, now: self._shown.append((state, now))] if shows else []
+
+    def _watch(self) -> None:
+        if self._detector is not None:
+            self.loop.taps.detector = Watch(self.loop, self._detector.content, self._coupling)
+
+    def remember(self, saved: Any) -> None:  # noqa: ANN401
+        """Put the memory of the detector, if there is one, back to what a checkpoint has of it."""
+        if self._detector is not None:
+            self._detector.restore(saved)
+            self._watch()  # it may be another object
 
     # ---- the record -------------------------------------------------------------------------------------------------
     def begin(self, track: Track, start: Checkpoint) -> None:
@@ -233,10 +244,10 @@ class _Branch:
 
     def _checkpoint(self, instant: Instant | None = None) -> Checkpoint:
         record, injector = self.loop.record, self.loop.taps.injector
-        spent = injector is not None and injector.spent
+        assert isinstance(injector, (CounterWatch, StateInjector))  # whatever is flown here has one
         return Checkpoint(
             instant, len(record.rows), len(record.events), len(self._shown), tuple(record.alarms), record.counts(),
-            spent, memory.save(injector), memory.save(self._detector),
+            injector.copy(), None if self._detector is None else self._detector.save(),
         )  # fmt: skip
 
     def _append(self, track: Track, here: Checkpoint, there: Checkpoint) -> None:
@@ -271,13 +282,13 @@ class _Branch:
                 return self.join(track, here.rows)
             if self._own is not None and self._is_own(here, self._own):
                 return self.join(self._own, here.rows)
-            known = memory.save(self._detector)
-            if self._alarms(track.shown[here.shown : there.shown]):
-                memory.restored(known)
+            known = self._detector.save()
+            if self._alarms(track.shown[here.shown : there.shown], self._detector.content):
+                self.remember(known)
                 return put(self.loop, here.here)
             self._share.shown += there.rows - here.rows
             if not self._flown or isinstance(self.loop.taps.injector, CounterWatch):
-                self.loop.taps.injector = memory.restored(there.injector)
+                self.loop.taps.injector = there.injector.copy()
             self._append(track, here, there)
 
     def _is_own(self, here: Checkpoint, own: Track) -> bool:
@@ -287,7 +298,7 @@ class _Branch:
             known is not None
             and known.instant is here.instant
             and self._is_through()
-            and memory.same(self._detector, known.detector)
+            and self._same_detector(known)
         )
 
     def _is_through(self) -> bool:
@@ -295,9 +306,11 @@ class _Branch:
         injector = self.loop.taps.injector
         return not self.loop.awaited and not self.loop.requests and injector is not None and injector.spent
 
-    def _alarms(self, shown: list[tuple[State, int]]) -> bool:
-        detector = self._detector
-        assert detector is not None  # only detectors are shown anything
+    def _same_detector(self, known: Checkpoint) -> bool:
+        return self._detector is None or self._detector.same(known.detector)
+
+    @staticmethod
+    def _alarms(shown: list[tuple[State, int]], detector: Detector) -> bool:
         for state, now in shown:
             if detector.check(state, now) is not None:
                 return True
@@ -336,12 +349,12 @@ class _Branch:
         loop, seen = self.loop, set()
         for track in (*self._twins, self._own):
             here = None if track is None else track.checkpoints.get(len(loop.record.rows))
-            if track is None or here is None or not here.spent or id(here.instant) in seen:
+            if track is None or here is None or not here.injector.spent or id(here.instant) in seen:
                 continue  # a twin that is still to be struck would be struck for this flight, too
             seen.add(id(here.instant))
-            if track is self._own and not memory.same(self._detector, here.detector):
+            if track is self._own and not self._same_detector(here):
                 continue
-            if isinstance(loop.taps.injector, CounterWatch) and not memory.same(loop.taps.injector, here.injector):
+            if isinstance(loop.taps.injector, CounterWatch) and not loop.taps.injector.same(here.injector):
                 continue
             if is_at(loop, here.here):
                 return track

@@ -9,7 +9,7 @@ image's turn for perception, with the next sample of the IMU for the state estim
 """
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.errors import BadInputError
@@ -46,8 +46,7 @@ class Action:
     withholds: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Awaited:
+class Awaited(NamedTuple):
     """A recomputation on its way.
 
     Attributes:

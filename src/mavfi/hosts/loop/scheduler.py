@@ -7,6 +7,7 @@ its platform, through the taps; the control kernel's command goes to the plant; 
 import heapq
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from mavfi.hosts.loop.sensing import Sensors
 from mavfi.hosts.loop.taps import Taps
 from mavfi.mission import MissionStatus, Scenario
 from mavfi.pipeline.kernel import Kernel
+from mavfi.pipeline.memory import Memory
 from mavfi.platforms.compute import latency, redo_latency, stage_latency
 from mavfi.sim.environments import World
 from mavfi.states import KERNELS, ODOMETRY, PERIODIC, STATES, Stage, State, floats, states_with
@@ -33,6 +35,23 @@ _REQUESTED_AT_TICKS = tuple(
     name for name, spec in KERNELS.items() if spec.stage is Stage.PLANNING and spec.trigger == "input"
 )
 """Kernels of which a requested recomputation waits for the next control period, not for an input."""
+
+
+@dataclass(slots=True)
+class LoopMemory(Memory):
+    """All of a loop that decides how its flight goes on, beside plant, kernels, sensors and taps; see `Loop`."""
+
+    now: int
+    order: int
+    queue: list[tuple[int, int, str, tuple[Any, ...]]]
+    busy: dict[str, State | None]
+    awaited: dict[str, Awaited]
+    requests: dict[str, Action]
+    mapped: bool
+    captured_us: int
+    failed_plans: int
+    command: np.ndarray
+    reference: np.ndarray
 
 
 class Loop:
@@ -59,12 +78,6 @@ class Loop:
         requests: Recomputations that wait for the kernel's next step, by kernel (coupling `observer`).
         down: Kernels whose node is dead.
     """
-
-    # configuration; what is judged, counted or recorded; and the taps, which a checkpoint holds beside the memory
-    not_memory = (
-        "scenario", "world", "plant", "make_kernels", "latency", "readers", "marks", "status", "record", "taps",
-        "actions", "before_tick", "after_tick", "after_step", "before_end", "judge", "sensors", "down",
-    )  # fmt: skip
 
     def __init__(
         self, scenario: Scenario, world: World, plant: Plant, make_kernels: Callable[[], dict[str, Kernel]], *,
@@ -280,6 +293,22 @@ class Loop:
         )  # fmt: skip
         self.record.recompute_us[action.stage.value] += cost
         return cost
+
+    # ---- memory -----------------------------------------------------------------------------------------------------
+    def memory(self) -> LoopMemory:
+        """What it remembers, which goes on to change: a checkpoint takes a copy."""
+        return LoopMemory(
+            self.now, self.order, self.queue, self.busy, self.awaited, self.requests, self.mapped, self.captured_us,
+            self.failed_plans, self.command, self.reference,
+        )  # fmt: skip
+
+    def restore(self, memory: LoopMemory) -> None:
+        """Go on from what `memory` gave; it can be restored again."""
+        own = memory.copy()
+        self.now, self.order, self.queue, self.busy = own.now, own.order, own.queue, own.busy
+        self.awaited, self.requests = own.awaited, own.requests
+        self.mapped, self.captured_us, self.failed_plans = own.mapped, own.captured_us, own.failed_plans
+        self.command, self.reference = own.command, own.reference
 
     # ---- record -----------------------------------------------------------------------------------------------------
     def log(self, status: MissionStatus, rejected_commands: int) -> FlightLog:

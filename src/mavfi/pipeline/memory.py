@@ -1,0 +1,164 @@
+"""Explicit memory: what is remembered between steps, as dataclasses of plain values that can be copied and compared.
+
+Plain values are numbers, text, None, published states (which never change), arrays, and tuples, lists and dictionaries
+of these and of memories.  Maps are too large to be copied: they keep their changes, see `Keeper`.
+"""
+
+import copy
+import hashlib
+import pickle
+import struct
+from typing import Any, Generic, Protocol, Self, TypeVar
+
+import numpy as np
+
+from mavfi.states import State
+
+
+class Memory:
+    """Base of memories; a subclass is a dataclass with slots, whose fields are all that it remembers."""
+
+    __slots__: tuple[str, ...] = ()
+
+    def copy(self) -> Self:
+        """A copy that later changes do not reach."""
+        return type(self)(*(copied(getattr(self, name)) for name in self.__slots__))
+
+    def same(self, other: Self) -> bool:
+        """Whether both are equal, bit for bit."""
+        return all(same(getattr(self, name), getattr(other, name)) for name in self.__slots__)
+
+
+class Keeper(Protocol):
+    """Something large that keeps its own changes: a map, or a search of a user's own."""
+
+    def save(self) -> Any:  # noqa: ANN401 (each has its own form)
+        """What it is now; never changed afterwards."""
+
+    def restore(self, saved: Any) -> None:  # noqa: ANN401
+        """Put it back to what `save` gave."""
+
+    def same(self, saved: Any) -> bool:  # noqa: ANN401
+        """Whether it is what it was when `save` gave this, bit for bit."""
+
+
+Saved = tuple[Memory, tuple[Any, ...]]
+"""Copies of a kernel's memory, and of its keepers."""
+
+
+class Remembers:
+    """What a kernel with explicit memory can do.
+
+    Attributes:
+        memory: All that it remembers, but for the keepers.
+        keepers: Its maps.
+    """
+
+    memory: Memory
+    keepers: tuple[Keeper, ...] = ()
+
+    def save(self) -> Saved:
+        """What it remembers now."""
+        return self.memory.copy(), tuple(keeper.save() for keeper in self.keepers)
+
+    def restore(self, saved: Saved) -> None:
+        """Put it back to what `save` gave, which can be restored again."""
+        memory, kept = saved
+        self.memory = memory.copy()
+        for keeper, content in zip(self.keepers, kept, strict=True):
+            keeper.restore(content)
+
+    def same(self, saved: Saved) -> bool:
+        """Whether `save` would give the same, bit for bit."""
+        memory, kept = saved
+        return self.memory.same(memory) and all(
+            keeper.same(content) for keeper, content in zip(self.keepers, kept, strict=True)
+        )
+
+    def fingerprint(self) -> bytes:
+        """Digest of what it remembers: the same in any process."""
+        total = hashlib.sha256()
+        _feed(total, self.save())
+        return total.digest()
+
+
+def copied(value: Any) -> Any:  # noqa: ANN401
+    """A copy of a plain value that later changes do not reach."""
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if isinstance(value, list):
+        return [copied(item) for item in value]
+    if isinstance(value, dict):
+        return {key: copied(item) for key, item in value.items()}
+    if isinstance(value, tuple):
+        items = map(copied, value)
+        return type(value)(*items) if hasattr(value, "_fields") else tuple(items)
+    return value.copy() if isinstance(value, Memory) else value
+
+
+def same(value: Any, other: Any) -> bool:  # noqa: ANN401, PLR0911 (one line for each kind)
+    """Whether two plain values are equal, bit for bit (NaN equals the same NaN, 0.0 is not -0.0)."""
+    if value is other:
+        return True
+    if type(value) is not type(other):
+        return False
+    if isinstance(value, np.ndarray):
+        alike = value.shape == other.shape and value.dtype == other.dtype
+        return alike and bool(value.tobytes() == other.tobytes())
+    if isinstance(value, State):
+        return value.spec is other.spec and value.same_bits(other)
+    if isinstance(value, float):
+        return struct.pack("d", value) == struct.pack("d", other)
+    if isinstance(value, (list, tuple)):
+        return len(value) == len(other) and all(map(same, value, other))
+    if isinstance(value, dict):
+        return list(value) == list(other) and all(same(item, other[key]) for key, item in value.items())
+    return value.same(other) if isinstance(value, Memory) else bool(value == other)
+
+
+def _feed(total: "hashlib._Hash", value: Any) -> None:  # noqa: ANN401
+    total.update(type(value).__name__.encode())
+    if isinstance(value, np.ndarray):
+        total.update(f"{value.dtype.str}{value.shape}".encode() + value.tobytes())
+    elif isinstance(value, State):
+        total.update(value.spec.name.encode() + value.header.tobytes() + b"|" + value.elements.tobytes())
+    elif isinstance(value, Memory):
+        for name in value.__slots__:
+            _feed(total, getattr(value, name))
+    elif isinstance(value, (tuple, list, dict)):
+        total.update(str(len(value)).encode())
+        for item in value.items() if isinstance(value, dict) else value:
+            _feed(total, item)
+    elif isinstance(value, float):
+        total.update(struct.pack("d", value))
+    elif value is None or isinstance(value, (int, str, bytes)):
+        total.update(repr(value).encode())
+
+
+Content = TypeVar("Content")
+
+
+class Foreign(Generic[Content]):
+    """Keeps an object of a user's own, of which nothing is known: copied whole, and compared as a pickle.
+
+    Attributes:
+        content: The object; after `restore` another one.
+    """
+
+    def __init__(self, content: Content) -> None:
+        self.content = content
+
+    def save(self) -> Content:
+        """A deep copy."""
+        return copy.deepcopy(self.content)
+
+    def restore(self, saved: Content) -> None:
+        """Go on with a deep copy of what was saved."""
+        self.content = copy.deepcopy(saved)
+
+    def same(self, saved: Content) -> bool:
+        """Whether both give the same pickle; False where there is none."""
+        try:
+            return pickle.dumps(self.content) == pickle.dumps(saved)
+        except Exception:  # noqa: BLE001 - whatever a user's object raises
+            return False
