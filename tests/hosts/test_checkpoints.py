@@ -8,11 +8,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mavfi.campaign.tools import host_tools
 from mavfi.detectors import Alarm
 from mavfi.errors import BadInputError
-from mavfi.hosts import checkpoints, memory
-from mavfi.hosts.local import Host, fly
+from mavfi.faults.state import StateInjector
+from mavfi.hosts.local import checkpoints, fly
+from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.recovery import Watch
+from mavfi.hosts.loop.scheduler import Loop
+from mavfi.hosts.watching import detector_for
+from mavfi.pipeline.memory import Foreign, Memory
 from mavfi.sim.simulator import Simulator
 from mavfi.states import STATES
 from tests.hosts.missions import STACKS, fault, mission
@@ -39,37 +43,47 @@ class Nervous:
 
 @dataclass
 class Stop:
-    moment: checkpoints.Moment
-    host: Host
+    """An instant of a flight, and how to go on from there."""
+
+    instant: checkpoints.Instant
+    loop: Loop
+    keeper: object
     record: tuple = field(init=False)
 
     def __post_init__(self):
-        host = self.host
-        self.record = host.rows[:], host.events[:], host.alarms[:], checkpoints.counts_of(host)
-        self.taps = memory.save(host.injector), memory.save(host.detector)
-        self.redoing = bool(host.redo)
+        record = self.loop.record
+        self.record = record.rows[:], record.events[:], record.alarms[:], record.counts()
+        self.injector = None if self.loop.taps.injector is None else self.loop.taps.injector.copy()
+        self.detector = self.keeper.save()
+        self.redoing = bool(self.loop.awaited)
 
     def go_on(self):
-        host, (rows, events, alarms, counts) = self.host, self.record
-        checkpoints.put(host, self.moment)
-        host.status = None
-        host.rows, host.events, host.alarms = rows[:], events[:], alarms[:]
-        checkpoints.set_counts(host, counts)
-        host.injector, host.detector = (memory.restored(tap) for tap in self.taps)
+        loop, (rows, events, alarms, counts) = self.loop, self.record
+        checkpoints.put(loop, self.instant)
+        loop.status = None
+        loop.record.rows, loop.record.events, loop.record.alarms = rows[:], events[:], alarms[:]
+        loop.record.set_counts(counts)
+        loop.taps.injector = None if self.injector is None else self.injector.copy()
+        self.keeper.restore(self.detector)
+        if self.keeper.content is not None:
+            loop.taps.detector = Watch(loop, self.keeper.content, "inline")
         with np.errstate(all="ignore"):
-            host.run()
-        return host.flight().log
+            loop.run()
+        return loop.flight().log
 
 
-def fly_with_stops(scenario, detector=None, strike=None, pitch=20):
-    host = Host(scenario, strike, detector, rewindable=True)
-    host.begin()
+def fly_with_stops(scenario, detector=None, injected=None, pitch=20):
+    loop = new_loop(scenario, rewindable=True)
+    loop.taps.injector = None if injected is None else StateInjector(injected)
+    keeper = checkpoints.keeper_of(detector)
+    watch(loop, detector)
+    loop.begin()
     stops = []
     with np.errstate(all="ignore"):
-        while host.status is None:
-            stops.append(Stop(checkpoints.take(host), host))
-            host.run(len(host.rows) // pitch * pitch + pitch)
-    return host.flight().log, stops
+        while loop.status is None:
+            stops.append(Stop(checkpoints.take(loop), loop, keeper))
+            loop.run(len(loop.record.rows) // pitch * pitch + pitch)
+    return loop.flight().log, stops
 
 
 def content(log):
@@ -77,7 +91,7 @@ def content(log):
 
 
 def detector_of(name, profile, scenario):
-    return host_tools().load_detector(name, profile, None, scenario)[0]
+    return detector_for(scenario, name, profile)[0]
 
 
 CASES = {
@@ -107,9 +121,9 @@ IN_THE_FAST_SUITE = ("published", "hardened", "octree", "gaussian", "autoencoder
     "case", [pytest.param(case, marks=() if case in IN_THE_FAST_SUITE else pytest.mark.slow) for case in CASES]
 )
 def test_a_flight_goes_on_from_any_checkpoint_as_it_did(case):
-    scenario, detector, strike = CASES[case]()
-    truth = content(fly(scenario, strike, detector).log)
-    log, stops = fly_with_stops(scenario, detector, strike)
+    scenario, detector, injected = CASES[case]()
+    truth = content(fly(scenario, injected, detector).log)
+    log, stops = fly_with_stops(scenario, detector, injected)
     assert content(log) == truth, "to take checkpoints changes nothing"
     chosen = stops[:: max(1, len(stops) // 4)]
     if isinstance(detector, Nervous):
@@ -145,43 +159,47 @@ def test_nothing_is_forgotten():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", KERNELS)
 def test_a_checkpoint_that_forgets_a_kernel_is_noticed(name, monkeypatch):
-    kind = type(Host(mission()).kernels[name])
-    monkeypatch.setattr(kind, "not_memory", tuple(vars(Host(mission()).kernels[name])))
+    monkeypatch.setattr(type(new_loop(mission()).kernels[name]), "restore", lambda *_: None)
     stack = "hardened" if name == "octomap" else "published"  # there the clock follows the known space, scan by scan
     assert not go_on_from_everywhere(stack)
 
 
-@pytest.mark.parametrize("name", ["redo", "command"])
-def test_a_checkpoint_that_forgets_a_part_of_the_host_is_noticed(name, monkeypatch):
-    monkeypatch.setattr(Host, "not_memory", (*Host.not_memory, name))
+@pytest.mark.parametrize("name", ["awaited", "command"])
+def test_a_checkpoint_that_forgets_a_part_of_the_loop_is_noticed(name, monkeypatch):
+    restore = Loop.restore
+
+    def forgetful(loop, memory):
+        kept = getattr(loop, name)
+        restore(loop, memory)
+        setattr(loop, name, kept)
+
+    monkeypatch.setattr(Loop, "restore", forgetful)
     assert not go_on_from_everywhere()
 
 
-def test_a_checkpoint_that_forgets_the_vehicle_or_the_detector_is_noticed(monkeypatch):
-    monkeypatch.setattr(Nervous, "not_memory", ("accepted",), raising=False)
-    assert not go_on_from_everywhere()
-    monkeypatch.undo()
-    monkeypatch.setattr(Simulator, "restore", lambda *_: None)
+@pytest.mark.parametrize("forgets", [Foreign, Simulator])
+def test_a_checkpoint_that_forgets_the_detector_or_the_vehicle_is_noticed(forgets, monkeypatch):
+    monkeypatch.setattr(forgets, "restore", lambda *_: None)
     assert not go_on_from_everywhere()
 
 
-def test_a_moment_is_recognised_and_no_other_is():
+def test_an_instant_is_recognised_and_no_other_is():
     _, stops = fly_with_stops(mission(), pitch=50)
-    host = stops[0].host
+    loop = stops[0].loop
     for stop in stops[::4]:
-        checkpoints.put(host, stop.moment)
-        assert [checkpoints.is_at(host, other.moment) for other in stops] == [other is stop for other in stops]
+        checkpoints.put(loop, stop.instant)
+        assert [checkpoints.is_at(loop, other.instant) for other in stops] == [other is stop for other in stops]
 
 
 @pytest.mark.parametrize("name", KERNELS)
 def test_a_kernel_that_differs_is_seen(name):
     _, stops = fly_with_stops(mission(), pitch=100)
-    host, moment = stops[3].host, stops[3].moment
-    saved = memory.save(stops[-1].host.kernels[name])
-    checkpoints.put(host, moment)
-    assert checkpoints.is_at(host, moment)
-    memory.restored(saved)
-    assert not checkpoints.is_at(host, moment)
+    loop, instant = stops[3].loop, stops[3].instant
+    saved = loop.kernels[name].save()
+    checkpoints.put(loop, instant)
+    assert checkpoints.is_at(loop, instant)
+    loop.kernels[name].restore(saved)
+    assert not checkpoints.is_at(loop, instant)
 
 
 def test_what_a_checkpoint_copies_is_small():
@@ -190,15 +208,15 @@ def test_what_a_checkpoint_copies_is_small():
     def size(saved):
         if isinstance(saved, np.ndarray):
             return saved.nbytes
-        if type(saved) is memory._Saved:
-            return size(saved.content) if memory._kind(saved.target) == "object" else 0
+        if isinstance(saved, Memory):
+            return sum(size(getattr(saved, name)) for name in saved.__slots__)
         if isinstance(saved, dict):
             return sum(map(size, saved.values()))
         return sum(map(size, saved)) if isinstance(saved, (list, tuple)) else 0
 
     for stack in STACKS:
         _, stops = fly_with_stops(mission(stack), pitch=100)
-        for name, saved in dict(stops[-1].moment.memory.content)["kernels"].items():
+        for name, (saved, _) in stops[-1].instant.kernels.items():
             assert size(saved) < 300_000, name
 
 

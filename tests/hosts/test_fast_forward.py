@@ -1,0 +1,186 @@
+"""What fast-forwarding answers is what a flight from take-off is, bit for bit."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mavfi.campaign.config import load_campaign
+from mavfi.campaign.mission import Flown, MissionPlan, fly_mission, scenarios_of
+from mavfi.campaign.plan import arms_of
+from mavfi.campaign.run import model_hashes
+from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
+from mavfi.flight_record import End
+from mavfi.hosts.host import ArmSetup
+from mavfi.hosts.local import fast_forward, fly
+from mavfi.hosts.local.fast_forward import FastForward
+from mavfi.hosts.local.mission_flights import LocalHost
+from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
+from tests.hosts.test_checkpoints import Nervous, content, detector_of
+
+FAULTS = [
+    fault("control.command", "vx", 4.0, 62),
+    fault("control.command", "vy", 6.0, 3),
+    fault("control.tracking", "remaining", 5.0, 50),
+    fault("planning.waypoint", "x", 3.0, 55),
+    fault("planning.waypoint", "y", 6.0, 62),
+    fault("planning.trajectory", "z", 0.3, 53, element=7),
+    fault("perception.map_update", "log_odds", 5.0, 31, element=500),
+    fault("perception.point_cloud", "x", 4.0, 20, element=900),
+    fault("perception.collision_status", "time_to_collision", 1.0, 61),
+    fault("perception.collision_status", "future_collision_seq", 1.0, 30),
+    fault("sensor.depth", "range", 0.0, 29, element=3),
+    fault("sensor.odometry", "wx", 7.0, 62),
+    fault("planning.path", "x", 0.0, 52, element=1),
+    fault("control.command", "vx", 1e4, 62),
+    fault("control.command", "vx", 8.0),
+    StateFault(FaultSite("planning.path", "x", 0), NO_SITE, 60),
+]
+"""They break the mission, or are masked at once or late; at the very start, without a site, never striking, null."""
+
+ARMS = {
+    "published": {
+        "": lambda: None,
+        "gaussian": lambda: detector_of("gaussian", "paper", mission()),
+        "autoencoder": lambda: detector_of("autoencoder", "paper", mission()),
+        "nervous": Nervous,
+    },
+    "hardened": {
+        "": lambda: None,
+        "gaussian": lambda: detector_of("gaussian", "tuned", mission("hardened")),
+        "silent": Scripted,
+    },
+}
+
+
+def every_fault(stack, arm, forward, detector, faults=FAULTS):
+    """Runs of which its answer is another one."""
+    other = []
+    for number, injected in enumerate([None, *faults]):
+        mine = forward.fly(injected, detector, arm)
+        truth = fly(mission(stack), injected, detector, profile=injected is None)
+        if content(mine.log) != content(truth.log):
+            other.append(number)
+    return other
+
+
+IN_THE_FAST_SUITE = [("published", "gaussian"), ("hardened", "")]
+
+
+@pytest.mark.parametrize(
+    ("stack", "arm"),
+    [
+        pytest.param(stack, arm, marks=() if (stack, arm) in IN_THE_FAST_SUITE else pytest.mark.slow)
+        for stack in STACKS
+        for arm in ARMS[stack]
+    ],
+)
+def test_fast_forwarded_flights_are_the_flights(stack, arm):
+    forward = FastForward(mission(stack))
+    assert every_fault(stack, arm, forward, ARMS[stack][arm]()) == []
+    assert forward.share.flights == 1 + len(FAULTS)
+    if arm != "nervous":  # which alarms all the time
+        assert forward.share.flown < 0.75 * forward.share.ticks
+        assert forward.share.joined > 0
+
+
+@pytest.mark.slow
+def test_detectors_share_what_was_flown_in_any_order():
+    forward, arms = FastForward(mission()), {name: make() for name, make in ARMS["published"].items()}
+    for injected in (FAULTS[3], None, FAULTS[6]):
+        for arm in reversed(arms):
+            detector = arms[arm]
+            truth = content(fly(mission(), injected, ARMS["published"][arm]()).log)
+            assert content(forward.fly(injected, detector, arm).log) == truth
+    assert forward.share.shown > 0
+
+
+def test_the_golden_flight_leaves_its_profile_and_can_be_asked_for_again():
+    forward = FastForward(mission())
+    for _ in range(2):
+        flight = forward.fly()
+        assert flight.profile.to_bytes() == golden().profile.to_bytes()
+        assert content(flight.log) == content(golden().log)
+        assert forward.fly(FAULTS[0]).profile is None
+
+
+@pytest.mark.slow
+def test_the_octree_is_fast_forwarded_too():
+    forward, scenario = FastForward(mission(map="octree")), mission(map="octree")
+    for injected in (None, FAULTS[7], FAULTS[4]):
+        assert content(forward.fly(injected).log) == content(fly(scenario, injected).log)
+    assert forward.share.flown < forward.share.ticks
+
+
+def test_a_masked_fault_costs_a_second_of_flight():
+    forward = FastForward(mission())
+    forward.fly()
+    before = forward.share.flown
+    forward.fly(fault("sensor.odometry", "wx", 7.0, 62))  # nobody reads it
+    assert forward.share.flown - before <= 2 * forward.pitch
+
+
+@pytest.mark.slow
+def test_to_stop_too_early_is_noticed(monkeypatch):
+    monkeypatch.setattr(fast_forward, "is_at", lambda *_: True)
+    assert every_fault("published", "", FastForward(mission()), None, FAULTS[:4]) != []
+
+
+@pytest.mark.slow
+def test_to_begin_at_the_wrong_place_is_noticed(monkeypatch):
+    monkeypatch.setattr(fast_forward.Track, "before", lambda track, time_us: sorted(track.checkpoints)[-2])
+    assert every_fault("published", "", FastForward(mission()), None, FAULTS[:4]) != []
+
+
+def test_a_detector_of_which_no_copy_can_be_made_flies_the_long_way():
+    class Streaming(Scripted):
+        def start(self):
+            super().start()
+            self.stream = (number for number in range(3))
+
+    with pytest.raises(TypeError):
+        FastForward(mission()).fly(None, Streaming(), "streaming")
+    flights = LocalHost().mission({"streaming": ArmSetup(mission(), Streaming)})
+    assert content(flights.golden("streaming").log) == content(golden().log)
+
+
+@pytest.mark.slow
+def test_an_observer_is_fast_forwarded_too():
+    forward = FastForward(mission())
+    for make in (Nervous, ARMS["published"]["gaussian"]):
+        for injected in (None, FAULTS[0], FAULTS[3], FAULTS[6], FAULTS[8]):
+            detector = make()
+            mine = forward.fly(injected, detector, make.__name__, "observer")
+            assert content(mine.log) == content(fly(mission(), injected, make(), coupling="observer").log)
+    assert forward.share.flown < forward.share.ticks
+
+
+@cache
+def table1(stack):
+    """The table's campaign on a profile."""
+    return load_campaign("table1").model_copy(update={"autopilot": stack, "first_seed": 10_100})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("environment", "stack"),
+    [("dense", "published"), ("factory", "hardened")]
+    + [pytest.param(name, "published", marks=pytest.mark.long) for name in ("factory", "farm", "sparse")],
+)
+def test_a_mission_of_the_table_leaves_the_same_records(environment, stack):
+    """All arms, all stages, both strata and a null fault; `benchmarks/fast_forward.py` compares hundreds of runs."""
+    campaign = table1(stack)
+    models = model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
+    plan = MissionPlan(campaign, environment, campaign.first_seed, models=models)
+    flown = [
+        {item.run_id: item.record for item in fly_mission(replace(plan, fast_forward=fast)) if isinstance(item, Flown)}
+        for fast in (False, True)
+    ]
+    assert flown[0] == flown[1] and len(flown[0]) >= 12
+    assert all(record.end is End.FLOWN for record in flown[0].values())
+
+
+def test_counts_are_whole_numbers():
+    counts = FastForward(mission()).golden().end.counts
+    assert all(isinstance(count, (int, np.integer)) for count in counts)

@@ -1,0 +1,137 @@
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from mavfi.pipeline.memory import Foreign, Memory, Remembers, copied, same
+from mavfi.states import new_state
+
+
+class Pair(NamedTuple):
+    one: np.ndarray
+    two: float
+
+
+@dataclass(slots=True)
+class Inner(Memory):
+    number: float = 1.0
+    items: list = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class Outer(Memory):
+    array: np.ndarray = field(default_factory=lambda: np.arange(3.0))
+    inner: Inner = field(default_factory=lambda: Inner(2.0, [np.zeros(2)]))
+    pair: Pair = field(default_factory=lambda: Pair(np.ones(2), 3.0))
+    table: dict = field(default_factory=lambda: {"a": [1, 2], "b": (np.zeros(1), None)})
+    state: object = field(default_factory=lambda: new_state("control.command"))
+
+
+class Keeper:
+    """Saves itself."""
+
+    def __init__(self):
+        self.value = 1
+
+    def save(self):
+        return self.value
+
+    def restore(self, saved):
+        self.value = saved
+
+    def same(self, saved):
+        return self.value == saved
+
+
+class Thing(Remembers):
+    def __init__(self):
+        self.memory, self.keepers, self.scratch = Outer(), (Keeper(),), np.zeros(3)
+
+
+CHANGES = {
+    "array": lambda t: t.memory.array.__setitem__(1, np.nan),
+    "zero": lambda t: t.memory.array.__setitem__(0, -0.0),
+    "dtype": lambda t: setattr(t.memory, "array", t.memory.array.astype(np.float32)),
+    "inner": lambda t: setattr(t.memory.inner, "number", -2.0),
+    "nested": lambda t: t.memory.inner.items[0].__setitem__(0, 1.0),
+    "longer": lambda t: t.memory.inner.items.append(1),
+    "tuple": lambda t: t.memory.pair.one.__setitem__(0, 0.0),
+    "replaced": lambda t: setattr(t.memory, "pair", Pair(np.ones(2), 3.5)),
+    "dict": lambda t: t.memory.table["a"].append(3),
+    "order": lambda t: t.memory.table.__setitem__("a", t.memory.table.pop("a")),
+    "kind": lambda t: setattr(t.memory, "table", None),
+    "keeper": lambda t: setattr(t.keepers[0], "value", 2),
+    "state": lambda t: setattr(t.memory, "state", new_state("control.tracking")),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_a_change_is_noticed_and_undone(change):
+    thing = Thing()
+    saved, print_ = thing.save(), thing.fingerprint()
+    assert thing.same(saved) and Thing().fingerprint() == print_
+    change(thing)
+    assert not thing.same(saved)
+    assert thing.fingerprint() != print_
+    for _ in range(2):  # and again: what is saved is not used up
+        thing.restore(saved)
+        assert thing.same(saved) and thing.fingerprint() == print_
+        assert thing.memory.array.tobytes() == np.arange(3.0).tobytes()
+        change(thing)
+
+
+def test_scratch_is_left_alone():
+    thing = Thing()
+    saved, print_ = thing.save(), thing.fingerprint()
+    thing.scratch[0] = 7.0
+    assert thing.same(saved) and thing.fingerprint() == print_
+    thing.restore(saved)
+    assert thing.scratch[0] == 7.0
+
+
+def test_states_are_shared_and_arrays_are_not():
+    thing = Outer()
+    other = thing.copy()
+    assert other.state is thing.state and type(other.pair) is Pair
+    assert not np.shares_memory(other.array, thing.array)
+    assert not np.shares_memory(other.table["b"][0], thing.table["b"][0])
+
+
+def test_bits_count_not_values():
+    assert same(float("nan"), float("nan"))
+    assert not same(0.0, -0.0)
+    assert not same(1, 1.0)
+    assert not same(True, 1)
+    state = new_state("control.command")
+    assert same(state.copy(), state)
+    other = state.copy()
+    other.header["vx"] = -0.0
+    assert not same(other, state)
+    assert same(copied([state]), [state])
+
+
+class Own:
+    """A thing of a user's own."""
+
+    def __init__(self):
+        self.random, self.seen = np.random.default_rng(1), [np.zeros(2)]
+
+
+def test_a_thing_of_a_users_own_is_copied_whole():
+    keeper = Foreign(Own())
+    saved = keeper.save()
+    assert keeper.same(saved)
+    keeper.content.seen[0][0] = 1.0
+    drawn = keeper.content.random.random(3)
+    assert not keeper.same(saved)
+    for _ in range(2):
+        keeper.restore(saved)
+        assert keeper.same(saved) and keeper.content.seen[0][0] == 0.0
+        assert keeper.content.random.random(3).tobytes() == drawn.tobytes()
+
+
+def test_what_cannot_be_copied_is_an_error_and_what_cannot_be_compared_is_another():
+    with pytest.raises(TypeError):
+        Foreign(number for number in ()).save()
+    assert not Foreign(lambda: 0).same(lambda: 0)
