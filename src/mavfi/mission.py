@@ -48,7 +48,7 @@ class MissionStatus(Enum):
 
 
 class MissionSpec(Config):
-    """What a user asks for: every option of a mission, by name.  `hosts.compose.resolve` makes a `Scenario` of it.
+    """What a user asks for: every option of a mission, by name.  `hosts.loop.compose.resolve` makes a `Scenario` of it.
 
     The command line, campaign files, arms of campaigns, training, ROS and the Python API all read this model, so an
     option exists once, and exists everywhere.  The description of a field is its help text.

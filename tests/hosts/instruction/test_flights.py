@@ -18,7 +18,6 @@ from mavfi.hosts.instruction.output import Output, first_difference
 from mavfi.hosts.instruction.template import close_templates
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.memory import fingerprint
 from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import kernel_jit
 
@@ -184,11 +183,7 @@ def test_first_difference_names_field_element_and_size():
     assert not golden.same(Output({"a.b": (header, elements)}, b"other"))
 
 
-def test_fingerprints_see_what_is_remembered_and_not_the_scratch():
-    class Kernel:
-        not_memory = ("scratch",)
-
-        def __init__(self):
+def __init__(self):
             self.scratch, self.memory, self.zero = np.zeros(3), [np.arange(3.0), {"a": 1}], 0.0
 
     first, second = Kernel(), Kernel()

@@ -2,8 +2,8 @@ import pytest
 
 from mavfi.config import PlatformConfig, shipped
 from mavfi.errors import BadInputError
-from mavfi.platforms.compute import STAGE_KERNELS, UNCHARGED, latency, redo_latency, stage_latency
-from mavfi.states import PPC_STAGES, STATES, Stage
+from mavfi.platforms.compute import latency, redo_latency, stage_latency
+from mavfi.states import KERNELS, PPC_STAGES, STATES, Stage
 
 
 @pytest.mark.parametrize(
@@ -20,7 +20,7 @@ def test_every_kernel_that_writes_a_state_has_a_latency(name):
     for spec in STATES.values():
         if spec.stage is not Stage.SENSOR:
             assert latency(platform, spec.writer) >= 0
-            assert spec.writer in (*STAGE_KERNELS[spec.stage], "waypoint", *UNCHARGED)
+            assert KERNELS[spec.writer].stage is spec.stage
 
 
 def test_what_runs_on_the_flight_controller_costs_nothing():
