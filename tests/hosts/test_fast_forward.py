@@ -82,7 +82,7 @@ def test_fast_forwarded_flights_are_the_flights(stack, arm):
     assert forward.share.flights == 1 + len(FAULTS)
     if arm != "nervous":  # which alarms all the time
         assert forward.share.flown < 0.75 * forward.share.ticks
-        assert forward.share.joined > 0
+        assert forward.share.converged > 0
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Everything that decides how a flight goes on: taken, put back, and compared, at the instant before a control tick."""
+"""The complete state of a flight at the instant before a control tick: saved, restored and compared."""
 
 from dataclasses import dataclass
 from typing import Any, cast
@@ -28,7 +28,7 @@ class Instant:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checkpoint:
-    """An instant of a flight that it, or another one, can go on from.
+    """An instant of a flight from which it, or another one, can continue.
 
     Attributes:
         instant: What can be compared with other flights, and gone back to; None = the end.
@@ -59,7 +59,7 @@ class Checkpoint:
     @property
     def here(self) -> Instant:
         """The instant, where this is not the end."""
-        assert self.instant is not None  # nobody goes on from the end
+        assert self.instant is not None  # nothing continues from the end
         return self.instant
 
 
@@ -108,7 +108,7 @@ def put(loop: Loop, instant: Instant) -> None:
 
 
 def is_at(loop: Loop, instant: Instant) -> bool:
-    """Whether a loop is at an instant: all bits of all that decides how it goes on, taps left aside."""
+    """Whether a loop is at an instant: every bit of its state, taps left aside."""
     if not loop.plant.is_at(instant.plant):
         return False
     _settle(loop)

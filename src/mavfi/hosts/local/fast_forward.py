@@ -1,11 +1,11 @@
-"""The flights of one mission, without flying twice what is the same: with faults, and under several detectors.
+"""Fast-forward: the flights of one mission, with faults and under several detectors, without flying equal parts twice.
 
 `FastForward.fly` answers what `mavfi.hosts.local.fly` answers, bit for bit.  It saves work in three ways:
 
-- A flight with a fault begins at the golden twin's last checkpoint before the fault.
-- At each checkpoint at which vehicle, kernels and queue are what they are in a twin's flight, the rest is the twin's.
-- A detector that does not alarm changes nothing.  So where a flight without a detector is known, a detector is only
-  shown what was published there; at its first alarm the flight is flown on from the checkpoint before.
+- A flight with a fault begins at the golden run's last checkpoint before the fault.
+- At each checkpoint at which plant, kernels and queue have converged to those of a known flight, the rest is known.
+- A detector without alarms changes nothing.  So where a flight without a detector is known, a detector is only shown
+  its publications; at its first alarm the flight continues from the checkpoint before.
 """
 
 from collections.abc import Iterator, Sequence
@@ -40,14 +40,14 @@ class Share:
         ticks: Their control ticks.
         flown: Those that were simulated.
         shown: Those in which a detector was only shown what a known flight had published.
-        joined: Flights that ended as another flight, before their end.
+        converged: Flights that converged to another one before their end.
     """
 
     flights: int = 0
     ticks: int = 0
     flown: int = 0
     shown: int = 0
-    joined: int = 0
+    converged: int = 0
 
 
 @dataclass(slots=True)
@@ -60,7 +60,7 @@ class Forked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """A flight that is over, and where others can leave or join it.
+    """A flight that is over, and its checkpoints, at which others can leave it or converge to it.
 
     Attributes:
         log: Its record.
@@ -102,7 +102,7 @@ class FastForward:
 
     def __init__(self, scenario: Scenario) -> None:
         if scenario.localization.kind != "truth":
-            raise MavfiError("flights with an estimator are not forked")
+            raise MavfiError("flights with an estimator are not fast-forwarded")
         self.loop = new_loop(scenario, profile=True, rewindable=True)
         self.pitch = TICKS.get(scenario.map.kind, TICKS["octree"])
         self.share = Share()
@@ -128,7 +128,7 @@ class FastForward:
             if fault is None:
                 track = self.golden(detector, arm)
             else:
-                track = self._struck(fault) if detector is None else self._injected(fault, detector, arm)
+                track = self._unwatched(fault) if detector is None else self._injected(fault, detector, arm)
         self.share.flights += 1
         self.share.ticks += len(track.rows)
         return Forked(track.log, self._profile if fault is None and detector is None else None)
@@ -162,7 +162,7 @@ class FastForward:
         branch.follow(plain, 0)
         return branch.fly()
 
-    def _struck(self, fault: StateFault) -> Track:
+    def _unwatched(self, fault: StateFault) -> Track:
         """The flight with a fault and no detector; of the last fault it is known."""
         if self._last is None or self._last[0] != fault:
             self._last = fault, self._injected(fault, None, "")
@@ -175,13 +175,13 @@ class FastForward:
         injector = StateInjector(fault, start.watch)
         as_plain = rows in plain.checkpoints and start.instant is plain.checkpoints[rows].instant
         # where nothing has alarmed yet, the flight without a detector shows what happens until it does
-        along = self._struck(fault) if detector is not None and as_plain and not injector.spent else None
+        along = self._unwatched(fault) if detector is not None and as_plain and not injector.spent else None
         branch = _Branch(self, detector, [plain] if along is None else [along, plain], own, keeps=detector is None)
         branch.begin(own, start)
         branch.loop.taps.injector = injector
         branch.remember(start.detector)
         if injector.spent:
-            branch.join(own, rows)
+            branch.converge(own, rows)
         elif along is not None:
             branch.follow(along, rows)
         else:
@@ -192,24 +192,24 @@ class FastForward:
 
 
 class _Branch:
-    """A flight that comes about, on the one host of the forward.
+    """A flight under construction, on the one loop of the mission.
 
     Args:
-        forward: Where it belongs.
+        forward: The mission.
         detector: What watches.
-        twins: Flights without a detector that it may come to equal.
+        known: Flights without a detector to which it may converge.
         own: The golden flight with the same detector.
-        keeps: Whether others may leave or join this flight: it then has checkpoints.
+        keeps: Whether it keeps checkpoints, for others.
     """
 
     def __init__(
-        self, forward: FastForward, detector: Detector | None, twins: Sequence[Track] = (), own: Track | None = None,
+        self, forward: FastForward, detector: Detector | None, known: Sequence[Track] = (), own: Track | None = None,
         keeps: bool = False,
     ) -> None:  # fmt: skip
         self.loop = forward.loop
         self._share, self._pitch = forward.share, forward.pitch
         self._detector = None if detector is None else keeper_of(detector)
-        self._twins, self._own, self._keeps = twins, own, keeps
+        self._known, self._own, self._keeps = known, own, keeps
         self._checkpoints: dict[int, Checkpoint] = {}
         self._shown: list[tuple[State, int]] = []
         self._flown = False
@@ -251,7 +251,7 @@ class _Branch:
         )  # fmt: skip
 
     def _append(self, track: Track, here: Checkpoint, there: Checkpoint) -> None:
-        """Go on as another flight did from one of its checkpoints to another one."""
+        """Continue as another flight did from one of its checkpoints to another one."""
         record, log = self.loop.record, track.log
         record.rows += track.rows[here.rows : there.rows]
         record.events += log.events[here.events : there.events]
@@ -265,10 +265,10 @@ class _Branch:
         elif self._keeps:
             self.keep(there.here)
 
-    # ---- going on as another flight ---------------------------------------------------------------------------------
-    def join(self, track: Track, rows: int) -> None:
-        """Go on as another flight, with all that it had, to the end."""
-        self._share.joined += 1
+    # ---- continuing as another flight --------------------------------------------------------------------------------
+    def converge(self, track: Track, rows: int) -> None:
+        """Continue as another flight to the end."""
+        self._share.converged += 1
         if not self._keeps:
             self._append(track, track.checkpoints[rows], track.end)
             return
@@ -276,12 +276,12 @@ class _Branch:
             self._append(track, here, there)
 
     def follow(self, track: Track, rows: int) -> None:
-        """Go on as a flight without a detector, until the end or until the detector alarms at what is shown to it."""
+        """Continue as a flight without a detector, to the end or to the first alarm at its publications."""
         for here, there in track.pieces(rows):
             if self._detector is None:
-                return self.join(track, here.rows)
+                return self.converge(track, here.rows)
             if self._own is not None and self._is_own(here, self._own):
-                return self.join(self._own, here.rows)
+                return self.converge(self._own, here.rows)
             known = self._detector.save()
             if self._alarms(track.shown[here.shown : there.shown], self._detector.content):
                 self.remember(known)
@@ -294,12 +294,7 @@ class _Branch:
     def _is_own(self, here: Checkpoint, own: Track) -> bool:
         """Whether the rest is that of the golden flight with the same detector."""
         known = own.checkpoints.get(here.rows)
-        return (
-            known is not None
-            and known.instant is here.instant
-            and self._is_through()
-            and self._same_detector(known)
-        )
+        return known is not None and known.instant is here.instant and self._is_through() and self._same_detector(known)
 
     def _is_through(self) -> bool:
         """Whether nothing is to come of the tap and of the last alarm."""
@@ -319,7 +314,7 @@ class _Branch:
 
     # ---- flying -----------------------------------------------------------------------------------------------------
     def fly(self) -> Track:
-        """Go on to the end, by simulation where nothing else will do."""
+        """Continue to the end, by simulation where nothing else will do."""
         loop, record = self.loop, self.loop.record
         while self._log is None:
             self._flown = True
@@ -334,23 +329,23 @@ class _Branch:
         return Track(self._log, record.rows, self._shown, self._checkpoints, self._checkpoint())
 
     def _arrive(self) -> None:
-        """At the instant of a checkpoint: go on as another flight, if one is in the same state."""
+        """At the instant of a checkpoint: continue as another flight, if one is in the same state."""
         rows = len(self.loop.record.rows)
-        twin = self._twin() if self._is_through() else None
+        other = self._converged() if self._is_through() else None
         if self._keeps:
-            self.keep(take(self.loop) if twin is None else twin.checkpoints[rows].here)
-        if twin is not None and twin is self._own:
-            self.join(twin, rows)
-        elif twin is not None:
-            self.follow(twin, rows)
+            self.keep(take(self.loop) if other is None else other.checkpoints[rows].here)
+        if other is not None and other is self._own:
+            self.converge(other, rows)
+        elif other is not None:
+            self.follow(other, rows)
 
-    def _twin(self) -> Track | None:
+    def _converged(self) -> Track | None:
         """A flight that is in the same state now."""
         loop, seen = self.loop, set()
-        for track in (*self._twins, self._own):
+        for track in (*self._known, self._own):
             here = None if track is None else track.checkpoints.get(len(loop.record.rows))
             if track is None or here is None or not here.injector.spent or id(here.instant) in seen:
-                continue  # a twin that is still to be struck would be struck for this flight, too
+                continue  # the other flight has its fault still before it
             seen.add(id(here.instant))
             if track is self._own and not self._same_detector(here):
                 continue

@@ -34,7 +34,7 @@ class Judge:
         return Judge(world.goal.tolist(), *corners, scenario.stack.max_failed_plans, int(1e6 * limit))
 
     def status(self, plant: Plant, failed_plans: int, now: int) -> MissionStatus | None:
-        """How the mission ended; None = it goes on."""
+        """How the mission ended; None = it continues."""
         state = plant.odometry.tolist()  # NumPy would take longer to start than to run, fifty times a second
         if not all(map(math.isfinite, state)):
             return MissionStatus.INVALID_STATE

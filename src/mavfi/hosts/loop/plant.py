@@ -46,10 +46,10 @@ class Plant(Protocol):
         """What the simulator complained about so far."""
 
     def snapshot(self) -> Any:  # noqa: ANN401 (each plant has its own form)
-        """Everything that decides how this flight goes on; never changed afterwards."""
+        """The complete state; never changed afterwards."""
 
     def restore(self, snapshot: Any) -> None:  # noqa: ANN401
-        """Go on from a snapshot."""
+        """Continue from a snapshot."""
 
     def is_at(self, snapshot: Any) -> bool:  # noqa: ANN401
         """Whether `snapshot` would give the same, bit for bit."""

@@ -39,7 +39,7 @@ _REQUESTED_AT_TICKS = tuple(
 
 @dataclass(slots=True)
 class LoopMemory(Memory):
-    """All of a loop that decides how its flight goes on, beside plant, kernels, sensors and taps; see `Loop`."""
+    """State of a loop, without that of plant, kernels, sensors and taps; attributes as of `Loop`."""
 
     now: int
     order: int
@@ -235,7 +235,7 @@ class Loop:
         if waiting is None:
             return
         kernel = self.kernels[name]
-        if name in self.busy:  # it is run again: what waits goes on waiting
+        if name in self.busy:  # it is run again: what waits keeps waiting
             self.busy[name] = self.busy[name] or waiting
         elif kernel.receive(waiting, now):
             self.start(kernel, now)
@@ -296,14 +296,14 @@ class Loop:
 
     # ---- memory -----------------------------------------------------------------------------------------------------
     def memory(self) -> LoopMemory:
-        """What it remembers, which goes on to change: a checkpoint takes a copy."""
+        """Its state, not copied: a checkpoint takes a copy."""
         return LoopMemory(
             self.now, self.order, self.queue, self.busy, self.awaited, self.requests, self.mapped, self.captured_us,
             self.failed_plans, self.command, self.reference,
         )  # fmt: skip
 
     def restore(self, memory: LoopMemory) -> None:
-        """Go on from what `memory` gave; it can be restored again."""
+        """Continue from a state that `memory` gave; it can be restored again."""
         own = memory.copy()
         self.now, self.order, self.queue, self.busy = own.now, own.order, own.queue, own.busy
         self.awaited, self.requests = own.awaited, own.requests
