@@ -87,7 +87,9 @@ def fly_with_stops(scenario, detector=None, injected=None, pitch=20):
 
 
 def content(log):
-    return log.rows.tobytes(), log.status, log.events, log.injections, log.alarms, log.meta
+    """All of a log; as plain data, since NaN is not NaN."""
+    injections, alarms = ([item.to_json() for item in items] for items in (log.injections, log.alarms))
+    return log.rows.tobytes(), log.status, log.events, injections, alarms, log.meta
 
 
 def detector_of(name, profile, scenario):
