@@ -14,10 +14,11 @@ def _fly(capsys, *arguments):
 
 @pytest.fixture(scope="module")
 def golden_digest():
-    from mavfi.hosts.compose import make_scenario
-    from mavfi.hosts.inprocess import fly
+    from mavfi.hosts.loop.compose import resolve
+    from mavfi.mission import MissionSpec
+    from mavfi.hosts.local import fly
 
-    return fly(make_scenario("sparse", 7)).log.digest()
+    return fly(resolve(MissionSpec(environment="sparse", seed=7))).log.digest()
 
 
 def test_json_has_what_is_promised(capsys, golden_digest):
@@ -97,10 +98,11 @@ def test_a_detector_without_a_model_is_told_without_a_profile(capsys, golden_dig
 
 
 def test_a_start_beside_the_goal_of_the_environment(capsys):
-    from mavfi.hosts.compose import make_scenario
+    from mavfi.hosts.loop.compose import resolve
+    from mavfi.mission import MissionSpec
     from mavfi.sim.environments import build_world
 
-    x, y, z = build_world(make_scenario("sparse", 7).environment, 7).goal
+    x, y, z = build_world(resolve(MissionSpec(environment="sparse", seed=7)).environment, 7).goal
     start = ["--start", str(x - 1.0), str(y), str(z)]
     assert run(["fly", "--environment", "sparse", "--seed", "7", *start]) == 2
     assert "1.00 m from the start" in capsys.readouterr().err
@@ -182,10 +184,11 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, ar
 
 
 def test_a_start_inside_an_obstacle(capsys):
-    from mavfi.hosts.compose import make_scenario
+    from mavfi.hosts.loop.compose import resolve
+    from mavfi.mission import MissionSpec
     from mavfi.sim.environments import build_world
 
-    world = build_world(make_scenario("dense", 7).environment, 7)
+    world = build_world(resolve(MissionSpec(environment="dense", seed=7)).environment, 7)
     x, y = 0.5 * (world.lower[0] + world.upper[0])[:2]
     assert run(["fly", "--environment", "dense", "--seed", "7", "--start", str(x), str(y), "2"]) == 2
     error = capsys.readouterr().err
