@@ -26,7 +26,7 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class VehicleConfig(Config):
-    """Airframe, rotors and the gains of its flight controller (docs: reference values and sources in docs/fidelity.md).
+    """Airframe, rotors and the gains of its flight controller (reference values and sources: docs/models.md).
 
     The inner loop is a cascade: velocity -> attitude -> rate.  Contact of the sphere `hull_radius` is a collision.
     """
@@ -35,7 +35,7 @@ class VehicleConfig(Config):
     mass: float = Field(gt=0, description="kg")
     inertia: Vector = Field(description="kg m^2, principal, body frame")
     arm_length: float = Field(gt=0, description="m, rotor axis to centre")
-    hull_radius: float = Field(gt=0, description="m")
+    hull_radius: float = Field(gt=0, description="m, collision radius")
     max_rotor_thrust: float = Field(gt=0, description="N, one rotor")
     rotor_torque_ratio: float = Field(gt=0, description="m, torque / thrust")
     rotor_time_constant: float = Field(ge=0, description="s")
@@ -79,7 +79,7 @@ class WindConfig(Config):
 
 
 class LocalizationConfig(Config):
-    """How the pipeline learns where the vehicle is: told the truth, or by an estimator from noisy sensors.
+    """Source of the vehicle's position in the pipeline: the true state, or an estimator from noisy sensors.
 
     The IMU is sampled at every step of physics (250 Hz).
     """
@@ -125,7 +125,7 @@ class PlatformConfig(Config):
 
 
 class StackConfig(Config):
-    """The rules of one autopilot stack.  Two are shipped: what the paper flew, and what a good team flies today."""
+    """The rules of one autopilot profile.  Two are shipped: that of the paper, and that of a good team today."""
 
     name: str
     sampling: Literal["held", "interpolated"] = Field(description="trajectory points: every 0.5 s and held, or dense")
@@ -139,8 +139,8 @@ class StackConfig(Config):
     acceleration_feed_forward: float = 0.0
     command_limit: float = Field(gt=0, description="largest command / v_max")
     slowdown_cap: float = Field(ge=1, description="largest slow-down of reference time on saturation; 1 = none")
-    plan_radius: float = Field(gt=0, description="m, for a hull of 0.35 m; goes with the hull")
-    check_radius: float = Field(gt=0, description="m, likewise")
+    plan_radius: float = Field(gt=0, description="m, for a collision radius of 0.35 m; grows with it")
+    check_radius: float = Field(gt=0, description="m, for a collision radius of 0.35 m; grows with it")
     distance: Literal["centres", "boxes"] = Field(description="between which points of voxels a radius is measured")
     replanning: Literal["event", "every_map"]
     smoothing: Literal["blends", "minimum_snap"] = Field(
@@ -153,7 +153,7 @@ class StackConfig(Config):
     deviation_limit: float = Field(ge=0, description="m from the reference that stops and replans; 0 = off")
     progress_timeout: float = Field(ge=0, description="s without progress that stop and replan; 0 = off")
     consumer_check: bool = Field(description="trajectories are checked for sanity before they are adopted")
-    epoch_liveness: float = Field(ge=0, description="s after which a blocked epoch is reset; 0 = off")
+    epoch_liveness: float = Field(ge=0, description="s after which a rejected sequence number is forgotten; 0 = off")
     max_failed_plans: int = Field(40, gt=0)
 
 

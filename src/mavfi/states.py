@@ -320,7 +320,7 @@ _TABLE = (
         elements=_POINT, element="point",
     ),
     StateSpec(
-        "planning.waypoint", "waypoint", Stage.PLANNING, "at each hand-over (published 0.5 s, hardened 20 ms)",
+        "planning.waypoint", "waypoint", Stage.PLANNING, "per way-point (published 0.5 s, hardened 20 ms)",
         header=(
             *_POINT[:-1], Field("duration", "f8", "s", _PUBLISHED), Field("trajectory_seq", "i4", "-"),
             Field("future_collision_seq", "i4", "-", _PUBLISHED), Field("index", "i4", "-"),

@@ -78,7 +78,7 @@ class InstructionSampling(Config):
     )
     which: str = Field("all", description="class of instructions, e.g. floating_point")
     model: Model = Field("one_bit", description="what becomes of the value")
-    restart_s: float = Field(0.57, ge=0, le=60, description="until a node that died is there again (s)")
+    restart_s: float = Field(0.57, ge=0, le=60, description="time until a dead node is back (s)")
 
     @model_validator(mode="after")
     def _consistent(self) -> "InstructionSampling":
@@ -124,12 +124,12 @@ Sampling = Annotated[
 class ArmConfig(Config):
     """What is compared: every mission is flown again, and every fault injected again, with these differences.
 
-    Beside the keys below an arm takes any key of a mission but `environment` and `seed`.
+    In addition to the keys below an arm takes any key of a mission but `environment` and `seed`.
     """
 
     detector: str = Field("", description="entry point of the group mavfi.detectors, or package:Class")
     profile: str = Field("paper", description="of the detector: paper or tuned")
-    mission: dict[str, Any] = Field(default_factory=dict, description="what differs; may stand beside the other keys")
+    mission: dict[str, Any] = Field(default_factory=dict, description="keys that differ; also allowed in the arm")
 
     @model_validator(mode="before")
     @classmethod

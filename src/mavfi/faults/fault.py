@@ -96,11 +96,11 @@ class InstructionFault:
         which: The class of instructions from which it was drawn.
         model: What becomes of the value.
         kernel: The kernel in whose name it was drawn, as in `states.KERNELS`; "" = a function of a user's own.
-        entry: Attribute of `pipeline.functions.KernelFunctions`; "" likewise.
+        entry: Attribute of `pipeline.functions.KernelFunctions`; "" = a function of a user's own.
         value_class: "floating_point", "integer", "address" or "control".
-        restart_s: After which time a node that died is there again (s).
+        restart_s: Time after which a dead node is back (s).
         stratum: What the bit means: "sign", "exponent", "mantissa" or "other"; "" where not drawn.
-        weight: How much likelier a uniform draw comes to its value class and line; 1 = as likely.
+        weight: Probability of its value class and line in a uniform draw / in this one; 1 = the same.
         seed: Seed of the draw.
     """
 
