@@ -6,12 +6,12 @@ import sys
 import pytest
 import typer
 
-from mavfi.version import __version__
 from mavfi.cli import run
 from mavfi.cli.commands import app
 from mavfi.cli.progress import Bar
 from mavfi.cli.stopping import leave_on_ctrl_c, stoppable
 from mavfi.states import STATES, states_with
+from mavfi.version import __version__
 
 VERBS = (
     ["fly"], ["states"], ["train"], ["campaign"], ["campaign", "run"], ["campaign", "status"], ["campaign", "digest"],
@@ -112,6 +112,9 @@ def test_states_print_the_registry(capsys):
     assert ("sensor.odometry", "wx") in dead
     assert ("control.tracking", "remaining") in dead
     assert ("planning.waypoint", "ax") not in dead
+    readers = {row["state"]: row["readers"] for row in data["states"]}
+    assert readers["perception.point_cloud"] == ["octomap"] and "pid" in readers["planning.waypoint"]
+    assert readers["control.command"] == ["flight controller"]
 
 
 def test_states_as_a_table(capsys):
@@ -120,6 +123,7 @@ def test_states_as_a_table(capsys):
     for name in STATES:
         assert (name in text) == STATES[name].exists_with("truth")
     assert "dead" in text and "rad/s" in text and "range[pixel]" in text
+    assert "written by planner, read by trajectory" in text
     assert run(["states", "--localization", "estimator"]) == 0
     text = capsys.readouterr().out
     for name in STATES:

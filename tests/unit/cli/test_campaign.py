@@ -132,7 +132,7 @@ def test_replay_gives_the_same_bytes(capsys, really_flown):
 def test_explain_tells_the_story(capsys, really_flown):
     assert run(["explain", str(really_flown), "sparse-10000-fi-planning"]) == 0
     text = capsys.readouterr().out
-    assert text.startswith("run") and "first difference" in text and "end" in text
+    assert text.startswith("verdict") and "first difference" in text and "end" in text
     assert _json(capsys, "explain", str(really_flown), "sparse-10000-fi-planning")["same_digest"]
 
 
