@@ -30,8 +30,8 @@ def test_json_has_what_is_promised(capsys, golden_digest):
     assert 80 < data["distance_m"] < 200
     assert data["injections"] == [] and data["alarms"] == []
     assert data["replans"] >= 0
-    assert (data["environment"], data["seed"], data["stack"]) == ("sparse", 7, "published")
-    assert data["golden"] is None and data["outcome"] is None
+    assert (data["environment"], data["seed"], data["autopilot"]) == ("sparse", 7, "published")
+    assert data["golden"] is None and data["effect"] is None
 
 
 def test_twice_the_same_seed_twice_the_same_digest(capsys, golden_digest):
@@ -44,7 +44,7 @@ def test_wind_and_an_estimator_fly_and_are_told(capsys, golden_digest):
     assert (windy["wind"], windy["localization"], windy["status"]) == (3.0, "truth", "success")
     believed = _fly(capsys, "--localization", "estimator", "--fault", "state:perception.odometry.x:bit=56@5.0")
     assert (believed["wind"], believed["localization"]) == (0.0, "estimator")
-    assert believed["injections"][0]["site"] == "perception.odometry.x" and believed["outcome"] == "sdc"
+    assert believed["injections"][0]["site"] == "perception.odometry.x" and believed["effect"] == "sdc"
     assert len({golden_digest, windy["digest"], believed["digest"], believed["golden"]["digest"]}) == 4
     assert run(["fly", "--environment", "sparse", "--seed", "7", "--wind", "3", "--localization", "estimator"]) == 0
     text = capsys.readouterr().out
@@ -60,8 +60,8 @@ def test_an_octree_gives_the_same_flight(capsys, golden_digest):
 def test_a_null_fault_prints_the_golden_digest(capsys, golden_digest):
     data = _fly(capsys, "--fault", "null")
     assert data["digest"] == data["golden"]["digest"] == golden_digest
-    assert data["outcome"] == "masked"
-    assert data["injections"][0]["hit"] and data["injections"][0]["bit"] is None
+    assert data["effect"] == "masked"
+    assert data["injections"][0]["activated"] and data["injections"][0]["bit"] is None
 
 
 @pytest.mark.slow
@@ -69,11 +69,11 @@ def test_a_named_fault_is_recorded_with_proof(capsys, golden_digest):
     data = _fly(capsys, "--fault", "state:planning.waypoint.x:bit=62@20.0")
     (injection,) = data["injections"]
     assert injection["level"] == "state" and injection["site"] == "planning.waypoint.x" and injection["bit"] == 62
-    assert injection["hit"] and 20.0 <= injection["time_s"] < 21.0
+    assert injection["activated"] and 20.0 <= injection["time_s"] < 21.0
     before, after = (struct.unpack("<Q", struct.pack("<d", float(injection[key])))[0] for key in ("before", "after"))
     assert before ^ after == 1 << 62
     assert data["golden"]["digest"] == golden_digest != data["digest"]
-    assert data["outcome"] == "sdc"
+    assert data["effect"] == "sdc"
 
 
 @pytest.mark.slow
@@ -83,11 +83,12 @@ def test_a_drawn_fault_depends_on_its_seed(capsys):
 
 
 @pytest.mark.slow
-def test_text_for_people_names_stack_fate_fault_and_digest(capsys, golden_digest):
+def test_text_for_people_names_autopilot_effect_fault_and_digest(capsys, golden_digest):
     command = ["fly", "--environment", "sparse", "--seed", "7", "--fault", "state:planning.waypoint.x:bit=62@20.0"]
     assert run(command) == 0
     text = capsys.readouterr().out
-    assert "stack published" in text and "planning.waypoint.x" in text and "bit 62 (exponent)" in text
+    for name in ("autopilot published", "effect", "planning.waypoint.x", "bit 62 (exponent)"):
+        assert name in text
     assert "golden" in text and "digest" in text
 
 
@@ -114,6 +115,20 @@ def test_saved_flight_and_picture(capsys, tmp_path, golden_digest):
     _fly(capsys, "--save", str(log), "--picture", str(picture))
     assert FlightLog.load(log).digest() == golden_digest
     assert picture.stat().st_size > 10_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [80, 120])
+def test_names_are_whole_at_any_width(capsys, monkeypatch, golden_digest, width):
+    """A user's own detector under its own name, which is one long word."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    detector, site = "mavfi.detectors.registry:NoDetector", "perception.collision_status.time_to_collision"
+    fault = ["--fault", f"state:{site}:bit=62@5"]
+    assert run(["fly", "--environment", "sparse", "--seed", "7", "--detector", detector, *fault]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert all(len(line) <= width for line in lines)
+    for name in (detector, site, "no alarm"):
+        assert any(name in line for line in lines), name
 
 
 def test_a_mission_that_fails_is_no_failure_of_the_program(capsys, monkeypatch):
