@@ -8,6 +8,7 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.replay import replay
 from mavfi.campaign.run import run_campaign, status
 from mavfi.campaign.store import Store
+from mavfi.cli import run as cli
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.hosts.node import host
 from mavfi.hosts.node.trial import Trial
@@ -150,3 +151,13 @@ def test_faults_in_states_need_another_host(campaign, tmp_path):
     wrong = campaign.model_copy(update={"sampling": load_campaign("smoke").sampling})
     with pytest.raises(BadInputError, match="host node: faults of level 'state': allowed: register"):
         run(wrong, tmp_path)
+
+
+def test_the_report_counts_what_was_judged(campaign, tmp_path, capsys):
+    run(campaign, tmp_path)
+    assert cli(["report", str(tmp_path), "--all"]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "33.3 [9.7, 70.0] 2/6" in told  # Wilson, in all
+    assert "crashes: SIGSEGV 2" in told
+    text = (tmp_path / "report.md").read_text()
+    assert "Silent corruptions" in text and "| rax bit 3 |" in text and "| data | 1.0 | 2.0 | 1 of 10 |" in text
