@@ -22,6 +22,7 @@ from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, StateFault
 from mavfi.faults.spec import InstructionRequest, StateRequest, parse
+from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local import fly as fly_locally
 from mavfi.hosts.loop.compose import resolve
@@ -76,7 +77,7 @@ def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **opt
         BadInputError: The text is not understood, or the mission has no such site.
     """
     spec = MissionSpec(**{**({} if mission is None else mission.model_dump()), **options})
-    return _draw(resolve(spec), parse(fault, spec.localization), seed)
+    return _draw(resolve(spec), parse(fault, spec.localization), seed)[0]
 
 
 def run(
@@ -144,13 +145,14 @@ def fly_request(
     Raises:
         BadInputError: The mission has no such site.
     """
-    fault = None if request is None else _draw(scenario, request, seed)
-    return _fly_fault(scenario, fault, detector, label, coupling)
+    fault, golden = (None, None) if request is None else _draw(scenario, request, seed)
+    return _fly_fault(scenario, fault, detector, label, coupling, golden if detector is None else None)
 
 
 def _draw(
     scenario: Scenario, request: StateRequest | InstructionRequest, seed: int
-) -> StateFault | InstructionFault:
+) -> tuple[StateFault | InstructionFault, Flight | None]:
+    """A fault, and the golden flight without a detector if it was flown for that: as campaigns draw, nothing watches."""
     if isinstance(request, InstructionRequest):
         drawn = draw_instruction_faults(scenario, request, seed=seed)
         fault = drawn.faults[request.kernel][0]
@@ -159,21 +161,21 @@ def _draw(
                 f"fault instruction:{request.kernel}: this mission executes no instruction {request.which!r} there; "
                 "allowed: a class that it executes"
             )
-        return fault
-    # as campaigns draw: nothing watches
-    profile = fly_locally(scenario, profile=True).profile if request.needs_profile else None
-    return request.resolve(seed, scenario.stack.name, profile)
+        return fault, drawn.golden
+    golden = fly_locally(scenario, profile=True) if request.needs_profile else None
+    return request.resolve(seed, scenario.stack.name, None if golden is None else golden.profile), golden
 
 
 def _fly_fault(
-    scenario: Scenario, fault: Fault | None, detector: Detector | None, label: str, coupling: Coupling
-) -> FlightResult:
+    scenario: Scenario, fault: Fault | None, detector: Detector | None, label: str, coupling: Coupling,
+    golden: Flight | None = None,
+) -> FlightResult:  # fmt: skip
     if isinstance(fault, InstructionFault):
-        found = fly_instruction_faults(scenario, [fault], detector, None, coupling)
+        found = fly_instruction_faults(scenario, [fault], detector, golden, coupling)
         return FlightResult(scenario, found.flights[0], found.golden, fault, label)
     if fault is not None and not isinstance(fault, StateFault):
         raise BadInputError(f"fault of level {fault.level!r}: a local flight takes: state, instruction")
-    golden = fly_locally(scenario, None, detector, coupling=coupling)
+    golden = golden or fly_locally(scenario, None, detector, coupling=coupling)
     if fault is None:
         return FlightResult(scenario, golden, None, None, label)
     return FlightResult(scenario, fly_locally(scenario, fault, detector, coupling=coupling), golden, fault, label)
