@@ -7,6 +7,8 @@
 
     runs = mavfi.run("smoke", "out/smoke")
     mavfi.table(runs, "success")
+
+Names are imported from `mavfi`, not from this module.
 """
 
 from collections.abc import Callable
@@ -152,7 +154,7 @@ def fly_request(
 def _draw(
     scenario: Scenario, request: StateRequest | InstructionRequest, seed: int
 ) -> tuple[StateFault | InstructionFault, Flight | None]:
-    """A fault, and the golden flight without a detector if it was flown for that: as campaigns draw, nothing watches."""
+    """A fault, and the golden flight if one was flown for that: as campaigns draw, nothing watches it."""
     if isinstance(request, InstructionRequest):
         drawn = draw_instruction_faults(scenario, request, seed=seed)
         fault = drawn.faults[request.kernel][0]
