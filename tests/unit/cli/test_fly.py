@@ -14,9 +14,9 @@ def _fly(capsys, *arguments):
 
 @pytest.fixture(scope="module")
 def golden_digest():
+    from mavfi.hosts.local import fly
     from mavfi.hosts.loop.compose import resolve
     from mavfi.mission import MissionSpec
-    from mavfi.hosts.local import fly
 
     return fly(resolve(MissionSpec(environment="sparse", seed=7))).log.digest()
 
