@@ -19,7 +19,7 @@ from mavfi.hosts.watching import detector_for
 from mavfi.pipeline.memory import Foreign, Memory
 from mavfi.sim.simulator import Simulator
 from mavfi.states import STATES
-from tests.hosts.missions import STACKS, fault, mission
+from tests.hosts.missions import STACKS, Scripted, fault, mission
 
 KERNELS = ("point_cloud", "octomap", "collision_check", "planner", "trajectory", "waypoint", "pid")
 
@@ -226,7 +226,8 @@ def test_a_flight_that_is_over_frees_its_maps_at_once():
     gc.collect()
     gc.disable()
     try:
-        room = weakref.ref(fly(mission()).pipeline["planner"].room)
-        assert room() is None, "nothing refers back to it"
+        for detector in (None, Scripted()):
+            room = weakref.ref(fly(mission(), None, detector).pipeline["planner"].room)
+            assert room() is None, "nothing refers back to it"
     finally:
         gc.enable()

@@ -10,6 +10,7 @@ image's turn for perception, with the next sample of the IMU for the state estim
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
+from weakref import proxy
 
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.errors import BadInputError
@@ -78,8 +79,7 @@ def decide(alarm: Alarm, spec: StateSpec, coupling: Coupling) -> Action:
             return Action("recompute", stage, SCANNING[0], SCANNING, spec.name, gated)
         return Action("recompute", stage, spec.writer, (spec.writer,), spec.name, gated)
     # another stage than the writer's is to run again: this value passes
-    kernels = STAGE_KERNELS[stage] if stage is Stage.CONTROL else ()
-    return Action("recompute", stage, "".join(kernels), kernels)
+    return Action("recompute", stage, "pid", ("pid",)) if stage is Stage.CONTROL else Action("recompute", stage)
 
 
 def stage_of(alarm: Alarm) -> Stage:
@@ -113,7 +113,8 @@ class Watch:
     """
 
     def __init__(self, loop: "Loop", detector: Detector, coupling: Coupling) -> None:
-        self._loop, self._detector, self._coupling = loop, detector, coupling
+        self._loop = proxy(loop)  # which owns this: maps of a flight that is over are freed at once
+        self._detector, self._coupling = detector, coupling
 
     def __call__(self, state: State, now: int) -> State | None:
         """Show a value to the detector; what comes from a recomputation passes."""

@@ -1,5 +1,7 @@
 """Nodes that die and start again: what a node was about to publish is lost, and it comes back with fresh memory."""
 
+from weakref import proxy
+
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.pipeline.kernel import Kernel
 from mavfi.states import PERIODIC, STATES, State, in_node
@@ -17,7 +19,7 @@ class Restarts:
     """
 
     def __init__(self, loop: Loop) -> None:
-        self._loop = loop
+        self._loop = proxy(loop)  # which owns this
         self._latest: dict[str, State] = {}
         self._updates: list[State] = []
         loop.taps.recorders.append(self._keep)

@@ -67,7 +67,7 @@ class Loop:
 
     Attributes:
         taps: What every published state passes; hosts put theirs in before the flight.
-        actions: What can be put into the queue, by name; hosts add theirs.
+        actions: What hosts can put into the queue beside this class's methods, by name.
         before_tick: Called with the instant (us) before each control period.
         after_tick: The same after it.
         after_step: Called with a kernel, what it gave, and the instant, before that is published.
@@ -95,9 +95,7 @@ class Loop:
         self.judge = Judge.of(scenario, world)
         self.record = Record(self.kernels, Publications(want_profile, states_with(scenario.localization.kind)))
         self.taps = Taps()
-        self.actions: dict[str, Callable[..., None]] = {
-            _TICK: self.tick, "capture": self.capture, "sense": self.sense, "done": self.done
-        }  # fmt: skip
+        self.actions: dict[str, Callable[..., None]] = {}
         self.before_tick: list[Callable[[int], None]] = []
         self.after_tick: list[Callable[[int], None]] = []
         self.after_step: list[Callable[[Kernel, list[State], int], None]] = []
@@ -115,7 +113,7 @@ class Loop:
 
     # ---- time -------------------------------------------------------------------------------------------------------
     def at(self, time_us: int, action: str, *arguments: Any) -> None:  # noqa: ANN401 (as the action wants)
-        """Do something later, by its name in `actions`; what was asked for first is done first."""
+        """Do something later: a method, or one of `actions`, by name; what was asked for first is done first."""
         self.order += 1
         heapq.heappush(self.queue, (time_us, self.order, action, arguments))
 
@@ -139,7 +137,7 @@ class Loop:
             self.now, _, action, arguments = heapq.heappop(self.queue)
             # the vehicle is where the first physics step at or after this instant leaves it
             self.plant.advance(-(-self.now // _PHYSICS_US) * _PHYSICS_US)
-            self.actions[action](self.now, *arguments)
+            (self.actions.get(action) or getattr(self, action))(self.now, *arguments)
 
     def flight(self) -> Flight:
         """What became of it, once the mission has a status."""
