@@ -16,7 +16,7 @@ def replay(
 ) -> None:
     """Fly a run again from its spec, and say whether the digest is the same.
 
-    Example: [bold]mavfi replay out/reproduce sparse-10003-golden[/bold]
+    Example: [bold]mavfi replay out/reproduce sparse-10003-golden-[/bold]
     """
     from mavfi.campaign.replay import replay as fly_again
 
