@@ -60,7 +60,8 @@ def export(
         write_json({"file": str(to), "written": count, "unit": "rows" if to.suffix == ".csv" else "messages"})
         return
     what = "rows" if to.suffix == ".csv" else "messages"
-    console().print(f"{to}: {count} {what}, {float(log.column('time')[-1]):.1f} s of flight, {log.status.label}")
+    text = f"{to}: {count} {what}, {float(log.column('time')[-1]):.1f} s of flight, {log.status.label}"
+    console().print(text, markup=False, soft_wrap=True)
 
 
 def _export_runs(directory: Path, to: Path, as_json: bool) -> None:

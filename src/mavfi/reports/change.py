@@ -12,9 +12,9 @@ def change(before: object, after: object, digits: int = 6) -> tuple[str, str]:
         digits: Of the short form.
     """
     for form in (lambda value: _short(value, digits), _full, _bits):
-        told = form(before), form(after)
-        if told[0] != told[1]:
-            return told
+        pair = form(before), form(after)
+        if pair[0] != pair[1]:
+            return pair
     return _short(before, digits), _short(after, digits)
 
 

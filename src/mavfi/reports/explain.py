@@ -20,7 +20,7 @@ from mavfi.states import STATES
 MOST_ALARMS = 8
 """Alarms that are shown one by one."""
 _BEHIND = 0.01
-"""Shortest delay that is told (s): half a control period."""
+"""Shortest delay that is mentioned (s): half a control period."""
 _EFFECTS = {
     Effect.MASKED: "masked: the flight is bit for bit the golden run",
     Effect.SDC: "silent data corruption",
