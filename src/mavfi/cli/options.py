@@ -12,10 +12,10 @@ from annotated_types import Ge, Le
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
-from mavfi.cli.console import JSON_HELP, LARGEST_SEED
+from mavfi.cli.console import JSON_HELP
 from mavfi.config import Vector
 from mavfi.errors import BadInputError
-from mavfi.mission import MissionSpec
+from mavfi.mission import LARGEST_SEED, MissionSpec
 
 _ALIASES = {"autopilot": ("--stack",)}
 """Older names that still work."""
