@@ -1,6 +1,6 @@
 """Fault injection, anomaly detection and recovery for autonomous UAVs, measured on whole missions.
 
-The public names below are imported when they are first used, so that `import mavfi` is quick; `mavfi.api` explains them.
+The public names below are imported when they are first used, so that `import mavfi` is quick; see `mavfi.api`.
 """
 
 from importlib import import_module

@@ -38,7 +38,8 @@ def run(
     fast_forward: Annotated[
         bool,
         typer.Option(
-            "--fast-forward/--no-fast-forward", "--forking/--no-forking",
+            "--fast-forward/--no-fast-forward",
+            "--forking/--no-forking",
             help="Begin injected runs at checkpoints of their golden run; the result does not depend on it.",
         ),
     ] = True,

@@ -9,7 +9,7 @@ from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.faults.instruction import Counting
 from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.instruction.forking import ForkingHost
+from mavfi.hosts.instruction.forking import Forks
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
@@ -134,11 +134,11 @@ def test_a_node_that_is_there_again_can_be_asked_to_compute_again(kernel):
 
 
 def test_a_recomputation_does_not_take_back_what_a_node_was_sent_when_it_started_again():
-    host = ForkingHost(scenario(), [], Scripted())
-    host.begin()
-    host.run(until=150)
-    host.restarted(host.now, "collision_check")
-    kernel = host.kernels["collision_check"]
+    loop = Forks(scenario(), [], Scripted()).loop
+    loop.begin()
+    loop.run(until=150)
+    loop.actions["restart"](loop.now, "collision_check")
+    kernel = loop.kernels["collision_check"]
     cells = kernel.room.cells.copy()
     assert len(np.unique(cells)) > 1, "it knows the map"
     kernel.rollback()

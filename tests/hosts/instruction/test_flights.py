@@ -183,19 +183,6 @@ def test_first_difference_names_field_element_and_size():
     assert not golden.same(Output({"a.b": (header, elements)}, b"other"))
 
 
-def __init__(self):
-            self.scratch, self.memory, self.zero = np.zeros(3), [np.arange(3.0), {"a": 1}], 0.0
-
-    first, second = Kernel(), Kernel()
-    second.scratch[0] = 1.0
-    assert fingerprint(first) == fingerprint(second)
-    for change in (lambda k: k.memory[0].__setitem__(1, np.nan), lambda k: setattr(k, "zero", -0.0),
-                   lambda k: k.memory[1].update(b=2)):  # fmt: skip
-        third = Kernel()
-        change(third)
-        assert fingerprint(third) != fingerprint(first)
-
-
 def test_workers_do_not_report_into_each_other():
     """Forks of one parent share what it has mapped; a worker that injects makes memory of its own first."""
     numbers = np.arange(3.0)
