@@ -38,7 +38,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     from mavfi.campaign.config import load_campaign, load_study
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.run import run_campaign
-    from mavfi.cli.progress import Bar
+    from mavfi.cli.progress import Bar, duration
 
     begun = time.perf_counter()
     chosen = load_study(study)
@@ -49,14 +49,18 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     check_folder(out)
     watched = [campaign for campaign in campaigns.values() if any(arm.detector for arm in campaign.arms.values())]
     with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
-        if not all(_trained(campaign, out / MODELS, chosen.training_flights) for campaign in watched):
-            _train(watched[0], out / MODELS, chosen.training_flights, workers)
+        for campaign in watched:
+            if not _trained(campaign, out / MODELS, chosen.training_flights):
+                _train(campaign, out / MODELS, chosen.training_flights, workers)
         for folder, campaign in campaigns.items():
             with Bar(f"{campaign.name}, {campaign.missions} missions per environment", "runs") as bar:
                 run_campaign(
                     campaign, folder, executor=executor, models_dir=out / MODELS, progress=bar.show_campaign
                 )  # fmt: skip
-    _report(list(campaigns), begun, show_all, as_json)
+    _report(campaigns, show_all, as_json)
+    if not as_json:
+        where = f"The models are in {out / MODELS}. It took {duration(time.perf_counter() - begun)}."
+        console().print(where, soft_wrap=True)
 
 
 def _check_ledger(campaign: "Campaign", folder: Path) -> None:
@@ -115,14 +119,13 @@ def _trained(campaign: "Campaign", folder: Path, flights: int) -> bool:
     return all((arm.detector, arm.profile) in held for arm in campaign.arms.values() if arm.detector)
 
 
-def _report(folders: list[Path], begun: float, show_all: bool, as_json: bool) -> None:
-    """Write the report of each campaign, and end with the headline."""
-    from mavfi.cli.progress import duration
+def _report(campaigns: dict[Path, "Campaign"], show_all: bool, as_json: bool) -> None:
+    """Write the report of each campaign, and print the headline of each; as JSON by name of the campaign."""
     from mavfi.cli.report import show_report, write_reports
 
-    written = {folder: write_reports(folder) for folder in folders}
+    written = {folder: write_reports(folder) for folder in campaigns}
     if as_json:
-        write_json({folder.name: report.to_json() for folder, report in written.items()})
+        write_json({campaigns[folder].name: report.to_json() for folder, report in written.items()})
         return
     for report in written.values():
         show_report(report, show_all)
@@ -132,5 +135,3 @@ def _report(folders: list[Path], begun: float, show_all: bool, as_json: bool) ->
             f"[bold]{folder}[/bold] holds the ledger, and: {', '.join(path.name for path in report.files)}",
             soft_wrap=True,
         )
-    where = folders[0].parent / MODELS
-    text.print(f"The models are in {where}. It took {duration(time.perf_counter() - begun)}.", soft_wrap=True)

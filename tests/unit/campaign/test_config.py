@@ -40,7 +40,7 @@ def test_shipped_campaigns_are_valid_and_survive_the_ledger(name):
 
 def test_shipped_studies_name_campaigns():
     study = load_study("paper")
-    assert study.campaigns == {"states": "table1", "instructions": "table1_instructions"}
+    assert study.campaigns == {".": "table1", "instructions": "table1_instructions"}
     for path in (config_root() / "studies").glob("*.yaml"):
         for name in load_study(path.stem).campaigns.values():
             load_campaign(name)

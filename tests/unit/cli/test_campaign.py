@@ -169,7 +169,7 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, config, flown, 
     places = {"OUT": tmp_path / "out", "CONFIG": config, "FLOWN": flown, "OLD": tmp_path / "old.yaml"}
     places["OLD"].write_text("name: old\nenvironments: [sparse]\nflights: 3\n")
     places["STUDY"] = tmp_path / "study"
-    shutil.copytree(flown, places["STUDY"] / "states")
+    shutil.copytree(flown, places["STUDY"])
     assert run([str(places.get(argument, argument)) for argument in arguments]) == 2
     error = capsys.readouterr().err
     assert error.startswith("mavfi: ") and error.count("\n") == 1

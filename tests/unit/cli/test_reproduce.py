@@ -1,68 +1,53 @@
 import json
 
 import pytest
+import yaml
 
-from mavfi.campaign.config import Campaign
-from mavfi.cli import reproduce, run
+from mavfi.cli import run
 from mavfi.cli.progress import Bar
-from tools import build_readme
+from tests.unit.campaign.fakes import HOST
 
 
-@pytest.fixture
-def small(monkeypatch):
-    """Tables of one environment and one mission instead of the paper's; the training flights are three."""
-    both = {"environments": ["sparse"], "flights": 1, "faults": 1, "detectors": {"gaussian": {"detector": "gaussian"}}}
-    states = {"name": "table1", "null_runs": 1, "strata": {"sign_exponent": 1}}
-    instructions = {"name": "table1_instructions", "null_runs": 0, "law": "kernels",
-                    "kernels": {"names": ["rrt_connect", "pid"], "share": "stage", "which": "data"}}  # fmt: skip
-    campaigns = {own["name"]: Campaign.model_validate({**both, **own}) for own in (states, instructions)}
-    monkeypatch.setattr("mavfi.campaign.config.load_campaign", campaigns.__getitem__)
-    monkeypatch.setattr(reproduce, "TRAINING_FLIGHTS", 3)
+def study(folder, **changes):
+    """One environment and one mission at both levels instead of the paper's tables; the training flights are three."""
+    both = {"environments": ["sparse"], "missions": 1, "faults": 1, "arms": {"gaussian": {"detector": "gaussian"}}}
+    campaigns = {
+        "table1": {**both, "null_runs": 1, "sampling": {"strata": {"sign_exponent": 1}}},
+        "table1_instructions": {
+            **both, "sampling": {"level": "instruction", "kernels": ["rrt_connect", "pid"], "share": "stage",
+                                 "which": "data"},
+        },
+    }  # fmt: skip
+    for name, content in campaigns.items():
+        (folder / f"{name}.yaml").write_text(yaml.safe_dump({"name": name, **content, **changes.get(name, {})}))
+    where = {".": str(folder / "table1.yaml"), "instructions": str(folder / "table1_instructions.yaml")}
+    content = {"name": "small", "training_flights": 3, "campaigns": where, **changes.get("study", {})}
+    (folder / "small.yaml").write_text(yaml.safe_dump(content))
+    return str(folder / "small.yaml")
 
 
 @pytest.mark.slow
-def test_it_trains_flies_prints_and_writes_and_goes_on_where_it_stopped(capsys, tmp_path, small, monkeypatch):
-    arguments = ["reproduce", "--out", str(tmp_path / "out"), "--workers", "1"]
+def test_it_trains_flies_prints_and_writes_and_resumes_where_it_stopped(capsys, tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    arguments = ["reproduce", study(tmp_path), "--out", str(out), "--workers", "1"]
     assert run(arguments) == 0
     text = capsys.readouterr().out
-    assert "Success of missions" in text and "It took" in text
-    titles = ("State level: success rates", "Instruction level, the paper's Table I: success rates")
-    assert 0 <= text.index(titles[0]) < text.index(titles[1])
-    names = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"campaign.sqlite", "models", "report.md", "readme_block.md", "summary.json", "success.png"} <= names
-
-    check_readme(tmp_path / "out", tmp_path, titles, monkeypatch)
+    assert 0 <= text.index("campaign table1 ") < text.index("campaign table1_instructions ") < text.index("It took")
+    files = {"campaign.sqlite", "report.md", "readme_block.md", "summary.json"}
+    assert files | {"models", "instructions"} <= {path.name for path in out.iterdir()}
+    assert files <= {path.name for path in (out / "instructions").iterdir()}
 
     def never(*_, **__):
         raise AssertionError("trained again")
 
     monkeypatch.setattr("mavfi.campaign.training.train", never)
     assert run([*arguments, "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["campaign"]["name"] == "table1"
-    assert told["instructions"]["campaign"]["name"] == "table1_instructions"
-
-
-def check_readme(out, root, titles, monkeypatch):
-    """The page gets both tables, each in its place."""
-    (root / "docs" / "images").mkdir(parents=True)
-    page = "<!-- {0}:begin -->\nold\n<!-- {0}:end -->\n"
-    (root / "README.md").write_text(page.format("table") + page.format("instruction_table"), encoding="utf-8")
-    monkeypatch.setattr(build_readme, "ROOT", root)
-    assert build_readme.main(out) == 0
-    first, second = (root / "README.md").read_text(encoding="utf-8").split("<!-- table:end -->")
-    assert titles[0] in first and titles[1] not in first
-    assert titles[1] in second and "campaign `table1_instructions`" in second and "\nold\n" not in first + second
-
-
-def test_a_readme_without_tables_is_left_alone(capsys, tmp_path):
-    assert build_readme.main(tmp_path) == 2
-    assert "run `make reproduce` first" in capsys.readouterr().err
+    assert set(json.loads(capsys.readouterr().out)) == {"table1", "table1_instructions"}
 
 
 @pytest.mark.slow
-def test_training_that_is_stopped_goes_on(capsys, tmp_path, small, monkeypatch):
-    out = tmp_path / "out"
+def test_training_that_is_stopped_resumes(capsys, tmp_path, monkeypatch):
+    out, arguments = tmp_path / "out", ["reproduce", study(tmp_path), "--workers", "1"]
     show, told = Bar.show, []
 
     def stop(bar, done, total):
@@ -72,10 +57,58 @@ def test_training_that_is_stopped_goes_on(capsys, tmp_path, small, monkeypatch):
             raise KeyboardInterrupt
 
     monkeypatch.setattr(Bar, "show", stop)
-    assert run(["reproduce", "--out", str(out), "--workers", "1"]) == 130
-    assert "the same command goes on" in capsys.readouterr().err
+    monkeypatch.setattr("mavfi.campaign.run.run_campaign", lambda *_, **__: None)
+    monkeypatch.setattr("mavfi.cli.reproduce._report", lambda *_: None)
+    assert run([*arguments, "--out", str(out)]) == 130
+    assert "the same command resumes" in capsys.readouterr().err
     assert told == [(0, 3), (1, 3), (2, 3)] and not list((out / "models").glob("*.json"))
     told.clear()
-    assert run(["reproduce", "--out", str(out), "--workers", "1"]) == 0
+    assert run([*arguments, "--out", str(out)]) == 0
     assert told == [(2, 3), (3, 3)]
     assert len(list((out / "models").glob("*.json"))) == 4 and not (out / "models" / ".flights").exists()
+
+
+@pytest.fixture
+def trained(monkeypatch):
+    """Autopilot profiles that detectors were trained for; nothing is flown."""
+    found = []
+    monkeypatch.setattr("mavfi.cli.reproduce._trained", lambda campaign, *_: campaign.mission.get("autopilot") in found)
+    monkeypatch.setattr("mavfi.cli.reproduce._report", lambda *_: None)
+    monkeypatch.setattr("mavfi.campaign.run.run_campaign", lambda *_, **__: None)
+    monkeypatch.setattr("mavfi.campaign.training.train", lambda _, __, mission, **___: found.append(mission.autopilot))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("profiles", "wanted"),
+    [(("published", "hardened"), ["published", "hardened"]), (("hardened", "hardened"), ["hardened"])],
+)
+def test_detectors_are_trained_once_for_each_mission_that_is_watched(tmp_path, trained, profiles, wanted):
+    changes = {
+        name: {"mission": {"autopilot": profile}}
+        for name, profile in zip(("table1", "table1_instructions"), profiles, strict=True)
+    }
+    assert run(["reproduce", study(tmp_path, **changes), "--out", str(tmp_path / "out")]) == 0
+    assert trained == wanted
+
+
+def test_campaigns_without_a_detector_need_no_training(tmp_path, trained):
+    changes = {name: {"arms": {}} for name in ("table1", "table1_instructions")}
+    assert run(["reproduce", study(tmp_path, **changes), "--out", str(tmp_path / "out")]) == 0
+    assert trained == []
+
+
+@pytest.mark.parametrize("name", ["table1", "table1_instructions"])
+def test_another_campaign_in_one_of_the_folders_is_refused_before_anything_is_written(capsys, tmp_path, name):
+    own = {"host": HOST, "arms": {}}
+    sampling = {"level": "state"}
+    changes = {other: {**own, "sampling": sampling} for other in ("table1", "table1_instructions")}
+    arguments = ["reproduce", study(tmp_path, **changes), "--out", str(tmp_path / "out"), "--workers", "1"]
+    folder = tmp_path / "out" / {"table1": ".", "table1_instructions": "instructions"}[name]
+    assert run(["campaign", "run", str(tmp_path / f"{name}.yaml"), "--out", str(folder), "--workers", "1"]) == 0
+    changes[name]["faults"] = 2
+    study(tmp_path, **changes)
+    capsys.readouterr()
+    assert run(arguments) == 2
+    assert "holds another campaign (differs in: campaign)" in capsys.readouterr().err
+    assert not {"models", "report.md"} & {path.name for path in (tmp_path / "out").iterdir()}
