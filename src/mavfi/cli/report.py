@@ -71,11 +71,12 @@ def show_report(found: "Report", show_all: bool) -> None:
 
 def _show_view(directory: Path, name: str, *, as_csv: bool, as_json: bool) -> None:
     from mavfi.campaign.analysis import VIEWS, Runs, table
-    from mavfi.reports.terminal import show_lines, show_table
+    from mavfi.reports.terminal import show_table
 
     if name == "list":
         width = max(map(len, VIEWS))
-        show_lines([f"{view.name:{width}}  {view.title}" for view in VIEWS.values()], console())
+        for view in VIEWS.values():
+            typer.echo(f"{view.name:{width}}  {view.title}")
         return
     found = table(Runs.read(directory), name)
     if as_csv:

@@ -77,9 +77,10 @@ def write_report(directory: Path, *, draw_run: bool = True) -> Report:
     """
     found = report_of(Runs.read(directory))
     today = date.today().isoformat()
-    captions = {name: FIGURES[name] for name in figures.draw(found.runs, directory)}
-    if draw_run:
-        captions |= _telling_run(directory, found.runs)
+    captions: dict[str, str] = {}
+    if found.runs.has_missions:
+        captions |= {name: FIGURES[name] for name in figures.draw(found.runs, directory)}
+        captions |= _telling_run(directory, found.runs) if draw_run else {}
     texts = {
         "report.md": markdown.report(found.runs, found.tables, found.findings, captions, today),
         "summary.json": json.dumps({"date": today, **found.to_json()}, indent=1, allow_nan=False) + "\n",
@@ -92,9 +93,7 @@ def write_report(directory: Path, *, draw_run: bool = True) -> Report:
 
 
 def _telling_run(directory: Path, runs: Runs) -> Mapping[str, str]:
-    """Caption of the run that says most, drawn; of trials that cannot be flown again there is none."""
-    if not len(runs.where(level="state")) and not len(runs.where(level="instruction")):
-        return {}
+    """Caption of the run that says most, drawn."""
     with Store.open(directory) as store:
         chosen = fly_telling_run(store, runs.frame)
     return {} if chosen is None else {PICTURE: telling.draw(chosen, directory / PICTURE)}

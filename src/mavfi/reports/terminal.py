@@ -9,11 +9,12 @@ from rich.panel import Panel
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from mavfi.campaign.analysis.table import TEXT, Table
+from mavfi.campaign.analysis.table import TEXT, Column, Table
 from mavfi.reports.text import shown
 
 _BETWEEN = 2
 """Characters between two columns."""
+_NUMBER = Column("number", "#")
 Block = list[int]
 """Places of columns that are printed side by side."""
 
@@ -55,19 +56,30 @@ def rendered(table: Table, width: int) -> Group:
         width: Characters of a line.
     """
     columns, rows = shown(table)
-    lines = [[column.heading for column in columns], *rows]
-    whole = [max(len(line[place]) for line in lines) for place in range(len(columns))]
-    words = [max(max(map(len, line[place].split()), default=0) for line in lines) for place in range(len(columns))]
-    names = [place for place, column in enumerate(columns) if _is_name(column.form, [row[place] for row in rows])]
-    least = [whole[place] if place in names else words[place] for place in range(len(columns))]
     keys = list(range(min(table.keys, len(columns))))
+    least, whole = _sizes(columns, rows)
+    if any(_room([*(least[key] for key in keys), size]) > width for size in least[len(keys) :]):
+        # some name does not fit beside the keys: rows are found again by a number
+        columns, rows, keys = [_NUMBER, *columns], [[str(i), *row] for i, row in enumerate(rows, start=1)], [0]
+        least, whole = _sizes(columns, rows)
     parts: list[RichTable] = []
     for block in _blocks(least, keys, width):
         title = None if parts else escape(table.title)
         widths = _widths([least[place] for place in block], [whole[place] for place in block], width)
         cells = [[row[place] for place in block] for row in rows]
-        parts.append(_grid(title, [lines[0][place] for place in block], cells, widths, len(keys)))
+        parts.append(_grid(title, [columns[place].heading for place in block], cells, widths, len(keys)))
     return Group(*parts)
+
+
+def _sizes(columns: Sequence[Column], rows: Sequence[Sequence[str]]) -> tuple[list[int], list[int]]:
+    """Widths of columns: the longest word (of names: the whole cell), and the longest cell."""
+    least, whole = [], []
+    for place, column in enumerate(columns):
+        cells = [column.heading, *(row[place] for row in rows)]
+        whole.append(max(map(len, cells)))
+        words = max(len(word) for cell in cells for word in cell.split() or [""])
+        least.append(whole[-1] if _is_name(column.form, cells[1:]) else words)
+    return least, whole
 
 
 def _is_name(form: str, cells: Sequence[str]) -> bool:
@@ -108,9 +120,10 @@ def _grid(title: str | None, headings: Sequence[str], rows: Sequence[Sequence[st
     for place, (heading, wide) in enumerate(zip(headings, widths, strict=True)):
         grid.add_column(escape(heading), justify="left" if place < max(2, keys) else "right", overflow="fold",
                         width=wide)  # fmt: skip
+    grouped = len({row[0] for row in rows}) < len(rows)
     before = None
     for row in rows:
-        if before is not None and row[0] != before:
+        if grouped and before is not None and row[0] != before:
             grid.add_section()
         grid.add_row("" if row[0] == before else f"[bold]{escape(row[0])}[/bold]", *map(escape, row[1:]))
         before = row[0]

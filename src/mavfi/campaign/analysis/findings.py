@@ -52,7 +52,7 @@ def _percent(rate: Rate) -> str:
 
 def _success(runs: Runs) -> list[str]:
     golden, faulty = runs.golden.where("judged", setting=GOLDEN), _leading(runs).where(setting=FI)
-    if not _has_missions(runs) or not len(golden) or not len(faulty):
+    if not runs.has_missions or not len(golden) or not len(faulty):
         return []
     without, with_fault = m.rate_of(golden, "success"), m.rate_of(faulty, "success")
     known = faulty.where(pl.col("golden_success").is_not_null())
@@ -64,14 +64,10 @@ def _success(runs: Runs) -> list[str]:
     ]
 
 
-def _has_missions(runs: Runs) -> bool:
-    return len(runs.where(pl.col("flight_time_s") > 0)) > 0
-
-
 def _deaths(runs: Runs) -> list[str]:
     own = runs.injected.where("judged", pl.col("kernel_effect").is_in(KERNEL_DUE), setting=FI)
     faulty = runs.injected.where("judged", setting=FI)
-    if not len(own) or not _has_missions(runs):
+    if not len(own) or not runs.has_missions:
         return []
     ended = m.rate_of(faulty, "success_if_ended")
     return [
@@ -87,7 +83,7 @@ def _effects(runs: Runs) -> list[str]:
     shares = {name: m.rate_of(own, pl.col("effect") == name).rate or 0.0 for name in ("masked", "sdc")}
     died = 1.0 - sum(shares.values())
     rest = f", {100 * died:.0f} % end in a crash or a hang" if died > 1e-9 else ""
-    what = "flight" if _has_missions(runs) else "output"
+    what = "flight" if runs.has_missions else "output"
     return [
         f"{100 * shares['masked']:.0f} % of {len(own)} faults are masked bit for bit, {100 * shares['sdc']:.0f} % "
         f"change the {what} silently{rest}."

@@ -145,6 +145,11 @@ class Runs:
         """Runs with an empty mask."""
         return self.where(kind=NULL)
 
+    @property
+    def has_missions(self) -> bool:
+        """Whether something flew; trials of a foreign node have outputs, no flights."""
+        return len(self.where(pl.col("flight_time_s") > 0)) > 0
+
     def settings(self) -> list[str]:
         """Settings that fly faults, `fi` first."""
         return sorted(self.injected.values("setting"), key=lambda setting: setting != FI)

@@ -1,0 +1,86 @@
+"""`mavfi report`, `mavfi runs` and the export of runs, on a campaign of made-up flights."""
+
+import csv
+import io
+import json
+
+import polars as pl
+import pytest
+
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.run import run_campaign
+from mavfi.cli import run
+from tests.unit.campaign.fakes import small
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("flown")
+    run_campaign(small(missions=5, faults=10), directory, executor=LocalExecutor(1))
+    return directory
+
+
+def told(capsys, *arguments):
+    assert run([str(argument) for argument in arguments]) == 0
+    return capsys.readouterr().out
+
+
+def test_the_report_ends_with_the_headline(capsys, flown):
+    text = told(capsys, "report", flown, "--no-draw-run")
+    assert "State level: success rates" in text and "How missions ended" not in text
+    assert "· Without a fault" in text and "report.md" in text
+    assert {"report.md", "readme_block.md", "summary.json", "success.png"} <= {path.name for path in flown.iterdir()}
+    assert "How missions ended" in told(capsys, "report", flown, "--no-draw-run", "--all")
+    data = json.loads(told(capsys, "report", flown, "--no-draw-run", "--json"))
+    assert data["campaign"]["name"] == "small" and data["tables"]["endings"]["rows"]
+
+
+def test_one_table_by_name(capsys, flown):
+    assert "How missions ended" in told(capsys, "report", flown, "--view", "endings")
+    rows = list(csv.DictReader(io.StringIO(told(capsys, "report", flown, "--view", "endings", "--csv"))))
+    assert {row["setting"] for row in rows} == {"golden", "golden_gaussian", "fi", "dr_gaussian"}
+    assert json.loads(told(capsys, "report", flown, "--view", "endings", "--json"))["name"] == "endings"
+    assert "kernel_errors" in told(capsys, "report", flown, "--view", "list")
+
+
+def test_runs_are_listed_and_filtered(capsys, flown):
+    failed = told(capsys, "runs", flown, "--failed", "--where", "environment=sparse", "--csv")
+    rows = list(csv.DictReader(io.StringIO(failed)))
+    assert rows and {(row["environment"], row["status"]) for row in rows} == {("sparse", "collision")}
+    assert rows[0]["run_id"] in told(capsys, "runs", flown, "--failed")
+    assert len(json.loads(told(capsys, "runs", flown, "--json"))["rows"]) == 2 * (2 * (5 + 30) + 3)
+
+
+@pytest.mark.parametrize("width", [80, 100])
+def test_names_stay_whole(capsys, flown, monkeypatch, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    text = told(capsys, "runs", flown)
+    with_ids = json.loads(told(capsys, "runs", flown, "--json"))["rows"]
+    assert all(row["run_id"] in text for row in with_ids)
+    assert all(len(line) <= width for line in text.splitlines())
+
+
+def test_runs_as_a_file(capsys, flown, tmp_path):
+    for name, read in (("runs.parquet", pl.read_parquet), ("runs.csv", pl.read_csv)):
+        assert "runs" in told(capsys, "export", flown, "--to", tmp_path / name)
+        frame = read(tmp_path / name)
+        assert frame.height == 146 and {"run_id", "effect", "inflation"} <= set(frame.columns)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["report", "DIR", "--csv"], "--csv: allowed: with --view NAME"),
+        (["report", "DIR", "--view", "nothing"], "view 'nothing': not known; allowed: success_as_in_the_paper"),
+        (["report", "NONE"], "holds no campaign"),
+        (["runs", "NONE"], "holds no campaign"),
+        (["runs", "DIR", "--where", "x"], "--where: 'x': allowed: column=value"),
+        (["export", "DIR", "--to", "x.bag"], "name the run, too"),
+    ],
+)
+def test_what_is_not_there_is_one_line(capsys, flown, tmp_path, arguments, message):
+    places = {"DIR": str(flown), "NONE": str(tmp_path)}
+    assert run([places.get(argument, argument) for argument in arguments]) == 2
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+    assert not list(tmp_path.iterdir())
