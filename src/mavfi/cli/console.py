@@ -1,7 +1,6 @@
 """What all verbs share: where text goes, how numbers look, what is checked before anything is flown."""
 
 import json
-import math
 import os
 import sys
 from pathlib import Path
@@ -57,16 +56,6 @@ def check_seed(name: str, value: int) -> None:
     """
     if not 0 <= value <= LARGEST_SEED:
         raise BadInputError(f"{name}: {value}: allowed: 0 to {LARGEST_SEED}")
-
-
-def check_point(name: str, point: tuple[float, float, float] | None) -> None:
-    """Refuse a point with a coordinate that is not finite; None passes.
-
-    Raises:
-        BadInputError: One line that names the option.
-    """
-    if point is not None and not all(map(math.isfinite, point)):
-        raise BadInputError(f"{name}: {' '.join(map(str, point))}: allowed: three finite numbers (m)")
 
 
 def check_writable(path: Path | None) -> None:

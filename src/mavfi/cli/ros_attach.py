@@ -212,12 +212,12 @@ def _trained(
     listener: Listener, chosen: tuple[str, str], fields: list[str], source: str, seconds: float
 ) -> tuple[dict[str, Probe], Detector, int]:
     """What is watched, the detector, and how many messages it has learned from."""
-    from mavfi.detectors.foreign import KINDS
+    from mavfi.detectors.registry import trainable
     from mavfi.flight_logs import open_flight_log
     from mavfi.hosts.node.watch import make_probes, train
 
-    if chosen[0] not in KINDS:
-        raise BadInputError(f"--detector: {chosen[0]!r}: allowed: {', '.join(KINDS)}")
+    if chosen[0] not in trainable():
+        raise BadInputError(f"--detector: {chosen[0]!r}: allowed: {', '.join(trainable())}")
     used: list[int] = []
     if source == "online":
         probes = make_probes(listener.first(), fields)

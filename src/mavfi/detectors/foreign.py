@@ -9,21 +9,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mavfi.detectors.autoencoder import AutoencoderDetector
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.features import Events
-from mavfi.detectors.gaussian import GaussianDetector
 from mavfi.detectors.model import Model
 from mavfi.detectors.preprocess import Preprocessor
-from mavfi.detectors.registry import settings_of
+from mavfi.detectors.registry import settings_of, trainable
 from mavfi.detectors.samples import sample_of
 from mavfi.errors import BadInputError
 from mavfi.states import Field, Stage, State, StateSpec
 
-_DETECTORS: dict[str, type[GaussianDetector | AutoencoderDetector]] = {
-    found.model_kind: found for found in (GaussianDetector, AutoencoderDetector)
-}
-KINDS = tuple(_DETECTORS)
 SMALLEST_SAMPLE = 50
 """Messages of each source without which nothing can be learned."""
 _SMALLEST_EXPONENT, _LARGEST_EXPONENT = -1000, 1000
@@ -51,7 +45,7 @@ def learn(kind: str, profile: str, states: Sequence[State], specs: Mapping[str, 
     """A detector that takes what it is shown for normal.
 
     Args:
-        kind: One of KINDS.
+        kind: One of `trainable()`.
         profile: "paper" or "tuned".
         states: Publications in their order.
         specs: Their specs by name.
@@ -59,8 +53,9 @@ def learn(kind: str, profile: str, states: Sequence[State], specs: Mapping[str, 
     Raises:
         BadInputError: The kind is not known, a source published too little, or a number is not finite.
     """
-    if kind not in KINDS:
-        raise BadInputError(f"detector {kind!r}: not known; allowed: {', '.join(KINDS)}")
+    known = trainable()
+    if kind not in known:
+        raise BadInputError(f"detector {kind!r}: not known; allowed: {', '.join(known)}")
     order = {name: slot for slot, name in enumerate(specs)}
     slots = np.array([order[state.spec.name] for state in states], np.int64)
     thresholds = [
@@ -71,9 +66,9 @@ def learn(kind: str, profile: str, states: Sequence[State], specs: Mapping[str, 
     preprocessor = Preprocessor.of(specs, profile, thresholds)
     contents = [state.header.tobytes() for state in states]
     events = Events(slots, np.cumsum([len(part) for part in contents]), np.frombuffer(b"".join(contents), np.uint8))
-    detector = _DETECTORS[kind]
-    parameters = detector.fit(sample_of(events, preprocessor), preprocessor, settings_of(kind, profile).fit)
-    return detector(Model(kind, profile, "", "", parameters, {}), preprocessor=preprocessor)
+    parameters = known[kind].fit(sample_of(events, preprocessor), preprocessor, settings_of(kind, profile).fit)
+    detector: Detector = known[kind](Model(kind, profile, "", "", parameters, {}), preprocessor=preprocessor)
+    return detector
 
 
 def _thresholds(spec: StateSpec, states: Sequence[State], profile: str) -> list[int]:
