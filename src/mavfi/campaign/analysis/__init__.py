@@ -6,7 +6,13 @@ and what it says in words.
 
 from pathlib import Path
 
-from mavfi.campaign.analysis import flight_views, kernel_views, node_views  # noqa: F401  (they register their views)
+from mavfi.campaign.analysis import (  # noqa: F401  (in the order of reports, they register their views)
+    alarm_views,
+    flight_views,
+    kernel_views,
+    node_views,
+)  # fmt: skip
+from mavfi.campaign.analysis.findings import headline
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Column, Table
 from mavfi.campaign.analysis.views import VIEWS, View, register, table, views_for
@@ -17,4 +23,4 @@ def load(directory: Path) -> Runs:
     return Runs.read(directory)
 
 
-__all__ = ["VIEWS", "Column", "Runs", "Table", "View", "load", "register", "table", "views_for"]
+__all__ = ["VIEWS", "Column", "Runs", "Table", "View", "headline", "load", "register", "table", "views_for"]

@@ -1,6 +1,5 @@
 """Views of campaigns of flights: success, recovery, effects, flight time, alarms, and where faults were."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -11,12 +10,10 @@ from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.rows import ACTIVATED, KERNEL_DUE, NO_SITE, NOT_ACTIVATED
 from mavfi.campaign.analysis.runs import ALL, Runs
-from mavfi.campaign.analysis.statistics import Rate, wilson
-from mavfi.campaign.analysis.table import NUMBER, PER_HOUR, PERCENT, POINTS, RATE, SIGNED, SMALL, TEXT
+from mavfi.campaign.analysis.statistics import Rate
+from mavfi.campaign.analysis.table import NUMBER, PERCENT, POINTS, RATE, SIGNED, TEXT
 from mavfi.campaign.analysis.views import View, has, register
 from mavfi.campaign.plan import FI
-from mavfi.flight_record import FlightRecord
-from mavfi.states import PPC_STAGES, STATES
 
 ONE_FAULT = "rates are conditional on one fault per mission"
 INTERVALS = (
@@ -25,14 +22,14 @@ INTERVALS = (
 _SETTINGS = (
     "golden = no fault; fi = one fault; dr_X = the same faults with detector X on; golden_X = no fault, detector X on"
 )
-_HEALS = "a one-shot state fault heals on any recompute: recovery equals detection by construction"
+HEALS = "a one-shot state fault heals on any recompute: recovery equals detection by construction"
 _HEALS_WITH_MEMORY = (
     "a recomputation begins with the memory that the stage had before its step: it heals what the step corrupted, not "
     "a map or a path that an earlier one did, nor a kernel that died"
 )
 STATE, INSTRUCTION = "state", "instruction"
-_TOTAL = ("environment", ALL)
-_SETTING = ("environment", "setting")
+TOTAL = ("environment", ALL)
+SETTING = ("environment", "setting")
 
 
 # ---- what applies ------------------------------------------------------------------------------------------------
@@ -109,7 +106,7 @@ register(
         ), applies=by_stages,
     ),
     View(
-        "success", "Success of missions", _SETTING, (_lead, paper.beside(paper.success), _others), where=of_missions,
+        "success", "Success of missions", SETTING, (_lead, paper.beside(paper.success), _others), where=of_missions,
         notes=lambda runs: (
             paper.STATE_LEVEL, ONE_FAULT, _SETTINGS, INTERVALS,
             "paper: instruction level, 100 golden flights, 300 with a fault", *unknown_note(of_missions(runs)),
@@ -144,7 +141,7 @@ def _loss(own: Runs) -> Any:
     return None if found is None else Rate(len(own), found.loss, found.loss_low, found.loss_high)
 
 
-def _population_names(runs: Runs) -> Runs:
+def named_populations(runs: Runs) -> Runs:
     """Rows in the order of the populations, of which `bits` is the name for people."""
     order = {name: place for place, name in enumerate(m.POPULATIONS)}
     place = pl.col("population").replace_strict(order, default=len(order), return_dtype=pl.Int64)
@@ -154,14 +151,14 @@ def _population_names(runs: Runs) -> Runs:
 
 def _judged_fi(runs: Runs) -> Runs:
     known = pl.col("golden_success").is_not_null()
-    return _population_names(runs.injected.where("judged", known, setting=FI))
+    return named_populations(runs.injected.where("judged", known, setting=FI))
 
 
 register(
     View(
         "recovery", "Recovery", ("environment", "bits", "setting"),
         (
-            Measure("pairs", "pairs", NUMBER, len),
+            m.count("pairs", "pairs"),
             Measure("lost", "lost", NUMBER, _recovery("lost")),
             Measure("brought_back", "brought back", NUMBER, _recovery("regained")),
             Measure("newly_lost", "newly lost", NUMBER, lambda own: m.discordant(own).first_only),
@@ -171,26 +168,26 @@ register(
             Measure("paper", "paper", PERCENT, _papers_recovery),
             Measure("loss", "golden – fi (points)", POINTS, _loss),
         ),
-        where=lambda runs: _population_names(m.against_fi(runs)), total=_TOTAL,
+        where=lambda runs: named_populations(m.against_fi(runs)), total=TOTAL,
         notes=lambda runs: (
             "lost: missions that succeed without the fault and fail with it; brought back: of these, those that "
             "succeed with the detector on; newly lost: missions that fail only with the detector on",
             "p: McNemar's exact test of newly lost against only dr succeeds",
             "recovery = (dr – fi) / (golden – fi), [exact binomial interval]; undefined while the interval of golden – "
             "fi contains 0; below 0 where more missions are newly lost than brought back",
-            *((_HEALS,) if of_states(runs) else (_HEALS_WITH_MEMORY,)),
+            *((HEALS,) if of_states(runs) else (_HEALS_WITH_MEMORY,)),
             "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT,
         ), applies=compared,
     ),
     View(
         "golden_against_faults", "Golden against one fault, in pairs", ("environment", "bits"),
         (
-            Measure("pairs", "pairs", NUMBER, len),
+            m.count("pairs", "pairs"),
             Measure("only_golden", "only golden succeeds", NUMBER, lambda own: m.against_golden(own).first_only),
             Measure("only_fi", "only fi succeeds", NUMBER, lambda own: m.against_golden(own).second_only),
             Measure("p", "p", "number .3g", lambda own: m.against_golden(own).p_value),
         ),
-        where=_judged_fi, total=_TOTAL, notes=lambda _: ("p: McNemar's exact test", ONE_FAULT),
+        where=_judged_fi, total=TOTAL, notes=lambda _: ("p: McNemar's exact test", ONE_FAULT),
         applies=lambda runs: of_states(runs) or compared(runs),
     ),
 )  # fmt: skip
@@ -236,7 +233,7 @@ _by("by_every_field", "Success by field", ("state", "field"), detail=True, appli
 
 # ---- effects and endings -----------------------------------------------------------------------------------------
 _EFFECTS = (
-    Measure("n", "n", NUMBER, len),
+    m.count("n", "n"),
     m.count("masked", "masked", effect="masked"),
     m.count("sdc", "sdc", effect="sdc"),
     m.count("sdc_alarmed", "(alarm)", "detected_at_site", effect="sdc"),
@@ -264,15 +261,15 @@ def _statuses(runs: Runs, _: tuple[str, ...]) -> Any:
 
 register(
     View(
-        "outcomes", "Effects of faults", _SETTING, _EFFECTS, where=lambda runs: runs.injected, notes=_effect_notes,
+        "outcomes", "Effects of faults", SETTING, _EFFECTS, where=lambda runs: runs.injected, notes=_effect_notes,
         applies=of_states,
     ),
     View(
-        "outcomes_by_stage", "Effects of faults, by stage", (*_SETTING, "stage"), _EFFECTS, notes=_effect_notes,
+        "outcomes_by_stage", "Effects of faults, by stage", (*SETTING, "stage"), _EFFECTS, notes=_effect_notes,
         where=lambda runs: runs.injected, detail=True, applies=of_states,
     ),
     View(
-        "endings", "How missions ended", _SETTING, (Measure("n", "n", NUMBER, len), _statuses), where=of_missions,
+        "endings", "How missions ended", SETTING, (m.count("n", "n"), _statuses), where=of_missions,
         applies=of_states,
     ),
 )  # fmt: skip
@@ -293,7 +290,7 @@ def _of_pairs(column: str, share: float, key: str, heading: str, **more: Any) ->
 
 register(
     View(
-        "flight_times", "Flight time", _SETTING,
+        "flight_times", "Flight time", SETTING,
         (
             m.count("pairs", "pairs", "paired"),
             _of_pairs("inflation", 0.5, "median", "median"),
@@ -304,7 +301,7 @@ register(
             Measure("time_limit", "limit", "number .0f s", lambda own: own.frame["time_limit_s"].max()),
             _of_pairs("energy_inflation", 1.0, "worst_energy", "worst energy"),
             m.count("failing", "fail", ~pl.col("success")),
-            Measure("n", "of", NUMBER, len),
+            m.count("n", "of"),
             Measure("worst_run", "worst run", TEXT, lambda own: m.worst_run(own.where("paired")), hidden=True),
         ),
         where=_paired,
@@ -315,134 +312,12 @@ register(
         ), applies=of_states,
     ),
     View(
-        "golden_flights", "Golden flights that succeed, medians", _SETTING,
+        "golden_flights", "Golden flights that succeed, medians", SETTING,
         (
-            Measure("n", "n", NUMBER, len), m.median("flight_time_s", "flight time", "number .1f s"),
+            m.count("n", "n"), m.median("flight_time_s", "flight time", "number .1f s"),
             m.median("energy_j", "energy", "number .1f kJ"), m.median("distance_m", "distance", "number .1f m"),
             m.median("replans", "replans", "number g"),
         ),
         where=lambda runs: runs.golden.where("success"), applies=of_states,
-    ),
-)  # fmt: skip
-
-
-# ---- alarms ------------------------------------------------------------------------------------------------------
-def _golden_watched(runs: Runs) -> Runs:
-    return runs.golden.where(pl.col("detector") != "", end="flown")
-
-
-def _kinds(own: Runs) -> str:
-    # "source/action/outcome"; the source is in the name of the setting
-    return ", ".join(f"{' '.join(kind.split('/')[1:])} {count}" for kind, count in m.alarm_kinds(own).items())
-
-
-def _systematic_note(runs: Runs) -> str:
-    parts = _golden_watched(runs).groups("setting", "environment").values()
-    always = {(state, time_s) for own in parts for state, time_s, _ in m.systematic(own)}
-    told = "".join(f"; {state} at {time_s:.2f} s" for state, time_s in sorted(always))
-    return f"systematic: same state and instant in more than 90 % of the flights{told}"
-
-
-def _detected(runs: Runs) -> Runs:
-    own = runs.injected.where("judged", pl.col("detector") != "", site_outcome=ACTIVATED)
-    watched_field = pl.when(pl.col("monitored")).then(pl.lit("yes")).otherwise(pl.lit("no"))
-    return _population_names(own).adding(field_watched=watched_field)
-
-
-def _recomputed(stage: str) -> Measure:
-    return Measure(stage or "total", stage or "total", SMALL, lambda own: m.recomputed(own, stage))
-
-
-def _papers_overhead(environment: str, setting: str) -> dict[str, float] | None:
-    found = {str(stage): paper.figure("recompute_overhead", environment=environment, setting=setting, stage=str(stage))
-             for stage in PPC_STAGES}  # fmt: skip
-    return found if all(value is not None for value in found.values()) else None
-
-
-register(
-    View(
-        "false_alarms", "False alarms", _SETTING,
-        (
-            Measure("flights", "flights", NUMBER, len), m.count("with_alarm", "with alarm", pl.col("alarms_total") > 0),
-            Measure("alarms", "alarms", NUMBER, lambda own: sum(own["alarms_total"])),
-            Measure("systematic", "systematic", NUMBER, lambda own: sum(n for _, _, n in m.systematic(own))),
-            Measure("hours", "exposure", "number .2f h", lambda own: sum(own["flight_time_s"]) / 3600),
-            Measure("per_hour", "per hour", PER_HOUR, m.alarm_rate),
-            Measure("upper", "upper bound", "number .1f", lambda own: m.alarm_rate(own).upper),
-            Measure("kinds", "kinds", TEXT, _kinds),
-        ),
-        where=_golden_watched, total=_TOTAL,
-        notes=lambda runs: (
-            "golden flights; per hour of flight, 95 % interval: bootstrap of flights, at least as wide as Poisson's, "
-            "which alone is left where there is no alarm; upper bound: one-sided 95 %", _systematic_note(runs),
-        ), applies=watched,
-    ),
-    View(
-        "detections", "Detection of activated faults", ("environment", "setting", "bits", "field_watched"),
-        (
-            m.rate("detected", "detected", "detected_at_site"),
-            m.rate("downstream", "detected downstream", "detected_downstream"),
-        ),
-        where=_detected,
-        notes=lambda _: (
-            _HEALS, "detected: alarm on the corrupted publication; with coupling inline before it is seen, so the "
-            "latency is 0 by construction",
-            "detected downstream: within 1 s, an alarm of a state and instant that the golden flight with the same "
-            "detector has not; false alarms that the fault has shifted are among them",
-        ), detail=True, applies=lambda runs: of_states(runs) and watched(runs),
-    ),
-    View(
-        "overheads", "Overhead of recomputation", _SETTING,
-        (
-            Measure("flights", "flights", NUMBER, len), *(_recomputed(str(stage)) for stage in PPC_STAGES),
-            _recomputed(""),
-            Measure("compute_s", "compute time", "number .1f s", lambda own: m.compute_us(own) * 1e-6, hidden=True),
-            paper.beside(_papers_overhead, "paper (stages)", "small percents"),
-        ),
-        where=lambda runs: of_missions(runs).where(pl.col("detector") != "", end="flown"),
-        notes=lambda _: (
-            "recomputation / compute time of the pipeline, both in the platform's modelled time; nothing was measured "
-            "on that hardware",
-        ), applies=watched,
-    ),
-)  # fmt: skip
-
-
-# ---- sites -------------------------------------------------------------------------------------------------------
-def acted_on(record: FlightRecord) -> list[Mapping[str, Any]]:
-    """Publications of states on which consumers act now and then only, and those acted on; of a golden run."""
-    return [
-        {"state": name, "publications": record.publications.get(name, 0), "acted": record.acted_on.get(name, 0)}
-        for name, spec in STATES.items()
-        if spec.acted_on and record.acted_on
-    ]
-
-
-def _acted_share(own: Runs) -> float | None:
-    publications = sum(own["publications"])
-    return sum(own["acted"]) / publications if publications else None
-
-
-register(
-    View(
-        "unmonitored_failures", "Failures at sites that no detector watches", ("environment",),
-        (
-            Measure("failures", "failures (fi)", NUMBER, len),
-            Measure("unmonitored", "at unmonitored sites", RATE,
-                    lambda own: wilson(len(own.where(~pl.col("monitored"))), len(own))),
-        ),
-        where=lambda runs: runs.injected.where("judged", ~pl.col("success"), setting=FI),
-        notes=lambda runs: (f"monitored set {runs.campaign.get('monitored_set', '')}",), applies=of_states,
-    ),
-    View(
-        "acted_on", "Publications that consumers act on", ("environment", "state"),
-        (
-            Measure("publications", "publications", NUMBER, lambda own: sum(own["publications"])),
-            Measure("acted_on", "acted on", NUMBER, lambda own: sum(own["acted"])),
-            Measure("share", "share", "percent 2", _acted_share),
-        ),
-        where=lambda runs: runs.golden.where(arm="").exploded(acted_on),
-        notes=lambda _: ("golden flights; faults on this state are injected into publications that consumers act on",),
-        applies=of_states,
     ),
 )  # fmt: skip

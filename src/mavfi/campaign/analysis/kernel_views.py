@@ -183,7 +183,7 @@ def _split(name: str, title: str, column: str) -> View:
     return View(
         name, title, ("kernel", column),
         (
-            Measure("n", "n", NUMBER, len), *_THREE, _GIVEN_SDC,
+            m.count("n", "n"), *_THREE, _GIVEN_SDC,
             m.quantile("inflation", 1.0, "worst_time", "worst time"),
         ),
         where=lambda runs: _readable(kernel_runs(runs), column),
@@ -202,7 +202,7 @@ def _readable(own: Runs, column: str) -> Runs:
 def _silent(runs: Runs) -> Runs:
     """Silent corruptions, with the field that first differed and how many the kernel has in all."""
     own = kernel_runs(runs).where(kernel_effect="sdc")
-    place = pl.concat_str(pl.col("error_state").fill_null(MEMORY), pl.col("error_field").fill_null(""), separator=" ")
+    place = pl.concat_str(pl.col("error_state").replace("", MEMORY), "error_field", separator=" ")
     return own.adding(first_differing_field=place.str.strip_chars(), in_kernel=pl.len().over("kernel"))
 
 
@@ -222,7 +222,7 @@ def counted(record: FlightRecord) -> list[Mapping[str, Any]]:
 register(
     View(
         "kernel_effects", "One fault in one instruction: what the kernel did", ("environment", "kernel"),
-        (Measure("n", "n", NUMBER, len), *_THREE, Measure("due_kinds", "crash / hang / exc.", TEXT, _due)),
+        (m.count("n", "n"), *_THREE, Measure("due_kinds", "crash / hang / exc.", TEXT, _due)),
         where=kernel_runs, notes=lambda runs: [*_kernel_notes(_EFFECTS, _LEVEL)(runs), _replayable_note(runs)],
         applies=of_instructions,
     ),
@@ -253,7 +253,7 @@ register(
     View(
         "kernel_errors", "From instruction to inter-kernel state", ("kernel", "first_differing_field"),
         (
-            Measure("n", "sdc", NUMBER, len),
+            m.count("n", "sdc"),
             Measure("share", "share", PERCENT, lambda own: len(own) / own.first("in_kernel")),
             m.median("error_elements", "elements", "number .3g"),
             Measure("size", "median size", "number .3g", lambda own: _finite(own).median()),
@@ -274,7 +274,7 @@ register(
     View(
         "kernel_instructions", "Dynamic instructions of golden flights", ("kernel",),
         (
-            Measure("flights", "flights", NUMBER, len),
+            m.count("flights", "flights"),
             Measure("calls", "calls", NUMBER, lambda own: sum(own["calls"])),
             Measure("instructions", "instructions", NUMBER, lambda own: sum(own["instructions"])),
         ),

@@ -19,7 +19,6 @@ from mavfi.campaign.analysis.statistics import (
     event_rate_by_flight,
     smallest_difference,
     weighted_rate,
-    wilson,
 )
 from mavfi.campaign.analysis.table import NUMBER, PERCENT, RATE, SIGNED, Cell, Column
 from mavfi.campaign.plan import FI, GOLDEN
@@ -291,8 +290,3 @@ def golden_rate(own: Runs) -> Rate:
     """Success of the golden runs of these runs, each world once."""
     golden = dict(zip(own["world"], own["golden_success"], strict=True))
     return clustered_rate([bool(success) for success in golden.values()], list(golden))
-
-
-def share_unjudged(own: Runs) -> Rate:
-    """Share of runs that could not be judged."""
-    return wilson(len(own.where(~pl.col("judged"))), len(own))

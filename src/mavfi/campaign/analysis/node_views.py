@@ -95,7 +95,7 @@ register(
     View(
         "register_functions", "By function", ("function",),
         (
-            Measure("n", "trials", NUMBER, len),
+            m.count("n", "trials"),
             *(m.count(effect, heading, effect=effect) for effect, heading in _EFFECTS.items()),
         ),
         where=_places, limit=_MOST, largest="n", detail=True, applies=of_registers,

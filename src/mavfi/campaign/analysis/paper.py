@@ -1,10 +1,8 @@
 """The paper's own figures (configs/figures/mavfi_paper.yaml), joined to rows by what these are of."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cache
 from typing import Any
-
-import polars as pl
 
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.runs import Runs
@@ -20,38 +18,6 @@ def _data() -> dict[str, Any]:
     return read_yaml(config_root() / "figures" / "mavfi_paper.yaml")
 
 
-@cache
-def figures() -> pl.DataFrame:
-    """All figures: figure, source, environment, setting, stage, kernel, quantity ("" = of none), value, text."""
-    rows = [
-        {"figure": name, "source": figure["source"], **_EMPTY, **key,
-         "value": None if isinstance(value, str) else value, "text": value if isinstance(value, str) else ""}
-        for name, figure in _data()["figures"].items()
-        for key, value in _leaves(figure["values"], figure["by"])
-    ]  # fmt: skip
-    return pl.DataFrame(rows, infer_schema_length=None)
-
-
-_EMPTY = dict.fromkeys(("environment", "setting", "stage", "kernel", "quantity"), "")
-
-
-def _leaves(values: Any, by: list[str]) -> Iterator[tuple[dict[str, str], Any]]:
-    if not by:
-        yield {}, values
-        return
-    for name, inner in values.items():
-        for key, value in _leaves(inner, by[1:]):
-            yield {by[0]: name, **key}, value
-
-
-@cache
-def _lookup() -> dict[tuple[str, frozenset[tuple[str, str]]], Any]:
-    return {
-        (row["figure"], frozenset((k, row[k]) for k in _EMPTY if row[k])): row["text"] or row["value"]
-        for row in figures().iter_rows(named=True)
-    }
-
-
 def figure(name: str, **key: str) -> Any:
     """One figure, a share or text; None = the paper has none.
 
@@ -59,7 +25,11 @@ def figure(name: str, **key: str) -> Any:
         name: Of the figure.
         key: Environment, setting, stage, kernel or quantity, as the figure has it.
     """
-    return _lookup().get((name, frozenset(key.items())))
+    found = _data()["figures"][name]
+    value = found["values"]
+    for column in found["by"]:
+        value = None if value is None else value.get(key[column])
+    return value
 
 
 def recovery(environment: str, setting: str) -> float | None:

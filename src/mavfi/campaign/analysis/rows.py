@@ -70,19 +70,11 @@ def row_of(
         "run_id": spec.run_id, "kind": spec.kind, "setting": spec.setting, "arm": spec.arm,
         "detector": spec.detector, "detector_profile": spec.detector_profile, "environment": spec.environment,
         "seed": spec.seed, "world": f"{spec.environment} {spec.seed}", "target": spec.target, "index": spec.index,
-        "weight": 1.0, "has_site": False, **dict.fromkeys(_TEXTS, ""), "population": "all", **planned,
+        "weight": 1.0, "has_site": False, "population": "all", **planned,
         **_happened(record, fault is not None, bool(planned.get("has_site"))), **_kernel(record),
         **_judged(record, own, reference, spec), **_detected(record, own, planned.get("state", "")),
         "digest": record.digest, "wall_s": run.wall_s, "note": run.note,
     }  # fmt: skip
-
-
-_TEXTS = (
-    "level", "stage", "kernel", "state", "field", "site", "bit_class", "stratum", "function", "file", "opcode",
-    "value_class", "value_type", "variable", "register", "symbol", "library", "site_outcome", "kernel_effect",
-    "kernel_effect_detail",
-)  # fmt: skip
-"""Columns that are empty text where nothing is known."""
 
 
 @singledispatch

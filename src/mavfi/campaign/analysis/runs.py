@@ -70,7 +70,8 @@ class Runs:
             same_arm = own.get((spec.arm, *spec.world))
             reference = bare.get((spec.scenario, *spec.world), same_arm)
             rows.append(row_of(run, record, same_arm, reference, monitored))
-        return Runs(pl.DataFrame(rows, schema=SCHEMA), {run.spec.run_id: record for run, record in done}, about)
+        frame = pl.DataFrame(rows, schema=SCHEMA).with_columns(pl.col(pl.String).fill_null(""))
+        return Runs(frame, {run.spec.run_id: record for run, record in done}, about)
 
     def __len__(self) -> int:
         return self.frame.height

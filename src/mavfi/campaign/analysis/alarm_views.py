@@ -1,0 +1,149 @@
+"""Views of alarms: false ones, detected faults, recomputation; and of where faults were."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import polars as pl
+
+from mavfi.campaign.analysis import measures as m
+from mavfi.campaign.analysis import paper
+from mavfi.campaign.analysis.flight_views import (
+    HEALS,
+    SETTING,
+    TOTAL,
+    named_populations,
+    of_missions,
+    of_states,
+    watched,
+)
+from mavfi.campaign.analysis.measures import Measure
+from mavfi.campaign.analysis.rows import ACTIVATED
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.statistics import wilson
+from mavfi.campaign.analysis.table import NUMBER, PER_HOUR, RATE, SMALL, TEXT
+from mavfi.campaign.analysis.views import View, register
+from mavfi.campaign.plan import FI
+from mavfi.flight_record import FlightRecord
+from mavfi.states import PPC_STAGES, STATES
+
+
+# ---- alarms ------------------------------------------------------------------------------------------------------
+def _golden_watched(runs: Runs) -> Runs:
+    return runs.golden.where(pl.col("detector") != "", end="flown")
+
+
+def _kinds(own: Runs) -> str:
+    # "source/action/outcome"; the source is in the name of the setting
+    return ", ".join(f"{' '.join(kind.split('/')[1:])} {count}" for kind, count in m.alarm_kinds(own).items())
+
+
+def _systematic_note(runs: Runs) -> str:
+    parts = _golden_watched(runs).groups("setting", "environment").values()
+    always = {(state, time_s) for own in parts for state, time_s, _ in m.systematic(own)}
+    told = "".join(f"; {state} at {time_s:.2f} s" for state, time_s in sorted(always))
+    return f"systematic: same state and instant in more than 90 % of the flights{told}"
+
+
+def _detected(runs: Runs) -> Runs:
+    own = runs.injected.where("judged", pl.col("detector") != "", site_outcome=ACTIVATED)
+    watched_field = pl.when(pl.col("monitored")).then(pl.lit("yes")).otherwise(pl.lit("no"))
+    return named_populations(own).adding(field_watched=watched_field)
+
+
+def _recomputed(stage: str) -> Measure:
+    return Measure(stage or "total", stage or "total", SMALL, lambda own: m.recomputed(own, stage))
+
+
+def _papers_overhead(environment: str, setting: str) -> dict[str, float] | None:
+    found = {str(stage): paper.figure("recompute_overhead", environment=environment, setting=setting, stage=str(stage))
+             for stage in PPC_STAGES}  # fmt: skip
+    return found if all(value is not None for value in found.values()) else None
+
+
+register(
+    View(
+        "false_alarms", "False alarms", SETTING,
+        (
+            m.count("flights", "flights"), m.count("with_alarm", "with alarm", pl.col("alarms_total") > 0),
+            Measure("alarms", "alarms", NUMBER, lambda own: sum(own["alarms_total"])),
+            Measure("systematic", "systematic", NUMBER, lambda own: sum(n for _, _, n in m.systematic(own))),
+            Measure("hours", "exposure", "number .2f h", lambda own: sum(own["flight_time_s"]) / 3600),
+            Measure("per_hour", "per hour", PER_HOUR, m.alarm_rate),
+            Measure("upper", "upper bound", "number .1f", lambda own: m.alarm_rate(own).upper),
+            Measure("kinds", "kinds", TEXT, _kinds),
+        ),
+        where=_golden_watched, total=TOTAL,
+        notes=lambda runs: (
+            "golden flights; per hour of flight, 95 % interval: bootstrap of flights, at least as wide as Poisson's, "
+            "which alone is left where there is no alarm; upper bound: one-sided 95 %", _systematic_note(runs),
+        ), applies=watched,
+    ),
+    View(
+        "detections", "Detection of activated faults", ("environment", "setting", "bits", "field_watched"),
+        (
+            m.rate("detected", "detected", "detected_at_site"),
+            m.rate("downstream", "detected downstream", "detected_downstream"),
+        ),
+        where=_detected,
+        notes=lambda _: (
+            HEALS, "detected: alarm on the corrupted publication; with coupling inline before it is seen, so the "
+            "latency is 0 by construction",
+            "detected downstream: within 1 s, an alarm of a state and instant that the golden flight with the same "
+            "detector has not; false alarms that the fault has shifted are among them",
+        ), detail=True, applies=lambda runs: of_states(runs) and watched(runs),
+    ),
+    View(
+        "overheads", "Overhead of recomputation", SETTING,
+        (
+            m.count("flights", "flights"), *(_recomputed(str(stage)) for stage in PPC_STAGES),
+            _recomputed(""),
+            Measure("compute_s", "compute time", "number .1f s", lambda own: m.compute_us(own) * 1e-6, hidden=True),
+            paper.beside(_papers_overhead, "paper (stages)", "small percents"),
+        ),
+        where=lambda runs: of_missions(runs).where(pl.col("detector") != "", end="flown"),
+        notes=lambda _: (
+            "recomputation / compute time of the pipeline, both in the platform's modelled time; nothing was measured "
+            "on that hardware",
+        ), applies=watched,
+    ),
+)  # fmt: skip
+
+
+# ---- sites -------------------------------------------------------------------------------------------------------
+def acted_on(record: FlightRecord) -> list[Mapping[str, Any]]:
+    """Publications of states on which consumers act now and then only, and those acted on; of a golden run."""
+    return [
+        {"state": name, "publications": record.publications.get(name, 0), "acted": record.acted_on.get(name, 0)}
+        for name, spec in STATES.items()
+        if spec.acted_on and record.acted_on
+    ]
+
+
+def _acted_share(own: Runs) -> float | None:
+    publications = sum(own["publications"])
+    return sum(own["acted"]) / publications if publications else None
+
+
+register(
+    View(
+        "unmonitored_failures", "Failures at sites that no detector watches", ("environment",),
+        (
+            Measure("failures", "failures (fi)", NUMBER, len),
+            Measure("unmonitored", "at unmonitored sites", RATE,
+                    lambda own: wilson(len(own.where(~pl.col("monitored"))), len(own))),
+        ),
+        where=lambda runs: runs.injected.where("judged", ~pl.col("success"), setting=FI),
+        notes=lambda runs: (f"monitored set {runs.campaign.get('monitored_set', '')}",), applies=of_states,
+    ),
+    View(
+        "acted_on", "Publications that consumers act on", ("environment", "state"),
+        (
+            Measure("publications", "publications", NUMBER, lambda own: sum(own["publications"])),
+            Measure("acted_on", "acted on", NUMBER, lambda own: sum(own["acted"])),
+            Measure("share", "share", "percent 2", _acted_share),
+        ),
+        where=lambda runs: runs.golden.where(arm="").exploded(acted_on),
+        notes=lambda _: ("golden flights; faults on this state are injected into publications that consumers act on",),
+        applies=of_states,
+    ),
+)  # fmt: skip
