@@ -276,6 +276,8 @@ class Chain:
 
     def __init__(self, *detectors: Any) -> None:  # noqa: ANN401 - `Detector`s; those of ours have memory and score
         self._detectors = detectors
+        if not all(hasattr(detector, "restore") for detector in detectors):
+            self.memory = self.restore = None  # type: ignore[assignment, method-assign] # a host copies the whole
 
     def start(self) -> None:
         """Forget the last flight."""
@@ -284,7 +286,7 @@ class Chain:
 
     def score(self, state: State, time_us: int) -> float | None:
         """The largest of their scores."""
-        scores = [detector.score(state, time_us) for detector in self._detectors]
+        scores = [detector.score(state, time_us) for detector in self._detectors if hasattr(detector, "score")]
         return max((score for score in scores if score is not None), default=None)
 
     def check(self, state: State, time_us: int) -> Alarm | None:

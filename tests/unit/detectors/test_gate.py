@@ -83,3 +83,13 @@ def test_in_a_chain_the_first_alarm_counts_and_all_take_note():
     assert chain.check(status(30.0, 10), 0) is None
     chain.start()
     assert chain.memory() == Chain(NoDetector(), PhysicsGate(3.0), PhysicsGate(3.0)).memory()
+
+
+def test_a_chain_with_a_detector_of_ones_own_has_no_memory_that_a_host_could_ask_for():
+    class Own:
+        def check(self, state, time_us):
+            return None
+
+    chain = Chain(gate(), Own())
+    assert not callable(chain.memory) and not callable(chain.restore)
+    assert chain.score(status(30.0, 9), 0) == 2.0
