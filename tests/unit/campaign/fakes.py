@@ -7,6 +7,7 @@ set in `TROUBLE`.
 import contextlib
 import hashlib
 import os
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -133,6 +134,14 @@ class FakeFlights:
                     yield place, error
             else:
                 yield place, fly(setup, self.detectors[arm], fault)
+
+
+class SlowHost(FakeHost):
+    """One whose golden flights take so long that a person can press Ctrl-C."""
+
+    def mission(self, arms: dict[str, ArmSetup], *, fast_forward: bool = True) -> FakeFlights:
+        time.sleep(0.5)
+        return FakeFlights(arms, fast_forward)
 
 
 def fly(setup: ArmSetup, detector: Any, fault: Fault | None) -> Flight:
