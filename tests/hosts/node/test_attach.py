@@ -103,7 +103,8 @@ def test_one_changed_message_changes_exactly_the_expected_transform(arm, transfo
     done = run_json(capsys, "ros", "corrupt", *FIELD, "--bit", "51", "--at", "10")
     (injection,) = done["injections"]
     assert injection["before"] == 0.5 and injection["after"] == CHANGED and injection["activated"]
-    assert injection["message"] == 10 and injection["readers"] == 1
+    details = injection["details"]
+    assert details["message"] == 10 and details["readers"] == 1
     assert Counter(transforms.found).keys() == {expected(0.5), expected(CHANGED)}
     assert Counter(transforms.found)[expected(CHANGED)] == 1
     assert arm.process.poll() is None
@@ -124,7 +125,7 @@ def test_a_rate_changes_as_many_transforms_as_messages(arm, transforms, capsys):
 @pytest.mark.slow
 def test_only_the_named_reader_is_turned(arm, capsys):
     done = run_json(capsys, "ros", "corrupt", *FIELD, "--node", "robot_state_publisher", "--seed", "3")
-    assert done["injections"][0]["readers"] == 1
+    assert done["injections"][0]["details"]["readers"] == 1
     assert run(["ros", "corrupt", *FIELD, "--node", "/driver"]) == 2
     assert "does not read /joint_states; allowed: /robot_state_publisher" in capsys.readouterr().err
 
