@@ -8,9 +8,14 @@ from mavfi.faults.fault import Fault, StateFault
 from mavfi.hosts.host import ArmSetup, Flight
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.ros1 import finder
+from mavfi.hosts.ros1.kernels import load_compiled
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.session import configure, fly, isolation
 from mavfi.mission import MissionSpec, Scenario
+
+PATIENCE_S = 300.0
+"""How long a node may take to answer (s, wall clock); much longer than on an idle machine, since a node that is taken
+for hung is ended, and its flight becomes another one."""
 
 
 class Ros1Host:
@@ -70,11 +75,14 @@ class Ros1Flights:
                 yield place, error
 
     def _fly(self, arm: str, fault: StateFault | None, *, profile: bool = False) -> Flight:
-        setup = self._arms[arm]
-        if arm not in self._detectors:
+        setup, first = self._arms[arm], arm not in self._detectors
+        if first:
             self._detectors[arm] = None if setup.make_detector is None else setup.make_detector()
         scenario = setup.scenario
         plan = Plan(
-            scenario, configure(scenario), fault, self._detectors[arm], setup.coupling, profile=profile
+            scenario, configure(scenario), fault, self._detectors[arm], setup.coupling, patience_s=PATIENCE_S,
+            profile=profile,
         )  # fmt: skip
+        if first:
+            load_compiled(plan)  # a node that compiles must not look like one that hangs
         return fly(plan).flight

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.hosts.loop.assemble import new_loop
+from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.recovery import SCANNING
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.hosts.ros1.ending import fatal
@@ -165,7 +165,7 @@ class FreeNode(KernelNode):
 
     def run(self) -> None:
         """Work until the end."""
-        _load_compiled(self.ports.plan)
+        load_compiled(self.ports.plan)
         self.listen(lambda state, number, time_us: self._queue.put((state, time_us, None)))
         if self._marks:
             self.ports.listen(RECOMPUTE, "Recompute", lambda request: self._queue.put((None, 0, request)))
@@ -221,8 +221,9 @@ class FreeNode(KernelNode):
             self._publish(kernel, kernel.stop if request.kind == "stop" else lambda: kernel.abandon(now), now)
 
 
-def _load_compiled(plan: Plan) -> None:
-    """Fly the first seconds in this process: functions are loaded at their first use, and the vehicle would wait."""
+def load_compiled(plan: Plan) -> None:
+    """Fly the first seconds in this process: functions are compiled and loaded at their first use, which takes time."""
     loop = new_loop(plan.scenario)
+    watch(loop, plan.detector, plan.coupling)
     loop.judge.limit_us = _LOADING_FLIGHT_US
     loop.fly()
