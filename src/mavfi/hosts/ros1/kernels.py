@@ -224,6 +224,6 @@ class FreeNode(KernelNode):
 def load_compiled(plan: Plan) -> None:
     """Fly the first seconds in this process: functions are compiled and loaded at their first use, which takes time."""
     loop = new_loop(plan.scenario)
-    watch(loop, plan.detector, plan.coupling)
+    watch(loop, None if plan.free_running else plan.detector, plan.coupling)
     loop.judge.limit_us = _LOADING_FLIGHT_US
     loop.fly()
