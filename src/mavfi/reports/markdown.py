@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Table
-from mavfi.reports.header import header, null_line, unknown_line
+from mavfi.reports.header import header, null_line, unknown_line, versions
 from mavfi.reports.text import shown
 
 REMARKS = (
@@ -46,14 +46,10 @@ def readme_block(runs: Runs, table: Table, date: str) -> str:
         date: Of the report.
     """
     c = runs.campaign
-    versions = ", ".join(f"{name} {version}" for name, version in sorted(c["versions"].items()) if name != "mavfi")
-    flown = "" if "node" in c else (
-        f", autopilot profile `{c['profile']}`, platform `{c['platform']}`, planner `{c['planner']}`, {c['missions']} "
-        f"missions per environment (seeds {c['seeds'][0]} to {c['seeds'][1]})"
-    )  # fmt: skip
+    own, *others = versions(c)
     head = (
-        f"Generated on {date} by mavfi {c['versions'].get('mavfi', '')} ({versions}): campaign `{c['name']}`{flown}, "
-        f"{c['faults']} faults per {c['each']}, {c['done']} runs, digest `{c['digest'][:16]}`."
+        f"Generated on {date} by {own} ({', '.join(others)}): {'; '.join([c['title'], *c['lines']])}; "
+        f"{c['done']} runs, digest `{c['digest'][:16]}`."
     )
     parts = [f"**{table.title}**", head, grid(table), _list(table.notes)]
     return "\n\n".join(parts + ([null_line(runs)] if len(runs.null) else [])) + "\n"

@@ -55,8 +55,8 @@ def test_readme_block_is_the_success_table_with_its_origin(written):
     text = read(written, "readme_block.md")
     assert text.startswith("**State level: success rates, one fault per mission**\n\nGenerated on ")
     parts = (
-        "campaign `tiny`",
-        "autopilot profile `published`",
+        "campaign tiny",
+        "autopilot profile published",
         "numba",
         "seeds 10000 to 10001",
         "| Golden run | here |",

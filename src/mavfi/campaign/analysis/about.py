@@ -1,10 +1,12 @@
 """What was flown, as plain data: what headers and notes of tables say."""
 
+from collections.abc import Mapping
 from functools import singledispatch
 from typing import Any
 
+from mavfi.campaign.analysis.measures import POPULATIONS
 from mavfi.campaign.analysis.statistics import CONFIDENCE
-from mavfi.campaign.config import Campaign, InstructionSampling, RegisterSampling, StateSampling
+from mavfi.campaign.config import ArmConfig, Campaign, InstructionSampling, RegisterSampling, StateSampling
 from mavfi.campaign.run import status, stored_campaign
 from mavfi.campaign.store import Store
 
@@ -14,48 +16,70 @@ def describe(store: Store) -> dict[str, Any]:
 
     Args:
         store: The ledger.
+
+    Returns:
+        `title` and `lines` are text; what views need are `profile` (of the autopilot), `monitored_set`, `each` (what a
+        number of faults is of), `kernels` and `which`.
     """
     campaign, progress = stored_campaign(store), status(store.directory)
-    mission = campaign.spec(campaign.environments[0], campaign.first_seed)
     return {
-        "name": campaign.name, "host": campaign.host, "profile": mission.autopilot, "platform": mission.platform,
-        "planner": mission.planner, "v_max": mission.v_max, "coupling": mission.coupling,
-        "environments": list(campaign.environments), "seeds": [campaign.seeds.start, campaign.seeds.stop - 1],
-        "on_design_seeds": campaign.on_design_seeds, "missions": campaign.missions, "faults": campaign.faults,
-        "monitored_set": campaign.monitored_set,
+        "name": campaign.name, "environments": list(campaign.environments),
+        "seeds": [campaign.seeds.start, campaign.seeds.stop - 1], "on_design_seeds": campaign.on_design_seeds,
+        "missions": campaign.missions, "faults": campaign.faults, "monitored_set": campaign.monitored_set,
         "arms": {name: arm.model_dump(mode="json") for name, arm in campaign.arms.items()},
         "models": store.meta("identity")["models"], "confidence": CONFIDENCE, "versions": store.meta("versions") or {},
-        "digest": store.digest(), "done": progress.done, "total": progress.total, **_sampling(campaign.sampling),
-        **_node(campaign),
+        "digest": store.digest(), "done": progress.done, "total": progress.total, **drawn(campaign.sampling, campaign),
     }  # fmt: skip
 
 
 @singledispatch
-def _sampling(sampling: Any) -> dict[str, Any]:
-    raise TypeError(f"no description of {type(sampling).__name__}")
+def drawn(sampling: Any, campaign: Campaign) -> dict[str, Any]:
+    """How the faults of a campaign were drawn, and what they were injected into."""
+    raise TypeError(f"no description of {type(sampling).__name__} in campaign {campaign.name}")
 
 
-@_sampling.register
-def _(sampling: StateSampling) -> dict[str, Any]:
+@drawn.register
+def _(sampling: StateSampling, campaign: Campaign) -> dict[str, Any]:
     each = {"stage_balanced": "stage", "groups": "group"}[sampling.scheme]
-    return {"level": sampling.level, "each": each, "strata": dict(sampling.strata), "sites": sampling.sites}
+    shares = sorted(sampling.strata.items(), reverse=True)
+    strata = " : ".join(f"{POPULATIONS.get(name, name)} {share:g}" for name, share in shares)
+    return {"each": each, **_flights(campaign, each, f"drawn {strata}, fields: {sampling.sites}")}
 
 
-@_sampling.register
-def _(sampling: InstructionSampling) -> dict[str, Any]:
-    return {
-        "level": sampling.level, "each": sampling.share, "kernels": list(sampling.kernels), "which": sampling.which,
-        "model": sampling.model, "scheme": sampling.scheme,
-    }  # fmt: skip
+@drawn.register
+def _(sampling: InstructionSampling, campaign: Campaign) -> dict[str, Any]:
+    stratified = ", drawn by value class and source line" if sampling.scheme == "stratified" else ""
+    how = f"instructions: {sampling.which}, model {sampling.model}{stratified}"
+    own = {"each": sampling.share, "kernels": list(sampling.kernels), "which": sampling.which}
+    return own | _flights(campaign, sampling.share, how)
 
 
-@_sampling.register
-def _(sampling: RegisterSampling) -> dict[str, Any]:
-    return {"level": sampling.level, "each": "kind of registers", "symbol": sampling.symbol, "walk": sampling.walk}
+@drawn.register
+def _(sampling: RegisterSampling, campaign: Campaign) -> dict[str, Any]:
+    where = f"from the next call of {sampling.symbol!r} on" if sampling.symbol else "from a random instant on"
+    what = "node under test" if campaign.node is None else campaign.node.command[0]
+    told = f"{what} · one bit per trial, {where}, after up to {sampling.walk} instructions"
+    title = f"campaign {campaign.name} · node {', '.join(campaign.environments)}"
+    return {"each": "kind of registers", "profile": "", "title": title, "lines": [told]}
 
 
-def _node(campaign: Campaign) -> dict[str, Any]:
-    """What a foreign node is, which has no autopilot profile."""
-    if campaign.node is None:
-        return {}
-    return {"node": campaign.node.name, "command": list(campaign.node.command), "profile": "", "platform": ""}
+def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
+    mission = campaign.spec(campaign.environments[0], campaign.first_seed)
+    speed = "" if mission.v_max is None else f" · {mission.v_max:g} m/s"
+    seeds = f"seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}"
+    lines = [f"{campaign.missions} missions per environment ({seeds}), {campaign.faults} faults per {each}, {how}"]
+    if campaign.arms:
+        arms = ", ".join(_arm(name, arm) for name, arm in sorted(campaign.arms.items()))
+        lines.append(f"arms: {arms}; coupling {mission.coupling}; monitored set {campaign.monitored_set}")
+    title = (
+        f"campaign {campaign.name} · autopilot profile {mission.autopilot} · {mission.platform} · "
+        f"{mission.planner}{speed}"
+    )
+    return {"profile": mission.autopilot, "title": title, "lines": lines}
+
+
+def _arm(name: str, arm: ArmConfig) -> str:
+    own = f"{name} ({arm.profile})" if name == arm.detector else f"{name} = {arm.detector} ({arm.profile})"
+    changes: Mapping[str, Any] = arm.mission
+    changed = ", ".join(f"{key} {value}" for key, value in changes.items())
+    return " with ".join(part for part in (own if arm.detector else name, changed) if part)

@@ -16,10 +16,9 @@ GOLDEN = FlightRecord(End.FLOWN, "success", "g", 50.0, 100.0, EnergyTerms(durati
 UNKNOWN = FlightRecord(End.UNKNOWN, error="KeyError")
 DUE = FlightRecord(End.DUE, error="the process died each time")
 ABOUT = {
-    "name": "handmade", "host": "local", "profile": "published", "platform": "i9-9940x", "planner": "rrt_connect",
-    "v_max": None, "coupling": "inline", "environments": ["sparse"], "seeds": [1, 9], "on_design_seeds": False,
-    "missions": 9, "faults": 9, "monitored_set": "paper-13", "arms": {}, "versions": {"mavfi": "1"}, "digest": "d" * 64,
-    "done": 9, "total": 9, "level": "state", "each": "stage", "strata": {"sign_exponent": 2.0}, "sites": "all",
+    "name": "handmade", "title": "campaign handmade", "lines": ["9 missions"], "profile": "published",
+    "on_design_seeds": False, "monitored_set": "paper-13", "versions": {"numba": "2", "mavfi": "1"}, "digest": "d" * 64,
+    "done": 9, "total": 9, "each": "stage",
 }  # fmt: skip
 
 

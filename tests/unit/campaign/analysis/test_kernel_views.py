@@ -23,7 +23,7 @@ from tests.unit.campaign.analysis.handmade import (
 
 PLANNING = replace(INSTRUCTION, kernel="rrt_connect", entry="plan_rrt_connect", value_class="address", stratum="other")
 FIRST = {"state": "control.command", "field": "vx", "element": None, "elements": 1, "largest": 2.0}
-ABOUT = {"level": "instruction", "each": "stage", "kernels": ["pid", "rrt_connect"], "which": "all"}
+ABOUT = {"each": "stage", "kernels": ["pid", "rrt_connect"], "which": "all"}
 
 
 def silent(success=True, first=None, **changes):
@@ -127,7 +127,7 @@ def trials():
         golden(1, replace(GOLDEN, status="")), injected(1, trial(), REGISTER, target="general", index=0),
         injected(1, trial(digest="x", extra=differing), floating, target="fp", index=1),
         injected(1, trial(DUE, kernel=KernelEffect("crash", "SIGSEGV")), REGISTER, target="general", index=2),
-        injected(1, UNKNOWN, REGISTER, target="general", index=3), null(1, trial(), REGISTER), level="register",
+        injected(1, UNKNOWN, REGISTER, target="general", index=3), null(1, trial(), REGISTER)
     )  # fmt: skip
 
 
