@@ -38,7 +38,7 @@ class Bench:
         BadInputError: ROS is not installed.
     """
 
-    def __init__(self, folder: Path, patience_s: float = 20.0) -> None:
+    def __init__(self, folder: Path, patience_s: float = 60.0) -> None:
         finder.require()
         self._folder, self._patience = folder, patience_s
         self._processes: list[subprocess.Popen[bytes]] = []
