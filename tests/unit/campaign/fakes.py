@@ -108,15 +108,21 @@ class FakeFlights:
     def __init__(self, arms: dict[str, ArmSetup], fast_forward: bool) -> None:
         self.arms, self.fast_forward = arms, fast_forward
         self.known: dict[str, Flight] = {}
-        self.detectors = {name: setup.make_detector and setup.make_detector() for name, setup in arms.items()}
+        self.detectors: dict[str, Any] = {}
 
     def golden(self, arm: str, *, profile: bool = False) -> Flight:
         scenario = self.arms[arm].scenario
         _note(scenario)
         _die(TROUBLE.golden_dies, scenario.seed)
         if arm not in self.known:
-            self.known[arm] = fly(self.arms[arm], self.detectors[arm], None)
+            self.known[arm] = fly(self.arms[arm], self.detector(arm), None)
         return self.known[arm] if profile else Flight(self.known[arm].log)
+
+    def detector(self, arm: str) -> Any:
+        make = self.arms[arm].make_detector
+        if arm not in self.detectors:
+            self.detectors[arm] = None if make is None else make()
+        return self.detectors[arm]
 
     def know(self, arm: str, flight: Flight) -> None:
         self.known[arm] = flight
@@ -133,7 +139,7 @@ class FakeFlights:
                 except ZeroDivisionError as error:
                     yield place, error
             else:
-                yield place, fly(setup, self.detectors[arm], fault)
+                yield place, fly(setup, self.detector(arm), fault)
 
 
 class SlowHost(FakeHost):

@@ -57,6 +57,7 @@ def test_flown_alone_it_gives_the_same(seed):
     assert flown(replace(mission, alone=True)) == flown(mission)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "survives"), [(ATTEMPTS_ALONE - 1, True), (1000, False)])
 def test_a_run_in_a_child_has_three_attempts(tmp_path, monkeypatch, count, survives):
     _, sound = flown(MISSION)

@@ -88,6 +88,7 @@ def test_another_seed_gives_other_content(flown, tmp_path):
     assert digest(tmp_path) != digest(flown[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stop_after", "fast_forward"), [(0, True), (1, False), (9, True), (40, False), (40, True), (TOTAL - 1, True)]
 )
@@ -153,6 +154,7 @@ def test_what_is_compiled_in_a_worker_is_compiled_here_before(flown, tmp_path, m
     assert reports[-1].flown == TOTAL, "what was flown here is not counted"
 
 
+@pytest.mark.slow
 def test_every_fault_of_a_mission_is_in_the_ledger_before_the_first_of_them_is_flown(tmp_path, monkeypatch):
     seen = []
 
@@ -221,6 +223,8 @@ def test_runs_know_the_model_that_they_fly_with_and_workers_refuse_another(tmp_p
     monkeypatch.setattr(mission_module, "detector_for", lambda *_: (FakeDetector(), "trained since"))
     with pytest.raises(SpecMismatchError, match="arm gaussian: planned with the model mine, but .*mine holds trained"):
         flown_into(tmp_path / "other", models_dir=tmp_path / "mine")
+    with Store.open(tmp_path / "other") as store:
+        assert {run.record.end for run in store.runs(done=True)} <= {End.FLOWN}, "nothing is recorded of such a flight"
 
 
 def test_versions_are_not_mixed_within_a_campaign(flown, tmp_path, monkeypatch):
@@ -246,6 +250,7 @@ def test_a_ledger_of_schema_1_is_refused_and_left_as_it_is(tmp_path):
     assert (tmp_path / FILE).read_bytes() == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 4])
 def test_the_death_of_a_worker_is_survived_and_takes_nothing_with_it(flown, tmp_path, monkeypatch, count):
     monkeypatch.setattr(TROUBLE, "dies", deaths(tmp_path / "deaths", count))
@@ -254,6 +259,7 @@ def test_the_death_of_a_worker_is_survived_and_takes_nothing_with_it(flown, tmp_
     assert digest(tmp_path / "out") == digest(flown[0])
 
 
+@pytest.mark.slow
 def test_a_mission_that_died_is_flown_again_with_each_run_in_a_process_of_its_own(tmp_path, monkeypatch):
     monkeypatch.setattr(TROUBLE, "dies", deaths(tmp_path / "deaths", 1000))
     monkeypatch.setattr(TROUBLE, "dies_at", "planning.waypoint")
@@ -271,6 +277,7 @@ def test_a_mission_that_died_is_flown_again_with_each_run_in_a_process_of_its_ow
         assert "status 9" in run.note
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_golden_run_that_dies_each_time_is_due_and_nothing_is_drawn_from_it(flown, tmp_path, monkeypatch, workers):
     monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
@@ -301,6 +308,7 @@ def test_a_mission_that_is_given_up_half_way_is_over_all_the_same(tmp_path, monk
     assert ends == {End.UNKNOWN}
 
 
+@pytest.mark.slow
 def test_an_exception_of_ours_is_recorded_as_unknown_and_the_rest_is_flown(tmp_path, monkeypatch):
     monkeypatch.setattr(TROUBLE, "raises", True)
     for name, fast_forward in (("fast", True), ("long", False)):

@@ -131,6 +131,7 @@ def test_another_campaign_is_refused_and_nothing_is_written_over(tmp_path):
         assert store.digest() == digest
 
 
+@pytest.mark.slow
 def test_a_second_writer_is_refused(tmp_path):
     with Store.create(tmp_path, IDENTITY):
         code = (

@@ -98,6 +98,7 @@ def test_campaigns_without_a_detector_need_no_training(tmp_path, trained):
     assert trained == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["table1", "table1_instructions"])
 def test_another_campaign_in_one_of_the_folders_is_refused_before_anything_is_written(capsys, tmp_path, name):
     own = {"host": HOST, "arms": {}}

@@ -142,6 +142,7 @@ def test_a_golden_run_that_ended_badly_gives_no_faults(tmp_path, monkeypatch):
     assert all("ZeroDivisionError" in run.note for run in runs if not run.spec.arm)
 
 
+@pytest.mark.slow
 def test_the_ledger_does_not_depend_on_workers_or_deaths(tmp_path, monkeypatch):
     from mavfi.campaign.executors.local import LocalExecutor
 
