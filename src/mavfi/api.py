@@ -20,6 +20,7 @@ from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import Progress, run_campaign
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, StateFault
@@ -58,7 +59,7 @@ def fly(
     Raises:
         BadInputError: Something is not known, or does not fit together.
     """
-    spec = MissionSpec(**{**({} if mission is None else mission.model_dump()), **options})
+    spec = _spec(mission, options)
     scenario = resolve(spec)
     watching, label = _watching(scenario, detector, profile, models)
     if not isinstance(fault, str):
@@ -78,7 +79,7 @@ def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **opt
     Raises:
         BadInputError: The text is not understood, or the mission has no such site.
     """
-    spec = MissionSpec(**{**({} if mission is None else mission.model_dump()), **options})
+    spec = _spec(mission, options)
     return _draw(resolve(spec), parse(fault, spec.localization), seed)[0]
 
 
@@ -181,6 +182,15 @@ def _fly_fault(
     if fault is None:
         return FlightResult(scenario, golden, None, None, label)
     return FlightResult(scenario, fly_locally(scenario, fault, detector, coupling=coupling), golden, fault, label)
+
+
+def _spec(mission: MissionSpec | None, options: dict[str, Any]) -> MissionSpec:
+    """A mission with some keys of its own.
+
+    Raises:
+        BadInputError: A key is not known, or its value is not allowed.
+    """
+    return parse_config(MissionSpec, {**({} if mission is None else mission.model_dump()), **options}, "mission")
 
 
 def _watching(

@@ -197,7 +197,7 @@ class FlightLog:
         """How many events of a kind."""
         return sum(event.kind == kind for event in self.events)
 
-    def save(self, path: Path) -> None:
+    def save(self, path: Path | str) -> None:
         """Write an .npz file: one array for each of `COLUMNS`, by its name, and `record`, all else as JSON text.
 
         `np.load(path)["x"]` is thus the x coordinate at each control tick, and `json.loads(str(file["record"]))` has
@@ -217,19 +217,19 @@ class FlightLog:
         columns: dict[str, Any] = dict(zip(COLUMNS, self.rows.T, strict=True))
         np.savez_compressed(buffer, **columns, record=np.array(json.dumps(data)))
         try:
-            path.write_bytes(buffer.getvalue())
+            Path(path).write_bytes(buffer.getvalue())
         except OSError as error:
             raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
 
     @staticmethod
-    def load(path: Path) -> "FlightLog":
+    def load(path: Path | str) -> "FlightLog":
         """Read what `save` wrote.
 
         Raises:
             BadInputError: The file is absent or is no flight log.
         """
         try:
-            with np.load(io.BytesIO(path.read_bytes())) as archive:
+            with np.load(io.BytesIO(Path(path).read_bytes())) as archive:
                 rows, data = np.column_stack([archive[name] for name in COLUMNS]), json.loads(str(archive["record"]))
             events = [Event(*event) for event in data["events"]]
             kernel = data["kernel"]

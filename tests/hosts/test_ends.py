@@ -141,8 +141,8 @@ def test_a_huge_command_is_shortened():
     ("options", "message"),
     [
         ({"environment": "nowhere"}, "environment 'nowhere': not known; allowed: "),
-        ({"seed": -1}, "seed: -1"),
-        ({"v_max": 99.0}, "v_max: 99.0"),
+        ({"seed": -1}, "'seed': -1"),
+        ({"v_max": 99.0}, "'v_max': 99.0"),
         ({"stack": "soft"}, "stack 'soft': not known; allowed: hardened, published"),
         ({"platform": "abacus"}, "platform 'abacus': not known"),
     ],

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from mavfi.config import LocalizationConfig
+from mavfi.config import LocalizationConfig, parse
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
@@ -165,5 +165,5 @@ def test_wind_and_estimator_do_not_share_noise_with_anything():
 @pytest.mark.parametrize("options", [{"wind": -1.0}, {"wind": 31.0}, {"localization": "gps"}])
 def test_what_cannot_be_is_told(options):
     ((name, value),) = options.items()
-    with pytest.raises(BadInputError, match=f"{name}: .*{value}"):
-        resolve(MissionSpec(environment="sparse", seed=0, **options))
+    with pytest.raises(BadInputError, match=f"'{name}': .*{value}"):
+        resolve(parse(MissionSpec, {"environment": "sparse", **options}, "mission"))

@@ -29,7 +29,7 @@ def test_a_map_that_forgets_nothing_yet_flies_as_the_dense_one():
 def test_a_recomputed_scan_is_the_same_with_the_example():
     detector = Scripted("perception.map_update", 5, "perception", times=3)
     log = fly(mission(map=MAP), detector=detector).log
-    assert log.alarms[0]["outcome"] == "accepted"
+    assert log.alarms[0].outcome == "accepted"
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 import typer
-from annotated_types import Ge, Le
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
@@ -86,7 +85,7 @@ def mission_of(given: Mapping[str, Any]) -> MissionSpec:
         found = error.errors()[0]
         name = str(found["loc"][0])
         name = "autopilot" if name == "stack" else name
-        raise BadInputError(f"{option_name(name)}: {found['input']}: allowed: {_allowed(name)}") from None
+        raise BadInputError(f"{option_name(name)}: {_shown(found['input'])}: allowed: {_allowed(name)}") from None
 
 
 def option_name(field: str) -> str:
@@ -104,6 +103,11 @@ def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
     )
 
 
+def _shown(value: object) -> str:
+    """A value as the user wrote it; text in quotes."""
+    return repr(value) if isinstance(value, str) else str(value)
+
+
 def _allowed(name: str) -> str:
     """What a field may be, in words."""
     field = MissionSpec.model_fields[name]
@@ -111,7 +115,5 @@ def _allowed(name: str) -> str:
         return f"0 to {LARGEST_SEED}"
     if get_origin(field.annotation) is Literal:
         return ", ".join(get_args(field.annotation))
-    bounds = [
-        bound.ge if isinstance(bound, Ge) else bound.le for bound in field.metadata if isinstance(bound, (Ge, Le))
-    ]
+    bounds = [getattr(bound, side) for bound in field.metadata for side in ("ge", "le") if hasattr(bound, side)]
     return " to ".join(f"{float(str(bound)):g}" for bound in bounds) or str(field.description)
