@@ -190,7 +190,8 @@ def _judged(
         columns["golden_flight_time_s"] = reference.flight_time_s
         if success and succeeded(reference):
             columns["inflation"] = record.flight_time_s / reference.flight_time_s - 1
-            columns["energy_inflation"] = energy(record.energy) / energy(reference.energy) - 1
+            spent = energy(reference.energy)
+            columns["energy_inflation"] = energy(record.energy) / spent - 1 if spent > 0 else None
     return columns
 
 
