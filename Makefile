@@ -36,10 +36,12 @@ reproduce: setup  ## train, fly, print the success table at both levels, write $
 	@$(BIN)/mavfi reproduce --scale $(SCALE) --out $(OUT)
 
 test: setup  ## run the tests
-	@$(BIN)/python -m pytest -n $(JOBS)
+	@$(BIN)/python -m pytest -n $(JOBS) -m "not long and not alone"
+	@$(BIN)/python -m pytest -m "alone and not long"
 
 test-all: setup  ## run all tests, including those that repeat others in more settings
-	@$(BIN)/python -m pytest -n $(JOBS) -m ""
+	@$(BIN)/python -m pytest -n $(JOBS) -m "not alone"
+	@$(BIN)/python -m pytest -m "alone"
 
 lint: setup  ## formatting, lint, types, import contracts
 	@$(BIN)/ruff format --check $(CODE)

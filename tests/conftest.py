@@ -22,14 +22,18 @@ def pytest_addoption(parser):
     parser.addoption("--update-goldens", action="store_true", help="store the digests of the golden flights anew")
 
 
+_ALONE = ("tests/hosts/ros1", "tests/hosts/node", "tests/unit/faults/register")
+"""Other processes take part in these tests, and want the processors for themselves."""
+
+
 def pytest_collection_modifyitems(config, items):
-    """A file's tests stay in one process, for the flights that they share; those with ROS stay behind each other."""
-    if not config.pluginmanager.hasplugin("xdist"):
-        return
+    """A file's tests stay in one process, for the flights that they share."""
     for item in items:
         path = item.path.relative_to(config.rootpath).as_posix()
-        group = "ros" if path.startswith(("tests/hosts/ros1", "tests/hosts/node")) else path
-        item.add_marker(pytest.mark.xdist_group(group))
+        if path.startswith(_ALONE):
+            item.add_marker(pytest.mark.alone)
+        if config.pluginmanager.hasplugin("xdist"):
+            item.add_marker(pytest.mark.xdist_group(path))
     items.sort(key=lambda item: "tests/hosts" not in item.path.as_posix())  # the longest files begin first
 
 
