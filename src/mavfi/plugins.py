@@ -65,7 +65,7 @@ def build(
         factory: Class or function.
         arguments: What it is called with.
         needs: Methods that the object must have.
-        options: Likewise, by name.
+        options: Keyword arguments of the call.
 
     Raises:
         BadInputError: It raised, or lacks a method.

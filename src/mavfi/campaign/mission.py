@@ -99,7 +99,7 @@ def scenarios_of(
     Args:
         campaign: The campaign.
         arms: Those that are wanted.
-        environments: Likewise; none = all of the campaign.
+        environments: Names; none = all environments of the campaign.
 
     Raises:
         BadInputError: A name is not known, or things do not fit together.
@@ -258,6 +258,6 @@ def _guarded(run_id: str, work: Callable[[], FlightRecord]) -> Flown:
         return Flown(run_id, work(), wall_s=time.perf_counter() - started)
     except SpecMismatchError:
         raise
-    except Exception as error:  # whatever it is, the campaign goes on, counts it and shows it
+    except Exception as error:  # recorded as `unknown`, which reports count and show
         record = FlightRecord(End.UNKNOWN, error=type(error).__name__)
         return Flown(run_id, record, traceback.format_exc(), time.perf_counter() - started)

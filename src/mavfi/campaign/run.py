@@ -1,4 +1,4 @@
-"""Flies a campaign, mission by mission, and goes on where it stopped.
+"""Flies a campaign mission by mission; a stopped campaign resumes.
 
 A worker that dies loses one mission, which is flown again with each run with a fault in a child of its own.
 """

@@ -52,7 +52,7 @@ def write_reports(directory: Path, *, draw_run: bool = True) -> "Report":
 
 
 def show_report(found: "Report", show_all: bool) -> None:
-    """Print a report: what was flown, the leading table (or all), and the findings in words.
+    """Print a report: campaign, leading table (or all tables), findings in sentences.
 
     Args:
         found: The report.

@@ -34,7 +34,7 @@ def train(
 ) -> None:
     """Fly error-free missions in randomised worlds (none of the evaluation's), and fit every detector to them.
 
-    Ctrl-C stops (exit code 130); the same command goes on where it stopped.
+    Ctrl-C stops (exit code 130); the same command resumes.
 
     Example: [bold]mavfi train --flights 100 --autopilot hardened --out out/models[/bold]
     """

@@ -1,4 +1,4 @@
-"""What was flown, as plain data: what headers and notes of tables say."""
+"""Description of a campaign as plain data, for the headers and notes of tables."""
 
 from collections.abc import Mapping
 from functools import singledispatch

@@ -110,7 +110,7 @@ def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str, wei
 
 
 def rate_of(own: Runs, test: pl.Expr | str, *, weighted: bool = False) -> Rate:
-    """The same of some rows, worlds being the clusters."""
+    """Rate over rows, with an interval that treats missions as clusters."""
     asked = pl.col(test) if isinstance(test, str) else test
     passed = own.frame.select(asked.fill_null(value=False).alias("passed"))["passed"].to_list()
     return clustered_rate(passed, own["world"], own["weight"] if weighted else None)

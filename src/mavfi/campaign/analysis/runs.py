@@ -25,7 +25,7 @@ class Runs:
     Attributes:
         frame: One row per run; columns as in `rows.SCHEMA`, and what a view has added.
         records: Record of each run by its id.
-        campaign: What was flown, as plain data: what headers and notes say.
+        campaign: Description of the campaign as plain data, for headers and notes.
     """
 
     frame: pl.DataFrame
