@@ -5,7 +5,7 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -45,6 +45,7 @@ class SiteGroup(Config):
 class StateSampling(Config):
     """Faults in inter-kernel states: one bit of one field of one publication."""
 
+    null_runs: ClassVar[int] = NULL_RUNS
     level: Literal["state"] = "state"
     scheme: Literal["stage_balanced", "groups"] = Field(
         "stage_balanced", description="`faults` for each stage (the paper's scheme), or for each of the groups"
@@ -68,6 +69,7 @@ class StateSampling(Config):
 class InstructionSampling(Config):
     """Faults in instructions: the result of one dynamic instruction of a kernel."""
 
+    null_runs: ClassVar[int] = 0
     level: Literal["instruction"]
     scheme: Literal["uniform", "stratified"] = Field(
         "uniform", description="over dynamic instructions, or by value class and source line with weights"
@@ -92,6 +94,7 @@ class InstructionSampling(Config):
 class RegisterSampling(Config):
     """Faults in registers of a live process (host node)."""
 
+    null_runs: ClassVar[int] = NULL_RUNS
     level: Literal["register"]
     registers: tuple[Literal["general", "fp", "all"], ...] = Field(
         ("general", "fp"), min_length=1, description="kinds of registers; `faults` for each"
@@ -232,7 +235,7 @@ class Campaign(Config):
         """Null runs per environment."""
         if self.null_runs is not None:
             return self.null_runs
-        return 0 if self.sampling.level == "instruction" else NULL_RUNS
+        return self.sampling.null_runs
 
     @property
     def on_design_seeds(self) -> bool:

@@ -34,8 +34,8 @@ def deviations(
         statistics: k, M, S of each field. Shape (n, 3).
         min_count: Samples before a field is judged.
         deltas: Filled in for the fields of this state. Shape (n,), int16.
-        distance: Likewise. Shape (n,).
-        unit: Likewise; 0 where there are too few samples. Shape (n,).
+        distance: Filled in: distance of each delta from its mean. Shape (n,).
+        unit: Filled in: standard deviation; 0 with too few samples. Shape (n,).
 
     Returns:
         As of `features.measure`.

@@ -101,12 +101,18 @@ def injection_lines(injection: Injection, fault: Fault | None, kernel: KernelEff
     return story
 
 
+_ABSENT = {
+    "state": ("published", "no such publication came"),
+    "instruction": ("executed", "the instruction was not executed"),
+}
+"""By level: what the golden run never did at an absent site, and why a fault was not activated."""
+
+
 def _fault(injection: Injection, fault: Fault | None) -> str:
-    instruction = injection.level == "instruction"
+    never, why = _ABSENT.get(injection.level, ("reached", "the site was not reached"))
     if fault is not None and not fault.has_site:
-        return f"{injection.site}: no site, the golden run never {'executed' if instruction else 'published'} it"
+        return f"{injection.site}: no site, the golden run never {never} it"
     if not injection.activated:
-        why = "the instruction was not executed" if instruction else "no such publication came"
         return f"{injection.site}: not activated, {why}"
     bit = injection.details.get("model", "empty mask") if injection.bit is None else _bit(injection.bit, fault)
     before, after = change(injection.before, injection.after)
