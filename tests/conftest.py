@@ -27,14 +27,12 @@ _ALONE = ("tests/hosts/ros1", "tests/hosts/node", "tests/unit/faults/register")
 
 
 def pytest_collection_modifyitems(config, items):
-    """A file's tests stay in one process, for the flights that they share."""
+    """The longest files begin first; a file's tests stay in one process, for the flights that they share."""
     for item in items:
         path = item.path.relative_to(config.rootpath).as_posix()
         if path.startswith(_ALONE):
             item.add_marker(pytest.mark.alone)
-        if config.pluginmanager.hasplugin("xdist"):
-            item.add_marker(pytest.mark.xdist_group(path))
-    items.sort(key=lambda item: "tests/hosts" not in item.path.as_posix())  # the longest files begin first
+    items.sort(key=lambda item: "tests/hosts" not in item.path.as_posix())
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -116,12 +116,17 @@ CASES = {
 }  # fmt: skip
 
 
+REPEATED = ("rrt_star", "tuned")
+"""They show what others show: another planner; the detector in another profile."""
 IN_THE_FAST_SUITE = ("published", "hardened", "octree", "gaussian", "autoencoder", "recovery")
 
 
-@pytest.mark.parametrize(
-    "case", [pytest.param(case, marks=() if case in IN_THE_FAST_SUITE else pytest.mark.slow) for case in CASES]
-)
+def marked(case):
+    marks = () if case in IN_THE_FAST_SUITE else (pytest.mark.slow, *[pytest.mark.long] * (case in REPEATED))
+    return pytest.param(case, marks=marks)
+
+
+@pytest.mark.parametrize("case", [marked(case) for case in CASES])
 def test_a_flight_goes_on_from_any_checkpoint_as_it_did(case):
     scenario, detector, injected = CASES[case]()
     truth = content(fly(scenario, injected, detector).log)

@@ -94,7 +94,7 @@ def test_at_rest_its_covariance_becomes_that_of_the_riccati_equation(yaw):
     nominal, covariance = hovering(yaw), covariance_of(biases=(0.0, 0.0))
     sample = np.concatenate([-WEIGHT, np.zeros(3)])
     fix = np.array([0.0, 0.0, 0.0, yaw])
-    for step in range(STEPS_PER_FIX * 600):
+    for step in range(STEPS_PER_FIX * 200):
         if step % STEPS_PER_FIX == 0:
             before = covariance.copy()
             filtering.correct(nominal, covariance, fix, noise)

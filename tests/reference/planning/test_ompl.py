@@ -11,11 +11,11 @@ pytest.importorskip("ompl", reason="OMPL (package `ompl`) is not installed; it c
 
 CASES = [
     ("rrt", "dense", 0, planners.Search(4.0, 10_000), 600),
-    ("rrt", "factory", 0, planners.Search(4.0, 10_000), 1600),
+    pytest.param("rrt", "factory", 0, planners.Search(4.0, 10_000), 1600, marks=pytest.mark.long),
     ("rrt_connect", "dense", 0, planners.Search(4.0, 4000), 600),
     ("rrt_connect", "factory", 0, planners.Search(4.0, 4000), 1600),
     ("rrt_star", "dense", 0, planners.Search(8.0, 1500), 100),
-    ("rrt_star", "factory", 0, planners.Search(8.0, 2500), 80),
+    pytest.param("rrt_star", "factory", 0, planners.Search(8.0, 2500), 80, marks=pytest.mark.long),
 ]
 SCARCE = [
     ("rrt", "factory", 0, planners.Search(4.0, 450), 1200),

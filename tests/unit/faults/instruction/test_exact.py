@@ -134,6 +134,7 @@ def test_faults_in_a_loop_are_as_interpreted(oracle, trace):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_every_fault_in_a_loop_is_as_interpreted(oracle, trace):
     faults = all_faults(trace)
     assert len(faults) > 10_000

@@ -23,10 +23,16 @@ from tests.unit.kernels.cases import CASES
 
 COMPILED = {name: case for name, case in CASES.items() if hasattr(case.function, "py_func")}
 QUICK = ("back_project", "time_to_collision", "track", "shortcut_greedy", "voxel_of", "steer")
+LARGE = ("insert_scan", "rrt_connect", "correct", "smooth")
+"""Large ones: loops within loops, a tree that grows, matrices, callees of callees."""
 
 
-COMPILED_LONG = [pytest.param(name, marks=pytest.mark.slow) for name in ("insert_scan", "rrt_connect")]
-NAMES = [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in COMPILED]
+def marked(name):
+    marks = () if name in QUICK else pytest.mark.slow if name in LARGE else (pytest.mark.slow, pytest.mark.long)
+    return pytest.param(name, marks=marks)
+
+
+NAMES = [marked(name) for name in COMPILED]
 
 
 def signature(args):
@@ -52,7 +58,7 @@ def test_results_and_arguments_are_the_same_bits(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in NAMES if name in QUICK] + COMPILED_LONG)
+@pytest.mark.parametrize("name", [marked(name) for name in (*QUICK, "insert_scan", "rrt_connect")])
 def test_the_table_has_the_types_that_llvm_has(name):
     """LLVM's own reading of the text is the oracle of ours."""
     case = COMPILED[name]

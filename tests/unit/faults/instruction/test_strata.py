@@ -23,7 +23,7 @@ from mavfi.faults.instruction.variant import Passes, variant_for
 from tests.unit.faults.instruction.kernels import LOOP, MASKING, fill, loop, masking
 
 N = 40
-SEEDS = 120
+SEEDS = 60
 """Draws of which the mean is held against the truth."""
 
 

@@ -1,0 +1,84 @@
+"""Write `examples/python_api.ipynb` from the blocks of `docs/python-api.md`, with what each of them answers."""
+
+import ast
+import base64
+import io
+import json
+import os
+import re
+import tempfile
+from contextlib import chdir
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from tools.markers import DOCS, ROOT
+
+PAGE = DOCS / "python-api.md"
+NOTEBOOK = ROOT / "examples" / "python_api.ipynb"
+BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"\]\((?!https?:)([^)]+)\)")
+
+
+def cells(page: str) -> list[tuple[str, str]]:
+    """Kind ("markdown" or "code") and text of each cell: the page, cut at its Python blocks."""
+    kinds = ("markdown", "code")
+    parts = [(kinds[place % 2], part.strip()) for place, part in enumerate(BLOCK.split(page))]
+    return [(kind, _relink(text) if kind == "markdown" else text) for kind, text in parts if text]
+
+
+def _relink(text: str) -> str:
+    """Links of a page in `docs`, as seen from `examples`."""
+    return LINK.sub(lambda link: f"]({os.path.relpath(DOCS / link[1], NOTEBOOK.parent)})", text)
+
+
+def execute(source: str, names: dict[str, Any]) -> Any:  # noqa: ANN401 (whatever a cell answers)
+    """Run a cell; the value of its last line if that is an expression, otherwise None."""
+    tree = ast.parse(source)
+    last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
+    exec(compile(tree, PAGE.name, "exec"), names)
+    return None if last is None else eval(compile(ast.Expression(last.value), PAGE.name, "eval"), names)
+
+
+def display(answer: Any) -> dict[str, str]:  # noqa: ANN401
+    """What a notebook shows of a value: media types with their content."""
+    if isinstance(answer, Figure):
+        buffer = io.BytesIO()
+        answer.savefig(buffer, format="png", dpi=110)
+        return {"image/png": base64.b64encode(buffer.getvalue()).decode()}
+    html = getattr(answer, "_repr_html_", None)
+    return {"text/plain": repr(answer), **({} if html is None else {"text/html": html()})}
+
+
+def executed(page: str) -> list[dict[str, Any]]:
+    """The cells of the notebook, run from top to bottom in an empty folder."""
+    names: dict[str, Any] = {}
+    found: list[dict[str, Any]] = []
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        for place, (kind, text) in enumerate(cells(page)):
+            cell: dict[str, Any] = {"cell_type": kind, "id": f"cell-{place}", "metadata": {}, "source": text}
+            if kind == "code":
+                count = 1 + sum(earlier["cell_type"] == "code" for earlier in found)
+                answer = execute(text, names)
+                output = {"data": display(answer), "execution_count": count, "metadata": {}}
+                cell["execution_count"] = count
+                cell["outputs"] = [] if answer is None else [{"output_type": "execute_result", **output}]
+            found.append(cell)
+    return found
+
+
+def notebook(found: list[dict[str, Any]]) -> str:
+    """A notebook (nbformat 4.5) of cells."""
+    kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
+    book = {"cells": found, "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}
+    return json.dumps(book, indent=1, ensure_ascii=False) + "\n"
+
+
+def main(target: Path = NOTEBOOK) -> None:
+    """Write the notebook."""
+    target.write_text(notebook(executed(PAGE.read_text(encoding="utf-8"))), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
