@@ -20,13 +20,11 @@ class Explanation:
     """A run and its golden run, both flown again.
 
     Attributes:
-        spec: The run.
-        flight: Its flight of now.
-        golden: The golden run of now, with the same detector.
+        flight: The new flight of the run.
+        golden: The new flight of the golden run, with the same detector.
         same: Whether the digest is the stored one.
         first: First publication that differs; None = none does, or a fault in an instruction: its flight ends in a
             forked process, and the kernel effect in its log has the first difference.
-        departure: How the paths part.
     """
 
     spec: RunSpec
@@ -43,11 +41,7 @@ class Explanation:
 
 
 def explain(directory: Path, run_id: str) -> Explanation:
-    """Fly a run and its golden run again, and compare all that was published.
-
-    Args:
-        directory: Where the ledger is.
-        run_id: The run, or an unambiguous beginning of its id.
+    """Fly a run (named by a beginning of its id) and its golden run again, and compare all that was published.
 
     Raises:
         BadInputError: No such campaign or run, a run without a fault, or one that left no flight.
@@ -68,7 +62,7 @@ def explain(directory: Path, run_id: str) -> Explanation:
 
 
 def _recorded(store: Store, spec: RunSpec) -> tuple[Flight, list[Publication]]:
-    """A run, and all that it published, in order; nothing of one that ends in a forked process."""
+    """A run and its publications in order; none for a run that ends in a forked process."""
     seen: list[Publication] = []
     if spec.fault is not None and spec.fault.level != "state":
         return fly_again(store, spec), seen

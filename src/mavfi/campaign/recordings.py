@@ -1,5 +1,6 @@
-"""Keeps the recordings of training flights on disk until the models are saved, so that training can be gone on with."""
+"""Recordings of training flights on disk, kept until the models are saved, so that training can be resumed."""
 
+import contextlib
 import hashlib
 import io
 import json
@@ -21,7 +22,7 @@ _PARTS = ("kinds", "times_us", "content")
 
 
 class KeptRecordings:
-    """Recordings by seed, in a folder named after all that decides them: scenario, versions and code of mavfi.
+    """Recordings by seed, in a subfolder named after what decides them: scenario, versions and code of mavfi.
 
     Args:
         folder: Of the models.
@@ -33,7 +34,7 @@ class KeptRecordings:
         self._folder = self._parent / _key(scenario)
 
     def load(self, seeds: Iterable[int]) -> dict[int, Recording]:
-        """Recordings that are there, of the seeds that are asked for; a file that cannot be read counts as absent."""
+        """Recordings of these seeds; a file that cannot be read counts as absent."""
         found = {}
         for seed in seeds:
             try:
@@ -44,7 +45,7 @@ class KeptRecordings:
         return found
 
     def save(self, seed: int, recording: Recording) -> None:
-        """Keep a recording; it is there whole or not at all.
+        """Write a recording, atomically.
 
         Raises:
             BadInputError: The folder cannot be written.
@@ -60,12 +61,10 @@ class KeptRecordings:
             raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
 
     def delete(self) -> None:
-        """Remove these recordings, and the folder of all if it is empty then."""
+        """Remove these recordings, and the parent folder if it is empty then."""
         shutil.rmtree(self._folder, ignore_errors=True)
-        try:
+        with contextlib.suppress(OSError):  # absent, or another training is under way
             self._parent.rmdir()
-        except OSError:  # absent, or another training is under way
-            return
 
     def _path(self, seed: int) -> Path:
         return self._folder / f"{seed}.npz"

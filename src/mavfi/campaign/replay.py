@@ -17,8 +17,7 @@ class Replay:
 
     Attributes:
         run: The stored run.
-        flight: The flight of now.
-        digest: Its digest.
+        flight: The new flight, and its digest.
         golden: The stored golden run of the same mission and arm; None for golden runs.
     """
 
@@ -34,11 +33,7 @@ class Replay:
 
 
 def replay(directory: Path, run_id: str) -> Replay:
-    """Fly a run again.
-
-    Args:
-        directory: Where the campaign's ledger is.
-        run_id: The run, or an unambiguous beginning of its id.
+    """Fly a run again, named by an unambiguous beginning of its id.
 
     Raises:
         BadInputError: No such campaign or run, it is not flown yet, or its host cannot fly it again.
@@ -53,12 +48,7 @@ def replay(directory: Path, run_id: str) -> Replay:
 
 
 def fly_again(store: Store, spec: RunSpec) -> Flight:
-    """Fly any run of a ledger, for its whole log.
-
-    Raises:
-        BadInputError: Its host is not deterministic.
-        SpecMismatchError: See `replay`.
-    """
+    """Fly any run of a ledger, for its whole log; errors as of `replay`."""
     host, setup = setup_again(store, spec)
     flights = host.mission({spec.arm: setup}, fast_forward=False)
     flown: Recorded | Exception
@@ -73,12 +63,7 @@ def fly_again(store: Store, spec: RunSpec) -> Flight:
 
 
 def setup_again(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
-    """The host of a run, and what the run's arm flew with.
-
-    Raises:
-        BadInputError: The host is not deterministic.
-        SpecMismatchError: See `replay`.
-    """
+    """The host of a run, and the setup of the run's arm; errors as of `replay`."""
     campaign = stored_campaign(store)
     host = host_of(campaign)
     if not host.deterministic:

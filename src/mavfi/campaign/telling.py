@@ -2,16 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import polars as pl
 
 from mavfi.campaign.plan import FI
 from mavfi.campaign.replay import fly_again
 from mavfi.campaign.store import Store
-
-if TYPE_CHECKING:
-    from mavfi.hosts.host import Flight
+from mavfi.hosts.host import Flight
 
 _INTERESTING = 0.02
 """Flight time over the golden run's from which a run that succeeds is worth a picture."""
@@ -20,7 +18,7 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Telling:
-    """A run with a fault, and what it is compared with.
+    """A run with a fault, and the flights that it is compared with.
 
     Attributes:
         injected: Its row.
@@ -32,17 +30,13 @@ class Telling:
 
     injected: Row
     saved: Row | None
-    flight: "Flight"
-    golden: "Flight"
-    recovered: "Flight | None"
+    flight: Flight
+    golden: Flight
+    recovered: Flight | None
 
 
 def fly_telling_run(store: Store, runs: pl.DataFrame) -> Telling | None:
-    """Choose a run and fly it again, with its golden run.
-
-    Args:
-        store: The ledger.
-        runs: Its runs, as of `mavfi.campaign.analysis.runs`.
+    """Choose among the runs of a ledger, and fly the chosen one again with its golden run.
 
     Returns:
         None if no run is worth a picture.
@@ -61,12 +55,9 @@ def fly_telling_run(store: Store, runs: pl.DataFrame) -> Telling | None:
 
 
 def choose(runs: pl.DataFrame) -> tuple[Row, Row | None] | None:
-    """The run with a fault that says most, and the same with a detector on where that one brings it home.
+    """The most telling row with a fault, and the same fault with a detector where the mission succeeds.
 
     A run that fails and that a detector brings home comes first; then one that fails; then the slowest.
-
-    Args:
-        runs: See `fly_telling_run`.
     """
     rows = runs.filter(kind="injected", judged=True, site_outcome="activated").to_dicts()
     faulty = [row for row in rows if row["setting"] == FI and row["golden_success"]]

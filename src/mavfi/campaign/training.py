@@ -28,7 +28,7 @@ _MOST_FLIGHTS_PER_WANTED = 3
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """A flight, in words for the message of a worker that was lost."""
+    """A flight; its text is in the message about a lost worker."""
 
     scenario: Scenario
     model: Model | None = None
@@ -39,7 +39,7 @@ class _Task:
 
 
 def training_mission(mission: MissionSpec, seed: int = TRAINING_SEED) -> Scenario:
-    """A mission in a training world, flown as another one: with its autopilot profile, platform, planner, and so on.
+    """A mission in a training world; autopilot profile, platform, planner and so on are those of another mission.
 
     Raises:
         BadInputError: A name is not known, or things do not fit together.
@@ -77,6 +77,7 @@ def record_flights(
     if count < 1:
         raise BadInputError(f"flights: {count}; allowed: 1 or more")
     executor = LocalExecutor(workers)
+    report = progress or (lambda *_: None)
     kept: dict[int, Recording] = {}
     tried = 0
     while len(kept) < count:
@@ -85,8 +86,7 @@ def record_flights(
         seeds = range(scenario.seed + tried, scenario.seed + tried + count - len(kept))
         tasks = [_Task(scenario.model_copy(update={"seed": seed})) for seed in seeds]
         kept |= {} if disk is None else disk.load(seeds)
-        if progress is not None:
-            progress(len(kept), count)
+        report(len(kept), count)
         tasks = [task for task in tasks if task.scenario.seed not in kept]
         if tasks and tried == 0:
             record_flight(tasks[0])  # compiles in this process, and workers inherit it
@@ -97,8 +97,7 @@ def record_flights(
             kept[task.scenario.seed] = recording
             if disk is not None:
                 disk.save(task.scenario.seed, recording)
-            if progress is not None:
-                progress(len(kept), count)
+            report(len(kept), count)
     return dict(sorted(kept.items()))
 
 
@@ -108,7 +107,7 @@ def train(
 ) -> list[Path]:  # fmt: skip
     """Fly error-free missions in randomised worlds, fit every detector in every profile, and write the models.
 
-    Flights are kept in the folder until the models are written: the same call goes on where it was stopped.
+    Recordings are kept in the folder until the models are written: the same call resumes an interrupted training.
 
     Args:
         folder: Where the models are written.
@@ -116,9 +115,6 @@ def train(
         mission: How they are flown; environment, seed, start and goal are training's own.
         workers: Number of processes; the models do not depend on it.
         progress: Called with flights kept and wanted.
-
-    Returns:
-        The files.
 
     Raises:
         BadInputError: A name is not known, too few flights arrive, or the folder cannot be written.
@@ -146,18 +142,15 @@ def train(
 def count_false_alarms(
     models: Sequence[Model], folder: Path, flights: int, mission: MissionSpec, workers: int, progress: Progress
 ) -> list[EventRate]:
-    """Fly error-free missions that were not trained on with each model, and count its alarms.
+    """Alarms per flight hour by model, on error-free missions that were not trained on.
 
     Args:
-        models: Trained for this mission.
-        folder: Where their files are.
+        models: Trained for this mission, with files in the folder.
+        folder: Of the models.
         flights: Missions for each model.
         mission: As of `train`.
-        workers: Processes.
+        workers: Number of processes.
         progress: Called with flights done and wanted.
-
-    Returns:
-        Alarms per flight hour by model.
 
     Raises:
         MavfiError: A worker was lost.

@@ -68,7 +68,7 @@ def test_another_model_is_refused_and_only_where_it_matters(directory, monkeypat
 def test_an_exception_of_the_flight_comes_through(directory, monkeypatch):
     monkeypatch.setattr(TROUBLE, "raises", True)
     with Store.open(directory) as store:
-        spec = next(run.spec for run in store.runs("injected") if run.spec.seed == BROKEN)
+        spec = next(run.spec for run in store.runs() if run.spec.kind == "injected" and run.spec.seed == BROKEN)
         with pytest.raises(ZeroDivisionError):
             fly_again(store, spec)
 

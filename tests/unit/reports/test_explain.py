@@ -140,7 +140,7 @@ def test_the_detector_is_named_with_its_profile_if_it_has_one():
 def injected(flown):
     with Store.open(flown) as store:
         return next(
-            run.spec.run_id for run in store.runs("injected")
+            run.spec.run_id for run in store.runs()
             if run.spec.setting == "fi" and run.spec.target == "control" and run.spec.fault.has_site
         )  # fmt: skip
 

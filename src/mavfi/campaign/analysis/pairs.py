@@ -31,15 +31,10 @@ class Paired:
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """Recovery rate (method - fi) / (golden - fi).
+    """Recovery rate (method - fi) / (golden - fi), and the loss, golden - fi, in pairs; with intervals.
 
     Attributes:
-        rate: None = undefined: the interval of the denominator contains 0.
-        low: Lower bound; None where undefined.
-        high: Upper bound.
-        loss: golden - fi, in pairs.
-        loss_low: Lower bound of the loss.
-        loss_high: Upper bound of the loss.
+        rate: None, as its bounds, where undefined: the interval of the denominator contains 0.
         lost: Pairs in which golden succeeds and fi does not.
         regained: Of these, those in which the method succeeds.
     """
@@ -55,12 +50,7 @@ class Recovery:
 
 
 def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
-    """Exact test that two settings succeed equally often in the same worlds with the same faults.
-
-    Args:
-        first: Success by pair.
-        second: Success by pair, in the same order.
-    """
+    """Exact test that two settings, given by their success in each pair, succeed equally often."""
     first_only = sum(a and not b for a, b in zip(first, second, strict=True))
     second_only = sum(b and not a for a, b in zip(first, second, strict=True))
     discordant = first_only + second_only
@@ -105,7 +95,7 @@ def _added(one: float, other: float, correlation: float) -> float:
 
 
 def recovery(pairs: Sequence[tuple[object, bool, bool, bool]]) -> Recovery | None:
-    """Share of the lost missions that a detector brings back.
+    """Share of the lost missions that a detector brings back; None if there is no pair.
 
     Where the method only brings back what fi alone has lost, the rate is a share of these pairs: Clopper and Pearson's
     exact interval, for the effective number of pairs (Korn and Graubard 1998).  Where other pairs differ too, it is
@@ -113,9 +103,6 @@ def recovery(pairs: Sequence[tuple[object, bool, bool, bool]]) -> Recovery | Non
 
     Args:
         pairs: World, success without a fault, with the fault, with fault and method.
-
-    Returns:
-        None if there is no pair.
     """
     if not pairs:
         return None

@@ -23,7 +23,7 @@ def figure(name: str, **key: str) -> Any:
 
     Args:
         name: Of the figure.
-        key: Environment, setting, stage, kernel or quantity, as the figure has it.
+        key: Environment, setting, stage, kernel or quantity.
     """
     found = _data()["figures"][name]
     value = found["values"]
@@ -39,7 +39,7 @@ def recovery(environment: str, setting: str) -> float | None:
 
 
 def worst_time(environment: str, setting: str) -> float | None:
-    """Increase of the worst flight time; with a detector what is left of it."""
+    """Increase of the worst flight time; with a detector, the increase that remains."""
     worst = figure("worst_time", environment=environment)
     if worst is None or setting == "fi":
         return None if worst is None else float(worst)
@@ -54,14 +54,7 @@ def comparable(campaign: Mapping[str, Any], detector_profile: str) -> bool:
 
 
 def beside(find: Any, heading: str = "paper", form: str = PERCENT, key: str = "paper") -> Measure:
-    """The paper's figure for the environment and setting of the rows, where the two can be compared.
-
-    Args:
-        find: Environment, setting -> figure.
-        heading: Of the column.
-        form: Of the figure.
-        key: Of the column.
-    """
+    """A column with the figure of an environment and setting, where rows and paper can be compared."""
 
     def of(own: Runs) -> Any:
         if not len(own) or not comparable(own.campaign, own.first("detector_profile")):

@@ -1,14 +1,13 @@
 """One run as one row: what was planned, what happened, and what is judged from the record and its golden run."""
 
 from collections.abc import Collection, Iterable, Mapping
-from functools import singledispatch
 from typing import Any
 
 import polars as pl
 
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.store import Run
-from mavfi.faults.fault import InstructionFault, MessageFault, RegisterFault, StateFault
+from mavfi.faults.fault import Fault, InstructionFault, MessageFault, RegisterFault, StateFault
 from mavfi.faults.strata import bit_class
 from mavfi.flight_log import AlarmRecord, Injection
 from mavfi.flight_record import AFTERMATH, INSTANT, End, FlightRecord
@@ -56,14 +55,14 @@ def row_of(
     Args:
         run: What was planned.
         record: What it left.
-        own: Record of the golden run of the same arm: what the digest is compared with.
-        reference: Record of the golden run of the same mission without a detector: what flight time is compared with.
+        own: Record of the golden run of the same arm, for the comparison of digests.
+        reference: Record of the golden run of the same mission without a detector, for the comparison of flight times.
         monitored: States and fields that detectors watch.
     """
     spec, fault = run.spec, run.spec.fault
     planned = {} if fault is None else {
         "level": fault.level, "site": fault.site, "bit": fault.bit, "stratum": fault.stratum, "weight": fault.weight,
-        "has_site": fault.has_site, "population": ALL_BITS, **site_columns(fault),
+        "has_site": fault.has_site, "population": ALL_BITS, **_site_columns(fault),
     }  # fmt: skip
     planned["monitored"] = (planned.get("state", ""), planned.get("field", "")) in monitored
     return {
@@ -77,38 +76,25 @@ def row_of(
     }  # fmt: skip
 
 
-@singledispatch
-def site_columns(fault: Any) -> dict[str, Any]:
-    """What a planned fault of one level says of its site."""
-    raise TypeError(f"no columns for {type(fault).__name__}")
-
-
-@site_columns.register
-def _(fault: StateFault) -> dict[str, Any]:
-    spec, where = STATES[fault.where.state], fault.where
-    bits = "" if fault.bit is None else bit_class(spec.find(where.field), fault.bit)
-    return {
-        "stage": str(spec.stage), "kernel": spec.writer, "state": where.state, "field": where.field,
-        "element": where.element, "bit_class": bits, "population": fault.stratum,
-    }  # fmt: skip
-
-
-@site_columns.register
-def _(fault: InstructionFault) -> dict[str, Any]:
-    return {
-        "stage": str(KERNEL_STAGES.get(fault.kernel, "")), "kernel": fault.kernel, "function": fault.entry,
-        "value_class": fault.value_class, "bit_class": fault.stratum,
-    }  # fmt: skip
-
-
-@site_columns.register
-def _(fault: MessageFault) -> dict[str, Any]:
-    return {"state": fault.topic, "field": fault.field}
-
-
-@site_columns.register
-def _(fault: RegisterFault) -> dict[str, Any]:
-    return {"register": fault.registers, "symbol": fault.symbol}
+def _site_columns(fault: Fault) -> dict[str, Any]:
+    """Site of a planned fault."""
+    match fault:
+        case StateFault(where=where):
+            spec = STATES[where.state]
+            return {
+                "stage": str(spec.stage), "kernel": spec.writer, "state": where.state, "field": where.field,
+                "element": where.element, "population": fault.stratum,
+                "bit_class": "" if fault.bit is None else bit_class(spec.find(where.field), fault.bit),
+            }  # fmt: skip
+        case InstructionFault():
+            return {
+                "stage": str(KERNEL_STAGES.get(fault.kernel, "")), "kernel": fault.kernel, "function": fault.entry,
+                "value_class": fault.value_class, "bit_class": fault.stratum,
+            }  # fmt: skip
+        case MessageFault():
+            return {"state": fault.topic, "field": fault.field}
+        case RegisterFault():
+            return {"register": fault.registers, "symbol": fault.symbol}
 
 
 _DETAILS = {
@@ -119,7 +105,7 @@ _DETAILS = {
 
 
 def _happened(record: FlightRecord, faulty: bool, has_site: bool) -> dict[str, Any]:
-    """What was injected; of several injections the first activated one."""
+    """The injection; of several, the first activated one."""
     activated = any(injection.activated for injection in record.injections)
     columns: dict[str, Any] = {"activated": activated}
     if faulty:
@@ -152,7 +138,7 @@ def _number(value: object) -> float | None:
 
 
 def _kernel(record: FlightRecord) -> dict[str, Any]:
-    """What the injected call did to its kernel."""
+    """Effect of the injected call on its kernel."""
     if record.kernel is None:
         return {}
     first: Mapping[str, Any] = record.kernel.first_difference or {}

@@ -21,11 +21,9 @@ Cell = Any
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column.
+    """One column: key in CSV and JSON, heading for people.
 
     Attributes:
-        key: Name in CSV and JSON.
-        heading: Name for people.
         form: How its cells are written for people.
         hidden: In CSV and JSON only.
     """
@@ -42,12 +40,9 @@ class Table:
 
     Attributes:
         name: Of its view.
-        title: What it shows.
-        columns: Of each row.
-        rows: Cells.
-        keys: How many of the first columns say what a row is of.
+        keys: How many of the first columns name the row.
         notes: Lines below it.
-        detail: Shown in files, and where it is asked for, only.
+        detail: Shown only in files, and on request.
     """
 
     name: str
@@ -60,7 +55,7 @@ class Table:
 
     @staticmethod
     def of_text(title: str, headings: Sequence[str], rows: Sequence[tuple[str, ...]], notes: Sequence[str]) -> "Table":
-        """A table of ready cells."""
+        """A table of texts."""
         columns = tuple(Column(heading, heading) for heading in headings)
         return Table(title, title, columns, rows, notes=tuple(notes))
 

@@ -16,18 +16,6 @@ DEVIATIONS = (
 _PROFILES = {"published": DEVIATIONS, "hardened": "not the paper's: what a careful team would fly"}
 
 
-def _all_rows(runs: Runs) -> Runs:
-    return runs
-
-
-def _no_notes(_: Runs) -> tuple[str, ...]:
-    return ()
-
-
-def _always(_: Runs) -> bool:
-    return True
-
-
 @dataclass(frozen=True)
 class View:
     """A question to a campaign.
@@ -55,17 +43,17 @@ class View:
     title: str
     by: tuple[str, ...]
     measures: tuple[Measure | Spread, ...]
-    where: Callable[[Runs], Runs] = _all_rows
+    where: Callable[[Runs], Runs] = field(default=lambda runs: runs)
     across: str = ""
     total: tuple[str, str] | None = None
     headings: tuple[str, ...] = ()
-    notes: Callable[[Runs], Iterable[str]] = _no_notes
+    notes: Callable[[Runs], Iterable[str]] = field(default=lambda _: ())
     most: str = ""
     largest: str = ""
     limit: int | None = None
     least: int = 1
     detail: bool = False
-    applies: Callable[[Runs], bool] = field(default=_always)
+    applies: Callable[[Runs], bool] = field(default=lambda _: True)
 
     def table(self, runs: Runs) -> Table:
         """Answer the question; a measure that raises gives `UNKNOWN` in its cell, and a note says why."""
@@ -149,10 +137,6 @@ def register(*views: View) -> None:
 
 def table(runs: Runs, name: str) -> Table:
     """Table of a view.
-
-    Args:
-        runs: Of a campaign.
-        name: Of the view.
 
     Raises:
         BadInputError: There is no such view.

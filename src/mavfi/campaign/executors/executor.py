@@ -14,12 +14,12 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """A mission is through: everything that it gave has been handed over."""
+    """The last item of a mission whose function has returned."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """A mission whose worker is gone; what it gave before has been handed over.
+    """The last item of a mission whose worker is gone.
 
     Attributes:
         reason: What became of the worker.
@@ -31,7 +31,7 @@ class Lost:
 
 
 class Executor(Protocol):
-    """Who works: local processes, or other machines."""
+    """Runs missions in workers: local processes, or other machines."""
 
     def map(
         self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
@@ -39,8 +39,8 @@ class Executor(Protocol):
         """Call a function for every mission; close the iterator, or leave it by an exception, to stop the workers.
 
         Args:
-            function: A generator function, known by its module.
-            missions: What it is called with.
+            function: A generator function that workers can import.
+            missions: Its arguments.
 
         Yields:
             Mission and item, each as soon as the function yields it, and `Done` or `Lost` as the last of a mission.
@@ -51,15 +51,7 @@ class Executor(Protocol):
 
 
 def map_each(executor: Executor, function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[T, R]]:
-    """Call a function once for every item.
-
-    Args:
-        executor: Who works.
-        function: Known by its module; it returns one result.
-        items: What it is called with.
-
-    Yields:
-        Item and result, in the order of completion.
+    """Call a function, which workers can import, once for every item; pairs of item and result as they are completed.
 
     Raises:
         MavfiError: A worker was lost.

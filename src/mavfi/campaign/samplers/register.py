@@ -17,13 +17,8 @@ PATIENCE_S = 20.0
 
 
 class RegisterSampler:
-    """Draws one bit of a register that an instruction reads or writes.
+    """Draws one bit of a register that an instruction reads or writes."""
 
-    Args:
-        campaign: With a `RegisterSampling`.
-    """
-
-    level = "register"
     variants: Mapping[str, Mapping[str, Any]] = {}
 
     def __init__(self, campaign: Campaign) -> None:
@@ -43,7 +38,7 @@ class RegisterSampler:
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
     ) -> Sampled:  # fmt: skip
-        """The golden run; nothing is drawn from it, but without it nothing can be judged."""
+        """The golden run, with which trials are compared; nothing is drawn from it."""
         del draws, environment, setup
         return Sampled(flights.golden(arm))
 

@@ -35,8 +35,7 @@ class Sampled:
     """A golden run, and what faults are drawn from.
 
     Attributes:
-        flight: The flight.
-        counts: What its kernels executed, as plain data (see `FlightRecord.counts`).
+        counts: What its kernels executed (see `FlightRecord.counts`).
         faults: Drawn in flight, by target, in the order of the draws (level instruction).
     """
 
@@ -49,12 +48,9 @@ class Sampler(Protocol):
     """Draws the faults of a campaign; a pure function of the campaign and of golden runs.
 
     Attributes:
-        level: Of its faults.
-        variants: Missions that are flown beside the campaign's own because a kernel is flown in them only: what
-            differs, by name.
+        variants: Missions that are flown besides its own because a kernel runs in them only: overrides.
     """
 
-    level: str
     variants: Mapping[str, Mapping[str, Any]]
 
     def draws(self, environment: str) -> list[Draw]:
@@ -63,26 +59,15 @@ class Sampler(Protocol):
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
     ) -> Sampled:  # fmt: skip
-        """Fly the golden run of a variant.
-
-        Args:
-            arm: Its name.
-            draws: Those of this mission and variant.
-            environment: Its name in the campaign.
-            flights: The mission.
-            setup: Of the arm.
-        """
+        """Fly the golden run of a variant; `draws` are those of this mission and variant."""
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
-        """The faults of one mission.
+        """The faults of one mission, in the order of the draws; None = nothing can be drawn, and no run is planned.
 
         Args:
             draws: Of this mission.
-            environment: Its name.
+            environment: Name.
             golden: By variant; one whose golden run left nothing is absent.
-
-        Returns:
-            In the order of the draws; None = nothing can be drawn, and no run is planned.
         """
 
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
