@@ -66,11 +66,6 @@ class RunSpec:
         """Environment and seed."""
         return self.environment, self.seed
 
-    @property
-    def golden_setting(self) -> str:
-        """Setting of its golden run: the same arm, without a fault."""
-        return _with_arm(GOLDEN, self.arm)
-
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
         data = {f.name: getattr(self, f.name) for f in fields(self)}
@@ -150,7 +145,7 @@ class Plan:
                 yield before + len(draws) * each + index, Draw(NULL, index, own)
 
     def injected(self, environment: str, draw: Draw, place: int, fault: Fault) -> list[RunSpec]:
-        """The runs of one fault: in its variant, and again in every arm; a null run in one arm, each in turn."""
+        """The runs of one fault: in its variant and again in every arm; a null run in one arm, each in turn."""
         if draw.target == NULL:
             arms = [arm for arm in self.arms if not arm.is_variant]
             flown: list[Arm] = [arms[draw.index % len(arms)]]

@@ -242,7 +242,7 @@ def status(directory: Path) -> Status:
 
 
 def stored_campaign(store: Store) -> Campaign:
-    """The campaign that a ledger holds."""
+    """The campaign of a ledger."""
     return Campaign.model_validate(store.meta("identity")["campaign"])
 
 

@@ -207,14 +207,6 @@ class Store:
             )
         return _run(*rows[0][1:])
 
-    def golden_of(self, spec: RunSpec) -> Run | None:
-        """The golden run of the same mission and arm; None for a golden run."""
-        if spec.kind == "golden":
-            return None
-        query = f"SELECT {_RUN} FROM runs WHERE kind = 'golden' AND setting = ? AND environment = ? AND seed = ?"
-        row = self._connection.execute(query, (spec.golden_setting, spec.environment, spec.seed)).fetchone()
-        return None if row is None else _run(*row)
-
     def write(self, run_id: str, record: FlightRecord, note: str, wall_s: float) -> None:
         """Store what a run left; from then on the run is done, and stays as it is."""
         with self._connection:

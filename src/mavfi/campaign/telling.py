@@ -1,7 +1,7 @@
 """The run of a campaign that says most, flown again: injected, golden, and with a detector that saves the mission."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import polars as pl
@@ -46,12 +46,9 @@ def fly_telling_run(store: Store, runs: pl.DataFrame) -> Telling | None:
         return None
     injected, saved = chosen
     spec = store.run(injected["run_id"]).spec
-    golden = store.golden_of(spec)
-    assert golden is not None  # it was judged against it
-    return Telling(
-        injected, saved, fly_again(store, spec), fly_again(store, golden.spec),
-        None if saved is None else fly_again(store, store.run(saved["run_id"]).spec),
-    )  # fmt: skip
+    golden = fly_again(store, replace(spec, fault=None))
+    recovered = None if saved is None else fly_again(store, store.run(saved["run_id"]).spec)
+    return Telling(injected, saved, fly_again(store, spec), golden, recovered)
 
 
 def choose(runs: pl.DataFrame) -> tuple[Row, Row | None] | None:

@@ -1,14 +1,26 @@
-"""Flies the error-free missions that detectors are trained on, trains them, and counts their false alarms."""
+"""Flies the error-free missions that detectors are trained on, trains them, and counts their false alarms.
 
-from collections.abc import Callable, Sequence
+Recordings stay on disk until the models are saved, so that training can be resumed.
+"""
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
 
 from mavfi.campaign.analysis.statistics import EventRate, event_rate_by_flight
 from mavfi.campaign.config import TRAINING_SEED
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.recordings import KeptRecordings
+from mavfi.campaign.run import versions
 from mavfi.detectors.model import Model
 from mavfi.detectors.recorder import Recorder, Recording
 from mavfi.errors import BadInputError
@@ -24,6 +36,73 @@ CHECKING_SEED = TRAINING_SEED + 500_000
 """First seed of the flights on which false alarms are counted, far behind those of training."""
 Progress = Callable[[int, int], None]
 _MOST_FLIGHTS_PER_WANTED = 3
+FOLDER = ".flights"
+"""Folder of the recordings, in the folder of the models."""
+_PARTS = ("kinds", "times_us", "content")
+
+
+class KeptRecordings:
+    """Recordings by seed, in a subfolder named after what decides them: scenario, versions and code of mavfi.
+
+    Args:
+        folder: Of the models.
+        scenario: Mission whose seed is the first one.
+    """
+
+    def __init__(self, folder: Path, scenario: Scenario) -> None:
+        self._parent = folder / FOLDER
+        self._folder = self._parent / _key(scenario)
+
+    def load(self, seeds: Iterable[int]) -> dict[int, Recording]:
+        """Recordings of these seeds; a file that cannot be read counts as absent."""
+        found = {}
+        for seed in seeds:
+            try:
+                with np.load(io.BytesIO(self._path(seed).read_bytes())) as archive:
+                    found[seed] = Recording(*(archive[name] for name in _PARTS))
+            except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+                continue
+        return found
+
+    def save(self, seed: int, recording: Recording) -> None:
+        """Write a recording, atomically.
+
+        Raises:
+            BadInputError: The folder cannot be written.
+        """
+        path = self._path(seed)
+        part = path.with_suffix(".part")
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            with part.open("wb") as file:
+                np.savez_compressed(file, **{name: getattr(recording, name) for name in _PARTS})
+            os.replace(part, path)
+        except OSError as error:
+            raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
+
+    def delete(self) -> None:
+        """Remove these recordings, and the parent folder if it is empty then."""
+        shutil.rmtree(self._folder, ignore_errors=True)
+        with contextlib.suppress(OSError):  # absent, or another training is under way
+            self._parent.rmdir()
+
+    def _path(self, seed: int) -> Path:
+        return self._folder / f"{seed}.npz"
+
+
+def _key(scenario: Scenario) -> str:
+    """Hash of all that a recording depends on but the seed."""
+    parts = {"scenario": scenario.model_copy(update={"seed": 0}).key(), "versions": versions(), "code": _code()}
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _code() -> str:
+    """Hash of the package's source."""
+    content = hashlib.sha256()
+    package = Path(__file__).parents[1]
+    for path in sorted(package.rglob("*.py")):
+        content.update(f"{path.relative_to(package)}\n".encode() + path.read_bytes())
+    return content.hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,17 +137,13 @@ def record_flight(task: _Task) -> Recording | None:
 def record_flights(
     scenario: Scenario, count: int, workers: int, progress: Progress | None = None, disk: KeptRecordings | None = None
 ) -> dict[int, Recording]:
-    """Fly until `count` missions have reached their goals.
+    """Fly missions, from the seed of the scenario on, until `count` have reached their goals.
 
-    Args:
-        scenario: Mission whose seed is the first one.
-        count: Flights wanted.
-        workers: Number of processes; the result does not depend on it.
-        progress: Called with flights kept and wanted, for the first time before anything is flown.
-        disk: Where recordings are kept, so that stopping loses only the flights in the air; None = nowhere.
+    Recordings are kept on `disk`, if given, so that stopping loses only the flights in the air; `progress` is called
+    with flights kept and wanted, for the first time before anything is flown.
 
     Returns:
-        Recordings by seed, ascending.
+        Recordings by seed, ascending; they do not depend on the number of workers.
 
     Raises:
         BadInputError: `count` is below 1, or too few missions reach their goals.
@@ -142,15 +217,9 @@ def train(
 def count_false_alarms(
     models: Sequence[Model], folder: Path, flights: int, mission: MissionSpec, workers: int, progress: Progress
 ) -> list[EventRate]:
-    """Alarms per flight hour by model, on error-free missions that were not trained on.
+    """Alarms per flight hour of each model in the folder, on as many error-free missions with seeds of their own.
 
-    Args:
-        models: Trained for this mission, with files in the folder.
-        folder: Of the models.
-        flights: Missions for each model.
-        mission: As of `train`.
-        workers: Number of processes.
-        progress: Called with flights done and wanted.
+    Missions are flown as of `train`; `progress` is called with flights done and wanted.
 
     Raises:
         MavfiError: A worker was lost.

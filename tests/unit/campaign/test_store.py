@@ -80,19 +80,6 @@ def test_a_ledger_is_complete_when_every_mission_is_planned_and_flown(store):
     assert store.complete
 
 
-def test_a_run_knows_its_golden_run(store):
-    others = [
-        RunSpec("golden", "golden_g", "sparse", 2, "key", "g", position=10),
-        RunSpec("injected", "dr_g", "sparse", 2, "key", "g", position=11),
-        RunSpec("null", "null_g", "sparse", 9, "key", "g", position=12),
-    ]
-    store.plan([INJECTED, *others])
-    assert store.golden_of(INJECTED).spec == SPECS[2]
-    assert store.golden_of(others[1]).spec == others[0]
-    assert store.golden_of(others[2]) is None, "it is not planned"
-    assert store.golden_of(SPECS[2]) is None
-
-
 def test_digest_does_not_depend_on_order_or_wall_time(tmp_path):
     digests = []
     for name, order in (("a", SPECS), ("b", SPECS[::-1])):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.divergence import Departure, Difference
-from mavfi.campaign.explanation import Explanation, explain
 from mavfi.campaign.plan import RunSpec
+from mavfi.campaign.replay import Explanation, explain
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, FaultSite, InstructionFault, StateFault

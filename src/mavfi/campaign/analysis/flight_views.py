@@ -1,5 +1,6 @@
 """Views of campaigns of flights: success, recovery, effects, flight time, alarms, and where faults were."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -8,6 +9,7 @@ import polars as pl
 from mavfi.campaign.analysis import measures as m
 from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.measures import Measure
+from mavfi.campaign.analysis.pairs import Recovery
 from mavfi.campaign.analysis.rows import ACTIVATED, KERNEL_DUE, NO_SITE, NOT_ACTIVATED
 from mavfi.campaign.analysis.runs import ALL, Runs
 from mavfi.campaign.analysis.statistics import Rate
@@ -116,29 +118,21 @@ register(
 
 
 # ---- recovery ----------------------------------------------------------------------------------------------------
-def _recovery(part: str) -> Any:
-    def of(own: Runs) -> Any:
+def _recovery(of: Callable[[Runs, Recovery], Any]) -> Callable[[Runs], Any]:
+    def cell(own: Runs) -> Any:
         found = m.recovery_of(own)
-        return None if found is None else getattr(found, part)
+        return None if found is None else of(own, found)
 
-    return of
+    return cell
 
 
-def _recovery_rate(own: Runs) -> Any:
-    found = m.recovery_of(own)
-    if found is None:
-        return None
+def _recovery_rate(_: Runs, found: Recovery) -> Any:
     return "undefined" if found.rate is None else Rate(found.lost, found.rate, found.low, found.high)
 
 
 def _papers_recovery(own: Runs) -> float | None:
     leads = own.first("population") in m.LEADING and paper.comparable(own.campaign, own.first("detector_profile"))
     return paper.recovery(own.first("environment"), own.first("setting")) if leads else None
-
-
-def _loss(own: Runs) -> Any:
-    found = m.recovery_of(own)
-    return None if found is None else Rate(len(own), found.loss, found.loss_low, found.loss_high)
 
 
 def named_populations(runs: Runs) -> Runs:
@@ -159,14 +153,15 @@ register(
         "recovery", "Recovery", ("environment", "bits", "setting"),
         (
             m.count("pairs", "pairs"),
-            Measure("lost", "lost", NUMBER, _recovery("lost")),
-            Measure("brought_back", "brought back", NUMBER, _recovery("regained")),
+            Measure("lost", "lost", NUMBER, _recovery(lambda _, found: found.lost)),
+            Measure("brought_back", "brought back", NUMBER, _recovery(lambda _, found: found.regained)),
             Measure("newly_lost", "newly lost", NUMBER, lambda own: m.discordant(own).first_only),
             Measure("only_dr", "only dr succeeds", NUMBER, lambda own: m.discordant(own).second_only),
             Measure("p", "p", "number .3g", lambda own: m.discordant(own).p_value),
-            Measure("recovery", "recovery", "percent with interval", _recovery_rate),
+            Measure("recovery", "recovery", "percent with interval", _recovery(_recovery_rate)),
             Measure("paper", "paper", PERCENT, _papers_recovery),
-            Measure("loss", "golden – fi (points)", POINTS, _loss),
+            Measure("loss", "golden – fi (points)", POINTS, _recovery(
+                lambda own, found: Rate(len(own), found.loss, found.loss_low, found.loss_high))),
         ),
         where=lambda runs: named_populations(m.against_fi(runs)), total=TOTAL,
         notes=lambda runs: (

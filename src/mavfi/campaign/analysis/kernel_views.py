@@ -1,6 +1,6 @@
 """Views of faults in instructions: the success table under both policies, and what kernels did with each fault."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import polars as pl
@@ -56,15 +56,8 @@ def by_stages(runs: Runs) -> bool:
 
 
 # ---- success under both policies ---------------------------------------------------------------------------------
-def _policy(column: str) -> Any:
-    def of(own: Runs) -> Any:
-        return m.rate_of(own.where("judged"), column) if own.first("kind") == "injected" else None
-
-    return of
-
-
-def _golden(own: Runs) -> Any:
-    return m.rate_of(own.where("judged"), "success") if own.first("kind") == "golden" else None
+def _success(kind: str, column: str) -> Callable[[Runs], Any]:
+    return lambda own: m.rate_of(own.where("judged"), column) if own.first("kind") == kind else None
 
 
 def _estimand(runs: Runs) -> str:
@@ -98,9 +91,9 @@ register(
         "instructions_as_in_the_paper", "Instruction level, the paper's Table I: success rates, one fault per mission",
         ("row",),
         (
-            Measure("here", "here", RATE, _golden),
-            Measure("restart", "here, node restarts", RATE, _policy("success")),
-            Measure("end", "here, mission ends", RATE, _policy("success_if_ended")),
+            Measure("here", "here", RATE, _success("golden", "success")),
+            Measure("restart", "here, node restarts", RATE, _success("injected", "success")),
+            Measure("end", "here, mission ends", RATE, _success("injected", "success_if_ended")),
             paper.beside(paper.success),
         ),
         where=faulty_and_bare, across="environment", headings=("",),

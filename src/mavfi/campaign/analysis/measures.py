@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -47,7 +46,6 @@ class Measure:
 
     Attributes:
         key: Name of the column in CSV and JSON.
-        heading: For people.
         form: How cells are written for people; see `table`.
         of: Rows of a group -> cell.
         hidden: In CSV and JSON only.
@@ -61,7 +59,7 @@ class Measure:
 
     @property
     def column(self) -> Column:
-        """Its column."""
+        """Its heading and form."""
         return Column(self.key, self.heading, self.form, self.hidden)
 
 
@@ -97,20 +95,12 @@ def quantile_of(values: Iterable[float | None], share: float) -> float | None:
 
 
 def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str, weighted: bool = False) -> Measure:
-    """Share of rows that pass a test, with Wilson's interval for the effective number of flights.
-
-    Args:
-        key: Of the column.
-        heading: Of the column.
-        test: What is counted.
-        where: Rows that count at all.
-        weighted: Whether faults count with their weights.
-    """
+    """Share of rows that pass a test, among those that pass `where`, with Wilson's interval by clusters."""
     return Measure(key, heading, RATE, lambda own: rate_of(own.where(*where), test, weighted=weighted))
 
 
 def rate_of(own: Runs, test: pl.Expr | str, *, weighted: bool = False) -> Rate:
-    """Rate over rows, with an interval that treats missions as clusters."""
+    """Rate over rows, if asked with the weights of faults, with an interval that treats missions as clusters."""
     asked = pl.col(test) if isinstance(test, str) else test
     passed = own.frame.select(asked.fill_null(value=False).alias("passed"))["passed"].to_list()
     return clustered_rate(passed, own["world"], own["weight"] if weighted else None)
@@ -127,16 +117,15 @@ def populations(own: Runs, test: pl.Expr | str) -> dict[str, Rate]:
         judged = own.where("judged")
         rates = {name: rate_of(part, test) for (name,), part in judged.groups("population").items()}
         if set(rates) in PARTITIONS:
-            asked = pl.col(test) if isinstance(test, str) else test
-            passed = judged.frame.select(asked.alias("passed"))["passed"].to_list()
-            rates[WHOLE_WORD] = weighted_rate(passed, judged["weight"], judged["population"], judged["world"])
+            passed = judged.frame.select((pl.col(test) if isinstance(test, str) else test).alias("passed"))["passed"]
+            rates[WHOLE_WORD] = weighted_rate(passed.to_list(), judged["weight"], judged["population"], judged["world"])
         memo[key] = rates
     found: dict[str, Rate] = memo[key]
     return found
 
 
 def population_names(runs: Runs, by: Sequence[str]) -> list[str]:
-    """Populations in the order in which tables show them: headline, whole word, the others; golden runs have none."""
+    """Populations in the order of tables: headline, whole word, the others; golden runs have none."""
     found: dict[str, None] = {}
     for part in runs.groups(*by).values():
         own = part.where("judged").values("population")
@@ -146,7 +135,7 @@ def population_names(runs: Runs, by: Sequence[str]) -> list[str]:
 
 
 def leading(own: Runs, names: Sequence[str], test: pl.Expr | str) -> Rate | None:
-    """Rate in the population that a table leads with; of golden runs, in all of them."""
+    """Rate in the leading population; of golden runs, in all of them."""
     rates = populations(own, test)
     return rates.get("all", rates.get(names[0]) if names else None)
 
@@ -159,16 +148,14 @@ def by_population(test: pl.Expr | str, key: str = "success", title: str = "succe
         heading = title + POPULATIONS.get(names[0], names[0]) if names else title.rstrip(", ")
         yield Measure(key, heading, RATE, lambda own: leading(own, names, test))
 
+    def within(name: str) -> Callable[[Runs], Cell]:
+        return lambda own: populations(own, test).get(name)
+
     def others(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
         for name in population_names(runs, by)[1:]:
-            of = partial(_population, name=name, test=test)
-            yield Measure(f"{key}_{name}", POPULATIONS.get(name, name), RATE, of)
+            yield Measure(f"{key}_{name}", POPULATIONS.get(name, name), RATE, within(name))
 
     return lead, others
-
-
-def _population(own: Runs, name: str, test: pl.Expr | str) -> Rate | None:
-    return populations(own, test).get(name)
 
 
 FAILS_OR_SLOWER = ~pl.col("success") | (pl.col("inflation") > SLOWER).fill_null(value=False)
@@ -209,15 +196,11 @@ def against_fi(runs: Runs) -> Runs:
 def recovery_of(own: Runs) -> pairs.Recovery | None:
     """Recovery rate (dr - fi) / (golden - fi) of paired rows."""
     if "recovery" not in own.memo:
-        own.memo["recovery"] = _recovery_of(own)
+        known = own.where(pl.col("golden_success").is_not_null())
+        columns = (known[name] for name in ("world", "golden_success", "fi_success", "dr_success"))
+        own.memo["recovery"] = pairs.recovery(list(zip(*columns, strict=True)))
     found: pairs.Recovery | None = own.memo["recovery"]
     return found
-
-
-def _recovery_of(own: Runs) -> pairs.Recovery | None:
-    known = own.where(pl.col("golden_success").is_not_null())
-    columns = (known[name] for name in ("world", "golden_success", "fi_success", "dr_success"))
-    return pairs.recovery(list(zip(*columns, strict=True)))
 
 
 def discordant(own: Runs) -> pairs.Paired:
@@ -231,7 +214,7 @@ def against_golden(own: Runs) -> pairs.Paired:
 
 
 def separable(runs: Runs) -> list[tuple[str, float | None, float | None]]:
-    """By environment: the smallest differences (golden - fi, fi - dr) that a success table can be expected to show."""
+    """By environment: the smallest differences (golden - fi, fi - dr) that a success table can show."""
     found = []
     for (environment,), part in runs.groups("environment").items():
         golden = part.golden.where("judged", setting=GOLDEN)

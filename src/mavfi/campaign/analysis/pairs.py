@@ -61,19 +61,11 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
 def paired_difference(
     first: Sequence[bool], second: Sequence[bool], world: Sequence[object]
 ) -> tuple[float, float, float]:
-    """Difference of two success rates in the same missions, first - second, with MOVER's interval.
+    """Difference of two success rates in the same missions, first - second, with MOVER's interval: estimate, low, high.
 
     The difference is that of two shares: pairs in which only the first succeeds, and only the second; each has
     Wilson's interval for the effective number of pairs, and they are correlated as shares of one sample are.  Without
-    discordant pairs the interval is as wide as these two allow, not 0.
-
-    Args:
-        first: Success by pair; at least one.
-        second: Success by pair, in the same order.
-        world: By pair.
-
-    Returns:
-        Estimate, lower and upper bound.
+    discordant pairs the interval is as wide as these two allow, not 0.  There is at least one pair.
     """
     one, other = np.asarray(first, bool), np.asarray(second, bool)
     ones = np.ones(len(one))

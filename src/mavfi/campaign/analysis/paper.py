@@ -19,12 +19,7 @@ def _data() -> dict[str, Any]:
 
 
 def figure(name: str, **key: str) -> Any:
-    """One figure, a share or text; None = the paper has none.
-
-    Args:
-        name: Of the figure.
-        key: Environment, setting, stage, kernel or quantity.
-    """
+    """One figure, a share or text, by environment, setting, stage, kernel or quantity; None = the paper has none."""
     found = _data()["figures"][name]
     value = found["values"]
     for column in found["by"]:

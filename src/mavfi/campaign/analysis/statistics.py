@@ -73,15 +73,11 @@ def score_bounds(rate: float, n: float) -> tuple[float, float]:
 def clustered_rate(
     success: Sequence[bool], world: Sequence[object], weight: Sequence[float] | None = None
 ) -> Rate:  # fmt: skip
-    """Rate with Wilson's interval for the effective number of flights.
+    """Rate with Wilson's interval for the effective number of flights; worlds are the clusters.
 
-    With weights it is the ratio estimate, sum of weight x success over sum of weights, whose bias falls as 1 / n.
-    Uneven weights lower the effective number of flights (Kish 1965).
-
-    Args:
-        success: By flight.
-        world: By flight, the cluster.  With one flight per world the interval is `wilson`'s.
-        weight: By flight, above 0; None = all alike.
+    With weights (above 0; None = all alike) it is the ratio estimate, sum of weight x success over sum of weights, with
+    a bias that falls as 1 / n; uneven ones lower the effective number of flights (Kish 1965). With one flight per world the
+    interval is `wilson`'s.
     """
     if not success:
         return wilson(0, 0)
@@ -152,17 +148,11 @@ def weighted_rate(
 ) -> Rate:
     """Rate over a population of which each stratum was sampled at its own density.
 
-    A draw's weight is the share of the population that its stratum stands for; sum over strata of the mean of
-    weight x success, over the same without success.  The interval is MOVER's: distances to Wilson's bounds within the
-    strata, for the effective numbers of flights, added as standard errors are, with the correlation between strata that
-    share worlds (where it is positive).  It is conditional on the fields that were drawn.  A stratum in which all
-    flights end alike keeps its uncertainty.
-
-    Args:
-        success: 0 or 1 by flight.
-        weight: `Fault.weight` by flight.
-        stratum: By flight.
-        world: By flight, the cluster.
+    A draw's weight (`Fault.weight`) is the share of the population that its stratum stands for; sum over strata of the
+    mean of weight x success, over the same without success.  The interval is MOVER's: distances to Wilson's bounds
+    within the strata, for the effective numbers of flights, added as standard errors are, with the correlation between
+    strata that share worlds (where it is positive).  It is conditional on the fields that were drawn.  A stratum in
+    which all flights end alike keeps its uncertainty.
     """
     n = len(success)
     if n == 0:
@@ -226,15 +216,10 @@ def event_rate_by_flight(events: Sequence[int], hours: Sequence[float]) -> Event
 
 
 def smallest_difference(rate: float, first_n: int, second_n: int) -> float | None:
-    """Smallest difference of two rates that a table of so many flights can be expected to show.
+    """Smallest difference of two rates around `rate` that tables of so many flights can be expected to show.
 
     Two-sided 5 % test of independent samples, normal approximation, power 80 %; pairing makes the true figure somewhat
-    smaller.
-
-    Args:
-        rate: Rate around which they lie; rates of 0 and 1 are taken as half a flight away from them.
-        first_n: Flights of the first.
-        second_n: Flights of the second.
+    smaller.  Rates of 0 and 1 are taken as half a flight away from them.
     """
     if min(first_n, second_n) == 0:
         return None

@@ -38,15 +38,10 @@ class Executor(Protocol):
     ) -> Generator[tuple[T, R | Done | Lost], None, None]:  # fmt: skip
         """Call a function for every mission; close the iterator, or leave it by an exception, to stop the workers.
 
-        Args:
-            function: A generator function that workers can import.
-            missions: Its arguments.
+        The function is a generator function that workers can import; its exceptions are raised here.
 
         Yields:
             Mission and item, each as soon as the function yields it, and `Done` or `Lost` as the last of a mission.
-
-        Raises:
-            Exception: Whatever the function raised.
         """
 
 
@@ -55,7 +50,6 @@ def map_each(executor: Executor, function: Callable[[T], R], items: Iterable[T])
 
     Raises:
         MavfiError: A worker was lost.
-        Exception: Whatever the function raised.
     """
     with closing(executor.map(functools.partial(_once, function), items)) as results:
         for item, result in results:
