@@ -23,22 +23,14 @@ class Publication:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The first publication in which two flights differ; they are paired by state and number.
-
-    Attributes:
-        field: With its element; "" where only the instant differs, or where one flight has no such publication.
-        golden_us: When the golden run published it; None = it did not.
-        injected_us: When the injected run did; None = it did not.
-        golden: Value in the golden run; None without a field.
-        injected: Value in the injected run; None without a field.
-    """
+    """The first publication in which two flights differ; they are paired by state and number."""
 
     state: str
-    field: str
-    golden_us: int | None
-    injected_us: int | None
-    golden: object = None
-    injected: object = None
+    field: str  # with its element; "" where only the instant differs, or one flight has no such publication
+    golden_us: int | None  # when the golden run published it; None = it did not
+    injected_us: int | None  # when the injected run did; None = it did not
+    golden: object = None  # value in the golden run; None without a field
+    injected: object = None  # value in the injected run; None without a field
 
     @property
     def time_us(self) -> int:
@@ -106,21 +98,13 @@ def _first_row(before: np.ndarray, after: np.ndarray) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class Departure:
-    """How far a flight went from the golden run's path, at any time, and how far behind it ended.
+    """How far a flight went from the golden run's path, at any time, and how far behind it ended."""
 
-    Attributes:
-        time_s: When it was first farther than `LEFT` from the path; None if never.
-        position: Where it was then (m).
-        largest_m: Largest distance from the path, and when (s).
-        behind_s: At its end: its time less that at which the golden run passed the nearest point (s); negative =
-            ahead, None where its last position is not finite.
-    """
-
-    time_s: float | None
-    position: tuple[float, float, float] | None
-    largest_m: float
-    largest_s: float
-    behind_s: float | None
+    time_s: float | None  # when it was first farther than `LEFT` from the path; None if never
+    position: tuple[float, float, float] | None  # at that time (m)
+    largest_m: float  # largest distance from the path
+    largest_s: float  # its time
+    behind_s: float | None  # at its end, less the golden run's time at the nearest point; None = no finite position
 
 
 def departure(golden: FlightLog, injected: FlightLog) -> Departure:

@@ -18,7 +18,6 @@ from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Sampled
 from mavfi.detectors.detector import Detector
 from mavfi.errors import SpecMismatchError
-from mavfi.faults.fault import Fault
 from mavfi.faults.instruction.forked import WALL_CLOCK, run_in_child
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Host, MissionFlights, Recorded, find_host
@@ -33,24 +32,16 @@ LONGEST_ALONE = 180.0
 
 @dataclass(frozen=True, slots=True)
 class MissionPlan:
-    """A mission, and all that its runs are a function of.
-
-    Attributes:
-        models_dir: Folder of trained models; None = the shipped ones.
-        models: sha256 of the trained model by arm; others are refused.
-        fast_forward: Whether flights may begin at checkpoints of known ones; the records are the same either way.
-        done: Ids of the runs in the ledger.
-        alone: Whether each run with a fault is flown in a child of its own: a worker has died of this mission.
-    """
+    """A mission, and all that its runs are a function of."""
 
     campaign: Campaign
     environment: str
     seed: int
-    models_dir: Path | None = None
-    models: Mapping[str, str] = field(default_factory=dict)
-    fast_forward: bool = True
-    done: frozenset[str] = frozenset()
-    alone: bool = False
+    models_dir: Path | None = None  # of trained models; None = the shipped ones
+    models: Mapping[str, str] = field(default_factory=dict)  # sha256 of the trained model by arm; others are refused
+    fast_forward: bool = True  # begin flights at checkpoints of known ones; the records are the same either way
+    done: frozenset[str] = frozenset()  # ids of the runs in the ledger
+    alone: bool = False  # each run with a fault in a child of its own: a worker has died of this mission
 
     @property
     def world(self) -> tuple[str, int]:
@@ -168,17 +159,15 @@ def _golden(plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup,
 
 def _draw(plan: Plan, mission: MissionPlan, sampled: Mapping[str, Sampled]) -> list[RunSpec]:
     """All runs with a fault of a mission, in the order of the plan."""
+    sampler, environment = plan.sampler, mission.environment
     places = list(plan.places(*mission.world))
-    draws = [draw for _, draw in places if draw.target != NULL]
-    drawn = iter(plan.sampler.draw(draws, mission.environment, sampled))
+    drawn = iter(sampler.draw([draw for _, draw in places if draw.target != NULL], environment, sampled))
     found = []
     for place, draw in places:
-        if draw.target == NULL:
-            fault: Fault | None = plan.sampler.null(draw.index, draw.seed, mission.environment, sampled)
-        else:
-            fault = next(drawn)
+        is_null = draw.target == NULL
+        fault = sampler.null(draw.index, draw.seed, environment, sampled) if is_null else next(drawn)
         if fault is not None:
-            found += plan.injected(mission.environment, draw, place, fault)
+            found += plan.injected(environment, draw, place, fault)
     return found
 
 
@@ -224,11 +213,7 @@ def _judged(flight: Recorded | Exception) -> FlightRecord:
 
 
 def _guarded(run_id: str, work: Callable[[], FlightRecord]) -> Flown:
-    """Record a run; an exception of ours is recorded as `unknown`.
-
-    Raises:
-        SpecMismatchError: A model is not the planned one: no run of the mission can be flown.
-    """
+    """Record a run, an exception of ours as `unknown`; where a model is not the planned one, no run can be flown."""
     started = time.perf_counter()
     try:
         return Flown(run_id, work(), wall_s=time.perf_counter() - started)

@@ -23,35 +23,22 @@ Kind = Literal["golden", "injected", "null"]
 
 @dataclass(frozen=True, slots=True)
 class RunSpec:
-    """One run: with its scenario, all that decides every byte of its record.
-
-    Attributes:
-        setting: See the module's text.
-        environment: Name in the campaign.
-        scenario: Key of the scenario with the campaign's first seed.
-        arm: "" = the campaign's own mission, without a detector.
-        detector: "" = none.
-        model: sha256 of the detector's trained model.
-        target: Stage, group, kernel or kind of registers whose fault it is; "" for golden runs.
-        index: Number of the fault within target and environment.
-        position: Place in the ledger; does not decide the record.
-        run_id: Readable, and unique by a hash of all of the above.
-    """
+    """One run: with its scenario, all that decides every byte of its record."""
 
     kind: Kind
-    setting: str
-    environment: str
+    setting: str  # see the module's text
+    environment: str  # name in the campaign
     seed: int
-    scenario: str
-    arm: str = ""
-    detector: str = ""
+    scenario: str  # key of the scenario with the campaign's first seed
+    arm: str = ""  # "" = the campaign's own mission, without a detector
+    detector: str = ""  # "" = none
     detector_profile: str = ""
-    model: str = ""
-    target: str = ""
-    index: int = 0
+    model: str = ""  # sha256 of the detector's trained model
+    target: str = ""  # stage, group, kernel or kind of registers of the fault; "" for golden runs
+    index: int = 0  # number of the fault within target and environment
     fault: Fault | None = None
-    position: int = field(default=0, compare=False)
-    run_id: str = field(default="", compare=False)
+    position: int = field(default=0, compare=False)  # place in the ledger; does not decide the record
+    run_id: str = field(default="", compare=False)  # readable, and unique by a hash of all of the above
 
     def __post_init__(self) -> None:
         content = json.dumps({**self.to_json(), "position": 0, "run_id": ""}, sort_keys=True)
@@ -80,20 +67,13 @@ class RunSpec:
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """A variant of the campaign's missions: what differs, and which detector watches.
+    """What is compared: overrides of the campaign's mission, and the detector that watches."""
 
-    Attributes:
-        name: "" = the campaign's own mission.
-        overrides: Keys of the mission that differ.
-        detector: "" = none.
-        is_variant: Whether the sampling scheme needs it: it is flown only with the faults that are drawn in it.
-    """
-
-    name: str = ""
+    name: str = ""  # "" = the campaign's own mission
     overrides: Mapping[str, Any] = field(default_factory=dict)
-    detector: str = ""
+    detector: str = ""  # "" = none
     profile: str = ""
-    is_variant: bool = False
+    is_variant: bool = False  # needed by the sampling scheme, and flown only with the faults that are drawn in it
 
 
 def _with_arm(setting: str, arm: str) -> str:
@@ -102,19 +82,13 @@ def _with_arm(setting: str, arm: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The runs of a campaign before any of them is flown.
-
-    Attributes:
-        arms: The campaign's own mission, the variants, the arms, in this order.
-        scenarios: Key of the scenario by environment and arm.
-        models: sha256 of the trained model by arm.
-    """
+    """The runs of a campaign before any of them is flown."""
 
     campaign: Campaign
     sampler: Sampler
-    arms: tuple[Arm, ...]
-    scenarios: Mapping[tuple[str, str], str]
-    models: Mapping[str, str]
+    arms: tuple[Arm, ...]  # the campaign's own mission, the variants, the arms, in this order
+    scenarios: Mapping[tuple[str, str], str]  # key of the scenario by environment and arm
+    models: Mapping[str, str]  # sha256 of the trained model by arm
 
     @property
     def watching(self) -> tuple[Arm, ...]:
@@ -147,16 +121,20 @@ class Plan:
     def injected(self, environment: str, draw: Draw, place: int, fault: Fault) -> list[RunSpec]:
         """The runs of one fault: in its variant and again in every arm; a null run in one arm, each in turn."""
         if draw.target == NULL:
+            kind: Kind = "null"
             arms = [arm for arm in self.arms if not arm.is_variant]
-            flown: list[Arm] = [arms[draw.index % len(arms)]]
+            settings = [(arm, _with_arm(NULL, arm.name)) for arm in [arms[draw.index % len(arms)]]]
         else:
-            flown = [next(arm for arm in self.arms if arm.name == draw.variant), *self.watching]
+            kind = "injected"
+            variant = next(arm for arm in self.arms if arm.name == draw.variant)
+            again = [(arm, _with_arm(RECOVERY if arm.detector else FI, arm.name)) for arm in self.watching]
+            settings = [(variant, FI), *again]
         return [
             self._run(
-                "null" if draw.target == NULL else "injected", self._setting(draw, arm), environment, draw.seed, arm,
-                target=draw.target, index=draw.index, fault=fault, position=self._golden_count + place + number,
+                kind, setting, environment, draw.seed, arm, target=draw.target, index=draw.index, fault=fault,
+                position=self._golden_count + place + number,
             )
-            for number, arm in enumerate(flown)
+            for number, (arm, setting) in enumerate(settings)
         ]  # fmt: skip
 
     def count(self) -> int:
@@ -168,11 +146,6 @@ class Plan:
     @property
     def _golden_count(self) -> int:
         return len(self.campaign.environments) * self.campaign.missions * len(self.arms)
-
-    def _setting(self, draw: Draw, arm: Arm) -> str:
-        if draw.target == NULL:
-            return _with_arm(NULL, arm.name)
-        return _with_arm(RECOVERY if arm.detector else FI, "" if arm.is_variant else arm.name)
 
     def _run(self, kind: Kind, setting: str, environment: str, seed: int, arm: Arm, **more: Any) -> RunSpec:
         return RunSpec(

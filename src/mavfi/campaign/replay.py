@@ -18,16 +18,11 @@ from mavfi.states import State
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """A run that was flown again.
+    """A run that was flown again."""
 
-    Attributes:
-        run: The stored run.
-        flight: The new flight, and its digest.
-    """
-
-    run: Run
-    flight: Flight
-    digest: str
+    run: Run  # as stored
+    flight: Flight  # of now
+    digest: str  # of the new flight
 
     @property
     def same(self) -> bool:
@@ -81,21 +76,15 @@ def _setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """A run and its golden run, both flown again.
-
-    Attributes:
-        flight: The new flight of the run.
-        golden: The new flight of the golden run, with the same detector.
-        same: Whether the digest is the stored one.
-        first: First publication that differs; None = none does, or a fault in an instruction: its flight ends in a
-            forked process, and the kernel effect in its log has the first difference.
-    """
+    """A run and its golden run, both flown again."""
 
     spec: RunSpec
-    flight: Flight
-    golden: Flight
-    same: bool
+    flight: Flight  # of the run, now
+    golden: Flight  # of the golden run with the same detector, now
+    same: bool  # the digest is the stored one
     first: Difference | None
+    """None = there is none, or a fault in an instruction: its flight ends in a forked process, and the kernel effect in
+    its log has the first difference."""
     departure: Departure
 
     @property

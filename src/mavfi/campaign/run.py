@@ -31,15 +31,12 @@ ATTEMPTS = 3
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """How far a campaign is: runs done, in this session and earlier ones, and runs in all.
+    """How far a campaign is."""
 
-    Attributes:
-        settings: By setting: runs planned so far, done, done with success.
-    """
-
-    done: int
-    total: int
+    done: int  # runs, those of earlier sessions included
+    total: int  # runs of the whole campaign
     settings: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
+    """By setting: runs planned so far, done, done with success."""
 
     @property
     def complete(self) -> bool:
@@ -49,17 +46,11 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Progress(Status):
-    """How far a campaign is while it is flown.
+    """How far a campaign is while it is flown."""
 
-    Attributes:
-        flown: Runs done in this session.
-        seconds: Wall time since the first run of this session was done (s).
-        compiling: Whether nothing is flown yet because kernels are being compiled.
-    """
-
-    flown: int = 0
-    seconds: float = 0.0
-    compiling: bool = False
+    flown: int = 0  # runs done in this session
+    seconds: float = 0.0  # wall time since the first run of this session was done
+    compiling: bool = False  # nothing is flown yet: kernels are being compiled
 
     @property
     def rate(self) -> float:
@@ -258,11 +249,7 @@ def versions() -> dict[str, str]:
 
 
 def _check_versions(store: Store) -> None:
-    """Note the versions that matter, or refuse to resume a ledger that was begun with others.
-
-    Raises:
-        BadInputError: They differ, and something is left to do.
-    """
+    """Note the versions that matter; a ledger with runs left to do that was begun with others is a BadInputError."""
     here = versions()
     held: dict[str, Any] | None = store.meta("versions")
     if held is None:

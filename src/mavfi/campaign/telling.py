@@ -18,21 +18,13 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Telling:
-    """A run with a fault, and the flights that it is compared with.
+    """A run with a fault, and the flights that it is compared with."""
 
-    Attributes:
-        injected: Its row.
-        saved: Row of the same fault with a detector that brings the mission home; None if there is none.
-        flight: Of the run with the fault.
-        golden: Of its golden run.
-        recovered: Of `saved`.
-    """
-
-    injected: Row
-    saved: Row | None
-    flight: Flight
-    golden: Flight
-    recovered: Flight | None
+    injected: Row  # its row
+    saved: Row | None  # row of the same fault with a detector that brings the mission home
+    flight: Flight  # of the run with the fault
+    golden: Flight  # of its golden run
+    recovered: Flight | None  # of `saved`
 
 
 def fly_telling_run(store: Store, runs: pl.DataFrame) -> Telling | None:

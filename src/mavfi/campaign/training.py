@@ -42,12 +42,7 @@ _PARTS = ("kinds", "times_us", "content")
 
 
 class KeptRecordings:
-    """Recordings by seed, in a subfolder named after what decides them: scenario, versions and code of mavfi.
-
-    Args:
-        folder: Of the models.
-        scenario: Mission whose seed is the first one.
-    """
+    """Recordings by seed, in a subfolder named after what decides them: scenario, versions and code of mavfi."""
 
     def __init__(self, folder: Path, scenario: Scenario) -> None:
         self._parent = folder / FOLDER
@@ -65,11 +60,7 @@ class KeptRecordings:
         return found
 
     def save(self, seed: int, recording: Recording) -> None:
-        """Write a recording, atomically.
-
-        Raises:
-            BadInputError: The folder cannot be written.
-        """
+        """Write a recording, atomically; a BadInputError if the folder cannot be written."""
         path = self._path(seed)
         part = path.with_suffix(".part")
         try:

@@ -91,16 +91,15 @@ def faulty_and_bare(runs: Runs) -> Runs:
     return own.adding(row=pl.col("setting").replace(names))
 
 
-def _here(own: Runs) -> Any:
-    return m.leading(own, m.population_names(own, ()), "success")
-
-
 _lead, _others = m.by_population("success")
 
 register(
     View(
         "success_as_in_the_paper", "State level: success rates, one fault per mission", ("row",),
-        (Measure("here", "here", RATE, _here), paper.beside(paper.success)),
+        (
+            Measure("here", "here", RATE, lambda own: m.leading(own, m.population_names(own, ()), "success")),
+            paper.beside(paper.success),
+        ),
         where=faulty_and_bare, across="environment", headings=("",),
         notes=lambda runs: (
             paper.STATE_LEVEL, ONE_FAULT, "per cent, [95 % interval: Wilson, n reduced by the design effect of "
@@ -143,11 +142,6 @@ def named_populations(runs: Runs) -> Runs:
     return replace(runs, frame=named.sort(place, maintain_order=True))
 
 
-def _judged_fi(runs: Runs) -> Runs:
-    known = pl.col("golden_success").is_not_null()
-    return named_populations(runs.injected.where("judged", known, setting=FI))
-
-
 register(
     View(
         "recovery", "Recovery", ("environment", "bits", "setting"),
@@ -182,7 +176,10 @@ register(
             Measure("only_fi", "only fi succeeds", NUMBER, lambda own: m.against_golden(own).second_only),
             Measure("p", "p", "number .3g", lambda own: m.against_golden(own).p_value),
         ),
-        where=_judged_fi, total=TOTAL, notes=lambda _: ("p: McNemar's exact test", ONE_FAULT),
+        where=lambda runs: named_populations(
+            runs.injected.where("judged", pl.col("golden_success").is_not_null(), setting=FI)
+        ),
+        total=TOTAL, notes=lambda _: ("p: McNemar's exact test", ONE_FAULT),
         applies=lambda runs: of_states(runs) or compared(runs),
     ),
 )  # fmt: skip
@@ -204,7 +201,8 @@ def _slow_note(runs: Runs) -> tuple[str, ...]:
 def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
     """A view over all environments, and where there are several one with each of them."""
     applies, detail = more.pop("applies", of_states), more.pop("detail", False)
-    columns: dict[str, Any] = {"measures": (_lead, _others, m.hurt), "where": _judged_injected, "notes": _slow_note}
+    columns: dict[str, Any] = {"measures": (_lead, _others, m.hurt), "notes": _slow_note}
+    columns["where"] = lambda runs: runs.injected.where("judged", level=STATE)
     register(
         View(name, title, (*by, "setting"), detail=detail, applies=applies, **columns, **more),
         View(
@@ -212,10 +210,6 @@ def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
             applies=lambda runs: applies(runs) and len(runs.values("environment")) > 1, **columns, **more,
         ),
     )  # fmt: skip
-
-
-def _judged_injected(runs: Runs) -> Runs:
-    return runs.injected.where("judged", level=STATE)
 
 
 _by("by_stage", "Success by stage of the fault", ("stage",), applies=by_stages)

@@ -61,19 +61,19 @@ def _success(kind: str, column: str) -> Callable[[Runs], Any]:
 
 
 def _estimand(runs: Runs) -> str:
-    kernels = runs.injected.where(level=INSTRUCTION).groups("stage")
-    shares = "; ".join(f"{stage}: {', '.join(_in_order(runs, own))}" for (stage,), own in kernels.items())
+    planned = {name: place for place, name in enumerate(runs.campaign.get("kernels", ()))}
+    stages = runs.injected.where(level=INSTRUCTION).groups("stage")
+    kernels = {
+        stage: sorted(own.values("kernel"), key=lambda name: planned.get(name, len(planned)))
+        for (stage,), own in stages.items()
+    }
+    shares = "; ".join(f"{stage}: {', '.join(names)}" for stage, names in kernels.items())
     which = runs.campaign.get("which", "all")
     drawn = "dynamic instructions" if which == "all" else f"dynamic instructions of class {which}"
     return (
         f"equal numbers of faults per stage, shared equally among its kernels ({shares}); within a kernel uniform over "
         f"its {drawn} in the golden flight, then over the bits of the value"
     )
-
-
-def _in_order(runs: Runs, own: Runs) -> list[str]:
-    planned = list(runs.campaign.get("kernels", ()))
-    return sorted(own.values("kernel"), key=lambda name: planned.index(name) if name in planned else len(planned))
 
 
 def _missed_note(runs: Runs) -> str:
@@ -146,14 +146,6 @@ _THREE = (
 _GIVEN_SDC = m.rate("success_given_sdc", "success | sdc", "success", _effect("sdc"), weighted=True)
 
 
-def _due(own: Runs) -> str:
-    return " / ".join(str(len(own.where(kernel_effect=name))) for name in KERNEL_DUE)
-
-
-def _changed(own: Runs) -> Any:
-    return m.rate_of(own, pl.col("effect") != "masked", weighted=True)
-
-
 def _kernel_notes(*lines: str) -> Any:
     def notes(runs: Runs) -> list[str]:
         weighted = any(weight != 1.0 for weight in kernel_runs(runs)["weight"])
@@ -215,7 +207,11 @@ def counted(record: FlightRecord) -> list[Mapping[str, Any]]:
 register(
     View(
         "kernel_effects", "One fault in one instruction: what the kernel did", ("environment", "kernel"),
-        (m.count("n", "n"), *_THREE, Measure("due_kinds", "crash / hang / exc.", TEXT, _due)),
+        (
+            m.count("n", "n"), *_THREE,
+            Measure("due_kinds", "crash / hang / exc.", TEXT,
+                    lambda own: " / ".join(str(len(own.where(kernel_effect=name))) for name in KERNEL_DUE)),
+        ),
         where=kernel_runs, notes=lambda runs: [*_kernel_notes(_EFFECTS, _LEVEL)(runs), _replayable_note(runs)],
         applies=of_instructions,
     ),
@@ -225,7 +221,8 @@ register(
             Measure("golden", "golden", RATE, m.golden_rate), _GIVEN_SDC,
             m.rate("success_restart", "success, restart", "success", weighted=True),
             m.rate("success_end", "success, end", "success_if_ended", weighted=True),
-            Measure("changed", "changed", PERCENT, _changed),
+            Measure("changed", "changed", PERCENT,
+                    lambda own: m.rate_of(own, pl.col("effect") != "masked", weighted=True)),
             m.quantile("inflation", 0.5, "median", "median"), m.quantile("inflation", 0.95, "p95", "p95"),
             m.quantile("inflation", 1.0, "worst", "worst"),
             Measure("worst_run", "worst run", TEXT, m.worst_run, hidden=True),

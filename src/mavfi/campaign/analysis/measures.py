@@ -42,20 +42,13 @@ _ORDER = (HEADLINE, "sign", "exponent", WHOLE_WORD, "mantissa")
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """One column of a view.
+    """One column of a view."""
 
-    Attributes:
-        key: Name of the column in CSV and JSON.
-        form: How cells are written for people; see `table`.
-        of: Rows of a group -> cell.
-        hidden: In CSV and JSON only.
-    """
-
-    key: str
+    key: str  # name of the column in CSV and JSON
     heading: str
-    form: str
-    of: Callable[[Runs], Cell]
-    hidden: bool = False
+    form: str  # how cells are written for people, see `table`
+    of: Callable[[Runs], Cell]  # rows of a group -> cell
+    hidden: bool = False  # in CSV and JSON only
 
     @property
     def column(self) -> Column:
@@ -240,14 +233,6 @@ def systematic(own: Runs) -> list[tuple[str, float, int]]:
         for (state, time_us), n in sorted(flights.items())
         if len(own) > 1 and n > SYSTEMATIC * len(own)
     ]
-
-
-def alarm_kinds(own: Runs) -> dict[str, int]:
-    """Alarms by "source/action/outcome"."""
-    kinds: Counter[str] = Counter()
-    for record in own.recorded():
-        kinds.update(record.alarm_counts)
-    return dict(kinds)
 
 
 def compute_us(own: Runs) -> int:

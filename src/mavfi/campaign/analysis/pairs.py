@@ -14,39 +14,26 @@ from mavfi.campaign.analysis.statistics import TAIL, Part, cluster_sums, percent
 
 @dataclass(frozen=True, slots=True)
 class Paired:
-    """McNemar's exact test on pairs.
+    """McNemar's exact test on pairs."""
 
-    Attributes:
-        n: Pairs.
-        first_only: Pairs in which only the first succeeds.
-        second_only: Pairs in which only the second succeeds.
-        p_value: Two-sided; 1 where no pair is discordant.
-    """
-
-    n: int
-    first_only: int
-    second_only: int
-    p_value: float
+    n: int  # pairs
+    first_only: int  # pairs in which only the first succeeds
+    second_only: int  # pairs in which only the second succeeds
+    p_value: float  # two-sided; 1 where no pair is discordant
 
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """Recovery rate (method - fi) / (golden - fi), and the loss, golden - fi, in pairs; with intervals.
+    """Recovery rate (method - fi) / (golden - fi), and the loss, golden - fi, in pairs; with intervals."""
 
-    Attributes:
-        rate: None, as its bounds, where undefined: the interval of the denominator contains 0.
-        lost: Pairs in which golden succeeds and fi does not.
-        regained: Of these, those in which the method succeeds.
-    """
-
-    rate: float | None
+    rate: float | None  # None, as its bounds, where undefined: the interval of the denominator contains 0
     low: float | None
     high: float | None
     loss: float
     loss_low: float
     loss_high: float
-    lost: int
-    regained: int
+    lost: int  # pairs in which golden succeeds and fi does not
+    regained: int  # of these, those in which the method succeeds
 
 
 def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:

@@ -24,35 +24,25 @@ _Z2 = float(norm.ppf(1 - TAIL)) ** 2
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A rate and its interval; all None where there is nothing to judge.
+    """A rate and its interval; all None where there is nothing to judge."""
 
-    Attributes:
-        n: Flights.
-        successes: Flights that count; None for weighted rates.
-    """
-
-    n: int
+    n: int  # flights
     rate: float | None
     low: float | None
     high: float | None
-    successes: int | None = None
+    successes: int | None = None  # flights that count; None for weighted rates
 
 
 @dataclass(frozen=True, slots=True)
 class EventRate:
-    """Events per hour of exposure, with a two-sided interval; None without exposure.
-
-    Attributes:
-        hours: Exposure (h).
-        upper: One-sided upper bound: what zero events still allow.
-    """
+    """Events per hour of exposure, with a two-sided interval; None without exposure."""
 
     events: int
-    hours: float
+    hours: float  # exposure
     per_hour: float | None
     low: float | None
     high: float | None
-    upper: float | None
+    upper: float | None  # one-sided upper bound: what zero events still allow
 
 
 def wilson(successes: int, n: int) -> Rate:
@@ -76,8 +66,8 @@ def clustered_rate(
     """Rate with Wilson's interval for the effective number of flights; worlds are the clusters.
 
     With weights (above 0; None = all alike) it is the ratio estimate, sum of weight x success over sum of weights, with
-    a bias that falls as 1 / n; uneven ones lower the effective number of flights (Kish 1965). With one flight per world the
-    interval is `wilson`'s.
+    a bias that falls as 1 / n; uneven ones lower the effective number of flights (Kish 1965).  With one flight per
+    world the interval is `wilson`'s.
     """
     if not success:
         return wilson(0, 0)
@@ -92,16 +82,11 @@ def clustered_rate(
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A weighted rate within one stratum, and its precision.
-
-    Attributes:
-        effective: Number of independent flights of the same precision.
-        spread: Contribution of each world to the error of the estimate. Shape (worlds,).
-    """
+    """A weighted rate within one stratum, and its precision."""
 
     rate: float
-    effective: float
-    spread: np.ndarray
+    effective: float  # number of independent flights of the same precision
+    spread: np.ndarray  # contribution of each world to the error of the estimate. Shape (worlds,)
 
     @staticmethod
     def of(y: np.ndarray, weight: np.ndarray, world: Sequence[object]) -> "Part":

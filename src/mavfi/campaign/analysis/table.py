@@ -21,37 +21,25 @@ Cell = Any
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: key in CSV and JSON, heading for people.
-
-    Attributes:
-        form: How its cells are written for people.
-        hidden: In CSV and JSON only.
-    """
+    """One column: key in CSV and JSON, heading for people."""
 
     key: str
     heading: str
-    form: str = TEXT
-    hidden: bool = False
+    form: str = TEXT  # how its cells are written for people
+    hidden: bool = False  # in CSV and JSON only
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One table.
+    """One table."""
 
-    Attributes:
-        name: Of its view.
-        keys: How many of the first columns name the row.
-        notes: Lines below it.
-        detail: Shown only in files, and on request.
-    """
-
-    name: str
+    name: str  # of its view
     title: str
     columns: tuple[Column, ...]
     rows: Sequence[tuple[Cell, ...]]
-    keys: int = 1
-    notes: tuple[str, ...] = ()
-    detail: bool = False
+    keys: int = 1  # how many of the first columns name the row
+    notes: tuple[str, ...] = ()  # lines below it
+    detail: bool = False  # shown only in files, and on request
 
     @staticmethod
     def of_text(title: str, headings: Sequence[str], rows: Sequence[tuple[str, ...]], notes: Sequence[str]) -> "Table":

@@ -19,15 +19,10 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """The last item of a mission whose worker is gone.
+    """The last item of a mission whose worker is gone."""
 
-    Attributes:
-        reason: What became of the worker.
-        died: Whether it died; otherwise it did not answer in time.
-    """
-
-    reason: str
-    died: bool
+    reason: str  # what became of the worker
+    died: bool  # otherwise it did not answer in time
 
 
 class Executor(Protocol):

@@ -34,15 +34,10 @@ _ROUNDS, _SPARE = 6, 40
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A golden flight, and the faults for its injected flights.
-
-    Attributes:
-        counts: By kernel, as plain data: `instructions` and `calls` of the mission, and `lines`: file, line, count.
-        faults: By kernel.
-    """
+    """A golden flight, and the faults for its injected flights, by kernel."""
 
     golden: Flight
-    counts: dict[str, dict[str, Any]]
+    counts: dict[str, dict[str, Any]]  # `instructions` and `calls` of the mission, and `lines`: file, line, count
     faults: dict[str, list[InstructionFault]]
 
 

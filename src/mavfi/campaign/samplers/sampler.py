@@ -13,35 +13,22 @@ NULL = "null"
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """A fault that is to be drawn.
+    """A fault that is to be drawn."""
 
-    Attributes:
-        target: Stage, group, kernel or kind of registers: a row of a table.
-        index: Number of the fault within target and environment.
-        seed: Of its mission.
-        variant: Arm without a detector in whose golden run it is drawn; "" = the campaign's own mission.
-        stratum: Of its bit; "" = none.
-    """
-
-    target: str
-    index: int
-    seed: int
-    variant: str = ""
-    stratum: str = ""
+    target: str  # stage, group, kernel or kind of registers: a row of a table
+    index: int  # number of the fault within target and environment
+    seed: int  # of its mission
+    variant: str = ""  # arm without a detector in whose golden run it is drawn; "" = the campaign's own mission
+    stratum: str = ""  # of its bit; "" = none
 
 
 @dataclass(slots=True)
 class Sampled:
-    """A golden run, and what faults are drawn from.
-
-    Attributes:
-        counts: What its kernels executed (see `FlightRecord.counts`).
-        faults: Drawn in flight, by target, in the order of the draws (level instruction).
-    """
+    """A golden run, and what faults are drawn from."""
 
     flight: Recorded
-    counts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    faults: Mapping[str, Sequence[Fault]] = field(default_factory=dict)
+    counts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # executed by its kernels, see `FlightRecord`
+    faults: Mapping[str, Sequence[Fault]] = field(default_factory=dict)  # drawn in flight, by target
 
 
 class Sampler(Protocol):
