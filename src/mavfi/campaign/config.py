@@ -15,12 +15,9 @@ from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
 from mavfi.states import INJECTABLE, MONITORED_SETS, PLANNERS
 
-DESIGN_SEEDS = range(10_000)
-"""Seeds that the autopilot profiles were tuned on."""
-TRAINING_SEED = 1_000_000
-"""First seed of the flights that detectors are trained on; no campaign flies these."""
-NULL_RUNS = 3
-"""Null runs per environment, where faults are in states and the campaign does not say."""
+DESIGN_SEEDS = range(10_000)  # seeds that the autopilot profiles were tuned on
+TRAINING_SEED = 1_000_000  # first seed of the flights that detectors are trained on; no campaign flies these
+NULL_RUNS = 3  # null runs per environment, where faults are in states and the campaign does not say
 
 _RENAMED = {
     "law": "sampling.scheme", "strata": "sampling.strata", "groups": "sampling.groups", "sites": "sampling.sites",

@@ -9,8 +9,7 @@ from scipy.spatial import cKDTree
 from mavfi.flight_log import FlightLog
 from mavfi.states import State
 
-LEFT = 0.1
-"""Distance from the golden run's path from which a flight counts as having left it (m)."""
+LEFT = 0.1  # distance from the golden run's path from which a flight counts as having left it (m)
 
 
 @dataclass(frozen=True, slots=True)

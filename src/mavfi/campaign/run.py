@@ -25,8 +25,7 @@ from mavfi.mission import MissionStatus, Scenario
 from mavfi.version import __version__
 
 _PACKAGES = ("numpy", "numba", "llvmlite", "mujoco-core", "scikit-learn")
-ATTEMPTS = 3
-"""How often a mission that takes its worker with it, golden runs included, is begun."""
+ATTEMPTS = 3  # how often a mission that takes its worker with it, golden runs included, is begun
 
 
 @dataclass(frozen=True, slots=True)

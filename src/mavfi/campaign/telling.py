@@ -11,8 +11,7 @@ from mavfi.campaign.replay import fly_again
 from mavfi.campaign.store import Store
 from mavfi.hosts.host import Flight
 
-_INTERESTING = 0.02
-"""Flight time over the golden run's from which a run that succeeds is worth a picture."""
+_INTERESTING = 0.02  # flight time over the golden run's from which a run that succeeds is worth a picture
 Row = Mapping[str, Any]
 
 

@@ -30,14 +30,12 @@ from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
 from mavfi.qof import quality_of_flight
 
-ENVIRONMENT = "training"
-"""Randomised worlds; the laws of the evaluation environments are not among them."""
+ENVIRONMENT = "training"  # randomised worlds; the laws of the evaluation environments are not among them
 CHECKING_SEED = TRAINING_SEED + 500_000
 """First seed of the flights on which false alarms are counted, far behind those of training."""
 Progress = Callable[[int, int], None]
 _MOST_FLIGHTS_PER_WANTED = 3
-FOLDER = ".flights"
-"""Folder of the recordings, in the folder of the models."""
+FOLDER = ".flights"  # folder of the recordings, in the folder of the models
 _PARTS = ("kinds", "times_us", "content")
 
 

@@ -40,18 +40,15 @@ def of_states(runs: Runs) -> bool:
     return has(runs.injected, level=STATE)
 
 
-def by_stages(runs: Runs) -> bool:
-    """Whether state faults were drawn for stages, as the paper does."""
+def _by_stages(runs: Runs) -> bool:
     return len(runs.injected.where(pl.col("target") == pl.col("stage"), level=STATE)) > 0
 
 
-def by_groups(runs: Runs) -> bool:
-    """Whether state faults were drawn for groups of fields."""
+def _by_groups(runs: Runs) -> bool:
     return len(runs.injected.where(pl.col("target") != pl.col("stage"), level=STATE)) > 0
 
 
-def compared(runs: Runs) -> bool:
-    """Whether faults were injected again in another arm."""
+def _compared(runs: Runs) -> bool:
     return len(runs.settings()) > 1
 
 
@@ -104,7 +101,7 @@ register(
         notes=lambda runs: (
             paper.STATE_LEVEL, ONE_FAULT, "per cent, [95 % interval: Wilson, n reduced by the design effect of "
             "worlds], successes / n; faults in sign and exponent bits", *separable_note(runs),
-        ), applies=by_stages,
+        ), applies=_by_stages,
     ),
     View(
         "success", "Success of missions", SETTING, (_lead, paper.beside(paper.success), _others), where=of_missions,
@@ -166,7 +163,7 @@ register(
             "fi contains 0; below 0 where more missions are newly lost than brought back",
             *((HEALS,) if of_states(runs) else (_HEALS_WITH_MEMORY,)),
             "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT,
-        ), applies=compared,
+        ), applies=_compared,
     ),
     View(
         "golden_against_faults", "Golden against one fault, in pairs", ("environment", "bits"),
@@ -180,14 +177,13 @@ register(
             runs.injected.where("judged", pl.col("golden_success").is_not_null(), setting=FI)
         ),
         total=TOTAL, notes=lambda _: ("p: McNemar's exact test", ONE_FAULT),
-        applies=lambda runs: of_states(runs) or compared(runs),
+        applies=lambda runs: of_states(runs) or _compared(runs),
     ),
 )  # fmt: skip
 
 
 # ---- success by properties of the fault --------------------------------------------------------------------------
-FEWEST = 10
-"""Flights from which a field has a row in the report."""
+FEWEST = 10  # flights from which a field has a row in the report
 
 
 def _slow_note(runs: Runs) -> tuple[str, ...]:
@@ -212,8 +208,8 @@ def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
     )  # fmt: skip
 
 
-_by("by_stage", "Success by stage of the fault", ("stage",), applies=by_stages)
-_by("by_target", "Success by group of fields", ("target",), applies=by_groups)
+_by("by_stage", "Success by stage of the fault", ("stage",), applies=_by_stages)
+_by("by_target", "Success by group of fields", ("target",), applies=_by_groups)
 _by("by_state", "Success by inter-kernel state", ("state",))
 _by("by_bits", "Success by class of the flipped bit", ("bit_class",))
 _by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST, detail=True)

@@ -23,8 +23,7 @@ from mavfi.campaign.analysis.views import View, has, register
 from mavfi.campaign.plan import FI
 from mavfi.flight_record import FlightRecord
 
-MEMORY = "(memory only)"
-"""State of a silent corruption that nothing published at once."""
+MEMORY = "(memory only)"  # state of a silent corruption that nothing published at once
 _DYING = (
     "node restarts / mission ends: what becomes of a mission whose kernel crashes, hangs or raises; the paper's ROS "
     "starts such nodes again; how many do is IR level, not machine level"
@@ -45,14 +44,13 @@ _WEIGHTED = (
 )
 
 
-def of_instructions(runs: Runs) -> bool:
-    """Whether faults in instructions were injected."""
+def _of_instructions(runs: Runs) -> bool:
     return has(runs.injected, level=INSTRUCTION)
 
 
-def by_stages(runs: Runs) -> bool:
-    """Whether the stages have equal numbers of faults, so that rates over all faults are those of the paper's table."""
-    return of_instructions(runs) and runs.campaign.get("each") == "stage"
+def _by_stages(runs: Runs) -> bool:
+    # equal numbers of faults for the stages: rates over all faults are those of the paper's table
+    return _of_instructions(runs) and runs.campaign.get("each") == "stage"
 
 
 # ---- success under both policies ---------------------------------------------------------------------------------
@@ -100,7 +98,7 @@ register(
         notes=lambda runs: (
             paper.INSTRUCTION_LEVEL, ONE_FAULT, _estimand(runs), _RATES, _DYING, _missed_note(runs),
             *unknown_note(faulty_and_bare(runs)), *separable_note(runs),
-        ), applies=by_stages,
+        ), applies=_by_stages,
     ),
     View(
         "instructions_by_stage", "Instruction level: success by stage of the fault",
@@ -111,7 +109,7 @@ register(
             Measure("not_activated", "not activated", NUMBER, _missed),
         ),
         where=lambda runs: runs.injected.where("judged", level=INSTRUCTION),
-        notes=lambda _: (_RATES, "died: kernels that crashed, hung or raised"), applies=by_stages,
+        notes=lambda _: (_RATES, "died: kernels that crashed, hung or raised"), applies=_by_stages,
     ),
     View(
         "instruction_alarms", "Alarms after an instruction fault", ("environment", "setting"),
@@ -122,7 +120,7 @@ register(
         notes=lambda _: (
             "of the activated faults; within 1 s an alarm of a state and instant that the golden flight with the same "
             "detector has not; most faults change nothing that is published, and there is nothing to see",
-        ), applies=lambda runs: by_stages(runs) and watched(runs),
+        ), applies=lambda runs: _by_stages(runs) and watched(runs),
     ),
 )  # fmt: skip
 
@@ -175,7 +173,7 @@ def _split(name: str, title: str, column: str) -> View:
         notes=_kernel_notes(
             _LEVEL, "other: bits of integers, addresses and conditions; a result of one bit has no sign or exponent"
         ),
-        applies=of_instructions,
+        applies=_of_instructions,
     )  # fmt: skip
 
 
@@ -196,7 +194,7 @@ def _finite(own: Runs) -> pl.Series:
     return sizes.filter(sizes.is_finite())
 
 
-def counted(record: FlightRecord) -> list[Mapping[str, Any]]:
+def _counted(record: FlightRecord) -> list[Mapping[str, Any]]:
     """Dynamic instructions and calls of each kernel in a golden run."""
     return [
         {"kernel": kernel, "instructions": data["instructions"], "calls": data["calls"]}
@@ -213,7 +211,7 @@ register(
                     lambda own: " / ".join(str(len(own.where(kernel_effect=name))) for name in KERNEL_DUE)),
         ),
         where=kernel_runs, notes=lambda runs: [*_kernel_notes(_EFFECTS, _LEVEL)(runs), _replayable_note(runs)],
-        applies=of_instructions,
+        applies=_of_instructions,
     ),
     View(
         "kernel_missions", "One fault in one instruction: what became of the mission", ("environment", "kernel"),
@@ -236,7 +234,7 @@ register(
             "the paper's Fig. 3 (Sparse, 100 runs per kernel) has no numbers to read off; its text: flight time up to "
             f"{100 * paper.figure('kernels_worst', quantity='flight_time'):+.1f} %, success lower by up to "
             f"{100 * paper.figure('kernels_worst', quantity='success_loss'):.0f} points, both in planning and control",
-        ), applies=of_instructions,
+        ), applies=_of_instructions,
     ),
     _split("kernel_effects_by_value_class", "Effects by value class", "value_class"),
     _split("kernel_effects_by_bit", "Effects by bit: sign, exponent, mantissa", "stratum"),
@@ -259,7 +257,7 @@ register(
             "element of one field, uniformly over its bits",
             "elements: in how many places the field differs (median); size: largest difference in the field's unit",
             "(memory only): nothing published differs at once, but what the kernel remembers does",
-        ), applies=of_instructions,
+        ), applies=_of_instructions,
     ),
     View(
         "kernel_instructions", "Dynamic instructions of golden flights", ("kernel",),
@@ -268,6 +266,6 @@ register(
             Measure("calls", "calls", NUMBER, lambda own: sum(own["calls"])),
             Measure("instructions", "instructions", NUMBER, lambda own: sum(own["instructions"])),
         ),
-        where=lambda runs: runs.golden.exploded(counted), detail=True, applies=of_instructions,
+        where=lambda runs: runs.golden.exploded(_counted), detail=True, applies=_of_instructions,
     ),
 )  # fmt: skip

@@ -15,8 +15,7 @@ _COLUMNS = (
     Column("alarms_total", "alarms", NUMBER),
 )  # fmt: skip
 _NAMES = {column.key for column in _COLUMNS}
-_FLAGS = {"yes": "true", "True": "true", "no": "false", "False": "false"}
-"""Truth values as polars writes them."""
+_FLAGS = {"yes": "true", "True": "true", "no": "false", "False": "false"}  # truth values as polars writes them
 
 
 def listing(runs: Runs, where: Sequence[str] = (), *, failed: bool = False) -> Table:

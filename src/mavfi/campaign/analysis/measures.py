@@ -26,15 +26,13 @@ from mavfi.faults.strata import HEADLINE
 WHOLE_WORD = "whole_word"
 PARTITIONS = ({"sign_exponent", "mantissa"}, {"sign", "exponent", "mantissa"})
 """Sets of strata that together make up whole words."""
-LEADING = (HEADLINE, ALL_BITS)
-"""Populations that tables lead with, and that stand beside the paper."""
+LEADING = (HEADLINE, ALL_BITS)  # populations that tables lead with, and that stand beside the paper
 POPULATIONS = {
     "all": "all", "sign_exponent": "sign + exponent", "sign": "sign", "exponent": "exponent", WHOLE_WORD: "whole word",
     "mantissa": "mantissa", ALL_BITS: "all bits",
 }  # fmt: skip
 """Populations for people."""
-SLOWER = 0.05
-"""Flight time over the golden run's from which a success counts as slower."""
+SLOWER = 0.05  # flight time over the golden run's from which a success counts as slower
 SYSTEMATIC = 0.9
 """Share of flights from which alarms of one state at one instant are systematic: of the start, not of the mission."""
 _ORDER = (HEADLINE, "sign", "exponent", WHOLE_WORD, "mantissa")

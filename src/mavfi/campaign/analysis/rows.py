@@ -16,10 +16,8 @@ from mavfi.outcomes import DUE, effect_of
 from mavfi.qof import energy
 from mavfi.states import KERNEL_STAGES, STATES
 
-ALL_BITS = "all_bits"
-"""Population of faults whose bits were drawn uniformly, so that no stratum of them is apart."""
-GOLDEN, INJECTED, NULL = "golden", "injected", "null"
-"""Kinds of run."""
+ALL_BITS = "all_bits"  # population of faults whose bits were drawn uniformly, so that no stratum of them is apart
+GOLDEN, INJECTED, NULL = "golden", "injected", "null"  # kinds of run
 ACTIVATED, NO_SITE, NOT_ACTIVATED = "activated", "no_site", "not_activated"
 """Where a fault went: `NO_SITE` in the golden run, or not reached in the injected one."""
 KERNEL_DUE = tuple(effect.label for effect in DUE)
@@ -111,10 +109,8 @@ def _happened(record: FlightRecord, faulty: bool, has_site: bool) -> dict[str, A
     if faulty:
         reached = activated or not record.flown
         columns["site_outcome"] = (ACTIVATED if reached else NOT_ACTIVATED) if has_site else NO_SITE
-    if record.injections:
-        first = next((one for one in record.injections if one.activated), record.injections[0])
-        columns |= _injection(first)
-    return columns
+    first = next((one for one in record.injections if one.activated), next(iter(record.injections), None))
+    return columns if first is None else columns | _injection(first)
 
 
 def _injection(injection: Injection) -> dict[str, Any]:
@@ -149,24 +145,22 @@ def _kernel(record: FlightRecord) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def succeeded(record: FlightRecord) -> bool:
-    """Whether the mission succeeded; a run that died did not."""
+def _succeeded(record: FlightRecord) -> bool:
     return record.status == MissionStatus.SUCCESS.label
 
 
 def _judged(
     record: FlightRecord, own: FlightRecord | None, reference: FlightRecord | None, spec: RunSpec
 ) -> dict[str, Any]:
-    success, flown = succeeded(record), record.flown
+    success = _succeeded(record)
     died = record.kernel is not None and record.kernel.effect in KERNEL_DUE
-    known = reference is not None and reference.end is not End.UNKNOWN
     columns: dict[str, Any] = {
         "end": str(record.end), "status": record.status or str(record.end), "success": success,
         "success_if_ended": success and not died, "judged": record.end is not End.UNKNOWN,
-        "golden_success": succeeded(reference) if reference is not None and known else None,
+        "golden_success": None if reference is None or reference.end is End.UNKNOWN else _succeeded(reference),
         "effect": "" if spec.kind == GOLDEN else _effect(own, record),
     }  # fmt: skip
-    if flown:
+    if record.flown:
         columns |= {
             "flight_time_s": record.flight_time_s, "energy_j": energy(record.energy), "replans": record.replans,
             "distance_m": record.distance_m, "time_limit_s": record.time_limit_s, "course_m": record.course_m,
@@ -174,7 +168,7 @@ def _judged(
         }  # fmt: skip
     if reference is not None and reference.flown:
         columns["golden_flight_time_s"] = reference.flight_time_s
-        if success and succeeded(reference):
+        if success and _succeeded(reference):
             columns["inflation"] = record.flight_time_s / reference.flight_time_s - 1
             spent = energy(reference.energy)
             columns["energy_inflation"] = energy(record.energy) / spent - 1 if spent > 0 else None
@@ -191,17 +185,17 @@ def _effect(own: FlightRecord | None, record: FlightRecord) -> str:
 def _detected(record: FlightRecord, own: FlightRecord | None, state: str) -> dict[str, Any]:
     """Alarms on the corrupted publication itself, and those soon after it that the golden run does not have."""
     instants = [injection.time_s for injection in record.injections if injection.activated]
-    known = set() if own is None else instants_of(own.alarms)
+    known = set() if own is None else _instants_of(own.alarms)
     at_site = any(
         alarm.state == state and abs(alarm.time_s - time_s) < INSTANT for alarm in record.alarms for time_s in instants
     )
     downstream = any(
-        -INSTANT < alarm.time_s - time_s <= AFTERMATH and not instants_of([alarm]) <= known
+        -INSTANT < alarm.time_s - time_s <= AFTERMATH and not _instants_of([alarm]) <= known
         for alarm in record.alarms for time_s in instants
     )  # fmt: skip
     return {"detected_at_site": at_site, "detected_downstream": downstream}
 
 
-def instants_of(alarms: Iterable[AlarmRecord]) -> set[tuple[str, int]]:
+def _instants_of(alarms: Iterable[AlarmRecord]) -> set[tuple[str, int]]:
     """State and instant (us) of alarms."""
     return {(alarm.state, round(1e6 * alarm.time_s)) for alarm in alarms}

@@ -14,8 +14,7 @@ from mavfi.flight_record import FlightRecord
 from mavfi.states import MONITORED_SETS
 
 DEFAULT_MONITORED = "paper-13"
-ALL = "all"
-"""Value of the environment in rows that are counted over all of them."""
+ALL = "all"  # value of the environment in rows that are counted over all of them
 
 
 @dataclass(frozen=True)

@@ -15,10 +15,8 @@ from scipy.stats import chi2, norm
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 _SEED = 20
-_POWER = 0.8
-"""Probability with which `smallest_difference` should show."""
-TAIL = (1 - CONFIDENCE) / 2
-"""Probability that an interval leaves out on each side."""
+_POWER = 0.8  # probability with which `smallest_difference` should show
+TAIL = (1 - CONFIDENCE) / 2  # probability that an interval leaves out on each side
 _Z2 = float(norm.ppf(1 - TAIL)) ** 2
 
 

@@ -13,10 +13,8 @@ RATE, PERCENT, SIGNED, SMALL, PER_HOUR, POINTS, NUMBER, TEXT = (
     "rate", "percent", "signed percent", "small percent", "per hour", "points", "number", "text",
 )  # fmt: skip
 """Forms of a cell; a number may carry digits and a unit: "number .1f s"."""
-UNKNOWN = "unknown"
-"""A cell whose measure raised."""
-Cell = Any
-"""None = there is nothing; text, a number, or a dataclass of numbers such as `Rate`."""
+UNKNOWN = "unknown"  # a cell whose measure raised
+Cell = Any  # None = there is nothing; text, a number, or a dataclass of numbers such as `Rate`
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +51,8 @@ class Table:
         Raises:
             KeyError: There is no such column.
         """
-        places = [place for place, column in enumerate(self.columns) if column.key == key]
-        if not places:
-            raise KeyError(key)
-        return [row[places[0]] for row in self.rows]
+        place = {column.key: place for place, column in enumerate(self.columns)}[key]
+        return [row[place] for row in self.rows]
 
     def entries(self) -> list[dict[str, Cell]]:
         """Rows as mappings from the keys of the columns."""

@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import itertools
 import multiprocessing
 import os
 import pickle
@@ -50,11 +51,9 @@ class LocalExecutor:
         waiting = iter(missions)
         workers: list[_Worker[T]] = []
         try:
-            for mission in waiting:
+            for mission in itertools.islice(waiting, self._workers):
                 workers.append(_Worker(function))
                 workers[-1].give(mission)
-                if len(workers) == self._workers:
-                    break
             while workers:
                 yield from self._next(workers, function, waiting)
         finally:

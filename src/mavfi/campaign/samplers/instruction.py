@@ -84,8 +84,7 @@ def draw_instruction_faults(
     )
 
 
-_Place = tuple[str, int, int]
-"""Function, call, index."""
+_Place = tuple[str, int, int]  # function, call, index
 _FlyAgain = Callable[..., None]
 """Flies the golden flight with instrumented functions, until it is enough; raises a MavfiError if it was another."""
 

@@ -12,8 +12,7 @@ from mavfi.campaign.samplers.sampler import Draw, Sampled
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.hosts.host import ArmSetup, MissionFlights
 
-PATIENCE_S = 20.0
-"""How long the process may take to come by (s)."""
+PATIENCE_S = 20.0  # how long the process may take to come by (s)
 
 
 class RegisterSampler:

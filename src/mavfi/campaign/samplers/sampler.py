@@ -7,8 +7,7 @@ from typing import Any, Protocol
 from mavfi.faults.fault import Fault
 from mavfi.hosts.host import ArmSetup, MissionFlights, Recorded
 
-NULL = "null"
-"""Target of null runs: the whole path through the injector, with an empty mask."""
+NULL = "null"  # target of null runs: the whole path through the injector, with an empty mask
 
 
 @dataclass(frozen=True, slots=True)
