@@ -88,8 +88,6 @@ def faulty_and_bare(runs: Runs) -> Runs:
     return own.adding(row=pl.col("setting").replace(names))
 
 
-_lead, _others = m.by_population("success")
-
 register(
     View(
         "success_as_in_the_paper", "State level: success rates, one fault per mission", ("row",),
@@ -104,7 +102,8 @@ register(
         ), applies=_by_stages,
     ),
     View(
-        "success", "Success of missions", SETTING, (_lead, paper.beside(paper.success), _others), where=of_missions,
+        "success", "Success of missions", SETTING, (m.leading_success, paper.beside(paper.success), m.other_success),
+        where=of_missions,
         notes=lambda runs: (
             paper.STATE_LEVEL, ONE_FAULT, _SETTINGS, INTERVALS,
             "paper: instruction level, 100 golden flights, 300 with a fault", *unknown_note(of_missions(runs)),
@@ -197,7 +196,7 @@ def _slow_note(runs: Runs) -> tuple[str, ...]:
 def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
     """A view over all environments, and where there are several one with each of them."""
     applies, detail = more.pop("applies", of_states), more.pop("detail", False)
-    columns: dict[str, Any] = {"measures": (_lead, _others, m.hurt), "notes": _slow_note}
+    columns: dict[str, Any] = {"measures": (m.leading_success, m.other_success, m.hurt), "notes": _slow_note}
     columns["where"] = lambda runs: runs.injected.where("judged", level=STATE)
     register(
         View(name, title, (*by, "setting"), detail=detail, applies=applies, **columns, **more),

@@ -21,10 +21,8 @@ _FLAGS = {"yes": "true", "True": "true", "no": "false", "False": "false"}  # tru
 def listing(runs: Runs, where: Sequence[str] = (), *, failed: bool = False) -> Table:
     """Runs in the order of the plan.  All columns of the frame are in CSV and JSON.
 
-    Args:
-        runs: Of a campaign.
-        where: Conditions `column=value`, all of which must hold; values separated by commas are alternatives.
-        failed: Only missions that did not succeed, and runs that could not be judged.
+    Runs meet all conditions `column=value`; values separated by commas are alternatives.  `failed` selects missions
+    that did not succeed, and runs that could not be judged.
 
     Raises:
         BadInputError: A text is no condition, or there is no such column.

@@ -19,7 +19,7 @@ from mavfi.campaign.analysis.statistics import (
     smallest_difference,
     weighted_rate,
 )
-from mavfi.campaign.analysis.table import NUMBER, PERCENT, RATE, SIGNED, Cell, Column
+from mavfi.campaign.analysis.table import NUMBER, PERCENT, RATE, SIGNED, TEXT, Cell, Column
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.faults.strata import HEADLINE
 
@@ -64,9 +64,9 @@ def count(key: str, heading: str, *tests: pl.Expr | str, **values: Any) -> Measu
     return Measure(key, heading, NUMBER, lambda own: len(own.where(*tests, **values)))
 
 
-def first(column: str, heading: str = "", form: str = "text", key: str = "") -> Measure:
+def first(column: str, heading: str) -> Measure:
     """Value of the first row: of a column that all rows of a group share."""
-    return Measure(key or column, heading or column.replace("_", " "), form, lambda own: own.first(column))
+    return Measure(column, heading, TEXT, lambda own: own.first(column))
 
 
 def median(column: str, heading: str, form: str = NUMBER) -> Measure:
@@ -74,9 +74,9 @@ def median(column: str, heading: str, form: str = NUMBER) -> Measure:
     return Measure(column, heading, form, lambda own: own.frame[column].median())
 
 
-def quantile(column: str, share: float, key: str, heading: str, form: str = SIGNED) -> Measure:
+def quantile(column: str, share: float, key: str, heading: str) -> Measure:
     """Quantile of a column."""
-    return Measure(key, heading, form, lambda own: quantile_of(own[column], share))
+    return Measure(key, heading, SIGNED, lambda own: quantile_of(own[column], share))
 
 
 def quantile_of(values: Iterable[float | None], share: float) -> float | None:
@@ -131,22 +131,21 @@ def leading(own: Runs, names: Sequence[str], test: pl.Expr | str) -> Rate | None
     return rates.get("all", rates.get(names[0]) if names else None)
 
 
-def by_population(test: pl.Expr | str, key: str = "success", title: str = "success %, ") -> tuple[Spread, Spread]:
-    """Two spreads: the leading population (golden runs in the same column), and the others."""
+def leading_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
+    """Success in the leading population; golden runs are in the same column."""
+    names = population_names(runs, by)
+    heading = f"success %, {POPULATIONS.get(names[0], names[0])}" if names else "success %"
+    yield Measure("success", heading, RATE, lambda own: leading(own, names, "success"))
 
-    def lead(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
-        names = population_names(runs, by)
-        heading = title + POPULATIONS.get(names[0], names[0]) if names else title.rstrip(", ")
-        yield Measure(key, heading, RATE, lambda own: leading(own, names, test))
+
+def other_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
+    """Success in each of the other populations."""
 
     def within(name: str) -> Callable[[Runs], Cell]:
-        return lambda own: populations(own, test).get(name)
+        return lambda own: populations(own, "success").get(name)
 
-    def others(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
-        for name in population_names(runs, by)[1:]:
-            yield Measure(f"{key}_{name}", POPULATIONS.get(name, name), RATE, within(name))
-
-    return lead, others
+    for name in population_names(runs, by)[1:]:
+        yield Measure(f"success_{name}", POPULATIONS.get(name, name), RATE, within(name))
 
 
 FAILS_OR_SLOWER = ~pl.col("success") | (pl.col("inflation") > SLOWER).fill_null(value=False)

@@ -76,12 +76,10 @@ def _added(one: float, other: float, correlation: float) -> float:
 def recovery(pairs: Sequence[tuple[object, bool, bool, bool]]) -> Recovery | None:
     """Share of the lost missions that a detector brings back; None if there is no pair.
 
-    Where the method only brings back what fi alone has lost, the rate is a share of these pairs: Clopper and Pearson's
-    exact interval, for the effective number of pairs (Korn and Graubard 1998).  Where other pairs differ too, it is
-    widened to hold the clustered bootstrap's interval.
-
-    Args:
-        pairs: World, success without a fault, with the fault, with fault and method.
+    Pairs are world, success without a fault, with the fault, with fault and method.  Where the method only brings back
+    what fi alone has lost, the rate is a share of these pairs: Clopper and Pearson's exact interval, for the effective
+    number of pairs (Korn and Graubard 1998).  Where other pairs differ too, it is widened to hold the clustered
+    bootstrap's interval.
     """
     if not pairs:
         return None

@@ -48,7 +48,7 @@ def comparable(campaign: Mapping[str, Any], detector_profile: str) -> bool:
     return campaign.get("profile") == data["profile"] and detector_profile in ("", data["detector_profile"])
 
 
-def beside(find: Any, heading: str = "paper", form: str = PERCENT, key: str = "paper") -> Measure:
+def beside(find: Any, heading: str = "paper", form: str = PERCENT) -> Measure:
     """A column with the figure of an environment and setting, where rows and paper can be compared."""
 
     def of(own: Runs) -> Any:
@@ -56,7 +56,7 @@ def beside(find: Any, heading: str = "paper", form: str = PERCENT, key: str = "p
             return None
         return find(own.first("environment"), own.first("setting"))
 
-    return Measure(key, heading, form, of)
+    return Measure("paper", heading, form, of)
 
 
 def success(environment: str, setting: str) -> float | None:

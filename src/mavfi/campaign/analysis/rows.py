@@ -50,12 +50,8 @@ def row_of(
 ) -> dict[str, Any]:  # fmt: skip
     """Columns of one run that is done.
 
-    Args:
-        run: What was planned.
-        record: What it left.
-        own: Record of the golden run of the same arm, for the comparison of digests.
-        reference: Record of the golden run of the same mission without a detector, for the comparison of flight times.
-        monitored: States and fields that detectors watch.
+    Digests are compared with the golden run of the same arm, `own`, flight times with that of the same mission without
+    a detector, `reference`; `monitored` are the states and fields that detectors watch.
     """
     spec, fault = run.spec, run.spec.fault
     planned = {} if fault is None else {

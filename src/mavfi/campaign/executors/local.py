@@ -28,10 +28,10 @@ R = TypeVar("R")
 
 
 class LocalExecutor:
-    """Runs missions on this machine.
+    """Runs missions on this machine, in at most `workers` processes; there are never more than missions.
 
     Args:
-        workers: Number of processes, at most; there are never more than missions.
+        workers: Number of processes.
         time_limit: Wall time without an item after which a worker counts as lost (s).
 
     Raises:

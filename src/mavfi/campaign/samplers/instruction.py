@@ -46,12 +46,7 @@ def draw_instruction_faults(
 ) -> Drawn:  # fmt: skip
     """Fly the golden flight, and draw faults; a kernel that executes no such instruction gives faults without a site.
 
-    Args:
-        scenario: The mission.
-        request: What to draw.
-        address: What tells these faults from others of the same seed, e.g. the environment.
-        seed: Of the draw.
-        detector: Watches the flight.
+    The draw depends on the seed and on an address, e.g. the environment, that distinguishes faults of the same seed.
 
     Raises:
         BadInputError: There is no such kernel, class or model.

@@ -48,12 +48,9 @@ class Sampler(Protocol):
         """Fly the golden run of a variant; `draws` are those of this mission and variant."""
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
-        """The faults of one mission, in the order of the draws; None = nothing can be drawn, and no run is planned.
+        """The faults of one mission, in the order of its draws; None = nothing can be drawn, and no run is planned.
 
-        Args:
-            draws: Of this mission.
-            environment: Name.
-            golden: By variant; one whose golden run left nothing is absent.
+        Golden runs are by variant; one that left nothing is absent.
         """
 
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
