@@ -1,9 +1,7 @@
 """What a campaign is: the YAML files of configs/campaigns, as models; and studies, which are sets of campaigns."""
 
-import hashlib
-import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -17,12 +15,9 @@ from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
 from mavfi.states import INJECTABLE, MONITORED_SETS, PLANNERS
 
-DESIGN_SEEDS = range(10_000)
-"""Seeds that the autopilot profiles were tuned on."""
-TRAINING_SEED = 1_000_000
-"""First seed of the flights that detectors are trained on; no campaign flies these."""
-NULL_RUNS = 3
-"""Null runs per environment, where faults are in states and the campaign does not say."""
+DESIGN_SEEDS = range(10_000)  # seeds that the autopilot profiles were tuned on
+TRAINING_SEED = 1_000_000  # first seed of the flights that detectors are trained on; no campaign flies these
+NULL_RUNS = 3  # null runs per environment, where faults are in states and the campaign does not say
 
 _RENAMED = {
     "law": "sampling.scheme", "strata": "sampling.strata", "groups": "sampling.groups", "sites": "sampling.sites",
@@ -60,7 +55,7 @@ class StateSampling(Config):
     def _consistent(self) -> "StateSampling":
         if (self.scheme == "groups") != bool(self.groups):
             raise ValueError(f"sampling.scheme: {self.scheme!r}: groups go with scheme groups, and only with it")
-        check_distinct("sampling.groups", [group.name for group in self.groups])
+        _check_distinct("sampling.groups", [group.name for group in self.groups])
         for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
             _check_strata(strata)
         return self
@@ -84,10 +79,8 @@ class InstructionSampling(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "InstructionSampling":
-        unknown = sorted(set(self.kernels) - set(INJECTABLE))
-        if unknown:
-            raise ValueError(f"sampling.kernels: {unknown[0]!r}: not known; allowed: {', '.join(INJECTABLE)}")
-        check_distinct("sampling.kernels", self.kernels)
+        _check_known("sampling.kernels", sorted(self.kernels), INJECTABLE)
+        _check_distinct("sampling.kernels", self.kernels)
         return self
 
 
@@ -105,9 +98,8 @@ class RegisterSampling(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "RegisterSampling":
-        if self.access not in ACCESSES:
-            raise ValueError(f"sampling.access: {self.access!r}: not known; allowed: {', '.join(ACCESSES)}")
-        check_distinct("sampling.registers", self.registers)
+        _check_known("sampling.access", [self.access], ACCESSES)
+        _check_distinct("sampling.registers", self.registers)
         return self
 
 
@@ -144,7 +136,7 @@ class ArmConfig(Config):
         mission = rest.get("mission", {})
         if not isinstance(mission, dict):
             return data  # is refused
-        return {**rest, "mission": mission_keys({**mission, **beside}, "arms")}
+        return {**rest, "mission": _mission_keys({**mission, **beside}, "arms")}
 
 
 class Scale(Config):
@@ -186,7 +178,7 @@ class Campaign(Config):
                 if key in _RENAMED and key not in cls.model_fields:
                     raise ValueError(f"key {key!r}: is now {_RENAMED[key]!r} (docs/generated/campaign-keys.md)")
             if isinstance(data.get("mission"), dict):
-                data = {**data, "mission": mission_keys(data["mission"], "mission")}
+                data = {**data, "mission": _mission_keys(data["mission"], "mission")}
         return data
 
     @model_validator(mode="after")
@@ -196,11 +188,10 @@ class Campaign(Config):
             raise ValueError(
                 f"first_seed: {self.first_seed}, missions: {missions}: seeds from {TRAINING_SEED} on are for training"
             )
-        if self.monitored_set not in MONITORED_SETS:
-            raise ValueError(f"monitored_set: {self.monitored_set!r}: not known; allowed: {', '.join(MONITORED_SETS)}")
+        _check_known("monitored_set", [self.monitored_set], MONITORED_SETS)
         if (self.host == "node") != (self.node is not None):
             raise ValueError(f"host: {self.host!r}: the key node goes with host node, and only with it")
-        check_distinct("environments", self.environments)
+        _check_distinct("environments", self.environments)
         for name in self.arms:
             if name in PLANNERS:
                 raise ValueError(f"arms: {name!r}: is the name of a planner; allowed: any other name")
@@ -233,9 +224,7 @@ class Campaign(Config):
     @property
     def nulls(self) -> int:
         """Null runs per environment."""
-        if self.null_runs is not None:
-            return self.null_runs
-        return self.sampling.null_runs
+        return self.sampling.null_runs if self.null_runs is None else self.null_runs
 
     @property
     def on_design_seeds(self) -> bool:
@@ -243,18 +232,9 @@ class Campaign(Config):
         return self.first_seed < DESIGN_SEEDS.stop
 
     def spec(self, environment: str, seed: int, overrides: Mapping[str, Any] | None = None) -> MissionSpec:
-        """The mission of an environment and seed, with what differs in an arm."""
+        """The mission of an environment and seed, with the overrides of an arm."""
         given = {**self.mission, **(overrides or {}), "environment": environment, "seed": seed}
         return parse(MissionSpec, given, f"campaign {self.name}")
-
-    @property
-    def host_options(self) -> dict[str, Any]:
-        """What its host is made with."""
-        return {} if self.node is None else {"node": self.node}
-
-    def key(self) -> str:
-        """Hash that identifies the campaign."""
-        return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -272,7 +252,7 @@ class Study(Config):
 
 
 def _node_keys(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The keys of a campaign of `kind: ros_node`, the older spelling of `host: node`."""
+    """Keys of `host: node`, from the older spelling `kind: ros_node`."""
     given = {key: value for key, value in data.items() if key != "kind"}
     node = {"name": given.pop("node", "")}
     node |= {key: given.pop(key) for key in NodeConfig.model_fields if key != "name" and key in given}
@@ -286,12 +266,8 @@ def _node_keys(data: Mapping[str, Any]) -> dict[str, Any]:
             "scales": scales}  # fmt: skip
 
 
-def mission_keys(given: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Keys and values of a mission, checked; `stack` becomes `autopilot`.
-
-    Raises:
-        ValueError: One of them is not a key of a mission, or its value is not allowed.
-    """
+def _mission_keys(given: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Keys and values of a mission, checked; `stack` becomes `autopilot`."""
     data = {("autopilot" if key == "stack" else key): value for key, value in given.items()}
     for key in ("environment", "seed"):
         if key in data:
@@ -303,21 +279,20 @@ def mission_keys(given: Mapping[str, Any], where: str) -> dict[str, Any]:
     return parsed.model_dump(mode="json", include=set(data))
 
 
-def check_distinct(key: str, names: Sequence[str]) -> None:
-    """Refuse a name that stands twice.
+def _check_known(key: str, names: Iterable[str], allowed: Collection[str]) -> None:
+    for name in names:
+        if name not in allowed:
+            raise ValueError(f"{key}: {name!r}: not known; allowed: {', '.join(allowed)}")
 
-    Raises:
-        ValueError: One does.
-    """
+
+def _check_distinct(key: str, names: Iterable[str]) -> None:
     for name, count in Counter(names).items():
         if count > 1:
             raise ValueError(f"{key}: {name!r}: named {count} times; allowed: once")
 
 
 def _check_strata(strata: Mapping[str, float]) -> None:
-    unknown = set(strata) - set(STRATA)
-    if unknown:
-        raise ValueError(f"sampling.strata: {sorted(unknown)[0]!r}: not known; allowed: {', '.join(STRATA)}")
+    _check_known("sampling.strata", sorted(strata), STRATA)
     if not strata or not all(0 < share < float("inf") for share in strata.values()):
         raise ValueError(f"sampling.strata: {strata}: need at least one name, and shares above 0")
 
@@ -328,7 +303,7 @@ def load_campaign(name: str | Path) -> Campaign:
     Raises:
         BadInputError: There is no such file, or something in it is wrong.
     """
-    return load(Campaign, config_path("campaigns", name))
+    return load(Campaign, _config_path("campaigns", name))
 
 
 def load_study(name: str | Path) -> Study:
@@ -337,26 +312,15 @@ def load_study(name: str | Path) -> Study:
     Raises:
         BadInputError: There is no such file, or something in it is wrong.
     """
-    return load(Study, config_path("studies", name))
+    return load(Study, _config_path("studies", name))
 
 
-def config_path(folder: str, name: str | Path) -> Path:
-    """File of a campaign or study.
-
-    Args:
-        folder: "campaigns" or "studies".
-        name: A path, or the name of a shipped one.
-
-    Raises:
-        BadInputError: There is none of that name.
-    """
-    path = Path(name)
-    if path.suffix in (".yaml", ".yml"):
-        return path
-    shipped = config_root() / folder
-    path = shipped / f"{name}.yaml"
-    if not path.is_file():
-        allowed = ", ".join(sorted(file.stem for file in shipped.glob("*.yaml")))
-        kind = {"campaigns": "campaign", "studies": "study"}[folder]
+def _config_path(folder: str, name: str | Path) -> Path:
+    """File of a shipped campaign or study (folder "campaigns" or "studies"), or the path that was given."""
+    if Path(name).suffix in (".yaml", ".yml"):
+        return Path(name)
+    shipped = {file.stem: file for file in sorted((config_root() / folder).glob("*.yaml"))}
+    if str(name) not in shipped:
+        kind, allowed = {"campaigns": "campaign", "studies": "study"}[folder], ", ".join(shipped)
         raise BadInputError(f"{kind} {str(name)!r}: not known; allowed: {allowed}, or a path to a .yaml file")
-    return path
+    return shipped[str(name)]

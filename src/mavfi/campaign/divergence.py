@@ -9,13 +9,12 @@ from scipy.spatial import cKDTree
 from mavfi.flight_log import FlightLog
 from mavfi.states import State
 
-LEFT = 0.1
-"""Distance from the golden run's path from which a flight counts as having left it (m)."""
+LEFT = 0.1  # distance from the golden run's path from which a flight counts as having left it (m)
 
 
 @dataclass(frozen=True, slots=True)
 class Publication:
-    """One value that consumers saw, and when (us)."""
+    """A value that consumers saw, and when (us)."""
 
     time_us: int
     state: State
@@ -23,24 +22,14 @@ class Publication:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The first publication in which two flights differ: the n-th of a state in one beside the n-th in the other.
-
-    Attributes:
-        state: Which state.
-        field: Which field, with its element; "" where the value is the same and only the instant differs, or where
-            one of the flights has no such publication.
-        golden_us: When the golden run published it; None = it did not.
-        injected_us: When the injected run did; None = it did not.
-        golden: Value in the golden run; None without a field.
-        injected: Value in the injected run; None without a field.
-    """
+    """The first publication in which two flights differ; they are paired by state and number."""
 
     state: str
-    field: str
-    golden_us: int | None
-    injected_us: int | None
-    golden: object = None
-    injected: object = None
+    field: str  # with its element; "" where only the instant differs, or one flight has no such publication
+    golden_us: int | None  # when the golden run published it; None = it did not
+    injected_us: int | None  # when the injected run did; None = it did not
+    golden: object = None  # value in the golden run; None without a field
+    injected: object = None  # value in the injected run; None without a field
 
     @property
     def time_us(self) -> int:
@@ -51,11 +40,7 @@ class Difference:
 def first_difference(golden: Sequence[Publication], injected: Sequence[Publication]) -> Difference | None:
     """The first publication that differs in value or instant; None if flights are the same, bit for bit.
 
-    Publications are compared by state and number, so that one that is held back is found beside its counterpart.
-
-    Args:
-        golden: All publications of the golden run, in order.
-        injected: Of the injected run.
+    Publications are compared by state and number, so that a delayed one is compared with its counterpart.
     """
     numbered = _numbered(golden), _numbered(injected)
     found: Difference | None = None
@@ -69,7 +54,6 @@ def first_difference(golden: Sequence[Publication], injected: Sequence[Publicati
 
 
 def _numbered(publications: Sequence[Publication]) -> dict[tuple[str, int], Publication]:
-    """Publications by state and number, in order."""
     counts: dict[str, int] = {}
     found = {}
     for publication in publications:
@@ -92,8 +76,7 @@ def _difference(name: str, first: Publication | None, second: Publication | None
 
 
 def _field(first: State, second: State) -> tuple[str, object, object]:
-    """First field whose bits differ, and its values; lists of different lengths differ in their number of elements."""
-    spec = second.spec
+    """First field whose bits differ, and its two values; or the numbers of elements, where these differ."""
     if len(first.elements) != len(second.elements):
         return "number of elements", len(first.elements), len(second.elements)
     for before, after, is_list in ((first.header, second.header, False), (first.elements, second.elements, True)):
@@ -101,7 +84,7 @@ def _field(first: State, second: State) -> tuple[str, object, object]:
             row = _first_row(before[name], after[name])
             if row is not None:
                 return f"{name}[{row}]" if is_list else name, before[name][row].item(), after[name][row].item()
-    raise AssertionError(f"{spec.name}: bits differ and no field does")
+    raise AssertionError(f"{second.spec.name}: bits differ and no field does")
 
 
 def _first_row(before: np.ndarray, after: np.ndarray) -> int | None:
@@ -114,22 +97,13 @@ def _first_row(before: np.ndarray, after: np.ndarray) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class Departure:
-    """How far a flight went from the golden run's path, at any time, and how far behind it ended.
+    """How far a flight went from the golden run's path, at any time, and how far behind it ended."""
 
-    Attributes:
-        time_s: When it was first farther than `LEFT` from the path; None if never.
-        position: Where it was then (m); None if never.
-        largest_m: Largest distance from the path.
-        largest_s: When.
-        behind_s: At its end: its time less that at which the golden run passed the nearest point (s); negative =
-            ahead, None where its last position is not finite.
-    """
-
-    time_s: float | None
-    position: tuple[float, float, float] | None
-    largest_m: float
-    largest_s: float
-    behind_s: float | None
+    time_s: float | None  # when it was first farther than `LEFT` from the path; None if never
+    position: tuple[float, float, float] | None  # at that time (m)
+    largest_m: float  # largest distance from the path
+    largest_s: float  # its time
+    behind_s: float | None  # at its end, less the golden run's time at the nearest point; None = no finite position
 
 
 def departure(golden: FlightLog, injected: FlightLog) -> Departure:
@@ -147,16 +121,10 @@ def departure(golden: FlightLog, injected: FlightLog) -> Departure:
 
 
 def _nearest(golden: FlightLog, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance of points from a flown path, and when that flight was there.
+    """Distances (m) of points (m), shape (n, 3), from a flown path, and the instants (s) when that flight was there.
 
-    The nearest of the flight's positions is looked for, then the nearest point of the two legs that meet there.
-
-    Args:
-        golden: The flight; its positions are finite.
-        points: Shape (n, 3) (m).
-
-    Returns:
-        Distances (m), infinite for points that are not finite, and instants (s). Shapes (n,), (n,).
+    The nearest of the flight's positions is looked up, then the nearest point of the two legs that meet there.
+    Distances are infinite for points that are not finite. Shapes (n,), (n,).
     """
     path, time = golden.columns("x", "y", "z"), golden.column("time")
     distance, passed = np.full(len(points), np.inf), np.zeros(len(points))

@@ -15,10 +15,9 @@ from pathlib import Path
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.plan import Arm, Plan, RunSpec, arms_of
 from mavfi.campaign.samplers import sampler_for
-from mavfi.campaign.samplers.sampler import NULL, Draw, Sampled
+from mavfi.campaign.samplers.sampler import NULL, Sampled
 from mavfi.detectors.detector import Detector
 from mavfi.errors import SpecMismatchError
-from mavfi.faults.fault import Fault
 from mavfi.faults.instruction.forked import WALL_CLOCK, run_in_child
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Host, MissionFlights, Recorded, find_host
@@ -33,27 +32,16 @@ LONGEST_ALONE = 180.0
 
 @dataclass(frozen=True, slots=True)
 class MissionPlan:
-    """A mission, and all that its runs are a function of.
-
-    Attributes:
-        campaign: The campaign.
-        environment: Name.
-        seed: Of the mission.
-        models_dir: Folder of trained models; None = the shipped ones.
-        models: sha256 of the trained model by arm; others are refused.
-        fast_forward: Whether flights may begin at checkpoints of known ones; the records are the same either way.
-        done: Runs that are in the ledger, by id.
-        alone: Whether each run with a fault is flown in a child of its own: a worker has died of this mission.
-    """
+    """A mission, and all that its runs are a function of."""
 
     campaign: Campaign
     environment: str
     seed: int
-    models_dir: Path | None = None
-    models: Mapping[str, str] = field(default_factory=dict)
-    fast_forward: bool = True
-    done: frozenset[str] = frozenset()
-    alone: bool = False
+    models_dir: Path | None = None  # of trained models; None = the shipped ones
+    models: Mapping[str, str] = field(default_factory=dict)  # sha256 of the trained model by arm; others are refused
+    fast_forward: bool = True  # begin flights at checkpoints of known ones; the records are the same either way
+    done: frozenset[str] = frozenset()  # ids of the runs in the ledger
+    alone: bool = False  # each run with a fault in a child of its own: a worker has died of this mission
 
     @property
     def world(self) -> tuple[str, int]:
@@ -71,14 +59,7 @@ class Planned:
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """A run that is over.
-
-    Attributes:
-        run_id: Which.
-        record: A pure function of the plan.
-        note: Traceback of a run that ended in an exception of ours.
-        wall_s: What it took (s); never part of the record.
-    """
+    """A run that is over: its note is the traceback of an exception of ours; its wall time is no part of the record."""
 
     run_id: str
     record: FlightRecord
@@ -88,18 +69,13 @@ class Flown:
 
 def host_of(campaign: Campaign) -> Host:
     """The host of a campaign."""
-    return find_host(campaign.host, campaign.host_options)
+    return find_host(campaign.host, {} if campaign.node is None else {"node": campaign.node})
 
 
 def scenarios_of(
     campaign: Campaign, arms: Sequence[Arm], environments: Sequence[str] = ()
 ) -> dict[tuple[str, str], Scenario]:  # fmt: skip
-    """Scenario with the campaign's first seed, by environment and arm.
-
-    Args:
-        campaign: The campaign.
-        arms: Those that are wanted.
-        environments: Names; none = all environments of the campaign.
+    """Scenario with the campaign's first seed, by environment (none = all of the campaign's) and arm.
 
     Raises:
         BadInputError: A name is not known, or things do not fit together.
@@ -138,9 +114,6 @@ def setup_of(plan: MissionPlan, arm: Arm, host: Host) -> ArmSetup:
 
 def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
     """Fly all runs of a mission that are not in the ledger yet.
-
-    Args:
-        mission: The mission.
 
     Yields:
         The golden runs as planned, their records; the runs with faults as planned, their records.
@@ -186,27 +159,24 @@ def _golden(plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup,
 
 def _draw(plan: Plan, mission: MissionPlan, sampled: Mapping[str, Sampled]) -> list[RunSpec]:
     """All runs with a fault of a mission, in the order of the plan."""
+    sampler, environment = plan.sampler, mission.environment
     places = list(plan.places(*mission.world))
-    draws = [draw for _, draw in places if draw.target != NULL]
-    drawn = iter(plan.sampler.draw(draws, mission.environment, sampled))
+    drawn = iter(sampler.draw([draw for _, draw in places if draw.target != NULL], environment, sampled))
     found = []
     for place, draw in places:
-        fault = _null(plan, draw, mission, sampled) if draw.target == NULL else next(drawn)
+        is_null = draw.target == NULL
+        fault = sampler.null(draw.index, draw.seed, environment, sampled) if is_null else next(drawn)
         if fault is not None:
-            found += plan.injected(mission.environment, draw, place, fault)
+            found += plan.injected(environment, draw, place, fault)
     return found
 
 
-def _null(plan: Plan, draw: Draw, mission: MissionPlan, sampled: Mapping[str, Sampled]) -> Fault:
-    return plan.sampler.null(draw.index, draw.seed, mission.environment, sampled)
-
-
 def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]:
-    """The runs with a fault, as the host gives them; those that it does not give are `unknown`."""
+    """The runs with a fault, as the host gives them; missing ones are `unknown`."""
     left = dict(enumerate(specs))
     note, started = "the host gave no such flight", time.perf_counter()
     try:
-        for place, flight in flights.injected([_request(spec) for spec in specs]):
+        for place, flight in flights.injected([(spec.arm, spec.fault) for spec in specs if spec.fault is not None]):
             wall_s, started = time.perf_counter() - started, time.perf_counter()
             yield replace(_guarded(left.pop(place).run_id, partial(_judged, flight)), wall_s=wall_s)
     except SpecMismatchError:
@@ -218,7 +188,7 @@ def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flo
 
 
 def _alone(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]:
-    """The same, each in a child of its own; one that dies each time is `due`, one that takes too long is not judged."""
+    """Runs with a fault, each in a child of its own: `due` if each attempt dies, `unknown` if one takes too long."""
     for spec in specs:
         late = False
         for _ in range(ATTEMPTS_ALONE):
@@ -236,11 +206,6 @@ def _pickled(spec: RunSpec, flights: MissionFlights) -> bytes:
     return pickle.dumps(next(_injected([spec], flights)))
 
 
-def _request(spec: RunSpec) -> tuple[str, Fault]:
-    assert spec.fault is not None  # golden runs are flown apart
-    return spec.arm, spec.fault
-
-
 def _judged(flight: Recorded | Exception) -> FlightRecord:
     if isinstance(flight, Exception):
         raise flight
@@ -248,11 +213,7 @@ def _judged(flight: Recorded | Exception) -> FlightRecord:
 
 
 def _guarded(run_id: str, work: Callable[[], FlightRecord]) -> Flown:
-    """Do what flies and records a run; an exception of ours is recorded as `unknown`.
-
-    Raises:
-        SpecMismatchError: A model is not the planned one: no run of the mission can be flown.
-    """
+    """Record a run, an exception of ours as `unknown`; where a model is not the planned one, no run can be flown."""
     started = time.perf_counter()
     try:
         return Flown(run_id, work(), wall_s=time.perf_counter() - started)

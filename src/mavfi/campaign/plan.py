@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
-from mavfi.campaign.config import ArmConfig, Campaign
+from mavfi.campaign.config import Campaign
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Draw, Sampler
 from mavfi.faults.fault import Fault, fault_from_json
@@ -23,39 +23,22 @@ Kind = Literal["golden", "injected", "null"]
 
 @dataclass(frozen=True, slots=True)
 class RunSpec:
-    """One run: with its scenario, all that decides every byte of its record.
-
-    Attributes:
-        kind: "golden", "injected" or "null".
-        setting: See the module's text.
-        environment: Name in the campaign.
-        seed: Seed of the mission.
-        scenario: Key of the scenario with the campaign's first seed.
-        arm: Name of the arm; "" = the campaign's own mission, without a detector.
-        detector: What watches; "" = nothing.
-        detector_profile: Its profile.
-        model: sha256 of its trained model.
-        target: Stage, group, kernel or kind of registers whose fault it is; "" for golden runs.
-        index: Number of the fault within target and environment.
-        fault: The fault.
-        position: Place in the ledger; no part of what decides a run.
-        run_id: Readable, and unique by a hash of all of the above.
-    """
+    """One run: with its scenario, all that decides every byte of its record."""
 
     kind: Kind
-    setting: str
-    environment: str
+    setting: str  # see the module's text
+    environment: str  # name in the campaign
     seed: int
-    scenario: str
-    arm: str = ""
-    detector: str = ""
+    scenario: str  # key of the scenario with the campaign's first seed
+    arm: str = ""  # "" = the campaign's own mission, without a detector
+    detector: str = ""  # "" = none
     detector_profile: str = ""
-    model: str = ""
-    target: str = ""
-    index: int = 0
+    model: str = ""  # sha256 of the detector's trained model
+    target: str = ""  # stage, group, kernel or kind of registers of the fault; "" for golden runs
+    index: int = 0  # number of the fault within target and environment
     fault: Fault | None = None
-    position: int = field(default=0, compare=False)
-    run_id: str = field(default="", compare=False)
+    position: int = field(default=0, compare=False)  # place in the ledger; does not decide the record
+    run_id: str = field(default="", compare=False)  # readable, and unique by a hash of all of the above
 
     def __post_init__(self) -> None:
         content = json.dumps({**self.to_json(), "position": 0, "run_id": ""}, sort_keys=True)
@@ -69,11 +52,6 @@ class RunSpec:
     def world(self) -> tuple[str, int]:
         """Environment and seed."""
         return self.environment, self.seed
-
-    @property
-    def golden_setting(self) -> str:
-        """Setting of its golden run: the same arm, without a fault."""
-        return golden_setting(self.arm)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -89,57 +67,28 @@ class RunSpec:
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """What is compared: a name, what differs from the campaign's mission, and what watches.
+    """What is compared: overrides of the campaign's mission, and the detector that watches."""
 
-    Attributes:
-        name: "" = the campaign's own mission.
-        overrides: Keys of the mission that differ.
-        detector: What watches; "" = nothing.
-        profile: Of the detector.
-        is_variant: Whether the sampling scheme needs it: it is flown only with the faults that are drawn in it.
-    """
-
-    name: str = ""
+    name: str = ""  # "" = the campaign's own mission
     overrides: Mapping[str, Any] = field(default_factory=dict)
-    detector: str = ""
+    detector: str = ""  # "" = none
     profile: str = ""
-    is_variant: bool = False
-
-    @staticmethod
-    def of(name: str, config: ArmConfig) -> "Arm":
-        """An arm as a campaign names it."""
-        return Arm(name, config.mission, config.detector, config.profile if config.detector else "")
+    is_variant: bool = False  # needed by the sampling scheme, and flown only with the faults that are drawn in it
 
 
-def golden_setting(arm: str) -> str:
-    """Setting of the error-free runs of an arm."""
-    return f"{GOLDEN}_{arm}" if arm else GOLDEN
-
-
-def injected_setting(arm: Arm) -> str:
-    """Setting of the runs with a fault."""
-    if not arm.name or arm.is_variant:
-        return FI
-    return f"{RECOVERY if arm.detector else FI}_{arm.name}"
+def _with_arm(setting: str, arm: str) -> str:
+    return f"{setting}_{arm}" if arm else setting
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The runs of a campaign before any of them is flown.
-
-    Attributes:
-        campaign: The campaign.
-        sampler: Of its faults.
-        arms: The campaign's own mission, the variants, the arms, in this order.
-        scenarios: Key of the scenario by environment and arm.
-        models: sha256 of the trained model by arm.
-    """
+    """The runs of a campaign before any of them is flown."""
 
     campaign: Campaign
     sampler: Sampler
-    arms: tuple[Arm, ...]
-    scenarios: Mapping[tuple[str, str], str]
-    models: Mapping[str, str]
+    arms: tuple[Arm, ...]  # the campaign's own mission, the variants, the arms, in this order
+    scenarios: Mapping[tuple[str, str], str]  # key of the scenario by environment and arm
+    models: Mapping[str, str]  # sha256 of the trained model by arm
 
     @property
     def watching(self) -> tuple[Arm, ...]:
@@ -149,16 +98,15 @@ class Plan:
     def golden(self, environment: str, seed: int) -> list[RunSpec]:
         """The golden runs of a mission, one for each arm."""
         campaign = self.campaign
-        first = (campaign.environments.index(environment) * campaign.missions + seed - campaign.first_seed) * len(
-            self.arms
-        )
+        mission = campaign.environments.index(environment) * campaign.missions + seed - campaign.first_seed
+        first = mission * len(self.arms)
         return [
-            self._run("golden", golden_setting(arm.name), environment, seed, arm, position=first + place)
+            self._run("golden", _with_arm(GOLDEN, arm.name), environment, seed, arm, position=first + place)
             for place, arm in enumerate(self.arms)
         ]
 
     def places(self, environment: str, seed: int) -> Iterator[tuple[int, Draw]]:
-        """What is drawn in a mission, and the place of its first run among the runs with faults."""
+        """The draws of a mission, each with the place of its first run among the runs with faults."""
         campaign, each = self.campaign, 1 + len(self.watching)
         draws = self.sampler.draws(environment)
         before = campaign.environments.index(environment) * (len(draws) * each + campaign.nulls)
@@ -171,32 +119,33 @@ class Plan:
                 yield before + len(draws) * each + index, Draw(NULL, index, own)
 
     def injected(self, environment: str, draw: Draw, place: int, fault: Fault) -> list[RunSpec]:
-        """The runs of one fault: in its variant, and again in every arm; a null run in one arm, each in turn."""
-        golden = len(self.campaign.environments) * self.campaign.missions * len(self.arms)
+        """The runs of one fault: in its variant and again in every arm; a null run in one arm, each in turn."""
         if draw.target == NULL:
+            kind: Kind = "null"
             arms = [arm for arm in self.arms if not arm.is_variant]
-            flown: list[Arm] = [arms[draw.index % len(arms)]]
+            settings = [(arm, _with_arm(NULL, arm.name)) for arm in [arms[draw.index % len(arms)]]]
         else:
-            flown = [next(arm for arm in self.arms if arm.name == draw.variant), *self.watching]
+            kind = "injected"
+            variant = next(arm for arm in self.arms if arm.name == draw.variant)
+            again = [(arm, _with_arm(RECOVERY if arm.detector else FI, arm.name)) for arm in self.watching]
+            settings = [(variant, FI), *again]
         return [
             self._run(
-                "null" if draw.target == NULL else "injected", self._setting(draw, arm), environment, draw.seed, arm,
-                target=draw.target, index=draw.index, fault=fault, position=golden + place + number,
+                kind, setting, environment, draw.seed, arm, target=draw.target, index=draw.index, fault=fault,
+                position=self._golden_count + place + number,
             )
-            for number, arm in enumerate(flown)
+            for number, (arm, setting) in enumerate(settings)
         ]  # fmt: skip
 
     def count(self) -> int:
-        """How many runs the campaign has at most, known before any of them; faults that cannot be drawn have none."""
+        """How many runs the campaign has at most; faults that cannot be drawn have none."""
         campaign = self.campaign
         draws = sum(len(self.sampler.draws(environment)) for environment in campaign.environments)
-        golden = len(campaign.environments) * campaign.missions * len(self.arms)
-        return golden + draws * (1 + len(self.watching)) + len(campaign.environments) * campaign.nulls
+        return self._golden_count + draws * (1 + len(self.watching)) + len(campaign.environments) * campaign.nulls
 
-    def _setting(self, draw: Draw, arm: Arm) -> str:
-        if draw.target == NULL:
-            return f"{NULL}_{arm.name}" if arm.name else NULL
-        return injected_setting(arm)
+    @property
+    def _golden_count(self) -> int:
+        return len(self.campaign.environments) * self.campaign.missions * len(self.arms)
 
     def _run(self, kind: Kind, setting: str, environment: str, seed: int, arm: Arm, **more: Any) -> RunSpec:
         return RunSpec(
@@ -208,7 +157,8 @@ class Plan:
 def arms_of(campaign: Campaign) -> tuple[Arm, ...]:
     """The campaign's own mission, the variants that its sampling scheme needs, and its arms."""
     variants = sampler_for(campaign).variants
-    return (
-        Arm(), *(Arm(name, overrides, is_variant=True) for name, overrides in variants.items()),
-        *(Arm.of(name, config) for name, config in campaign.arms.items()),
-    )  # fmt: skip
+    arms = [
+        Arm(name, config.mission, config.detector, config.profile if config.detector else "")
+        for name, config in campaign.arms.items()
+    ]
+    return (Arm(), *(Arm(name, overrides, is_variant=True) for name, overrides in variants.items()), *arms)

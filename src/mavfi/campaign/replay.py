@@ -1,31 +1,28 @@
-"""Flies a stored run again from its spec, and says whether the same flight came out."""
+"""Flies stored runs again from their specs: one alone, or one and its golden run with all that they published."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from mavfi.campaign.divergence import Departure, Difference, Publication, departure, first_difference
 from mavfi.campaign.mission import MissionPlan, host_of, setup_of
 from mavfi.campaign.plan import RunSpec, arms_of
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.errors import BadInputError
+from mavfi.flight_record import record_of
 from mavfi.hosts.host import ArmSetup, Flight, Host, Recorded
+from mavfi.hosts.local import fly
+from mavfi.outcomes import Effect, effect_of
+from mavfi.states import State
 
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """A run that was flown again.
+    """A run that was flown again."""
 
-    Attributes:
-        run: The stored run.
-        flight: The flight of now.
-        digest: Its digest.
-        golden: The stored golden run of the same mission and arm; None for golden runs.
-    """
-
-    run: Run
-    flight: Flight
-    digest: str
-    golden: Run | None
+    run: Run  # as stored
+    flight: Flight  # of now
+    digest: str  # of the new flight
 
     @property
     def same(self) -> bool:
@@ -34,11 +31,7 @@ class Replay:
 
 
 def replay(directory: Path, run_id: str) -> Replay:
-    """Fly a run again.
-
-    Args:
-        directory: Where the campaign's ledger is.
-        run_id: The run, or an unambiguous beginning of its id.
+    """Fly a run again, named by an unambiguous beginning of its id.
 
     Raises:
         BadInputError: No such campaign or run, it is not flown yet, or its host cannot fly it again.
@@ -49,17 +42,12 @@ def replay(directory: Path, run_id: str) -> Replay:
         if run.record is None:
             raise BadInputError(f"{directory}: run {run.spec.run_id} is not flown yet")
         flight = fly_again(store, run.spec)
-        return Replay(run, flight, flight.log.digest(), store.golden_of(run.spec))
+        return Replay(run, flight, flight.log.digest())
 
 
 def fly_again(store: Store, spec: RunSpec) -> Flight:
-    """Fly any run of a ledger, for its whole log.
-
-    Raises:
-        BadInputError: Its host is not deterministic.
-        SpecMismatchError: See `replay`.
-    """
-    host, setup = setup_again(store, spec)
+    """Fly any run of a ledger, for its whole log; errors as of `replay`."""
+    host, setup = _setup_of_run(store, spec)
     flights = host.mission({spec.arm: setup}, fast_forward=False)
     flown: Recorded | Exception
     if spec.fault is None:
@@ -72,13 +60,8 @@ def fly_again(store: Store, spec: RunSpec) -> Flight:
     return flown
 
 
-def setup_again(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
-    """The host of a run, and what the run's arm flew with.
-
-    Raises:
-        BadInputError: The host is not deterministic.
-        SpecMismatchError: See `replay`.
-    """
+def _setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
+    """The host of a run, and the setup of the run's arm; errors as of `replay`."""
     campaign = stored_campaign(store)
     host = host_of(campaign)
     if not host.deterministic:
@@ -89,3 +72,58 @@ def setup_again(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
         campaign, *spec.world, None if models_dir is None else Path(models_dir), store.meta("identity")["models"]
     )
     return host, setup_of(mission, arm, host)
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """A run and its golden run, both flown again."""
+
+    spec: RunSpec
+    flight: Flight  # of the run, now
+    golden: Flight  # of the golden run with the same detector, now
+    same: bool  # the digest is the stored one
+    first: Difference | None
+    """None = there is none, or a fault in an instruction: its flight ends in a forked process, and the kernel effect in
+    its log has the first difference."""
+    departure: Departure
+
+    @property
+    def effect(self) -> Effect:
+        """What the fault did to the flight."""
+        return effect_of(record_of(self.golden.log), record_of(self.flight.log))
+
+
+def explain(directory: Path, run_id: str) -> Explanation:
+    """Fly a run (named by a beginning of its id) and its golden run again, and compare all that was published.
+
+    Raises:
+        BadInputError: No such campaign or run, a run without a fault, or one that left no flight.
+        SpecMismatchError: The detector's model is no longer the one that the run flew with.
+    """
+    with Store.open(directory) as store:
+        run = store.run(run_id)
+        if run.spec.fault is None:
+            raise BadInputError(f"{directory}: run {run.spec.run_id}: has no fault to explain; allowed: runs with one")
+        stored = run.record
+        if stored is None or not stored.flown:
+            raise BadInputError(f"{directory}: run {run.spec.run_id}: left no flight to explain")
+        golden, seen_golden = _recorded(store, replace(run.spec, fault=None))
+        injected, seen = _recorded(store, run.spec)
+    first = first_difference(seen_golden, seen) if seen else None
+    same = injected.log.digest() == stored.digest
+    return Explanation(run.spec, injected, golden, same, first, departure(golden.log, injected.log))
+
+
+def _recorded(store: Store, spec: RunSpec) -> tuple[Flight, list[Publication]]:
+    """A run and its publications in order; none for a run that ends in a forked process."""
+    seen: list[Publication] = []
+    if spec.fault is not None and spec.fault.level != "state":
+        return fly_again(store, spec), seen
+    _, setup = _setup_of_run(store, spec)
+    detector = None if setup.make_detector is None else setup.make_detector()
+
+    def note(state: State, time_us: int) -> None:
+        seen.append(Publication(time_us, state.copy()))
+
+    flight = fly(setup.scenario, spec.fault, detector, coupling=setup.coupling, recorders=(note,))
+    return flight, seen

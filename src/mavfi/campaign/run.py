@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.executors.executor import Done, Executor, Lost
+from mavfi.campaign.executors.executor import Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.mission import Flown, MissionPlan, Planned, fly_mission, host_of, plan_of, scenarios_of
 from mavfi.campaign.plan import Plan, arms_of
@@ -25,23 +25,17 @@ from mavfi.mission import MissionStatus, Scenario
 from mavfi.version import __version__
 
 _PACKAGES = ("numpy", "numba", "llvmlite", "mujoco-core", "scikit-learn")
-ATTEMPTS = 3
-"""How often a mission that takes its worker with it, golden runs included, is begun."""
+ATTEMPTS = 3  # how often a mission that takes its worker with it, golden runs included, is begun
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """How far a campaign is.
+    """How far a campaign is."""
 
-    Attributes:
-        done: Runs done, those of earlier sessions included.
-        total: Runs of the whole campaign.
-        settings: By setting: planned so far, done, done with success.
-    """
-
-    done: int
-    total: int
+    done: int  # runs, those of earlier sessions included
+    total: int  # runs of the whole campaign
     settings: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
+    """By setting: runs planned so far, done, done with success."""
 
     @property
     def complete(self) -> bool:
@@ -51,17 +45,11 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Progress(Status):
-    """How far a campaign is while it is flown.
+    """How far a campaign is while it is flown."""
 
-    Attributes:
-        flown: Runs done in this session.
-        seconds: Wall time of this session since its first run was done (s).
-        compiling: Whether nothing is flown yet because kernels are being compiled.
-    """
-
-    flown: int = 0
-    seconds: float = 0.0
-    compiling: bool = False
+    flown: int = 0  # runs done in this session
+    seconds: float = 0.0  # wall time since the first run of this session was done
+    compiling: bool = False  # nothing is flown yet: kernels are being compiled
 
     @property
     def rate(self) -> float:
@@ -100,7 +88,7 @@ class _Session:
         ]
 
     def fly(self, executor: Executor, missions: list[MissionPlan]) -> None:
-        """Fly missions; what they give is in the ledger before the next item is looked at."""
+        """Fly missions; each item is in the ledger before the next one is taken."""
         self.tell()
         for _ in range(1 + ATTEMPTS):
             lost = {mission.world: (mission, end) for mission, end in self._fly_once(executor, missions)}
@@ -114,14 +102,13 @@ class _Session:
     def _fly_once(self, executor: Executor, missions: list[MissionPlan]) -> Iterator[tuple[MissionPlan, Lost]]:
         with closing(executor.map(fly_mission, missions)) as items:
             for mission, item in items:
-                if isinstance(item, Lost):
-                    yield mission, item
-                elif isinstance(item, Done):
-                    continue
-                elif isinstance(item, Planned):
-                    self._plan(mission, item)
-                else:
-                    self._write(item)
+                match item:
+                    case Lost():
+                        yield mission, item
+                    case Planned():
+                        self._plan(mission, item)
+                    case Flown():
+                        self._write(item)
 
     def _plan(self, mission: MissionPlan, planned: Planned) -> None:
         self.store.plan(planned.specs)
@@ -139,9 +126,9 @@ class _Session:
         self.tell()
 
     def _give_up(self, mission: MissionPlan, lost: Lost) -> None:
-        """A mission whose golden runs take their process with them each time: nothing is drawn from these.
+        """Record a mission whose golden runs take their process with them each time: nothing is drawn from these.
 
-        What was drawn in an earlier session is not judged.
+        Faults that were drawn in an earlier session are `unknown`.
         """
         self._plan(mission, Planned(tuple(self.plan.golden(*mission.world)), last=True))
         for spec in [run.spec for run in self.store.runs(done=False) if run.spec.world == mission.world]:
@@ -156,26 +143,18 @@ class _Session:
 
 
 def run_campaign(
-    campaign: Campaign,
-    directory: Path,
-    *,
-    executor: Executor | None = None,
-    models_dir: Path | None = None,
-    fast_forward: bool = True,
-    progress: Callable[[Progress], None] | None = None,
-) -> Status:
+    campaign: Campaign, directory: Path, *, executor: Executor | None = None, models_dir: Path | None = None,
+    fast_forward: bool = True, progress: Callable[[Progress], None] | None = None,
+) -> Status:  # fmt: skip
     """Fly a campaign, or what is left of it; stopping it at any moment loses only the flights in the air.
 
     Args:
         campaign: What to fly.
         directory: Where its ledger is, or will be.
-        executor: Who works; None = two local processes.
+        executor: Runs the missions; None = two local processes.
         models_dir: Folder of trained models; None = the shipped ones.
         fast_forward: Whether runs may begin at checkpoints of their golden run; the ledger is the same either way.
         progress: Called after every run, in this process.
-
-    Returns:
-        The end state.
 
     Raises:
         BadInputError: A directory that cannot be written or holds another campaign; a name that is not known; a model
@@ -187,25 +166,25 @@ def run_campaign(
     models = model_hashes(campaign, scenarios, models_dir)
     plan = plan_of(campaign, models, scenarios)
     with Store.create(directory, identity_of(campaign, scenarios, models)) as store:
-        check_versions(store)
+        _check_versions(store)
         store.write_meta({
             "models_dir": None if models_dir is None else str(models_dir.absolute()),
             "missions": len(campaign.environments) * campaign.missions,
         })  # fmt: skip
-        session = _Session(plan, store, models_dir, fast_forward, progress or _silent)
+        session = _Session(plan, store, models_dir, fast_forward, progress or (lambda _: None))
         missions = session.missions()
+        session.counts = store.counts()
         if missions:
             host.check()
-        session.counts = store.counts()
-        if missions and host.in_process:
-            session.tell(compiling=True)
-            _warm_up(missions[0])
+            if host.in_process:
+                session.tell(compiling=True)
+                _warm_up(missions[0])
         session.fly(executor or LocalExecutor(2), missions)
         return status(directory)
 
 
 def _warm_up(mission: MissionPlan) -> None:
-    """Fly golden runs and draw faults here, so that workers inherit what is compiled; the results are not used."""
+    """Fly golden runs and draw faults here, so that workers inherit the compiled code; results are not used."""
     for item in fly_mission(mission):
         if isinstance(item, Planned) and item.last:
             return
@@ -214,7 +193,7 @@ def _warm_up(mission: MissionPlan) -> None:
 def identity_of(
     campaign: Campaign, scenarios: Mapping[tuple[str, str], Scenario], models: Mapping[str, str]
 ) -> dict[str, Any]:
-    """What makes a ledger that of this campaign, as plain data."""
+    """Plain data that identify the campaign of a ledger."""
     return {
         "campaign": campaign.to_json(),
         "scenarios": {"/".join(place): scenario.to_json() for place, scenario in scenarios.items()},
@@ -225,7 +204,7 @@ def identity_of(
 def model_hashes(
     campaign: Campaign, scenarios: Mapping[tuple[str, str], Scenario], models_dir: Path | None
 ) -> dict[str, str]:
-    """Load every arm's detector for every environment, and answer the sha256 of its model.
+    """Load every arm's detector for every environment, and return the sha256 of its model by arm.
 
     Raises:
         BadInputError: A detector is not known, or a model is absent or does not fit.
@@ -253,7 +232,7 @@ def status(directory: Path) -> Status:
 
 
 def stored_campaign(store: Store) -> Campaign:
-    """The campaign that a ledger holds."""
+    """The campaign of a ledger."""
     return Campaign.model_validate(store.meta("identity")["campaign"])
 
 
@@ -268,12 +247,8 @@ def versions() -> dict[str, str]:
     return found
 
 
-def check_versions(store: Store) -> None:
-    """Note the versions that matter, or refuse to go on with others than a ledger was begun with.
-
-    Raises:
-        BadInputError: They differ, and something is left to do.
-    """
+def _check_versions(store: Store) -> None:
+    """Note the versions that matter; a ledger with runs left to do that was begun with others is a BadInputError."""
     here = versions()
     held: dict[str, Any] | None = store.meta("versions")
     if held is None:
@@ -285,7 +260,3 @@ def check_versions(store: Store) -> None:
         raise BadInputError(
             f"{store.directory}: was begun with {name} {held.get(name)}, here is {here[name]}; runs cannot be mixed"
         )
-
-
-def _silent(_: Progress) -> None:
-    """Report to nobody."""

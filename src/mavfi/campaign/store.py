@@ -68,14 +68,11 @@ class Store:
 
     @staticmethod
     def create(directory: Path, identity: Mapping[str, Any]) -> "Store":
-        """Begin a ledger, or go on with it.
-
-        Args:
-            directory: Made if absent.
-            identity: What makes this campaign this one; plain data.
+        """Begin or resume a ledger in a directory, which is made if absent.
 
         Raises:
-            BadInputError: The directory cannot be written, holds another campaign, or another process writes to it.
+            BadInputError: The directory cannot be written, holds a campaign of another identity, or another
+                process writes to it.
         """
         try:
             directory.mkdir(parents=True, exist_ok=True)
@@ -90,8 +87,9 @@ class Store:
             raise BadInputError(f"{directory}: another process is writing this campaign") from None
         store = Store(directory, _connect(directory / FILE, "rwc"), lock)
         try:
-            if store._is_empty():
-                store._begin(identity)
+            if store._ask("SELECT COUNT(*) FROM sqlite_master") == 0:
+                store._connection.executescript(f"BEGIN; {_TABLES} PRAGMA user_version = {SCHEMA};")
+                store.write_meta({"identity": identity})
             else:
                 store._check(identity)
             store._connection.execute("PRAGMA journal_mode = WAL")
@@ -118,13 +116,6 @@ class Store:
             store.close()
             raise
         return store
-
-    def _begin(self, identity: Mapping[str, Any]) -> None:
-        self._connection.executescript(f"BEGIN; {_TABLES} PRAGMA user_version = {SCHEMA};")
-        self.write_meta({"identity": identity})
-
-    def _is_empty(self) -> bool:
-        return bool(self._ask("SELECT COUNT(*) FROM sqlite_master") == 0)
 
     def _ask(self, query: str) -> Any:
         try:
@@ -192,28 +183,17 @@ class Store:
         open_ones = set(self._connection.execute("SELECT DISTINCT environment, seed FROM runs WHERE record IS NULL"))
         return self.planned() - open_ones
 
-    def runs(self, kind: str | None = None, *, done: bool | None = None) -> Iterator[Run]:
-        """Rows in the order of the plan.
-
-        Args:
-            kind: Only "golden", "injected" or "null" runs.
-            done: Only those that are flown, or only those that are not.
-        """
-        clauses, values = ["1"], []
-        if kind is not None:
-            clauses.append("kind = ?")
-            values.append(kind)
-        if done is not None:
-            clauses.append(f"record IS {'NOT ' if done else ''}NULL")
-        query = f"SELECT {_RUN} FROM runs WHERE {' AND '.join(clauses)} ORDER BY position"
-        for row in self._connection.execute(query, values):
+    def runs(self, *, done: bool | None = None) -> Iterator[Run]:
+        """Rows in the order of the plan; `done` selects those that are flown, or those that are not."""
+        chosen = {None: "1", True: "record IS NOT NULL", False: "record IS NULL"}[done]
+        for row in self._connection.execute(f"SELECT {_RUN} FROM runs WHERE {chosen} ORDER BY position"):
             yield _run(*row)
 
     def run(self, run_id: str) -> Run:
         """One row by its id, or by the beginning of it.
 
         Raises:
-            BadInputError: There is none, or more than one; then the line lists some.
+            BadInputError: There is none, or more than one; the message lists some.
         """
         query = f"SELECT run_id, {_RUN} FROM runs WHERE run_id = ? OR instr(run_id, ?) = 1 ORDER BY position"
         rows = self._connection.execute(query, (run_id, run_id)).fetchall()
@@ -226,14 +206,6 @@ class Store:
                 f"{self.directory}: run {run_id!r}: {len(rows)} runs begin so; allowed, among others: {some}"
             )
         return _run(*rows[0][1:])
-
-    def golden_of(self, spec: RunSpec) -> Run | None:
-        """The golden run of the same mission and arm; None for a golden run."""
-        if spec.kind == "golden":
-            return None
-        query = f"SELECT {_RUN} FROM runs WHERE kind = 'golden' AND setting = ? AND environment = ? AND seed = ?"
-        row = self._connection.execute(query, (spec.golden_setting, spec.environment, spec.seed)).fetchone()
-        return None if row is None else _run(*row)
 
     def write(self, run_id: str, record: FlightRecord, note: str, wall_s: float) -> None:
         """Store what a run left; from then on the run is done, and stays as it is."""

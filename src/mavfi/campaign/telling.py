@@ -1,48 +1,33 @@
 """The run of a campaign that says most, flown again: injected, golden, and with a detector that saves the mission."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import Any
 
 import polars as pl
 
 from mavfi.campaign.plan import FI
 from mavfi.campaign.replay import fly_again
 from mavfi.campaign.store import Store
+from mavfi.hosts.host import Flight
 
-if TYPE_CHECKING:
-    from mavfi.hosts.host import Flight
-
-_INTERESTING = 0.02
-"""Flight time over the golden run's from which a run that succeeds is worth a picture."""
+_INTERESTING = 0.02  # flight time over the golden run's from which a run that succeeds is worth a picture
 Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Telling:
-    """A run with a fault, and what it is compared with.
+    """A run with a fault, and the flights that it is compared with."""
 
-    Attributes:
-        injected: Its row.
-        saved: Row of the same fault with a detector that brings the mission home; None if there is none.
-        flight: Of the run with the fault.
-        golden: Of its golden run.
-        recovered: Of `saved`.
-    """
-
-    injected: Row
-    saved: Row | None
-    flight: "Flight"
-    golden: "Flight"
-    recovered: "Flight | None"
+    injected: Row  # its row
+    saved: Row | None  # row of the same fault with a detector that brings the mission home
+    flight: Flight  # of the run with the fault
+    golden: Flight  # of its golden run
+    recovered: Flight | None  # of `saved`
 
 
 def fly_telling_run(store: Store, runs: pl.DataFrame) -> Telling | None:
-    """Choose a run and fly it again, with its golden run.
-
-    Args:
-        store: The ledger.
-        runs: Its runs, as of `mavfi.campaign.analysis.runs`.
+    """Choose among the runs of a ledger, and fly the chosen one again with its golden run.
 
     Returns:
         None if no run is worth a picture.
@@ -52,21 +37,15 @@ def fly_telling_run(store: Store, runs: pl.DataFrame) -> Telling | None:
         return None
     injected, saved = chosen
     spec = store.run(injected["run_id"]).spec
-    golden = store.golden_of(spec)
-    assert golden is not None  # it was judged against it
-    return Telling(
-        injected, saved, fly_again(store, spec), fly_again(store, golden.spec),
-        None if saved is None else fly_again(store, store.run(saved["run_id"]).spec),
-    )  # fmt: skip
+    golden = fly_again(store, replace(spec, fault=None))
+    recovered = None if saved is None else fly_again(store, store.run(saved["run_id"]).spec)
+    return Telling(injected, saved, fly_again(store, spec), golden, recovered)
 
 
 def choose(runs: pl.DataFrame) -> tuple[Row, Row | None] | None:
-    """The run with a fault that says most, and the same with a detector on where that one brings it home.
+    """The most telling row with a fault, and the same fault with a detector where the mission succeeds.
 
     A run that fails and that a detector brings home comes first; then one that fails; then the slowest.
-
-    Args:
-        runs: See `fly_telling_run`.
     """
     rows = runs.filter(kind="injected", judged=True, site_outcome="activated").to_dicts()
     faulty = [row for row in rows if row["setting"] == FI and row["golden_success"]]

@@ -1,14 +1,26 @@
-"""Flies the error-free missions that detectors are trained on, trains them, and counts their false alarms."""
+"""Flies the error-free missions that detectors are trained on, trains them, and counts their false alarms.
 
-from collections.abc import Callable, Sequence
+Recordings stay on disk until the models are saved, so that training can be resumed.
+"""
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
 
 from mavfi.campaign.analysis.statistics import EventRate, event_rate_by_flight
 from mavfi.campaign.config import TRAINING_SEED
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.recordings import KeptRecordings
+from mavfi.campaign.run import versions
 from mavfi.detectors.model import Model
 from mavfi.detectors.recorder import Recorder, Recording
 from mavfi.errors import BadInputError
@@ -18,17 +30,73 @@ from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
 from mavfi.qof import quality_of_flight
 
-ENVIRONMENT = "training"
-"""Randomised worlds; the laws of the evaluation environments are not among them."""
+ENVIRONMENT = "training"  # randomised worlds; the laws of the evaluation environments are not among them
 CHECKING_SEED = TRAINING_SEED + 500_000
 """First seed of the flights on which false alarms are counted, far behind those of training."""
 Progress = Callable[[int, int], None]
 _MOST_FLIGHTS_PER_WANTED = 3
+FOLDER = ".flights"  # folder of the recordings, in the folder of the models
+_PARTS = ("kinds", "times_us", "content")
+
+
+class KeptRecordings:
+    """Recordings by seed, in a subfolder named after what decides them: scenario, versions and code of mavfi."""
+
+    def __init__(self, folder: Path, scenario: Scenario) -> None:
+        self._parent = folder / FOLDER
+        self._folder = self._parent / _key(scenario)
+
+    def load(self, seeds: Iterable[int]) -> dict[int, Recording]:
+        """Recordings of these seeds; a file that cannot be read counts as absent."""
+        found = {}
+        for seed in seeds:
+            try:
+                with np.load(io.BytesIO(self._path(seed).read_bytes())) as archive:
+                    found[seed] = Recording(*(archive[name] for name in _PARTS))
+            except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+                continue
+        return found
+
+    def save(self, seed: int, recording: Recording) -> None:
+        """Write a recording, atomically; a BadInputError if the folder cannot be written."""
+        path = self._path(seed)
+        part = path.with_suffix(".part")
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            with part.open("wb") as file:
+                np.savez_compressed(file, **{name: getattr(recording, name) for name in _PARTS})
+            os.replace(part, path)
+        except OSError as error:
+            raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
+
+    def delete(self) -> None:
+        """Remove these recordings, and the parent folder if it is empty then."""
+        shutil.rmtree(self._folder, ignore_errors=True)
+        with contextlib.suppress(OSError):  # absent, or another training is under way
+            self._parent.rmdir()
+
+    def _path(self, seed: int) -> Path:
+        return self._folder / f"{seed}.npz"
+
+
+def _key(scenario: Scenario) -> str:
+    """Hash of all that a recording depends on but the seed."""
+    parts = {"scenario": scenario.model_copy(update={"seed": 0}).key(), "versions": versions(), "code": _code()}
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _code() -> str:
+    """Hash of the package's source."""
+    content = hashlib.sha256()
+    package = Path(__file__).parents[1]
+    for path in sorted(package.rglob("*.py")):
+        content.update(f"{path.relative_to(package)}\n".encode() + path.read_bytes())
+    return content.hexdigest()
 
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """A flight, in words for the message of a worker that was lost."""
+    """A flight; its text is in the message about a lost worker."""
 
     scenario: Scenario
     model: Model | None = None
@@ -39,7 +107,7 @@ class _Task:
 
 
 def training_mission(mission: MissionSpec, seed: int = TRAINING_SEED) -> Scenario:
-    """A mission in a training world, flown as another one: with its autopilot profile, platform, planner, and so on.
+    """A mission in a training world; autopilot profile, platform, planner and so on are those of another mission.
 
     Raises:
         BadInputError: A name is not known, or things do not fit together.
@@ -58,17 +126,13 @@ def record_flight(task: _Task) -> Recording | None:
 def record_flights(
     scenario: Scenario, count: int, workers: int, progress: Progress | None = None, disk: KeptRecordings | None = None
 ) -> dict[int, Recording]:
-    """Fly until `count` missions have reached their goals.
+    """Fly missions, from the seed of the scenario on, until `count` have reached their goals.
 
-    Args:
-        scenario: Mission whose seed is the first one.
-        count: Flights wanted.
-        workers: Number of processes; the result does not depend on it.
-        progress: Called with flights kept and wanted, for the first time before anything is flown.
-        disk: Where recordings are kept, so that stopping loses only the flights in the air; None = nowhere.
+    Recordings are kept on `disk`, if given, so that stopping loses only the flights in the air; `progress` is called
+    with flights kept and wanted, for the first time before anything is flown.
 
     Returns:
-        Recordings by seed, ascending.
+        Recordings by seed, ascending; they do not depend on the number of workers.
 
     Raises:
         BadInputError: `count` is below 1, or too few missions reach their goals.
@@ -77,6 +141,7 @@ def record_flights(
     if count < 1:
         raise BadInputError(f"flights: {count}; allowed: 1 or more")
     executor = LocalExecutor(workers)
+    report = progress or (lambda *_: None)
     kept: dict[int, Recording] = {}
     tried = 0
     while len(kept) < count:
@@ -85,8 +150,7 @@ def record_flights(
         seeds = range(scenario.seed + tried, scenario.seed + tried + count - len(kept))
         tasks = [_Task(scenario.model_copy(update={"seed": seed})) for seed in seeds]
         kept |= {} if disk is None else disk.load(seeds)
-        if progress is not None:
-            progress(len(kept), count)
+        report(len(kept), count)
         tasks = [task for task in tasks if task.scenario.seed not in kept]
         if tasks and tried == 0:
             record_flight(tasks[0])  # compiles in this process, and workers inherit it
@@ -97,8 +161,7 @@ def record_flights(
             kept[task.scenario.seed] = recording
             if disk is not None:
                 disk.save(task.scenario.seed, recording)
-            if progress is not None:
-                progress(len(kept), count)
+            report(len(kept), count)
     return dict(sorted(kept.items()))
 
 
@@ -108,7 +171,7 @@ def train(
 ) -> list[Path]:  # fmt: skip
     """Fly error-free missions in randomised worlds, fit every detector in every profile, and write the models.
 
-    Flights are kept in the folder until the models are written: the same call goes on where it was stopped.
+    Recordings are kept in the folder until the models are written: the same call resumes an interrupted training.
 
     Args:
         folder: Where the models are written.
@@ -116,9 +179,6 @@ def train(
         mission: How they are flown; environment, seed, start and goal are training's own.
         workers: Number of processes; the models do not depend on it.
         progress: Called with flights kept and wanted.
-
-    Returns:
-        The files.
 
     Raises:
         BadInputError: A name is not known, too few flights arrive, or the folder cannot be written.
@@ -146,18 +206,9 @@ def train(
 def count_false_alarms(
     models: Sequence[Model], folder: Path, flights: int, mission: MissionSpec, workers: int, progress: Progress
 ) -> list[EventRate]:
-    """Fly error-free missions that were not trained on with each model, and count its alarms.
+    """Alarms per flight hour of each model in the folder, on as many error-free missions with seeds of their own.
 
-    Args:
-        models: Trained for this mission.
-        folder: Where their files are.
-        flights: Missions for each model.
-        mission: As of `train`.
-        workers: Processes.
-        progress: Called with flights done and wanted.
-
-    Returns:
-        Alarms per flight hour by model.
+    Missions are flown as of `train`; `progress` is called with flights done and wanted.
 
     Raises:
         MavfiError: A worker was lost.

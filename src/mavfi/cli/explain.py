@@ -21,7 +21,7 @@ def explain(
     Example: [bold]mavfi explain out/reproduce dense-10000-fi-planning-0[/bold]
     """
     check_picture(picture)
-    from mavfi.campaign.explanation import explain as fly_both
+    from mavfi.campaign.replay import explain as fly_both
     from mavfi.cli.flight_text import story_table
     from mavfi.reports.explain import detector_name, lines, to_json
     from mavfi.reports.picture import draw_flight

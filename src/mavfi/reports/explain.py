@@ -5,8 +5,8 @@ from dataclasses import asdict
 from typing import Any
 
 from mavfi.campaign.divergence import LEFT, Departure, Difference
-from mavfi.campaign.explanation import Explanation
 from mavfi.campaign.plan import RunSpec
+from mavfi.campaign.replay import Explanation
 from mavfi.faults.fault import Fault, StateFault
 from mavfi.faults.strata import bit_class
 from mavfi.flight_log import AlarmRecord, FlightLog, Injection, KernelEffect

@@ -139,7 +139,6 @@ def test_settings_of_a_pair_share_world_and_fault():
     for key, run in faulty.items():
         assert (run.seed, run.fault) == (recovered[key].seed, recovered[key].fault)
         assert (recovered[key].detector, recovered[key].model) == (DETECTOR, "abc")
-        assert (run.golden_setting, recovered[key].golden_setting) == ("golden", "golden_gaussian")
         assert recovered[key].scenario == f"{KEYS[run.environment]} gaussian"
 
 

@@ -3,8 +3,7 @@ import pytest
 
 from mavfi.campaign import training
 from mavfi.campaign.config import TRAINING_SEED
-from mavfi.campaign.recordings import FOLDER, KeptRecordings
-from mavfi.campaign.training import record_flights, train, training_mission
+from mavfi.campaign.training import FOLDER, KeptRecordings, record_flights, train, training_mission
 from mavfi.errors import BadInputError
 from mavfi.flight_log import COLUMNS, FlightLog
 from mavfi.hosts.host import Flight
@@ -82,7 +81,7 @@ def test_recordings_of_another_scenario_or_code_and_broken_ones_are_not_used(tmp
     (kept / f"{seeds[0]}.npz").write_bytes(b"PK")
     (kept / f"{seeds[1]}.npz").write_bytes((kept / f"{seeds[2]}.npz").read_bytes()[:100])
     assert list(disk.load(seeds)) == seeds[2:]
-    monkeypatch.setattr("mavfi.campaign.recordings._code", lambda: "another")
+    monkeypatch.setattr("mavfi.campaign.training._code", lambda: "another")
     assert KeptRecordings(tmp_path, SCENARIO).load(seeds) == {}
 
 

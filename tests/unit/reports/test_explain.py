@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.divergence import Departure, Difference
-from mavfi.campaign.explanation import Explanation, explain
 from mavfi.campaign.plan import RunSpec
+from mavfi.campaign.replay import Explanation, explain
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, FaultSite, InstructionFault, StateFault
@@ -140,7 +140,7 @@ def test_the_detector_is_named_with_its_profile_if_it_has_one():
 def injected(flown):
     with Store.open(flown) as store:
         return next(
-            run.spec.run_id for run in store.runs("injected")
+            run.spec.run_id for run in store.runs()
             if run.spec.setting == "fi" and run.spec.target == "control" and run.spec.fault.has_site
         )  # fmt: skip
 

@@ -1,10 +1,7 @@
 """Analysis of campaigns: `Runs` (one row per run) -> `View` -> `Table`.
 
-`views_for(runs)` answers the tables of a report, `table(runs, name)` one of them, `headline(runs)` the success table
-and what it says in words.
+`views_for(runs)` gives the tables of a report, `table(runs, name)` one of them.
 """
-
-from pathlib import Path
 
 from mavfi.campaign.analysis import (  # noqa: F401  (in the order of reports, they register their views)
     alarm_views,
@@ -12,15 +9,8 @@ from mavfi.campaign.analysis import (  # noqa: F401  (in the order of reports, t
     kernel_views,
     node_views,
 )  # fmt: skip
-from mavfi.campaign.analysis.findings import headline
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Column, Table
 from mavfi.campaign.analysis.views import VIEWS, View, register, table, views_for
 
-
-def load(directory: Path) -> Runs:
-    """The runs of a ledger; see `Runs.read`."""
-    return Runs.read(directory)
-
-
-__all__ = ["VIEWS", "Column", "Runs", "Table", "View", "headline", "load", "register", "table", "views_for"]
+__all__ = ["VIEWS", "Column", "Runs", "Table", "View", "register", "table", "views_for"]

@@ -1,12 +1,10 @@
 """Description of a campaign as plain data, for the headers and notes of tables."""
 
-from collections.abc import Mapping
-from functools import singledispatch
 from typing import Any
 
 from mavfi.campaign.analysis.measures import POPULATIONS
 from mavfi.campaign.analysis.statistics import CONFIDENCE
-from mavfi.campaign.config import ArmConfig, Campaign, InstructionSampling, RegisterSampling, StateSampling
+from mavfi.campaign.config import ArmConfig, Campaign, InstructionSampling, RegisterSampling, Sampling, StateSampling
 from mavfi.campaign.run import status, stored_campaign
 from mavfi.campaign.store import Store
 
@@ -14,12 +12,9 @@ from mavfi.campaign.store import Store
 def describe(store: Store) -> dict[str, Any]:
     """The campaign of a ledger, and how far it is.
 
-    Args:
-        store: The ledger.
-
     Returns:
-        `title` and `lines` are text; what views need are `profile` (of the autopilot), `monitored_set`, `each` (what a
-        number of faults is of), `kernels` and `which`.
+        `title` and `lines` are text; views need `profile` (of the autopilot), `monitored_set`, `each` (what a number of
+        faults is of), `kernels` and `which`.
     """
     campaign, progress = stored_campaign(store), status(store.directory)
     return {
@@ -32,35 +27,29 @@ def describe(store: Store) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@singledispatch
-def drawn(sampling: Any, campaign: Campaign) -> dict[str, Any]:
+def drawn(sampling: Sampling, campaign: Campaign) -> dict[str, Any]:
     """How the faults of a campaign were drawn, and what they were injected into."""
-    raise TypeError(f"no description of {type(sampling).__name__} in campaign {campaign.name}")
+    match sampling:
+        case StateSampling():
+            each = {"stage_balanced": "stage", "groups": "group"}[sampling.scheme]
+            shares = sorted(sampling.strata.items(), reverse=True)
+            strata = " : ".join(f"{POPULATIONS.get(name, name)} {share:g}" for name, share in shares)
+            return {"each": each, **_flights(campaign, each, f"drawn {strata}, fields: {sampling.sites}")}
+        case InstructionSampling():
+            stratified = ", drawn by value class and source line" if sampling.scheme == "stratified" else ""
+            how = f"instructions: {sampling.which}, model {sampling.model}{stratified}"
+            own = {"each": sampling.share, "kernels": list(sampling.kernels), "which": sampling.which}
+            return own | _flights(campaign, sampling.share, how)
+        case RegisterSampling():
+            return {"each": "kind of registers", **_trials(campaign, sampling)}
 
 
-@drawn.register
-def _(sampling: StateSampling, campaign: Campaign) -> dict[str, Any]:
-    each = {"stage_balanced": "stage", "groups": "group"}[sampling.scheme]
-    shares = sorted(sampling.strata.items(), reverse=True)
-    strata = " : ".join(f"{POPULATIONS.get(name, name)} {share:g}" for name, share in shares)
-    return {"each": each, **_flights(campaign, each, f"drawn {strata}, fields: {sampling.sites}")}
-
-
-@drawn.register
-def _(sampling: InstructionSampling, campaign: Campaign) -> dict[str, Any]:
-    stratified = ", drawn by value class and source line" if sampling.scheme == "stratified" else ""
-    how = f"instructions: {sampling.which}, model {sampling.model}{stratified}"
-    own = {"each": sampling.share, "kernels": list(sampling.kernels), "which": sampling.which}
-    return own | _flights(campaign, sampling.share, how)
-
-
-@drawn.register
-def _(sampling: RegisterSampling, campaign: Campaign) -> dict[str, Any]:
+def _trials(campaign: Campaign, sampling: RegisterSampling) -> dict[str, Any]:
     where = f"from the next call of {sampling.symbol!r} on" if sampling.symbol else "from a random instant on"
     what = "node under test" if campaign.node is None else campaign.node.command[0]
-    told = f"{what} · one bit per trial, {where}, after up to {sampling.walk} instructions"
+    line = f"{what} · one bit per trial, {where}, after up to {sampling.walk} instructions"
     title = f"campaign {campaign.name} · node {', '.join(campaign.environments)}"
-    return {"each": "kind of registers", "profile": "", "title": title, "lines": [told]}
+    return {"profile": "", "title": title, "lines": [line]}
 
 
 def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
@@ -80,6 +69,5 @@ def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
 
 def _arm(name: str, arm: ArmConfig) -> str:
     own = f"{name} ({arm.profile})" if name == arm.detector else f"{name} = {arm.detector} ({arm.profile})"
-    changes: Mapping[str, Any] = arm.mission
-    changed = ", ".join(f"{key} {value}" for key, value in changes.items())
+    changed = ", ".join(f"{key} {value}" for key, value in arm.mission.items())
     return " with ".join(part for part in (own if arm.detector else name, changed) if part)

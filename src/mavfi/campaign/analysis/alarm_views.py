@@ -1,5 +1,6 @@
 """Views of alarms: false ones, detected faults, recomputation; and of where faults were."""
 
+from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -33,8 +34,11 @@ def _golden_watched(runs: Runs) -> Runs:
 
 
 def _kinds(own: Runs) -> str:
+    kinds: Counter[str] = Counter()
+    for record in own.recorded():
+        kinds.update(record.alarm_counts)
     # "source/action/outcome"; the source is in the name of the setting
-    return ", ".join(f"{' '.join(kind.split('/')[1:])} {count}" for kind, count in m.alarm_kinds(own).items())
+    return ", ".join(f"{' '.join(kind.split('/')[1:])} {count}" for kind, count in kinds.items())
 
 
 def _systematic_note(runs: Runs) -> str:

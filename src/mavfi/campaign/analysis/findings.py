@@ -1,4 +1,4 @@
-"""The headline of a campaign: its success table, and up to five findings in words, computed from the frame."""
+"""Findings: what a campaign shows, in up to five sentences computed from the frame."""
 
 from collections.abc import Callable
 
@@ -8,26 +8,13 @@ from mavfi.campaign.analysis import measures as m
 from mavfi.campaign.analysis.rows import ALL_BITS, KERNEL_DUE
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
-from mavfi.campaign.analysis.table import Table
-from mavfi.campaign.analysis.views import views_for
 from mavfi.campaign.plan import FI, GOLDEN
 
 MOST = 5
-"""Findings of a headline."""
-
-
-def headline(runs: Runs) -> tuple[Table | None, list[str]]:
-    """The table that leads a report (None where nothing is flown), and the findings.
-
-    Args:
-        runs: Of a campaign.
-    """
-    tables = views_for(runs)
-    return (tables[0] if tables else None), findings(runs)
 
 
 def findings(runs: Runs) -> list[str]:
-    """What a campaign shows, in up to `MOST` sentences; one that cannot be said is left out."""
+    """Up to `MOST` sentences; one that does not apply is left out."""
     found = [line for say in _SENTENCES for line in say(runs)]
     return found[:MOST]
 

@@ -1,5 +1,6 @@
 """Views of campaigns of flights: success, recovery, effects, flight time, alarms, and where faults were."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -8,6 +9,7 @@ import polars as pl
 from mavfi.campaign.analysis import measures as m
 from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.measures import Measure
+from mavfi.campaign.analysis.pairs import Recovery
 from mavfi.campaign.analysis.rows import ACTIVATED, KERNEL_DUE, NO_SITE, NOT_ACTIVATED
 from mavfi.campaign.analysis.runs import ALL, Runs
 from mavfi.campaign.analysis.statistics import Rate
@@ -38,18 +40,15 @@ def of_states(runs: Runs) -> bool:
     return has(runs.injected, level=STATE)
 
 
-def by_stages(runs: Runs) -> bool:
-    """Whether state faults were drawn for stages, as the paper does."""
+def _by_stages(runs: Runs) -> bool:
     return len(runs.injected.where(pl.col("target") == pl.col("stage"), level=STATE)) > 0
 
 
-def by_groups(runs: Runs) -> bool:
-    """Whether state faults were drawn for groups of fields."""
+def _by_groups(runs: Runs) -> bool:
     return len(runs.injected.where(pl.col("target") != pl.col("stage"), level=STATE)) > 0
 
 
-def compared(runs: Runs) -> bool:
-    """Whether faults were injected again in another arm."""
+def _compared(runs: Runs) -> bool:
     return len(runs.settings()) > 1
 
 
@@ -89,24 +88,22 @@ def faulty_and_bare(runs: Runs) -> Runs:
     return own.adding(row=pl.col("setting").replace(names))
 
 
-def _here(own: Runs) -> Any:
-    return m.leading(own, m.population_names(own, ()), "success")
-
-
-_lead, _others = m.by_population("success")
-
 register(
     View(
         "success_as_in_the_paper", "State level: success rates, one fault per mission", ("row",),
-        (Measure("here", "here", RATE, _here), paper.beside(paper.success)),
+        (
+            Measure("here", "here", RATE, lambda own: m.leading(own, m.population_names(own, ()), "success")),
+            paper.beside(paper.success),
+        ),
         where=faulty_and_bare, across="environment", headings=("",),
         notes=lambda runs: (
             paper.STATE_LEVEL, ONE_FAULT, "per cent, [95 % interval: Wilson, n reduced by the design effect of "
             "worlds], successes / n; faults in sign and exponent bits", *separable_note(runs),
-        ), applies=by_stages,
+        ), applies=_by_stages,
     ),
     View(
-        "success", "Success of missions", SETTING, (_lead, paper.beside(paper.success), _others), where=of_missions,
+        "success", "Success of missions", SETTING, (m.leading_success, paper.beside(paper.success), m.other_success),
+        where=of_missions,
         notes=lambda runs: (
             paper.STATE_LEVEL, ONE_FAULT, _SETTINGS, INTERVALS,
             "paper: instruction level, 100 golden flights, 300 with a fault", *unknown_note(of_missions(runs)),
@@ -116,29 +113,21 @@ register(
 
 
 # ---- recovery ----------------------------------------------------------------------------------------------------
-def _recovery(part: str) -> Any:
-    def of(own: Runs) -> Any:
+def _recovery(of: Callable[[Runs, Recovery], Any]) -> Callable[[Runs], Any]:
+    def cell(own: Runs) -> Any:
         found = m.recovery_of(own)
-        return None if found is None else getattr(found, part)
+        return None if found is None else of(own, found)
 
-    return of
+    return cell
 
 
-def _recovery_rate(own: Runs) -> Any:
-    found = m.recovery_of(own)
-    if found is None:
-        return None
+def _recovery_rate(_: Runs, found: Recovery) -> Any:
     return "undefined" if found.rate is None else Rate(found.lost, found.rate, found.low, found.high)
 
 
 def _papers_recovery(own: Runs) -> float | None:
     leads = own.first("population") in m.LEADING and paper.comparable(own.campaign, own.first("detector_profile"))
     return paper.recovery(own.first("environment"), own.first("setting")) if leads else None
-
-
-def _loss(own: Runs) -> Any:
-    found = m.recovery_of(own)
-    return None if found is None else Rate(len(own), found.loss, found.loss_low, found.loss_high)
 
 
 def named_populations(runs: Runs) -> Runs:
@@ -149,24 +138,20 @@ def named_populations(runs: Runs) -> Runs:
     return replace(runs, frame=named.sort(place, maintain_order=True))
 
 
-def _judged_fi(runs: Runs) -> Runs:
-    known = pl.col("golden_success").is_not_null()
-    return named_populations(runs.injected.where("judged", known, setting=FI))
-
-
 register(
     View(
         "recovery", "Recovery", ("environment", "bits", "setting"),
         (
             m.count("pairs", "pairs"),
-            Measure("lost", "lost", NUMBER, _recovery("lost")),
-            Measure("brought_back", "brought back", NUMBER, _recovery("regained")),
+            Measure("lost", "lost", NUMBER, _recovery(lambda _, found: found.lost)),
+            Measure("brought_back", "brought back", NUMBER, _recovery(lambda _, found: found.regained)),
             Measure("newly_lost", "newly lost", NUMBER, lambda own: m.discordant(own).first_only),
             Measure("only_dr", "only dr succeeds", NUMBER, lambda own: m.discordant(own).second_only),
             Measure("p", "p", "number .3g", lambda own: m.discordant(own).p_value),
-            Measure("recovery", "recovery", "percent with interval", _recovery_rate),
+            Measure("recovery", "recovery", "percent with interval", _recovery(_recovery_rate)),
             Measure("paper", "paper", PERCENT, _papers_recovery),
-            Measure("loss", "golden – fi (points)", POINTS, _loss),
+            Measure("loss", "golden – fi (points)", POINTS, _recovery(
+                lambda own, found: Rate(len(own), found.loss, found.loss_low, found.loss_high))),
         ),
         where=lambda runs: named_populations(m.against_fi(runs)), total=TOTAL,
         notes=lambda runs: (
@@ -177,7 +162,7 @@ register(
             "fi contains 0; below 0 where more missions are newly lost than brought back",
             *((HEALS,) if of_states(runs) else (_HEALS_WITH_MEMORY,)),
             "golden – fi: in pairs, MOVER interval from the shares of pairs in which only one succeeds", ONE_FAULT,
-        ), applies=compared,
+        ), applies=_compared,
     ),
     View(
         "golden_against_faults", "Golden against one fault, in pairs", ("environment", "bits"),
@@ -187,15 +172,17 @@ register(
             Measure("only_fi", "only fi succeeds", NUMBER, lambda own: m.against_golden(own).second_only),
             Measure("p", "p", "number .3g", lambda own: m.against_golden(own).p_value),
         ),
-        where=_judged_fi, total=TOTAL, notes=lambda _: ("p: McNemar's exact test", ONE_FAULT),
-        applies=lambda runs: of_states(runs) or compared(runs),
+        where=lambda runs: named_populations(
+            runs.injected.where("judged", pl.col("golden_success").is_not_null(), setting=FI)
+        ),
+        total=TOTAL, notes=lambda _: ("p: McNemar's exact test", ONE_FAULT),
+        applies=lambda runs: of_states(runs) or _compared(runs),
     ),
 )  # fmt: skip
 
 
 # ---- success by properties of the fault --------------------------------------------------------------------------
-FEWEST = 10
-"""Flights from which a field has a row in the report."""
+FEWEST = 10  # flights from which a field has a row in the report
 
 
 def _slow_note(runs: Runs) -> tuple[str, ...]:
@@ -209,7 +196,8 @@ def _slow_note(runs: Runs) -> tuple[str, ...]:
 def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
     """A view over all environments, and where there are several one with each of them."""
     applies, detail = more.pop("applies", of_states), more.pop("detail", False)
-    columns: dict[str, Any] = {"measures": (_lead, _others, m.hurt), "where": _judged_injected, "notes": _slow_note}
+    columns: dict[str, Any] = {"measures": (m.leading_success, m.other_success, m.hurt), "notes": _slow_note}
+    columns["where"] = lambda runs: runs.injected.where("judged", level=STATE)
     register(
         View(name, title, (*by, "setting"), detail=detail, applies=applies, **columns, **more),
         View(
@@ -219,12 +207,8 @@ def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
     )  # fmt: skip
 
 
-def _judged_injected(runs: Runs) -> Runs:
-    return runs.injected.where("judged", level=STATE)
-
-
-_by("by_stage", "Success by stage of the fault", ("stage",), applies=by_stages)
-_by("by_target", "Success by group of fields", ("target",), applies=by_groups)
+_by("by_stage", "Success by stage of the fault", ("stage",), applies=_by_stages)
+_by("by_target", "Success by group of fields", ("target",), applies=_by_groups)
 _by("by_state", "Success by inter-kernel state", ("state",))
 _by("by_bits", "Success by class of the flipped bit", ("bit_class",))
 _by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST, detail=True)

@@ -1,6 +1,6 @@
 """Views of faults in instructions: the success table under both policies, and what kernels did with each fault."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import polars as pl
@@ -23,8 +23,7 @@ from mavfi.campaign.analysis.views import View, has, register
 from mavfi.campaign.plan import FI
 from mavfi.flight_record import FlightRecord
 
-MEMORY = "(memory only)"
-"""State of a silent corruption that nothing published at once."""
+MEMORY = "(memory only)"  # state of a silent corruption that nothing published at once
 _DYING = (
     "node restarts / mission ends: what becomes of a mission whose kernel crashes, hangs or raises; the paper's ROS "
     "starts such nodes again; how many do is IR level, not machine level"
@@ -45,42 +44,34 @@ _WEIGHTED = (
 )
 
 
-def of_instructions(runs: Runs) -> bool:
-    """Whether faults in instructions were injected."""
+def _of_instructions(runs: Runs) -> bool:
     return has(runs.injected, level=INSTRUCTION)
 
 
-def by_stages(runs: Runs) -> bool:
-    """Whether the stages have equal numbers of faults, so that rates over all faults are those of the paper's table."""
-    return of_instructions(runs) and runs.campaign.get("each") == "stage"
+def _by_stages(runs: Runs) -> bool:
+    # equal numbers of faults for the stages: rates over all faults are those of the paper's table
+    return _of_instructions(runs) and runs.campaign.get("each") == "stage"
 
 
 # ---- success under both policies ---------------------------------------------------------------------------------
-def _policy(column: str) -> Any:
-    def of(own: Runs) -> Any:
-        return m.rate_of(own.where("judged"), column) if own.first("kind") == "injected" else None
-
-    return of
-
-
-def _golden(own: Runs) -> Any:
-    return m.rate_of(own.where("judged"), "success") if own.first("kind") == "golden" else None
+def _success(kind: str, column: str) -> Callable[[Runs], Any]:
+    return lambda own: m.rate_of(own.where("judged"), column) if own.first("kind") == kind else None
 
 
 def _estimand(runs: Runs) -> str:
-    kernels = runs.injected.where(level=INSTRUCTION).groups("stage")
-    shares = "; ".join(f"{stage}: {', '.join(_in_order(runs, own))}" for (stage,), own in kernels.items())
+    planned = {name: place for place, name in enumerate(runs.campaign.get("kernels", ()))}
+    stages = runs.injected.where(level=INSTRUCTION).groups("stage")
+    kernels = {
+        stage: sorted(own.values("kernel"), key=lambda name: planned.get(name, len(planned)))
+        for (stage,), own in stages.items()
+    }
+    shares = "; ".join(f"{stage}: {', '.join(names)}" for stage, names in kernels.items())
     which = runs.campaign.get("which", "all")
     drawn = "dynamic instructions" if which == "all" else f"dynamic instructions of class {which}"
     return (
         f"equal numbers of faults per stage, shared equally among its kernels ({shares}); within a kernel uniform over "
         f"its {drawn} in the golden flight, then over the bits of the value"
     )
-
-
-def _in_order(runs: Runs, own: Runs) -> list[str]:
-    planned = list(runs.campaign.get("kernels", ()))
-    return sorted(own.values("kernel"), key=lambda name: planned.index(name) if name in planned else len(planned))
 
 
 def _missed_note(runs: Runs) -> str:
@@ -98,16 +89,16 @@ register(
         "instructions_as_in_the_paper", "Instruction level, the paper's Table I: success rates, one fault per mission",
         ("row",),
         (
-            Measure("here", "here", RATE, _golden),
-            Measure("restart", "here, node restarts", RATE, _policy("success")),
-            Measure("end", "here, mission ends", RATE, _policy("success_if_ended")),
+            Measure("here", "here", RATE, _success("golden", "success")),
+            Measure("restart", "here, node restarts", RATE, _success("injected", "success")),
+            Measure("end", "here, mission ends", RATE, _success("injected", "success_if_ended")),
             paper.beside(paper.success),
         ),
         where=faulty_and_bare, across="environment", headings=("",),
         notes=lambda runs: (
             paper.INSTRUCTION_LEVEL, ONE_FAULT, _estimand(runs), _RATES, _DYING, _missed_note(runs),
             *unknown_note(faulty_and_bare(runs)), *separable_note(runs),
-        ), applies=by_stages,
+        ), applies=_by_stages,
     ),
     View(
         "instructions_by_stage", "Instruction level: success by stage of the fault",
@@ -118,7 +109,7 @@ register(
             Measure("not_activated", "not activated", NUMBER, _missed),
         ),
         where=lambda runs: runs.injected.where("judged", level=INSTRUCTION),
-        notes=lambda _: (_RATES, "died: kernels that crashed, hung or raised"), applies=by_stages,
+        notes=lambda _: (_RATES, "died: kernels that crashed, hung or raised"), applies=_by_stages,
     ),
     View(
         "instruction_alarms", "Alarms after an instruction fault", ("environment", "setting"),
@@ -129,7 +120,7 @@ register(
         notes=lambda _: (
             "of the activated faults; within 1 s an alarm of a state and instant that the golden flight with the same "
             "detector has not; most faults change nothing that is published, and there is nothing to see",
-        ), applies=lambda runs: by_stages(runs) and watched(runs),
+        ), applies=lambda runs: _by_stages(runs) and watched(runs),
     ),
 )  # fmt: skip
 
@@ -151,14 +142,6 @@ _THREE = (
     m.rate("due", "due", _effect(*KERNEL_DUE), weighted=True),
 )
 _GIVEN_SDC = m.rate("success_given_sdc", "success | sdc", "success", _effect("sdc"), weighted=True)
-
-
-def _due(own: Runs) -> str:
-    return " / ".join(str(len(own.where(kernel_effect=name))) for name in KERNEL_DUE)
-
-
-def _changed(own: Runs) -> Any:
-    return m.rate_of(own, pl.col("effect") != "masked", weighted=True)
 
 
 def _kernel_notes(*lines: str) -> Any:
@@ -190,7 +173,7 @@ def _split(name: str, title: str, column: str) -> View:
         notes=_kernel_notes(
             _LEVEL, "other: bits of integers, addresses and conditions; a result of one bit has no sign or exponent"
         ),
-        applies=of_instructions,
+        applies=_of_instructions,
     )  # fmt: skip
 
 
@@ -211,7 +194,7 @@ def _finite(own: Runs) -> pl.Series:
     return sizes.filter(sizes.is_finite())
 
 
-def counted(record: FlightRecord) -> list[Mapping[str, Any]]:
+def _counted(record: FlightRecord) -> list[Mapping[str, Any]]:
     """Dynamic instructions and calls of each kernel in a golden run."""
     return [
         {"kernel": kernel, "instructions": data["instructions"], "calls": data["calls"]}
@@ -222,9 +205,13 @@ def counted(record: FlightRecord) -> list[Mapping[str, Any]]:
 register(
     View(
         "kernel_effects", "One fault in one instruction: what the kernel did", ("environment", "kernel"),
-        (m.count("n", "n"), *_THREE, Measure("due_kinds", "crash / hang / exc.", TEXT, _due)),
+        (
+            m.count("n", "n"), *_THREE,
+            Measure("due_kinds", "crash / hang / exc.", TEXT,
+                    lambda own: " / ".join(str(len(own.where(kernel_effect=name))) for name in KERNEL_DUE)),
+        ),
         where=kernel_runs, notes=lambda runs: [*_kernel_notes(_EFFECTS, _LEVEL)(runs), _replayable_note(runs)],
-        applies=of_instructions,
+        applies=_of_instructions,
     ),
     View(
         "kernel_missions", "One fault in one instruction: what became of the mission", ("environment", "kernel"),
@@ -232,7 +219,8 @@ register(
             Measure("golden", "golden", RATE, m.golden_rate), _GIVEN_SDC,
             m.rate("success_restart", "success, restart", "success", weighted=True),
             m.rate("success_end", "success, end", "success_if_ended", weighted=True),
-            Measure("changed", "changed", PERCENT, _changed),
+            Measure("changed", "changed", PERCENT,
+                    lambda own: m.rate_of(own, pl.col("effect") != "masked", weighted=True)),
             m.quantile("inflation", 0.5, "median", "median"), m.quantile("inflation", 0.95, "p95", "p95"),
             m.quantile("inflation", 1.0, "worst", "worst"),
             Measure("worst_run", "worst run", TEXT, m.worst_run, hidden=True),
@@ -246,7 +234,7 @@ register(
             "the paper's Fig. 3 (Sparse, 100 runs per kernel) has no numbers to read off; its text: flight time up to "
             f"{100 * paper.figure('kernels_worst', quantity='flight_time'):+.1f} %, success lower by up to "
             f"{100 * paper.figure('kernels_worst', quantity='success_loss'):.0f} points, both in planning and control",
-        ), applies=of_instructions,
+        ), applies=_of_instructions,
     ),
     _split("kernel_effects_by_value_class", "Effects by value class", "value_class"),
     _split("kernel_effects_by_bit", "Effects by bit: sign, exponent, mantissa", "stratum"),
@@ -269,7 +257,7 @@ register(
             "element of one field, uniformly over its bits",
             "elements: in how many places the field differs (median); size: largest difference in the field's unit",
             "(memory only): nothing published differs at once, but what the kernel remembers does",
-        ), applies=of_instructions,
+        ), applies=_of_instructions,
     ),
     View(
         "kernel_instructions", "Dynamic instructions of golden flights", ("kernel",),
@@ -278,6 +266,6 @@ register(
             Measure("calls", "calls", NUMBER, lambda own: sum(own["calls"])),
             Measure("instructions", "instructions", NUMBER, lambda own: sum(own["instructions"])),
         ),
-        where=lambda runs: runs.golden.exploded(counted), detail=True, applies=of_instructions,
+        where=lambda runs: runs.golden.exploded(_counted), detail=True, applies=_of_instructions,
     ),
 )  # fmt: skip

@@ -14,15 +14,15 @@ _COLUMNS = (
     Column("flight_time_s", "flight time", "number .1f s"), Column("inflation", "against golden", SIGNED),
     Column("alarms_total", "alarms", NUMBER),
 )  # fmt: skip
+_NAMES = {column.key for column in _COLUMNS}
+_FLAGS = {"yes": "true", "True": "true", "no": "false", "False": "false"}  # truth values as polars writes them
 
 
 def listing(runs: Runs, where: Sequence[str] = (), *, failed: bool = False) -> Table:
     """Runs in the order of the plan.  All columns of the frame are in CSV and JSON.
 
-    Args:
-        runs: Of a campaign.
-        where: Texts `column=value`, all of which must hold; values separated by commas are alternatives.
-        failed: Only missions that did not succeed, and runs that could not be judged.
+    Runs meet all conditions `column=value`; values separated by commas are alternatives.  `failed` selects missions
+    that did not succeed, and runs that could not be judged.
 
     Raises:
         BadInputError: A text is no condition, or there is no such column.
@@ -37,18 +37,10 @@ def listing(runs: Runs, where: Sequence[str] = (), *, failed: bool = False) -> T
     return Table("runs", f"{len(own)} of {len(runs)} runs", columns, rows)
 
 
-_NAMES = {column.key for column in _COLUMNS}
-
-
 def _test(runs: Runs, text: str) -> pl.Expr:
     column, is_condition, values = text.partition("=")
     if not is_condition:
         raise BadInputError(f"--where: {text!r}: allowed: column=value, e.g. stage=planning")
     if column not in runs.frame.columns:
         raise BadInputError(f"--where: column {column!r}: not known; allowed: {', '.join(runs.frame.columns)}")
-    return pl.col(column).cast(pl.String).is_in([_plain(value) for value in values.split(",")])
-
-
-def _plain(value: str) -> str:
-    """Truth values as polars writes them."""
-    return {"yes": "true", "True": "true", "no": "false", "False": "false"}.get(value, value)
+    return pl.col(column).cast(pl.String).is_in([_FLAGS.get(value, value) for value in values.split(",")])

@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -20,22 +19,20 @@ from mavfi.campaign.analysis.statistics import (
     smallest_difference,
     weighted_rate,
 )
-from mavfi.campaign.analysis.table import NUMBER, PERCENT, RATE, SIGNED, Cell, Column
+from mavfi.campaign.analysis.table import NUMBER, PERCENT, RATE, SIGNED, TEXT, Cell, Column
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.faults.strata import HEADLINE
 
 WHOLE_WORD = "whole_word"
 PARTITIONS = ({"sign_exponent", "mantissa"}, {"sign", "exponent", "mantissa"})
 """Sets of strata that together make up whole words."""
-LEADING = (HEADLINE, ALL_BITS)
-"""Populations that tables lead with, and that stand beside the paper."""
+LEADING = (HEADLINE, ALL_BITS)  # populations that tables lead with, and that stand beside the paper
 POPULATIONS = {
     "all": "all", "sign_exponent": "sign + exponent", "sign": "sign", "exponent": "exponent", WHOLE_WORD: "whole word",
     "mantissa": "mantissa", ALL_BITS: "all bits",
 }  # fmt: skip
 """Populations for people."""
-SLOWER = 0.05
-"""Flight time over the golden run's from which a success counts as slower."""
+SLOWER = 0.05  # flight time over the golden run's from which a success counts as slower
 SYSTEMATIC = 0.9
 """Share of flights from which alarms of one state at one instant are systematic: of the start, not of the mission."""
 _ORDER = (HEADLINE, "sign", "exponent", WHOLE_WORD, "mantissa")
@@ -43,25 +40,17 @@ _ORDER = (HEADLINE, "sign", "exponent", WHOLE_WORD, "mantissa")
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """One column of a view.
+    """One column of a view."""
 
-    Attributes:
-        key: Name of the column in CSV and JSON.
-        heading: For people.
-        form: How cells are written for people; see `table`.
-        of: Rows of a group -> cell.
-        hidden: In CSV and JSON only.
-    """
-
-    key: str
+    key: str  # name of the column in CSV and JSON
     heading: str
-    form: str
-    of: Callable[[Runs], Cell]
-    hidden: bool = False
+    form: str  # how cells are written for people, see `table`
+    of: Callable[[Runs], Cell]  # rows of a group -> cell
+    hidden: bool = False  # in CSV and JSON only
 
     @property
     def column(self) -> Column:
-        """Its column."""
+        """Its heading and form."""
         return Column(self.key, self.heading, self.form, self.hidden)
 
 
@@ -75,9 +64,9 @@ def count(key: str, heading: str, *tests: pl.Expr | str, **values: Any) -> Measu
     return Measure(key, heading, NUMBER, lambda own: len(own.where(*tests, **values)))
 
 
-def first(column: str, heading: str = "", form: str = "text", key: str = "") -> Measure:
+def first(column: str, heading: str) -> Measure:
     """Value of the first row: of a column that all rows of a group share."""
-    return Measure(key or column, heading or column.replace("_", " "), form, lambda own: own.first(column))
+    return Measure(column, heading, TEXT, lambda own: own.first(column))
 
 
 def median(column: str, heading: str, form: str = NUMBER) -> Measure:
@@ -85,9 +74,9 @@ def median(column: str, heading: str, form: str = NUMBER) -> Measure:
     return Measure(column, heading, form, lambda own: own.frame[column].median())
 
 
-def quantile(column: str, share: float, key: str, heading: str, form: str = SIGNED) -> Measure:
+def quantile(column: str, share: float, key: str, heading: str) -> Measure:
     """Quantile of a column."""
-    return Measure(key, heading, form, lambda own: quantile_of(own[column], share))
+    return Measure(key, heading, SIGNED, lambda own: quantile_of(own[column], share))
 
 
 def quantile_of(values: Iterable[float | None], share: float) -> float | None:
@@ -97,20 +86,12 @@ def quantile_of(values: Iterable[float | None], share: float) -> float | None:
 
 
 def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str, weighted: bool = False) -> Measure:
-    """Share of rows that pass a test, with Wilson's interval for the effective number of flights.
-
-    Args:
-        key: Of the column.
-        heading: Of the column.
-        test: What is counted.
-        where: Rows that count at all.
-        weighted: Whether faults count with their weights.
-    """
+    """Share of rows that pass a test, among those that pass `where`, with Wilson's interval by clusters."""
     return Measure(key, heading, RATE, lambda own: rate_of(own.where(*where), test, weighted=weighted))
 
 
 def rate_of(own: Runs, test: pl.Expr | str, *, weighted: bool = False) -> Rate:
-    """Rate over rows, with an interval that treats missions as clusters."""
+    """Rate over rows, if asked with the weights of faults, with an interval that treats missions as clusters."""
     asked = pl.col(test) if isinstance(test, str) else test
     passed = own.frame.select(asked.fill_null(value=False).alias("passed"))["passed"].to_list()
     return clustered_rate(passed, own["world"], own["weight"] if weighted else None)
@@ -127,16 +108,15 @@ def populations(own: Runs, test: pl.Expr | str) -> dict[str, Rate]:
         judged = own.where("judged")
         rates = {name: rate_of(part, test) for (name,), part in judged.groups("population").items()}
         if set(rates) in PARTITIONS:
-            asked = pl.col(test) if isinstance(test, str) else test
-            passed = judged.frame.select(asked.alias("passed"))["passed"].to_list()
-            rates[WHOLE_WORD] = weighted_rate(passed, judged["weight"], judged["population"], judged["world"])
+            passed = judged.frame.select((pl.col(test) if isinstance(test, str) else test).alias("passed"))["passed"]
+            rates[WHOLE_WORD] = weighted_rate(passed.to_list(), judged["weight"], judged["population"], judged["world"])
         memo[key] = rates
     found: dict[str, Rate] = memo[key]
     return found
 
 
 def population_names(runs: Runs, by: Sequence[str]) -> list[str]:
-    """Populations in the order in which tables show them: headline, whole word, the others; golden runs have none."""
+    """Populations in the order of tables: headline, whole word, the others; golden runs have none."""
     found: dict[str, None] = {}
     for part in runs.groups(*by).values():
         own = part.where("judged").values("population")
@@ -146,29 +126,26 @@ def population_names(runs: Runs, by: Sequence[str]) -> list[str]:
 
 
 def leading(own: Runs, names: Sequence[str], test: pl.Expr | str) -> Rate | None:
-    """Rate in the population that a table leads with; of golden runs, in all of them."""
+    """Rate in the leading population; of golden runs, in all of them."""
     rates = populations(own, test)
     return rates.get("all", rates.get(names[0]) if names else None)
 
 
-def by_population(test: pl.Expr | str, key: str = "success", title: str = "success %, ") -> tuple[Spread, Spread]:
-    """Two spreads: the leading population (golden runs in the same column), and the others."""
-
-    def lead(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
-        names = population_names(runs, by)
-        heading = title + POPULATIONS.get(names[0], names[0]) if names else title.rstrip(", ")
-        yield Measure(key, heading, RATE, lambda own: leading(own, names, test))
-
-    def others(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
-        for name in population_names(runs, by)[1:]:
-            of = partial(_population, name=name, test=test)
-            yield Measure(f"{key}_{name}", POPULATIONS.get(name, name), RATE, of)
-
-    return lead, others
+def leading_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
+    """Success in the leading population; golden runs are in the same column."""
+    names = population_names(runs, by)
+    heading = f"success %, {POPULATIONS.get(names[0], names[0])}" if names else "success %"
+    yield Measure("success", heading, RATE, lambda own: leading(own, names, "success"))
 
 
-def _population(own: Runs, name: str, test: pl.Expr | str) -> Rate | None:
-    return populations(own, test).get(name)
+def other_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
+    """Success in each of the other populations."""
+
+    def within(name: str) -> Callable[[Runs], Cell]:
+        return lambda own: populations(own, "success").get(name)
+
+    for name in population_names(runs, by)[1:]:
+        yield Measure(f"success_{name}", POPULATIONS.get(name, name), RATE, within(name))
 
 
 FAILS_OR_SLOWER = ~pl.col("success") | (pl.col("inflation") > SLOWER).fill_null(value=False)
@@ -209,15 +186,11 @@ def against_fi(runs: Runs) -> Runs:
 def recovery_of(own: Runs) -> pairs.Recovery | None:
     """Recovery rate (dr - fi) / (golden - fi) of paired rows."""
     if "recovery" not in own.memo:
-        own.memo["recovery"] = _recovery_of(own)
+        known = own.where(pl.col("golden_success").is_not_null())
+        columns = (known[name] for name in ("world", "golden_success", "fi_success", "dr_success"))
+        own.memo["recovery"] = pairs.recovery(list(zip(*columns, strict=True)))
     found: pairs.Recovery | None = own.memo["recovery"]
     return found
-
-
-def _recovery_of(own: Runs) -> pairs.Recovery | None:
-    known = own.where(pl.col("golden_success").is_not_null())
-    columns = (known[name] for name in ("world", "golden_success", "fi_success", "dr_success"))
-    return pairs.recovery(list(zip(*columns, strict=True)))
 
 
 def discordant(own: Runs) -> pairs.Paired:
@@ -231,7 +204,7 @@ def against_golden(own: Runs) -> pairs.Paired:
 
 
 def separable(runs: Runs) -> list[tuple[str, float | None, float | None]]:
-    """By environment: the smallest differences (golden - fi, fi - dr) that a success table can be expected to show."""
+    """By environment: the smallest differences (golden - fi, fi - dr) that a success table can show."""
     found = []
     for (environment,), part in runs.groups("environment").items():
         golden = part.golden.where("judged", setting=GOLDEN)
@@ -257,14 +230,6 @@ def systematic(own: Runs) -> list[tuple[str, float, int]]:
         for (state, time_us), n in sorted(flights.items())
         if len(own) > 1 and n > SYSTEMATIC * len(own)
     ]
-
-
-def alarm_kinds(own: Runs) -> dict[str, int]:
-    """Alarms by "source/action/outcome"."""
-    kinds: Counter[str] = Counter()
-    for record in own.recorded():
-        kinds.update(record.alarm_counts)
-    return dict(kinds)
 
 
 def compute_us(own: Runs) -> int:

@@ -22,8 +22,7 @@ _REPEAT = (
 _MOST = 12
 
 
-def of_registers(runs: Runs) -> bool:
-    """Whether faults in registers were injected."""
+def _of_registers(runs: Runs) -> bool:
     return has(runs.injected, level="register")
 
 
@@ -90,7 +89,7 @@ register(
             m.count("unknown", "not judged", effect="unknown"),
         ),
         where=_trials, total=("registers", "in all"),
-        notes=lambda runs: (_INTERVALS, *_endings_note(runs), *_stopped_note(runs), _REPEAT), applies=of_registers,
+        notes=lambda runs: (_INTERVALS, *_endings_note(runs), *_stopped_note(runs), _REPEAT), applies=_of_registers,
     ),
     View(
         "register_functions", "By function", ("function",),
@@ -98,7 +97,7 @@ register(
             m.count("n", "trials"),
             *(m.count(effect, heading, effect=effect) for effect, heading in _EFFECTS.items()),
         ),
-        where=_places, limit=_MOST, largest="n", detail=True, applies=of_registers,
+        where=_places, limit=_MOST, largest="n", detail=True, applies=_of_registers,
     ),
     View(
         "register_corruptions", "Silent corruptions", ("run_id",),
@@ -109,6 +108,6 @@ register(
                 ("golden_value", "golden"), ("value", "was"), ("differing", "outputs that differ"),
             )
         ),
-        where=lambda runs: _trials(runs).exploded(_difference), headings=("run",), detail=True, applies=of_registers,
+        where=lambda runs: _trials(runs).exploded(_difference), headings=("run",), detail=True, applies=_of_registers,
     ),
 )  # fmt: skip

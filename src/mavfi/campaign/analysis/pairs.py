@@ -14,53 +14,30 @@ from mavfi.campaign.analysis.statistics import TAIL, Part, cluster_sums, percent
 
 @dataclass(frozen=True, slots=True)
 class Paired:
-    """McNemar's exact test on pairs.
+    """McNemar's exact test on pairs."""
 
-    Attributes:
-        n: Pairs.
-        first_only: Pairs in which only the first succeeds.
-        second_only: Pairs in which only the second succeeds.
-        p_value: Two-sided; 1 where no pair is discordant.
-    """
-
-    n: int
-    first_only: int
-    second_only: int
-    p_value: float
+    n: int  # pairs
+    first_only: int  # pairs in which only the first succeeds
+    second_only: int  # pairs in which only the second succeeds
+    p_value: float  # two-sided; 1 where no pair is discordant
 
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """Recovery rate (method - fi) / (golden - fi).
+    """Recovery rate (method - fi) / (golden - fi), and the loss, golden - fi, in pairs; with intervals."""
 
-    Attributes:
-        rate: None = undefined: the interval of the denominator contains 0.
-        low: Lower bound; None where undefined.
-        high: Upper bound.
-        loss: golden - fi, in pairs.
-        loss_low: Lower bound of the loss.
-        loss_high: Upper bound of the loss.
-        lost: Pairs in which golden succeeds and fi does not.
-        regained: Of these, those in which the method succeeds.
-    """
-
-    rate: float | None
+    rate: float | None  # None, as its bounds, where undefined: the interval of the denominator contains 0
     low: float | None
     high: float | None
     loss: float
     loss_low: float
     loss_high: float
-    lost: int
-    regained: int
+    lost: int  # pairs in which golden succeeds and fi does not
+    regained: int  # of these, those in which the method succeeds
 
 
 def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
-    """Exact test that two settings succeed equally often in the same worlds with the same faults.
-
-    Args:
-        first: Success by pair.
-        second: Success by pair, in the same order.
-    """
+    """Exact test that two settings, given by their success in each pair, succeed equally often."""
     first_only = sum(a and not b for a, b in zip(first, second, strict=True))
     second_only = sum(b and not a for a, b in zip(first, second, strict=True))
     discordant = first_only + second_only
@@ -71,19 +48,11 @@ def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
 def paired_difference(
     first: Sequence[bool], second: Sequence[bool], world: Sequence[object]
 ) -> tuple[float, float, float]:
-    """Difference of two success rates in the same missions, first - second, with MOVER's interval.
+    """Difference of two success rates in the same missions, first - second, with MOVER's interval: estimate, low, high.
 
     The difference is that of two shares: pairs in which only the first succeeds, and only the second; each has
     Wilson's interval for the effective number of pairs, and they are correlated as shares of one sample are.  Without
-    discordant pairs the interval is as wide as these two allow, not 0.
-
-    Args:
-        first: Success by pair; at least one.
-        second: Success by pair, in the same order.
-        world: By pair.
-
-    Returns:
-        Estimate, lower and upper bound.
+    discordant pairs the interval is as wide as these two allow, not 0.  There is at least one pair.
     """
     one, other = np.asarray(first, bool), np.asarray(second, bool)
     ones = np.ones(len(one))
@@ -105,17 +74,12 @@ def _added(one: float, other: float, correlation: float) -> float:
 
 
 def recovery(pairs: Sequence[tuple[object, bool, bool, bool]]) -> Recovery | None:
-    """Share of the lost missions that a detector brings back.
+    """Share of the lost missions that a detector brings back; None if there is no pair.
 
-    Where the method only brings back what fi alone has lost, the rate is a share of these pairs: Clopper and Pearson's
-    exact interval, for the effective number of pairs (Korn and Graubard 1998).  Where other pairs differ too, it is
-    widened to hold the clustered bootstrap's interval.
-
-    Args:
-        pairs: World, success without a fault, with the fault, with fault and method.
-
-    Returns:
-        None if there is no pair.
+    Pairs are world, success without a fault, with the fault, with fault and method.  Where the method only brings back
+    what fi alone has lost, the rate is a share of these pairs: Clopper and Pearson's exact interval, for the effective
+    number of pairs (Korn and Graubard 1998).  Where other pairs differ too, it is widened to hold the clustered
+    bootstrap's interval.
     """
     if not pairs:
         return None

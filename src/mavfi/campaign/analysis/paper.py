@@ -19,12 +19,7 @@ def _data() -> dict[str, Any]:
 
 
 def figure(name: str, **key: str) -> Any:
-    """One figure, a share or text; None = the paper has none.
-
-    Args:
-        name: Of the figure.
-        key: Environment, setting, stage, kernel or quantity, as the figure has it.
-    """
+    """One figure, a share or text, by environment, setting, stage, kernel or quantity; None = the paper has none."""
     found = _data()["figures"][name]
     value = found["values"]
     for column in found["by"]:
@@ -39,7 +34,7 @@ def recovery(environment: str, setting: str) -> float | None:
 
 
 def worst_time(environment: str, setting: str) -> float | None:
-    """Increase of the worst flight time; with a detector what is left of it."""
+    """Increase of the worst flight time; with a detector, the increase that remains."""
     worst = figure("worst_time", environment=environment)
     if worst is None or setting == "fi":
         return None if worst is None else float(worst)
@@ -53,22 +48,15 @@ def comparable(campaign: Mapping[str, Any], detector_profile: str) -> bool:
     return campaign.get("profile") == data["profile"] and detector_profile in ("", data["detector_profile"])
 
 
-def beside(find: Any, heading: str = "paper", form: str = PERCENT, key: str = "paper") -> Measure:
-    """The paper's figure for the environment and setting of the rows, where the two can be compared.
-
-    Args:
-        find: Environment, setting -> figure.
-        heading: Of the column.
-        form: Of the figure.
-        key: Of the column.
-    """
+def beside(find: Any, heading: str = "paper", form: str = PERCENT) -> Measure:
+    """A column with the figure of an environment and setting, where rows and paper can be compared."""
 
     def of(own: Runs) -> Any:
         if not len(own) or not comparable(own.campaign, own.first("detector_profile")):
             return None
         return find(own.first("environment"), own.first("setting"))
 
-    return Measure(key, heading, form, of)
+    return Measure("paper", heading, form, of)
 
 
 def success(environment: str, setting: str) -> float | None:

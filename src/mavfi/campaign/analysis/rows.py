@@ -1,14 +1,13 @@
 """One run as one row: what was planned, what happened, and what is judged from the record and its golden run."""
 
 from collections.abc import Collection, Iterable, Mapping
-from functools import singledispatch
 from typing import Any
 
 import polars as pl
 
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.store import Run
-from mavfi.faults.fault import InstructionFault, MessageFault, RegisterFault, StateFault
+from mavfi.faults.fault import Fault, InstructionFault, MessageFault, RegisterFault, StateFault
 from mavfi.faults.strata import bit_class
 from mavfi.flight_log import AlarmRecord, Injection
 from mavfi.flight_record import AFTERMATH, INSTANT, End, FlightRecord
@@ -17,10 +16,8 @@ from mavfi.outcomes import DUE, effect_of
 from mavfi.qof import energy
 from mavfi.states import KERNEL_STAGES, STATES
 
-ALL_BITS = "all_bits"
-"""Population of faults whose bits were drawn uniformly, so that no stratum of them is apart."""
-GOLDEN, INJECTED, NULL = "golden", "injected", "null"
-"""Kinds of run."""
+ALL_BITS = "all_bits"  # population of faults whose bits were drawn uniformly, so that no stratum of them is apart
+GOLDEN, INJECTED, NULL = "golden", "injected", "null"  # kinds of run
 ACTIVATED, NO_SITE, NOT_ACTIVATED = "activated", "no_site", "not_activated"
 """Where a fault went: `NO_SITE` in the golden run, or not reached in the injected one."""
 KERNEL_DUE = tuple(effect.label for effect in DUE)
@@ -53,17 +50,13 @@ def row_of(
 ) -> dict[str, Any]:  # fmt: skip
     """Columns of one run that is done.
 
-    Args:
-        run: What was planned.
-        record: What it left.
-        own: Record of the golden run of the same arm: what the digest is compared with.
-        reference: Record of the golden run of the same mission without a detector: what flight time is compared with.
-        monitored: States and fields that detectors watch.
+    Digests are compared with the golden run of the same arm, `own`, flight times with that of the same mission without
+    a detector, `reference`; `monitored` are the states and fields that detectors watch.
     """
     spec, fault = run.spec, run.spec.fault
     planned = {} if fault is None else {
         "level": fault.level, "site": fault.site, "bit": fault.bit, "stratum": fault.stratum, "weight": fault.weight,
-        "has_site": fault.has_site, "population": ALL_BITS, **site_columns(fault),
+        "has_site": fault.has_site, "population": ALL_BITS, **_site_columns(fault),
     }  # fmt: skip
     planned["monitored"] = (planned.get("state", ""), planned.get("field", "")) in monitored
     return {
@@ -77,38 +70,25 @@ def row_of(
     }  # fmt: skip
 
 
-@singledispatch
-def site_columns(fault: Any) -> dict[str, Any]:
-    """What a planned fault of one level says of its site."""
-    raise TypeError(f"no columns for {type(fault).__name__}")
-
-
-@site_columns.register
-def _(fault: StateFault) -> dict[str, Any]:
-    spec, where = STATES[fault.where.state], fault.where
-    bits = "" if fault.bit is None else bit_class(spec.find(where.field), fault.bit)
-    return {
-        "stage": str(spec.stage), "kernel": spec.writer, "state": where.state, "field": where.field,
-        "element": where.element, "bit_class": bits, "population": fault.stratum,
-    }  # fmt: skip
-
-
-@site_columns.register
-def _(fault: InstructionFault) -> dict[str, Any]:
-    return {
-        "stage": str(KERNEL_STAGES.get(fault.kernel, "")), "kernel": fault.kernel, "function": fault.entry,
-        "value_class": fault.value_class, "bit_class": fault.stratum,
-    }  # fmt: skip
-
-
-@site_columns.register
-def _(fault: MessageFault) -> dict[str, Any]:
-    return {"state": fault.topic, "field": fault.field}
-
-
-@site_columns.register
-def _(fault: RegisterFault) -> dict[str, Any]:
-    return {"register": fault.registers, "symbol": fault.symbol}
+def _site_columns(fault: Fault) -> dict[str, Any]:
+    """Site of a planned fault."""
+    match fault:
+        case StateFault(where=where):
+            spec = STATES[where.state]
+            return {
+                "stage": str(spec.stage), "kernel": spec.writer, "state": where.state, "field": where.field,
+                "element": where.element, "population": fault.stratum,
+                "bit_class": "" if fault.bit is None else bit_class(spec.find(where.field), fault.bit),
+            }  # fmt: skip
+        case InstructionFault():
+            return {
+                "stage": str(KERNEL_STAGES.get(fault.kernel, "")), "kernel": fault.kernel, "function": fault.entry,
+                "value_class": fault.value_class, "bit_class": fault.stratum,
+            }  # fmt: skip
+        case MessageFault():
+            return {"state": fault.topic, "field": fault.field}
+        case RegisterFault():
+            return {"register": fault.registers, "symbol": fault.symbol}
 
 
 _DETAILS = {
@@ -119,16 +99,14 @@ _DETAILS = {
 
 
 def _happened(record: FlightRecord, faulty: bool, has_site: bool) -> dict[str, Any]:
-    """What was injected; of several injections the first activated one."""
+    """The injection; of several, the first activated one."""
     activated = any(injection.activated for injection in record.injections)
     columns: dict[str, Any] = {"activated": activated}
     if faulty:
         reached = activated or not record.flown
         columns["site_outcome"] = (ACTIVATED if reached else NOT_ACTIVATED) if has_site else NO_SITE
-    if record.injections:
-        first = next((one for one in record.injections if one.activated), record.injections[0])
-        columns |= _injection(first)
-    return columns
+    first = next((one for one in record.injections if one.activated), next(iter(record.injections), None))
+    return columns if first is None else columns | _injection(first)
 
 
 def _injection(injection: Injection) -> dict[str, Any]:
@@ -152,7 +130,7 @@ def _number(value: object) -> float | None:
 
 
 def _kernel(record: FlightRecord) -> dict[str, Any]:
-    """What the injected call did to its kernel."""
+    """Effect of the injected call on its kernel."""
     if record.kernel is None:
         return {}
     first: Mapping[str, Any] = record.kernel.first_difference or {}
@@ -163,24 +141,22 @@ def _kernel(record: FlightRecord) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def succeeded(record: FlightRecord) -> bool:
-    """Whether the mission succeeded; a run that died did not."""
+def _succeeded(record: FlightRecord) -> bool:
     return record.status == MissionStatus.SUCCESS.label
 
 
 def _judged(
     record: FlightRecord, own: FlightRecord | None, reference: FlightRecord | None, spec: RunSpec
 ) -> dict[str, Any]:
-    success, flown = succeeded(record), record.flown
+    success = _succeeded(record)
     died = record.kernel is not None and record.kernel.effect in KERNEL_DUE
-    known = reference is not None and reference.end is not End.UNKNOWN
     columns: dict[str, Any] = {
         "end": str(record.end), "status": record.status or str(record.end), "success": success,
         "success_if_ended": success and not died, "judged": record.end is not End.UNKNOWN,
-        "golden_success": succeeded(reference) if reference is not None and known else None,
+        "golden_success": None if reference is None or reference.end is End.UNKNOWN else _succeeded(reference),
         "effect": "" if spec.kind == GOLDEN else _effect(own, record),
     }  # fmt: skip
-    if flown:
+    if record.flown:
         columns |= {
             "flight_time_s": record.flight_time_s, "energy_j": energy(record.energy), "replans": record.replans,
             "distance_m": record.distance_m, "time_limit_s": record.time_limit_s, "course_m": record.course_m,
@@ -188,7 +164,7 @@ def _judged(
         }  # fmt: skip
     if reference is not None and reference.flown:
         columns["golden_flight_time_s"] = reference.flight_time_s
-        if success and succeeded(reference):
+        if success and _succeeded(reference):
             columns["inflation"] = record.flight_time_s / reference.flight_time_s - 1
             spent = energy(reference.energy)
             columns["energy_inflation"] = energy(record.energy) / spent - 1 if spent > 0 else None
@@ -205,17 +181,17 @@ def _effect(own: FlightRecord | None, record: FlightRecord) -> str:
 def _detected(record: FlightRecord, own: FlightRecord | None, state: str) -> dict[str, Any]:
     """Alarms on the corrupted publication itself, and those soon after it that the golden run does not have."""
     instants = [injection.time_s for injection in record.injections if injection.activated]
-    known = set() if own is None else instants_of(own.alarms)
+    known = set() if own is None else _instants_of(own.alarms)
     at_site = any(
         alarm.state == state and abs(alarm.time_s - time_s) < INSTANT for alarm in record.alarms for time_s in instants
     )
     downstream = any(
-        -INSTANT < alarm.time_s - time_s <= AFTERMATH and not instants_of([alarm]) <= known
+        -INSTANT < alarm.time_s - time_s <= AFTERMATH and not _instants_of([alarm]) <= known
         for alarm in record.alarms for time_s in instants
     )  # fmt: skip
     return {"detected_at_site": at_site, "detected_downstream": downstream}
 
 
-def instants_of(alarms: Iterable[AlarmRecord]) -> set[tuple[str, int]]:
+def _instants_of(alarms: Iterable[AlarmRecord]) -> set[tuple[str, int]]:
     """State and instant (us) of alarms."""
     return {(alarm.state, round(1e6 * alarm.time_s)) for alarm in alarms}

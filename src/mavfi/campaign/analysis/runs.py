@@ -14,8 +14,7 @@ from mavfi.flight_record import FlightRecord
 from mavfi.states import MONITORED_SETS
 
 DEFAULT_MONITORED = "paper-13"
-ALL = "all"
-"""Value of the environment in rows that are counted over all of them."""
+ALL = "all"  # value of the environment in rows that are counted over all of them
 
 
 @dataclass(frozen=True)
@@ -23,26 +22,23 @@ class Runs:
     """Runs that are done, in the order of the plan.
 
     Attributes:
-        frame: One row per run; columns as in `rows.SCHEMA`, and what a view has added.
+        frame: One row per run; columns as in `rows.SCHEMA`, and those that a view has added.
         records: Record of each run by its id.
         campaign: Description of the campaign as plain data, for headers and notes.
+        memo: Results of measures on these rows.
     """
 
     frame: pl.DataFrame
     records: Mapping[str, FlightRecord] = field(default_factory=dict)
     campaign: Mapping[str, Any] = field(default_factory=dict)
     memo: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
-    """What measures have already computed of these rows."""
 
     @staticmethod
     def read(directory: Path) -> "Runs":
         """The runs of a ledger that are done.
 
-        Args:
-            directory: Where it is.
-
         Raises:
-            BadInputError: There is none.
+            BadInputError: There is no ledger.
         """
         from mavfi.campaign.analysis.about import describe
 
@@ -51,11 +47,9 @@ class Runs:
 
     @staticmethod
     def of(runs: Iterable[Run], campaign: Mapping[str, Any] | None = None) -> "Runs":
-        """Judge runs.
+        """Judge runs, in the order of the plan; those without a record are left out.
 
-        Args:
-            runs: In the order of the plan; those without a record are left out.
-            campaign: As of `about.describe`; `monitored_set` names the fields that detectors watch.
+        In the campaign, as of `about.describe`, `monitored_set` names the fields that detectors watch.
         """
         about = campaign or {}
         done = [(run, run.record) for run in runs if run.record is not None]
@@ -83,11 +77,7 @@ class Runs:
         return self.frame.iter_rows(named=True)
 
     def first(self, column: str) -> Any:
-        """Value of the first row.
-
-        Raises:
-            IndexError: There is no row.
-        """
+        """Value of the first row; an IndexError where there is none."""
         return self[column][0]
 
     def values(self, column: str) -> list[Any]:
@@ -99,12 +89,7 @@ class Runs:
         return [self.records[run_id] for run_id in self["run_id"]]
 
     def where(self, *tests: pl.Expr | str, **values: Any) -> "Runs":
-        """Rows that pass all tests.
-
-        Args:
-            tests: Expressions, or names of columns that must be true.
-            values: Column = value.
-        """
+        """Rows that pass all tests: expressions, names of columns that must be true, and column = value."""
         asked = [pl.col(test) if isinstance(test, str) else test for test in tests]
         asked += [pl.col(column) == value for column, value in values.items()]
         return replace(self, frame=self.frame.filter(*asked)) if asked else self
@@ -121,7 +106,7 @@ class Runs:
         return {key: replace(self, frame=part) for key, part in parts.items()}
 
     def with_total(self, column: str, label: str) -> "Runs":
-        """The rows, and where the column has several values all of them once more with this label."""
+        """The rows; where the column has several values, all of them once more with this label."""
         if self.frame[column].n_unique() < 2:
             return self
         return replace(self, frame=pl.concat([self.frame, self.frame.with_columns(pl.lit(label).alias(column))]))

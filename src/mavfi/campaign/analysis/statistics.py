@@ -15,58 +15,36 @@ from scipy.stats import chi2, norm
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 _SEED = 20
-TAIL = (1 - CONFIDENCE) / 2
-"""Probability that an interval leaves out on each side."""
+_POWER = 0.8  # probability with which `smallest_difference` should show
+TAIL = (1 - CONFIDENCE) / 2  # probability that an interval leaves out on each side
 _Z2 = float(norm.ppf(1 - TAIL)) ** 2
 
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A rate and its interval; all None where there is nothing to judge.
+    """A rate and its interval; all None where there is nothing to judge."""
 
-    Attributes:
-        n: Flights.
-        rate: Estimate.
-        low: Lower bound.
-        high: Upper bound.
-        successes: Flights that count; None for weighted rates.
-    """
-
-    n: int
+    n: int  # flights
     rate: float | None
     low: float | None
     high: float | None
-    successes: int | None = None
+    successes: int | None = None  # flights that count; None for weighted rates
 
 
 @dataclass(frozen=True, slots=True)
 class EventRate:
-    """Events per hour of exposure.
-
-    Attributes:
-        events: Events.
-        hours: Exposure (h).
-        per_hour: Estimate; None without exposure.
-        low: Lower bound of the two-sided interval.
-        high: Upper bound of the two-sided interval.
-        upper: One-sided upper bound: what zero events still allow.
-    """
+    """Events per hour of exposure, with a two-sided interval; None without exposure."""
 
     events: int
-    hours: float
+    hours: float  # exposure
     per_hour: float | None
     low: float | None
     high: float | None
-    upper: float | None
+    upper: float | None  # one-sided upper bound: what zero events still allow
 
 
 def wilson(successes: int, n: int) -> Rate:
-    """Rate with Wilson's score interval.
-
-    Args:
-        successes: Flights that count.
-        n: Flights.
-    """
+    """Rate of successes among n flights, with Wilson's score interval."""
     if n == 0:
         return Rate(0, None, None, None, 0)
     rate = successes / n
@@ -83,15 +61,11 @@ def score_bounds(rate: float, n: float) -> tuple[float, float]:
 def clustered_rate(
     success: Sequence[bool], world: Sequence[object], weight: Sequence[float] | None = None
 ) -> Rate:  # fmt: skip
-    """Rate with Wilson's interval for the effective number of flights.
+    """Rate with Wilson's interval for the effective number of flights; worlds are the clusters.
 
-    With weights it is the ratio estimate, sum of weight x success over sum of weights, whose bias falls as 1 / n.
-    Uneven weights make flights tell less, which the effective number takes into account (Kish 1965).
-
-    Args:
-        success: Whether a flight counts.
-        world: By flight; flights of one world are alike.  With one flight per world the interval is `wilson`'s.
-        weight: By flight, above 0; None = all alike.
+    With weights (above 0; None = all alike) it is the ratio estimate, sum of weight x success over sum of weights, with
+    a bias that falls as 1 / n; uneven ones lower the effective number of flights (Kish 1965).  With one flight per
+    world the interval is `wilson`'s.
     """
     if not success:
         return wilson(0, 0)
@@ -106,17 +80,11 @@ def clustered_rate(
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A weighted rate within one stratum, and how far it can be trusted.
-
-    Attributes:
-        rate: Estimate.
-        effective: As many independent flights would tell as much.
-        spread: What each world adds to the error of the estimate. Shape (worlds,).
-    """
+    """A weighted rate within one stratum, and its precision."""
 
     rate: float
-    effective: float
-    spread: np.ndarray
+    effective: float  # number of independent flights of the same precision
+    spread: np.ndarray  # contribution of each world to the error of the estimate. Shape (worlds,)
 
     @staticmethod
     def of(y: np.ndarray, weight: np.ndarray, world: Sequence[object]) -> "Part":
@@ -133,11 +101,7 @@ class Part:
 
 
 def cluster_sums(clusters: Sequence[object], *columns: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Sums of columns by cluster.
-
-    Args:
-        clusters: Cluster of each row, e.g. its world.
-        columns: Numbers of each row.
+    """Sums of columns by cluster, e.g. by the world of each row.
 
     Returns:
         Shape (clusters, columns), in the order in which the clusters first appear.
@@ -151,10 +115,7 @@ def cluster_sums(clusters: Sequence[object], *columns: Sequence[float] | np.ndar
 
 
 def resample(sums: np.ndarray) -> np.ndarray:
-    """Totals of the columns in bootstrap samples of clusters.
-
-    Args:
-        sums: As of `cluster_sums`. Shape (k, m).
+    """Totals of the columns of `cluster_sums`, shape (k, m), in bootstrap samples of clusters.
 
     Returns:
         Shape (RESAMPLES, m); the same for the same input.
@@ -170,17 +131,11 @@ def weighted_rate(
 ) -> Rate:
     """Rate over a population of which each stratum was sampled at its own density.
 
-    A draw's weight is the share of the population that its stratum stands for; sum over strata of the mean of
-    weight x success, over the same without success.  The interval is MOVER's: distances to Wilson's bounds within the
-    strata, for the effective numbers of flights, added as standard errors are, with the correlation between strata that
-    share worlds (where it is positive).  It is conditional on the fields that were drawn.  A stratum in which all
-    flights end alike keeps its doubt.
-
-    Args:
-        success: 0 or 1 by flight.
-        weight: `Fault.weight` by flight.
-        stratum: By flight.
-        world: By flight; flights of one world are alike.
+    A draw's weight (`Fault.weight`) is the share of the population that its stratum stands for; sum over strata of the
+    mean of weight x success, over the same without success.  The interval is MOVER's: distances to Wilson's bounds
+    within the strata, for the effective numbers of flights, added as standard errors are, with the correlation between
+    strata that share worlds (where it is positive).  It is conditional on the fields that were drawn.  A stratum in
+    which all flights end alike keeps its uncertainty.
     """
     n = len(success)
     if n == 0:
@@ -200,11 +155,7 @@ def weighted_rate(
 
 
 def _correlation(spread: np.ndarray) -> np.ndarray:
-    """Correlation of estimates from what each world adds to their errors; negative ones are taken as none.
-
-    Args:
-        spread: Shape (estimates, worlds).
-    """
+    """Correlation of estimates from the errors of each world, shape (estimates, worlds); negative ones become 0."""
     length = np.sqrt((spread**2).sum(axis=1))
     unit = spread / np.where(length > 0, length, 1.0)[:, None]
     found: np.ndarray = np.clip(unit @ unit.T, 0.0, 1.0)
@@ -222,12 +173,7 @@ def percentiles(samples: np.ndarray) -> tuple[float, float]:
 
 
 def event_rate(events: int, hours: float) -> EventRate:
-    """Events per hour with Garwood's exact Poisson interval, of events that know nothing of each other.
-
-    Args:
-        events: How many.
-        hours: Exposure (h).
-    """
+    """Rate of independent events in hours of exposure, with Garwood's exact Poisson interval."""
     if not hours > 0:
         return EventRate(events, hours, None, None, None, None)
     low = float(chi2.ppf(TAIL, 2 * events)) / 2 / hours if events else 0.0
@@ -237,13 +183,9 @@ def event_rate(events: int, hours: float) -> EventRate:
 
 
 def event_rate_by_flight(events: Sequence[int], hours: Sequence[float]) -> EventRate:
-    """Events per hour where those of one flight come together: bootstrap of flights.
+    """Rate of events that cluster in flights, from events and hours by flight: bootstrap of flights.
 
     The interval is never narrower than the exact Poisson one, which alone is left where there is no event.
-
-    Args:
-        events: By flight.
-        hours: Exposure by flight (h).
     """
     poisson = event_rate(int(sum(events)), float(sum(hours)))
     if poisson.low is None or poisson.high is None or poisson.upper is None or not poisson.events:
@@ -256,20 +198,15 @@ def event_rate_by_flight(events: Sequence[int], hours: Sequence[float]) -> Event
     return replace(poisson, low=min(low, poisson.low), high=max(high, poisson.high), upper=max(upper, poisson.upper))
 
 
-def smallest_difference(rate: float, first_n: int, second_n: int, power: float = 0.8) -> float | None:
-    """Difference of two rates that a table cannot be expected to show if it is smaller than this.
+def smallest_difference(rate: float, first_n: int, second_n: int) -> float | None:
+    """Smallest difference of two rates around `rate` that tables of so many flights can be expected to show.
 
-    Two-sided 5 % test of independent samples, normal approximation; pairing makes the true figure somewhat smaller.
-
-    Args:
-        rate: Rate around which they lie; rates of 0 and 1 are taken as half a flight away from them.
-        first_n: Flights of the first.
-        second_n: Flights of the second.
-        power: Probability with which the difference should show.
+    Two-sided 5 % test of independent samples, normal approximation, power 80 %; pairing makes the true figure somewhat
+    smaller.  Rates of 0 and 1 are taken as half a flight away from them.
     """
     if min(first_n, second_n) == 0:
         return None
     margin = 0.5 / min(first_n, second_n)
     p = min(max(rate, margin), 1 - margin)
     spread = np.sqrt(p * (1 - p) * (1 / first_n + 1 / second_n))
-    return float((norm.ppf(1 - TAIL) + norm.ppf(power)) * spread)
+    return float((norm.ppf(1 - TAIL) + norm.ppf(_POWER)) * spread)

@@ -13,54 +13,35 @@ RATE, PERCENT, SIGNED, SMALL, PER_HOUR, POINTS, NUMBER, TEXT = (
     "rate", "percent", "signed percent", "small percent", "per hour", "points", "number", "text",
 )  # fmt: skip
 """Forms of a cell; a number may carry digits and a unit: "number .1f s"."""
-UNKNOWN = "unknown"
-"""A cell whose measure raised."""
-Cell = Any
-"""None = there is nothing; text, a number, or a dataclass of numbers such as `Rate`."""
+UNKNOWN = "unknown"  # a cell whose measure raised
+Cell = Any  # None = there is nothing; text, a number, or a dataclass of numbers such as `Rate`
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column.
-
-    Attributes:
-        key: Name in CSV and JSON.
-        heading: Name for people.
-        form: How its cells are written for people.
-        hidden: In CSV and JSON only.
-    """
+    """One column: key in CSV and JSON, heading for people."""
 
     key: str
     heading: str
-    form: str = TEXT
-    hidden: bool = False
+    form: str = TEXT  # how its cells are written for people
+    hidden: bool = False  # in CSV and JSON only
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One table.
+    """One table."""
 
-    Attributes:
-        name: Of its view.
-        title: What it shows.
-        columns: Of each row.
-        rows: Cells.
-        keys: How many of the first columns say what a row is of.
-        notes: Lines below it.
-        detail: Shown in files, and where it is asked for, only.
-    """
-
-    name: str
+    name: str  # of its view
     title: str
     columns: tuple[Column, ...]
     rows: Sequence[tuple[Cell, ...]]
-    keys: int = 1
-    notes: tuple[str, ...] = ()
-    detail: bool = False
+    keys: int = 1  # how many of the first columns name the row
+    notes: tuple[str, ...] = ()  # lines below it
+    detail: bool = False  # shown only in files, and on request
 
     @staticmethod
     def of_text(title: str, headings: Sequence[str], rows: Sequence[tuple[str, ...]], notes: Sequence[str]) -> "Table":
-        """A table of ready cells."""
+        """A table of texts."""
         columns = tuple(Column(heading, heading) for heading in headings)
         return Table(title, title, columns, rows, notes=tuple(notes))
 
@@ -70,10 +51,8 @@ class Table:
         Raises:
             KeyError: There is no such column.
         """
-        places = [place for place, column in enumerate(self.columns) if column.key == key]
-        if not places:
-            raise KeyError(key)
-        return [row[places[0]] for row in self.rows]
+        place = {column.key: place for place, column in enumerate(self.columns)}[key]
+        return [row[place] for row in self.rows]
 
     def entries(self) -> list[dict[str, Cell]]:
         """Rows as mappings from the keys of the columns."""

@@ -16,56 +16,27 @@ DEVIATIONS = (
 _PROFILES = {"published": DEVIATIONS, "hardened": "not the paper's: what a careful team would fly"}
 
 
-def _all_rows(runs: Runs) -> Runs:
-    return runs
-
-
-def _no_notes(_: Runs) -> tuple[str, ...]:
-    return ()
-
-
-def _always(_: Runs) -> bool:
-    return True
-
-
 @dataclass(frozen=True)
 class View:
-    """A question to a campaign.
+    """A question to a campaign."""
 
-    Attributes:
-        name: How it is asked for.
-        title: What its table shows.
-        by: Columns whose values make the rows of the table.
-        measures: The other columns.
-        where: Selects rows of the frame; may add columns, or make several rows of one.
-        across: "" = measures are columns.  Else a column of the frame whose values become columns; each measure becomes
-            a row with its heading in the second cell.
-        total: Column of which a row over all values is added, where there are several; label of that row.
-        headings: Instead of the names of `by`.
-        notes: Lines below the table.
-        most: Key of the measure by which rows within the first cell are ordered, largest first; "" = order of the plan.
-        largest: Key of the measure by which all rows are ordered, largest first, then by their first cell.
-        limit: Most rows.
-        least: Rows of fewer runs are left out of the report.
-        detail: Not among the tables in the terminal unless asked for.
-        applies: Whether the table belongs into the report of a campaign.
-    """
-
-    name: str
-    title: str
-    by: tuple[str, ...]
-    measures: tuple[Measure | Spread, ...]
-    where: Callable[[Runs], Runs] = _all_rows
+    name: str  # by which users ask for it
+    title: str  # of its table
+    by: tuple[str, ...]  # columns whose values make the rows of the table
+    measures: tuple[Measure | Spread, ...]  # the other columns
+    where: Callable[[Runs], Runs] = field(default=lambda runs: runs)  # selects rows of the frame; may add columns
     across: str = ""
-    total: tuple[str, str] | None = None
-    headings: tuple[str, ...] = ()
-    notes: Callable[[Runs], Iterable[str]] = _no_notes
-    most: str = ""
-    largest: str = ""
-    limit: int | None = None
-    least: int = 1
-    detail: bool = False
-    applies: Callable[[Runs], bool] = field(default=_always)
+    """Empty = measures are columns.  Else a column of the frame whose values become columns; each measure becomes a row
+    with its heading in the second cell."""
+    total: tuple[str, str] | None = None  # column of which a row over all values is added, and its label
+    headings: tuple[str, ...] = ()  # instead of the names of `by`
+    notes: Callable[[Runs], Iterable[str]] = field(default=lambda _: ())  # lines below the table
+    most: str = ""  # key of the measure that orders rows within the first cell, largest first; "" = order of the plan
+    largest: str = ""  # key of the measure that orders all rows, largest first, then by their first cell
+    limit: int | None = None  # most rows
+    least: int = 1  # rows of fewer runs are left out of the report
+    detail: bool = False  # in the terminal only on request
+    applies: Callable[[Runs], bool] = field(default=lambda _: True)  # whether the report of a campaign has the table
 
     def table(self, runs: Runs) -> Table:
         """Answer the question; a measure that raises gives `UNKNOWN` in its cell, and a note says why."""
@@ -82,7 +53,7 @@ class View:
 
     def _measures(self, chosen: Runs) -> list[Measure]:
         found: list[Measure] = []
-        for measure in self.measures:
+        for measure in self.measures if len(chosen) else ():
             found += [measure] if isinstance(measure, Measure) else measure(chosen, self.by)
         return found
 
@@ -92,7 +63,7 @@ class View:
 
     def _down(self, chosen: Runs, raised: dict[str, str]) -> tuple[list[Column], list[tuple[Cell, ...]]]:
         """One row for each group."""
-        measures = self._measures(chosen) if len(chosen) else []
+        measures = self._measures(chosen)
         groups = {key: own for key, own in chosen.groups(*self.by).items() if len(own) >= self.least}
         rows = [(*key, *(_cell(measure, own, raised) for measure in measures)) for key, own in groups.items()]
         return [*self._keys(), *(measure.column for measure in measures)], rows
@@ -100,7 +71,7 @@ class View:
     def _across(self, chosen: Runs, raised: dict[str, str]) -> tuple[list[Column], list[tuple[Cell, ...]]]:
         """One row for each group and measure, one column for each value of `across`; rows without a number left out."""
         values = chosen.values(self.across) if len(chosen) else []
-        measures = self._measures(chosen) if len(chosen) else []
+        measures = self._measures(chosen)
         rows = []
         for key, own in chosen.groups(*self.by).items():
             parts = own.groups(self.across)
@@ -138,8 +109,7 @@ def _flown_with(runs: Runs) -> tuple[str, ...]:
     return (f"autopilot profile {profile}{more}",) if profile else ()
 
 
-VIEWS: dict[str, View] = {}
-"""All views by name, in the order in which reports show them."""
+VIEWS: dict[str, View] = {}  # all views by name, in the order in which reports show them
 
 
 def register(*views: View) -> None:
@@ -149,10 +119,6 @@ def register(*views: View) -> None:
 
 def table(runs: Runs, name: str) -> Table:
     """Table of a view.
-
-    Args:
-        runs: Of a campaign.
-        name: Of the view.
 
     Raises:
         BadInputError: There is no such view.

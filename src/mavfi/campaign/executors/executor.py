@@ -14,56 +14,37 @@ R = TypeVar("R")
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """A mission is through: everything that it gave has been handed over."""
+    """The last item of a mission whose function has returned."""
 
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """A mission whose worker is gone; what it gave before has been handed over.
+    """The last item of a mission whose worker is gone."""
 
-    Attributes:
-        reason: What became of the worker.
-        died: Whether it died; otherwise it did not answer in time.
-    """
-
-    reason: str
-    died: bool
+    reason: str  # what became of the worker
+    died: bool  # otherwise it did not answer in time
 
 
 class Executor(Protocol):
-    """Who works: local processes, or other machines."""
+    """Runs missions in workers: local processes, or other machines."""
 
     def map(
         self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
     ) -> Generator[tuple[T, R | Done | Lost], None, None]:  # fmt: skip
         """Call a function for every mission; close the iterator, or leave it by an exception, to stop the workers.
 
-        Args:
-            function: A generator function, known by its module.
-            missions: What it is called with.
+        The function is a generator function that workers can import; its exceptions are raised here.
 
         Yields:
             Mission and item, each as soon as the function yields it, and `Done` or `Lost` as the last of a mission.
-
-        Raises:
-            Exception: Whatever the function raised.
         """
 
 
 def map_each(executor: Executor, function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[T, R]]:
-    """Call a function once for every item.
-
-    Args:
-        executor: Who works.
-        function: Known by its module; it returns one result.
-        items: What it is called with.
-
-    Yields:
-        Item and result, in the order of completion.
+    """Call a function, which workers can import, once for every item; pairs of item and result as they are completed.
 
     Raises:
         MavfiError: A worker was lost.
-        Exception: Whatever the function raised.
     """
     with closing(executor.map(functools.partial(_once, function), items)) as results:
         for item, result in results:

@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import itertools
 import multiprocessing
 import os
 import pickle
@@ -27,10 +28,10 @@ R = TypeVar("R")
 
 
 class LocalExecutor:
-    """Works on this machine.
+    """Runs missions on this machine, in at most `workers` processes; there are never more than missions.
 
     Args:
-        workers: Number of processes, at most; there are never more than missions.
+        workers: Number of processes.
         time_limit: Wall time without an item after which a worker counts as lost (s).
 
     Raises:
@@ -50,11 +51,9 @@ class LocalExecutor:
         waiting = iter(missions)
         workers: list[_Worker[T]] = []
         try:
-            for mission in waiting:
+            for mission in itertools.islice(waiting, self._workers):
                 workers.append(_Worker(function))
                 workers[-1].give(mission)
-                if len(workers) == self._workers:
-                    break
             while workers:
                 yield from self._next(workers, function, waiting)
         finally:
@@ -64,7 +63,7 @@ class LocalExecutor:
     def _next(
         self, workers: "list[_Worker[T]]", function: Callable[[T], Iterator[R]], waiting: Iterator[T]
     ) -> Iterator[tuple[T, Any]]:
-        """Wait for one worker or more, hand over what they give, and give those that are through the next mission."""
+        """Wait for workers, yield their items, and give those that are done the next mission."""
         ready = wait([worker.pipe for worker in workers], timeout=1.0)
         for place, worker in reversed(list(enumerate(workers))):
             mission = worker.mission
@@ -91,13 +90,13 @@ _NOTHING: Any = object()
 
 @dataclass(frozen=True, slots=True)
 class _Raised:
-    """What the function raised."""
+    """An exception of the function."""
 
     error: Exception
 
 
 class _Worker(Generic[T]):
-    """A process, the pipe to it, and the mission that it is at."""
+    """A process, the pipe to it, and its present mission."""
 
     def __init__(self, function: Callable[[Any], Iterator[Any]]) -> None:
         self.pipe, theirs = _FORK.Pipe()
@@ -110,7 +109,7 @@ class _Worker(Generic[T]):
         self._since = time.monotonic()
 
     def give(self, mission: T) -> None:
-        """Hand over a mission; that the process is gone is seen when it is to answer."""
+        """Send a mission; a process that is gone is noticed by `take`."""
         self.mission, self._since = mission, time.monotonic()
         with contextlib.suppress(OSError):
             self.pipe.send(mission)
@@ -127,13 +126,13 @@ class _Worker(Generic[T]):
             return Lost(f"its worker died ({how})", died=True)
 
     def overdue(self, limit: float) -> Any:
-        """`Lost` if the process has given nothing for too long."""
+        """`Lost` if the process has sent nothing for too long."""
         if time.monotonic() - self._since < limit:
             return _NOTHING
         return Lost(f"its worker gave nothing for {limit:g} s", died=False)
 
     def end(self) -> None:
-        """End the process, whatever it is at."""
+        """End the process."""
         self.pipe.close()
         if self._process.is_alive():
             self._process.terminate()
@@ -144,7 +143,7 @@ class _Worker(Generic[T]):
 
 
 def _work(pipe: Connection, other_end: Connection, function: Callable[[Any], Iterator[Any]], parent: int) -> None:
-    """What a worker does: take missions until there are none."""
+    """Main function of a worker: fly missions until there are none."""
     ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         return
@@ -167,7 +166,7 @@ def _work(pipe: Connection, other_end: Connection, function: Callable[[Any], Ite
 
 
 def _portable(error: Exception) -> Exception:
-    """An exception that another process can read."""
+    """The exception if another process can unpickle it, else its text."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:  # whatever a class of somebody else's does with its arguments

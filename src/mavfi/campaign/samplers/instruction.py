@@ -17,7 +17,7 @@ from mavfi.faults.instruction import Locating, Profiling, Resolving, Site, budge
 from mavfi.faults.instruction.build import name_of
 from mavfi.faults.instruction.plan import plan
 from mavfi.faults.instruction.selection import parse_selection
-from mavfi.faults.instruction.strata import Pick, pick
+from mavfi.faults.instruction.strata import pick
 from mavfi.faults.sampling import stream
 from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.host import Flight
@@ -34,33 +34,19 @@ _ROUNDS, _SPARE = 6, 40
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A golden flight, and the faults for its injected flights.
-
-    Attributes:
-        golden: The flight.
-        counts: By kernel, as plain data: `instructions` and `calls` of the mission, and `lines`: file, line, count.
-        faults: By kernel.
-    """
+    """A golden flight, and the faults for its injected flights, by kernel."""
 
     golden: Flight
-    counts: dict[str, dict[str, Any]]
+    counts: dict[str, dict[str, Any]]  # `instructions` and `calls` of the mission, and `lines`: file, line, count
     faults: dict[str, list[InstructionFault]]
 
 
 def draw_instruction_faults(
     scenario: Scenario, request: InstructionRequest, *address: str, seed: int, detector: Detector | None = None
 ) -> Drawn:  # fmt: skip
-    """Fly the golden flight, and draw.
+    """Fly the golden flight, and draw faults; a kernel that executes no such instruction gives faults without a site.
 
-    Args:
-        scenario: The mission.
-        request: What to draw.
-        address: What tells these faults from others of the same seed, e.g. the environment.
-        seed: Of the draw.
-        detector: What watches the flight.
-
-    Returns:
-        Flight and faults. A kernel that executes no such instruction gives faults without a site.
+    The draw depends on the seed and on an address, e.g. the environment, that distinguishes faults of the same seed.
 
     Raises:
         BadInputError: There is no such kernel, class or model.
@@ -93,8 +79,7 @@ def draw_instruction_faults(
     )
 
 
-_Place = tuple[str, int, int]
-"""Function, call, index."""
+_Place = tuple[str, int, int]  # function, call, index
 _FlyAgain = Callable[..., None]
 """Flies the golden flight with instrumented functions, until it is enough; raises a MavfiError if it was another."""
 
@@ -120,10 +105,6 @@ class _Draw:
         number = self.number if self.request.which == "all" else _SPARE * self.number
         return [(*calls[call], index) for call, index in choose(self.random, counts, number)]
 
-    def picks(self) -> list[Pick]:
-        """Dynamic instructions of the mission, drawn by stratum."""
-        return pick(self.random, self.counted, self.selection, self.number)
-
     def take(self, place: _Place, site: Site | None, weight: float = 1.0) -> None:
         """Plan a fault at a place, if it is of the class and one is still wanted."""
         if site is None or site not in self.selection or len(self.found) >= self.number:
@@ -139,7 +120,7 @@ class _Draw:
         )  # fmt: skip
 
     def faults(self) -> list[InstructionFault]:
-        """As many as were wanted; those that were not found have no site."""
+        """As many as wanted; missing ones have no site."""
         nothing = InstructionFault("", "", 0, NO_SITE, kernel=self.kernel, seed=self.seed)
         return self.found + [nothing] * (self.number - len(self.found))
 
@@ -161,7 +142,9 @@ def _draw_uniform(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
 
 def _draw_strata(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
     """Draw by stratum; one more golden flight tells in which calls the drawn instructions are."""
-    picks = [(draw, chosen) for draw in draws for chosen in draw.picks()]
+    picks = [
+        (draw, chosen) for draw in draws for chosen in pick(draw.random, draw.counted, draw.selection, draw.number)
+    ]
     wanted: dict[str, dict[str, list[tuple[int, int]]]] = {}
     for _, chosen in picks:
         member = chosen.member

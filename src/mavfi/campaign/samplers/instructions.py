@@ -21,14 +21,9 @@ from mavfi.states import KERNEL_STAGES, PLANNERS, PPC_STAGES
 class InstructionSampler:
     """Draws one result of one dynamic instruction.
 
-    Args:
-        campaign: With an `InstructionSampling`.
-
     Raises:
         BadInputError: Arms and kernels do not go together.
     """
-
-    level = "instruction"
 
     def __init__(self, campaign: Campaign) -> None:
         assert isinstance(campaign.sampling, InstructionSampling)  # as `sampler_for` chooses
@@ -88,13 +83,7 @@ class InstructionSampler:
 def _check_arms(campaign: Campaign, drawn: Sequence[str], kernels: Mapping[str, str]) -> None:
     """Refuse an arm that swaps the functions that faults are drawn from: there they would never be activated.
 
-    Args:
-        campaign: The campaign.
-        drawn: Kernels that are injected.
-        kernels: Kernel that calls other functions, by key of the mission.
-
-    Raises:
-        BadInputError: An arm does.
+    `kernels`: the kernel that calls other functions, by key of the mission.
     """
     place = campaign.environments[0], campaign.first_seed
     for name, arm in campaign.arms.items():

@@ -12,18 +12,12 @@ from mavfi.campaign.samplers.sampler import Draw, Sampled
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.hosts.host import ArmSetup, MissionFlights
 
-PATIENCE_S = 20.0
-"""How long the process may take to come by (s)."""
+PATIENCE_S = 20.0  # how long the process may take to come by (s)
 
 
 class RegisterSampler:
-    """Draws one bit of a register that an instruction reads or writes.
+    """Draws one bit of a register that an instruction reads or writes."""
 
-    Args:
-        campaign: With a `RegisterSampling`.
-    """
-
-    level = "register"
     variants: Mapping[str, Mapping[str, Any]] = {}
 
     def __init__(self, campaign: Campaign) -> None:
@@ -43,7 +37,7 @@ class RegisterSampler:
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
     ) -> Sampled:  # fmt: skip
-        """The golden run; nothing is drawn from it, but without it nothing can be judged."""
+        """The golden run, with which trials are compared; nothing is drawn from it."""
         del draws, environment, setup
         return Sampled(flights.golden(arm))
 

@@ -7,54 +7,36 @@ from typing import Any, Protocol
 from mavfi.faults.fault import Fault
 from mavfi.hosts.host import ArmSetup, MissionFlights, Recorded
 
-NULL = "null"
-"""Target of null runs: the whole path through the injector, with an empty mask."""
+NULL = "null"  # target of null runs: the whole path through the injector, with an empty mask
 
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """A fault that is to be drawn.
+    """A fault that is to be drawn."""
 
-    Attributes:
-        target: Stage, group, kernel or kind of registers: a row of a table.
-        index: Number of the fault within target and environment.
-        seed: Of its mission.
-        variant: Arm without a detector in whose golden run it is drawn; "" = the campaign's own mission.
-        stratum: Of its bit; "" = none.
-    """
-
-    target: str
-    index: int
-    seed: int
-    variant: str = ""
-    stratum: str = ""
+    target: str  # stage, group, kernel or kind of registers: a row of a table
+    index: int  # number of the fault within target and environment
+    seed: int  # of its mission
+    variant: str = ""  # arm without a detector in whose golden run it is drawn; "" = the campaign's own mission
+    stratum: str = ""  # of its bit; "" = none
 
 
 @dataclass(slots=True)
 class Sampled:
-    """A golden run, and what faults are drawn from.
-
-    Attributes:
-        flight: The flight.
-        counts: What its kernels executed, as plain data (see `FlightRecord.counts`).
-        faults: Drawn in flight, by target, in the order of the draws (level instruction).
-    """
+    """A golden run, and what faults are drawn from."""
 
     flight: Recorded
-    counts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    faults: Mapping[str, Sequence[Fault]] = field(default_factory=dict)
+    counts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # executed by its kernels, see `FlightRecord`
+    faults: Mapping[str, Sequence[Fault]] = field(default_factory=dict)  # drawn in flight, by target
 
 
 class Sampler(Protocol):
     """Draws the faults of a campaign; a pure function of the campaign and of golden runs.
 
     Attributes:
-        level: Of its faults.
-        variants: Missions that are flown beside the campaign's own because a kernel is flown in them only: what
-            differs, by name.
+        variants: Missions that are flown besides its own because a kernel runs in them only: overrides.
     """
 
-    level: str
     variants: Mapping[str, Mapping[str, Any]]
 
     def draws(self, environment: str) -> list[Draw]:
@@ -63,26 +45,12 @@ class Sampler(Protocol):
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
     ) -> Sampled:  # fmt: skip
-        """Fly the golden run of a variant.
-
-        Args:
-            arm: Its name.
-            draws: Those of this mission and variant.
-            environment: Its name in the campaign.
-            flights: The mission.
-            setup: Of the arm.
-        """
+        """Fly the golden run of a variant; `draws` are those of this mission and variant."""
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
-        """The faults of one mission.
+        """The faults of one mission, in the order of its draws; None = nothing can be drawn, and no run is planned.
 
-        Args:
-            draws: Of this mission.
-            environment: Its name.
-            golden: By variant; one whose golden run left nothing is absent.
-
-        Returns:
-            In the order of the draws; None = nothing can be drawn, and no run is planned.
+        Golden runs are by variant; one that left nothing is absent.
         """
 
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:

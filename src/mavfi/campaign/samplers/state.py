@@ -20,14 +20,10 @@ from mavfi.states import PPC_STAGES
 class StateSampler:
     """Draws one bit of one field of one publication.
 
-    Args:
-        campaign: With a `StateSampling`.
-
     Raises:
         BadInputError: A target has no bits of one of its strata.
     """
 
-    level = "state"
     variants: Mapping[str, Mapping[str, Any]] = {}
 
     def __init__(self, campaign: Campaign) -> None:

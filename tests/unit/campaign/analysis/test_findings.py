@@ -1,11 +1,12 @@
-from mavfi.campaign.analysis.findings import MOST, findings, headline
+from mavfi.campaign.analysis import views_for
+from mavfi.campaign.analysis.findings import MOST, findings
 from mavfi.campaign.analysis.runs import Runs
 from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, died, flown, golden, injected, runs
 
 
 def test_the_headline_is_the_success_table_and_five_sentences(fake):
-    table, told = headline(fake)
-    assert table.name == "success_as_in_the_paper"
+    told = findings(fake)
+    assert views_for(fake)[0].name == "success_as_in_the_paper"
     assert len(told) == MOST
     assert told[0].startswith("Without a fault 100.0 % [83.9, 100.0] of missions succeed, with one fault (sign + exp")
     assert any("gaussian brings back" in line and "newly loses 0" in line for line in told)
@@ -27,5 +28,5 @@ def test_kernels_that_die_are_said():
 
 
 def test_nothing_flown_says_nothing():
-    assert headline(Runs.of([])) == (None, [])
+    assert (views_for(Runs.of([])), findings(Runs.of([]))) == ([], [])
     assert findings(runs(golden(1))) == []
