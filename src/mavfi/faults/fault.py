@@ -1,7 +1,5 @@
 """What is planned to go wrong: one type of fault for each level, all pure data.  What then happened is an `Injection`.
 
-`Fault` is their union: `StateFault` (one field of one publication), `InstructionFault` (one dynamic instruction of one
-call of a kernel), `MessageFault` (a number in messages of a ROS topic), `RegisterFault` (a register of a live process).
 Each has `level`, `site` (text), `stratum`, `weight`, `seed`, `bit`, `has_site` and `to_json`; `fault_from_json` reads
 any of them.
 """
@@ -27,7 +25,6 @@ DEFAULT_WALK = 16
 stands still for longer (docs/ros-attach.md)."""
 LONGEST_WALK = 100_000
 LONGEST_TIMEOUT = 3600.0
-_ALL = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +41,23 @@ class FaultSite:
 
 
 @dataclass(frozen=True, slots=True)
-class StateFault:
+class _Planned:
+    """What the levels have in common."""
+
+    level: ClassVar[str]
+
+    @property
+    def has_site(self) -> bool:
+        """Whether there is something to change, as far as is known before the run."""
+        return True
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"level": self.level, **asdict(self)}
+
+
+@dataclass(frozen=True, slots=True)
+class StateFault(_Planned):
     """One bit of one field of one publication of an inter-kernel state, once.
 
     Attributes:
@@ -75,13 +88,9 @@ class StateFault:
         """Whether the golden flight had a publication to change when the fault was drawn."""
         return self.time_us != NO_SITE
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return {"level": self.level, **asdict(self)}
-
 
 @dataclass(frozen=True, slots=True)
-class InstructionFault:
+class InstructionFault(_Planned):
     """The result of one dynamic instruction of one call of a compiled function, once.
 
     Attributes:
@@ -141,7 +150,7 @@ class InstructionFault:
     def masks(self) -> tuple[int, int]:
         """Keep and flip: the value becomes (value & keep) ^ flip."""
         if self.bits:
-            return _ALL, sum(1 << bit for bit in self.bits)
+            return -1, sum(1 << bit for bit in self.bits)
         return 0, self.value
 
     def to_json(self) -> dict[str, Any]:
@@ -150,7 +159,7 @@ class InstructionFault:
 
 
 @dataclass(frozen=True, slots=True)
-class MessageFault:
+class MessageFault(_Planned):
     """A number in messages of a ROS topic.
 
     Attributes:
@@ -188,18 +197,9 @@ class MessageFault:
         """Topic and field as text."""
         return f"{self.topic}.{self.field}"
 
-    @property
-    def has_site(self) -> bool:
-        """Whether there is something to change; only the message tells."""
-        return True
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return {"level": self.level, **asdict(self)}
-
 
 @dataclass(frozen=True, slots=True)
-class RegisterFault:
+class RegisterFault(_Planned):
     """One bit of a register that an instruction of a live process reads or writes, once.
 
     Attributes:
@@ -259,15 +259,6 @@ class RegisterFault:
         """Drawn when the process has been stopped."""
         return None
 
-    @property
-    def has_site(self) -> bool:
-        """Whether there is something to change; only the process tells."""
-        return True
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return {"level": self.level, **asdict(self)}
-
 
 Fault = StateFault | InstructionFault | MessageFault | RegisterFault
 """A planned fault of any level."""
@@ -284,12 +275,10 @@ def fault_from_json(data: dict[str, Any]) -> Fault:
     """
     given = dict(data)
     level = given.pop("level", None)
+    if level not in LEVELS:
+        raise BadInputError(f"fault: level {level!r}: not known; allowed: {', '.join(LEVELS)}")
     if level == StateFault.level:
-        return StateFault(**{**given, "where": FaultSite(**given["where"])})
+        given["where"] = FaultSite(**given["where"])
     if level == InstructionFault.level:
-        return InstructionFault(**{**given, "bits": tuple(given["bits"]), "value": int(given["value"], 16)})
-    if level == MessageFault.level:
-        return MessageFault(**given)
-    if level == RegisterFault.level:
-        return RegisterFault(**given)
-    raise BadInputError(f"fault: level {level!r}: not known; allowed: {', '.join(LEVELS)}")
+        given |= {"bits": tuple(given["bits"]), "value": int(given["value"], 16)}
+    return LEVELS[level](**given)

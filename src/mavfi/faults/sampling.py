@@ -26,7 +26,7 @@ class Target:
 
     Attributes:
         name: A stage, or the name of a group.
-        fields: Names of the fields of each state that can be struck; no state is empty.
+        fields: Names of the fields of each state that can be injected; no state is empty.
     """
 
     name: str
@@ -66,7 +66,7 @@ def stage_target(
 
     Args:
         stage: "perception", "planning" or "control".
-        stack: Name of the stack, which decides what is dead.
+        stack: Name of the autopilot profile, which decides what is dead.
         monitored_set: Only fields of this set; None = all.
         localization: "truth" or "estimator", which decides what states there are.
 
@@ -117,8 +117,8 @@ def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: in
         stratum: Stratum of its bit.
         profile: Publications of the golden flight.
         seed: Seed of the mission.
-        address: What tells it from the other faults of this target and seed: environment, and number in the mission.
-            Seeds alone do not: environments that share them would be struck at the same sites.
+        address: Environment, and number in the mission: without them, environments that share seeds would be injected
+            at the same sites.
 
     Returns:
         The fault; with `NO_SITE` for its time if the golden flight never published what was drawn.
@@ -161,15 +161,10 @@ def share_out(shares: Mapping[str, float], count: int, seed: int, *address: str)
 
 
 def draw_publication(random: np.random.Generator, profile: Profile, site: FaultSite) -> tuple[int, int | None]:
-    """Draw a publication that carries the field, uniform, and an element of it where the field has several.
-
-    Args:
-        random: Stream of the fault.
-        profile: Publications of the golden flight.
-        site: State and field; a named element is kept.
+    """Draw a publication of the golden flight that carries the field, uniformly, and an element if none is named.
 
     Returns:
-        Instant (us), or `NO_SITE`, and the element, or None.
+        Instant (us), or `NO_SITE`, and the element, or None where the field is not in a list.
     """
     times = profile.times_us.get(site.state, np.zeros(0, np.int64))
     counts = profile.counts.get(site.state, np.zeros(0, np.int32))
