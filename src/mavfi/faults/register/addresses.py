@@ -1,4 +1,4 @@
-"""What lies where in the target: mapped files, functions by address, and addresses by name."""
+"""The target's address space: mapped files, functions by address, and addresses by name."""
 
 import bisect
 import os
@@ -46,19 +46,22 @@ class _Symbols:
     segments: tuple[tuple[int, int, int], ...]
     """Of each loaded segment: offset in the file, size, address."""
 
-    def address_of(self, offset: int) -> int | None:
-        """Address of a byte of the file."""
-        for start, size, address in self.segments:
-            if start <= offset < start + size:
-                return address + offset - start
-        return None
-
     def offset_of(self, address: int) -> int | None:
         """Byte of the file at an address."""
-        for start, size, first in self.segments:
-            if first <= address < first + size:
-                return start + address - first
-        return None
+        fits = (start + address - first for start, size, first in self.segments if first <= address < first + size)
+        return next(fits, None)
+
+    def name_at(self, offset: int) -> str:
+        """Function that holds a byte of the file, and the distance from its begin."""
+        fits = (first + offset - start for start, size, first in self.segments if start <= offset < start + size)
+        address = next(fits, None)
+        index = -1 if address is None else bisect.bisect_right(self.starts, address) - 1
+        if address is None or index < 0:
+            return ""
+        distance = address - self.starts[index]
+        if self.sizes[index] and distance >= self.sizes[index]:
+            return ""
+        return f"{self.names[index].split('@')[0]}+{distance:#x}"
 
 
 def _mappings(text: str) -> list[_Mapping]:
@@ -104,18 +107,15 @@ class AddressSpace:
     def __init__(self, pid: int) -> None:
         """Read the map; `close` it in the end.
 
-        Args:
-            pid: The target.
-
         Raises:
-            OSError: It has ended, or may not be looked into.
+            OSError: The target has ended, or may not be inspected.
         """
         self._pid = pid
         self._root = os.open(f"/proc/{pid}/root", os.O_PATH | os.O_DIRECTORY)
         self.read()
 
     def read(self) -> None:
-        """Read the map anew: text alone, which takes some 0.1 ms; what it says is found out when it is asked."""
+        """Read the map anew: text alone, which takes some 0.1 ms and is parsed later."""
         self._text = Path(f"/proc/{self._pid}/maps").read_text()
 
     def close(self) -> None:
@@ -140,16 +140,11 @@ class AddressSpace:
                 continue
             offset = address - mapping.start + mapping.offset
             symbols = self._symbols_of(mapping)
-            at = None if symbols is None else symbols.address_of(offset)
-            name = "" if symbols is None or at is None else _name_at(symbols, at)
-            return Place(mapping.name, offset, name)
+            return Place(mapping.name, offset, "" if symbols is None else symbols.name_at(offset))
         return Place("[anon]", address, "")
 
     def find(self, text: str) -> int:
-        """Address of a function.
-
-        Args:
-            text: Its exact name, or a part of it that belongs to one function only.
+        """Address of a function, by its exact name or by a part of it that no other function has.
 
         Raises:
             BadInputError: There is none, or more than one; names some.
@@ -176,14 +171,3 @@ class AddressSpace:
                 offset = symbols.offset_of(at) if text in plain else None
                 if offset is not None and mapping.offset <= offset < last:
                     yield mapping.start + offset - mapping.offset, plain
-
-
-def _name_at(symbols: _Symbols, address: int) -> str:
-    """Function that holds an address, and the distance from its begin."""
-    index = bisect.bisect_right(symbols.starts, address) - 1
-    if index < 0:
-        return ""
-    distance = address - symbols.starts[index]
-    if symbols.sizes[index] and distance >= symbols.sizes[index]:
-        return ""
-    return f"{symbols.names[index].split('@')[0]}+{distance:#x}"

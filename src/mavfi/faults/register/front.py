@@ -25,10 +25,9 @@ def inject(
 ) -> list[Injection]:
     """Flip bits in registers of a running process.
 
-    The injector of the paper reaches its targets by system calls, too (MAVFI section III-B).
-
-    The target is traced by a process of its own, is stopped for about a millisecond for each injection, and runs on
-    afterwards, whatever becomes of the caller.
+    The injector of the paper reaches its targets by system calls, too (MAVFI section III-B).  The target is traced by a
+    process of its own, is stopped for about a millisecond for each injection, and runs on afterwards, whatever happens
+    to the caller.
 
     Args:
         pid: The process.

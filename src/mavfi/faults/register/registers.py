@@ -38,7 +38,7 @@ class Register:
 
     @property
     def width(self) -> int:
-        """Size (bits)."""
+        """Size in bits."""
         return max(self.bits) + 1 if self.name == "rflags" else len(self.bits)
 
     @property
@@ -47,24 +47,15 @@ class Register:
         return not self.holder
 
 
-def _part(name: str, holder: str, shift: int, width: int) -> Register:
-    return Register(name, holder, 0, shift, tuple(range(width)))
-
-
 def _general() -> dict[str, Register]:
-    parts = []
-    for letter in "abcd":
-        holder = f"r{letter}x"
-        parts += [(holder, holder, 0, 64), (f"e{letter}x", holder, 0, 32), (f"{letter}x", holder, 0, 16)]
-        parts += [(f"{letter}l", holder, 0, 8), (f"{letter}h", holder, 8, 8)]
-    for name in ("si", "di", "bp", "sp"):
-        parts += [(f"r{name}", f"r{name}", 0, 64), (f"e{name}", f"r{name}", 0, 32), (name, f"r{name}", 0, 16)]
-        parts += [(f"{name}l", f"r{name}", 0, 8)]
-    for number in range(8, 16):
-        holder = f"r{number}"
-        parts += [(holder, holder, 0, 64), (f"{holder}d", holder, 0, 32), (f"{holder}w", holder, 0, 16)]
-        parts += [(f"{holder}b", holder, 0, 8)]
-    return {part[0]: _part(*part) for part in parts}
+    families = [[(f"r{x}x", 64), (f"e{x}x", 32), (f"{x}x", 16), (f"{x}l", 8), (f"{x}h", 8)] for x in "abcd"]
+    families += [[(f"r{x}", 64), (f"e{x}", 32), (x, 16), (f"{x}l", 8)] for x in ("si", "di", "bp", "sp")]
+    families += [[(f"r{x}", 64), (f"r{x}d", 32), (f"r{x}w", 16), (f"r{x}b", 8)] for x in range(8, 16)]
+    return {
+        name: Register(name, family[0][0], 0, 8 if name[-1] == "h" else 0, tuple(range(width)))
+        for family in families
+        for name, width in family
+    }
 
 
 _GENERAL = _general()
@@ -79,13 +70,9 @@ def _decoder() -> capstone.Cs:
 
 @dataclass(frozen=True, slots=True)
 class Instruction:
-    """A decoded instruction.
+    """A decoded instruction: mnemonic and operands, and the registers that it reads and writes.
 
-    Attributes:
-        text: Mnemonic and operands.
-        enters_kernel: Whether it is a system call: stepping over it may block.
-        reads: Registers that it reads.
-        writes: Registers that it writes.
+    If it enters the kernel (a system call), stepping over it may block.
     """
 
     text: str
@@ -100,11 +87,7 @@ _TWO_BYTES, _SYSCALL, _SYSENTER, _INT = 0x0F, 0x05, 0x34, 0xCD
 
 @lru_cache(maxsize=4096)
 def enters_kernel(code: bytes) -> bool:
-    """Whether an instruction is a system call, as `Instruction.enters_kernel`, without decoding it (Intel SDM, vol. 2).
-
-    Args:
-        code: Its bytes; more may follow.
-    """
+    """`Instruction.enters_kernel` of the first of these bytes, without decoding it (Intel SDM, vol. 2)."""
     place = 0
     while place < len(code) and code[place] in _PREFIXES:
         place += 1
@@ -114,15 +97,7 @@ def enters_kernel(code: bytes) -> bool:
 
 @lru_cache(maxsize=4096)
 def decode(code: bytes, address: int) -> Instruction | None:
-    """Decode what stands at an address.
-
-    Args:
-        code: Up to 15 bytes.
-        address: Where they stand.
-
-    Returns:
-        The instruction; None if it is not one that the decoder knows.
-    """
+    """The instruction with which up to 15 bytes at an address begin; None if the decoder does not know it."""
     found = next(_decoder().disasm(code, address, 1), None)
     if found is None:
         return None
@@ -141,17 +116,11 @@ def decode(code: bytes, address: int) -> Instruction | None:
 
 def _flag_masks(*verbs: str) -> dict[str, int]:
     """Capstone's bits of `eflags` that say that an instruction does something to a flag."""
-    found = {}
-    for flag in _FLAGS:
-        names = [f"X86_EFLAGS_{verb}_{flag}" for verb in verbs]
-        found[flag] = sum(getattr(x86, name, 0) for name in names)
-    return found
+    return {flag: sum(getattr(x86, f"X86_EFLAGS_{verb}_{flag}", 0) for verb in verbs) for flag in _FLAGS}
 
 
 _FLAGS_READ = _flag_masks("TEST")
 _FLAGS_WRITTEN = _flag_masks("MODIFY", "SET", "RESET")
-
-
 _ALL_FLAGS = (Register("rflags", "rflags", 0, 0, tuple(_FLAGS.values())),)
 
 
@@ -170,7 +139,7 @@ def _registers(found: capstone.CsInsn, numbers: list[int], flags: dict[str, int]
 
 
 def _vector(name: str, mnemonic: str) -> tuple[Register, ...]:
-    """A vector register that can be injected; nothing if the name is not of one."""
+    """A vector register that can be injected; empty if the name is of another register."""
     found = _VECTOR.match(name)
     if found is None or int(found[2]) > _LAST_VECTOR:
         return ()
@@ -187,13 +156,13 @@ def _used_bits(mnemonic: str, kind: str) -> int:
 
 
 def value_of(tracee: Tracee, register: Register) -> int:
-    """What a register holds; the thread must stand still."""
+    """Value of a register of a stopped thread."""
     whole = tracee.vector(register.index) if register.is_vector else tracee.general()[register.holder]
     return (whole >> register.shift) % (1 << register.width)
 
 
 def flip(tracee: Tracee, register: Register, bit: int) -> None:
-    """Flip a bit of a register; the rest of its holder stays as it is; the thread must stand still."""
+    """Flip a bit of a register of a stopped thread."""
     mask = 1 << (register.shift + bit)
     if register.is_vector:
         tracee.set_vector(register.index, tracee.vector(register.index) ^ mask)

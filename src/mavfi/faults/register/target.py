@@ -12,21 +12,13 @@ _ELF_64 = b"\x7fELF\x02"
 
 
 def check_machine() -> None:
-    """Refuse machines whose registers are not known.
-
-    Raises:
-        BadInputError: It is not x86-64 Linux.
-    """
+    """Raise a BadInputError on other machines than x86-64 Linux, whose registers are not known."""
     if not sys.platform.startswith("linux") or platform.machine() != "x86_64":
         raise BadInputError(f"registers are injected on x86-64 Linux; this is {sys.platform} on {platform.machine()}")
 
 
 def check_target(pid: int, tool: int) -> None:
-    """Refuse a process that cannot or must not be injected.
-
-    Args:
-        pid: The process.
-        tool: Process that asked; it is refused as well.
+    """Refuse a process that cannot or must not be injected, as `tool`, the process that asks.
 
     Raises:
         BadInputError: One line that says why.
@@ -80,11 +72,7 @@ def not_permitted() -> str:
 
 
 def threads_of(pid: int) -> list[int]:
-    """Numbers of all threads.
-
-    Raises:
-        BadInputError: The process has ended.
-    """
+    """Numbers of all threads; a BadInputError if the process has ended."""
     try:
         return sorted(int(name) for name in os.listdir(f"/proc/{pid}/task"))
     except OSError:

@@ -25,7 +25,7 @@ def _abandoned() -> bool:
 
 
 def serve(order: dict, answers: TextIO) -> None:
-    """Inject as often as ordered; each injection, or the reason why there is none, becomes a line of JSON."""
+    """Inject as often as ordered; write each injection, or the reason why there is none, as a line of JSON."""
     began = time.monotonic()
     try:
         fault = fault_from_json(order["fault"])
