@@ -14,7 +14,7 @@ import hashlib
 import re
 from dataclasses import dataclass
 
-from mavfi.faults.instruction.ir import Block, Function, Instruction, Module, parts, width
+from mavfi.faults.instruction.ir import Block, Function, Instruction, parts, width
 from mavfi.faults.instruction.parser import parse_module
 from mavfi.faults.instruction.refusal import RefusedError
 from mavfi.faults.instruction.runtime import MASK_BYTES, REPORT_WORDS, RUNTIME, Control, address
@@ -33,13 +33,7 @@ _PICKLED_SIZE = re.compile(r"(store ptr @\.const\.pickledata\.\S+ ,?[^\n]*\n[^\n
 
 @dataclass(frozen=True, slots=True)
 class Instrumented:
-    """An instrumented module.
-
-    Attributes:
-        text: Its IR.
-        table: What can be injected.
-        ir_sha256: Digest of the fault space, the same in every process.
-    """
+    """An instrumented module: IR, sites, and the digest of the fault space, which is the same in every process."""
 
     text: str
     table: Table
@@ -47,11 +41,7 @@ class Instrumented:
 
 
 def instrument(text: str, kernel: str) -> Instrumented:
-    """Instrument a module.
-
-    Args:
-        text: IR as `Dispatcher.inspect_llvm` gives it.
-        kernel: Name for error messages.
+    """Instrument a module as `Dispatcher.inspect_llvm` gives it; `kernel` is the name for error messages.
 
     Raises:
         RefusedError: Something in it is not known, or cannot be instrumented exactly.
@@ -63,7 +53,7 @@ def instrument(text: str, kernel: str) -> Instrumented:
     widest = max((site.width for block in table.blocks for site in block), default=0)
     if widest > 8 * MASK_BYTES:
         raise RefusedError(kernel, f"a value of {widest} bits")
-    bodies = _fault_space(module)
+    bodies = "\n".join(function.text() for function in module.functions)
     if _ENVIRONMENT.search(bodies):
         raise RefusedError(kernel, "Python objects are used within compiled code (Numba's environment)")
     lines, first = [*module.preamble, RUNTIME], 0
@@ -72,10 +62,6 @@ def instrument(text: str, kernel: str) -> Instrumented:
         first += sum(bool(block.sites) for block in function.blocks)
     lines += [*module.others, _UNLIKELY, ""]
     return Instrumented("\n".join(lines), table, _digest(bodies))
-
-
-def _fault_space(module: Module) -> str:
-    return "\n".join(function.text() for function in module.functions)
 
 
 def _digest(bodies: str) -> str:
@@ -110,13 +96,10 @@ class _Rewriter:
                 self._copy(block)
         return "\n".join([*self.lines, "}"])
 
-    def _temporary(self) -> str:
-        self.temporaries += 1
-        return f"%t{self.temporaries}"
-
     def _let(self, text: str) -> str:
         """A new name for the result of an instruction."""
-        name = self._temporary()
+        self.temporaries += 1
+        name = f"%t{self.temporaries}"
         self.lines.append(f"  {name} = {text}")
         return name
 
@@ -181,7 +164,7 @@ class _Rewriter:
         return names
 
     def _injected(self, site: Instruction, raw: str, chosen: str, offset: int) -> str:
-        """Emit what changes a value if it is the chosen one, and notes it before and after; gives its new name."""
+        """Write code that changes a value if it is chosen, and reports it before and after; gives its new name."""
         bits = width(site.kind)
         word, room = f"i{bits}", f"i{-(-bits // 8) * 8}"
         here = self._let(f"icmp eq i64 {chosen}, {offset}")

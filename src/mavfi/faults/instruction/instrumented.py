@@ -1,7 +1,6 @@
-"""Instrumented functions: each takes the place of a compiled function in a flight, and counts, resolves or injects.
+"""Instrumented functions: each replaces a compiled function in a flight, and counts, resolves or injects.
 
-A flight calls a function many times.  A counting flight comes first; `strata.choose` draws call and index from its
-counts, and a resolving flight tells what the drawn instructions are.
+From the counts of a first flight `strata.choose` draws call and index; a second flight resolves the instructions.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -54,21 +53,20 @@ class Profiling(Counting):
         result, times, _ = variant.profile(*args)
         _, total = self._times.setdefault(variant.ir_sha256, (variant.table, np.zeros_like(times)))
         total += times
-        return result, int(times @ np.array(variant.table.sizes(), np.int64))
+        return result, variant.table.written(times)
 
     def executed(self) -> list[tuple[str, Site, int]]:
         """All static instructions that were executed: digest of the IR, instruction, and how often."""
         return [
-            (digest, site, int(times))
+            (digest, site, times)
             for digest, (table, total) in self._times.items()
-            for block, times in zip(table.blocks, total, strict=True)
+            for site, times in table.executions(total)
             if times
-            for site in block
         ]
 
 
 class Locating:
-    """Finds out in which call, and at which index in it, the drawn passes through blocks begin.
+    """Finds the call, and the index in it, at which the drawn passes through blocks begin.
 
     Args:
         function: The compiled function.
@@ -101,11 +99,7 @@ class Locating:
 
 
 class Resolving:
-    """Finds out what the drawn instructions are.
-
-    Args:
-        function: The compiled function.
-        wanted: By call: indices.
+    """Finds the static instructions of the wanted indices, by call.
 
     Attributes:
         sites: Static instruction by call and index.
@@ -119,7 +113,7 @@ class Resolving:
 
     @property
     def done(self) -> bool:
-        """Whether the last call of which something is wanted has been made."""
+        """Whether the last wanted call has been made."""
         return self._calls > max(self._wanted, default=-1)
 
     def __call__(self, *args: Any) -> Any:
@@ -134,7 +128,7 @@ class Resolving:
 
 
 class Injecting:
-    """Runs the function as it is, but for the call with the fault.
+    """Runs the function unchanged, except for the call with the fault.
 
     Args:
         function: The compiled function.
@@ -176,5 +170,5 @@ class Injecting:
         return self._variant.inject(fault.index, *fault.masks, fault.budget, *args)
 
     def injection(self) -> Injection:
-        """What the fault did, here or in a forked child."""
+        """The injection, here or in a forked child."""
         return injection_of(self._fault, None if self._variant is None else self._variant.report())

@@ -1,4 +1,4 @@
-"""What the injector knows of a module of LLVM IR: functions, blocks, instructions; and of the types of their values."""
+"""A module of LLVM IR as the injector sees it: functions, blocks, instructions, and the types of their values."""
 
 import re
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ _ARRAY = re.compile(r"\[(\d+) x (.+)\]")
 
 
 def width(kind: str) -> int:
-    """Bits of a value of a type, the fields of aggregates one after the other without padding; 0 for `void`."""
+    """Bits of a value of a type, the fields of aggregates packed; 0 for `void`."""
     if kind == "void":
         return 0
     if kind in _SCALARS:
@@ -32,7 +32,7 @@ def parts(kind: str) -> list[str]:
 
 
 def split(text: str) -> list[str]:
-    """The parts between commas that are not within brackets."""
+    """Split a text at the commas outside of brackets."""
     found, depth, start = [], 0, 0
     for i, character in enumerate(text):
         depth += (character in "{[<(") - (character in "}]>)")
@@ -55,7 +55,7 @@ def holds_pointer(kind: str) -> bool:
 
 @dataclass(slots=True)
 class Instruction:
-    """One instruction, freed of what would turn a corrupted value into undefined behaviour.
+    """One instruction, without flags that would turn a corrupted value into undefined behaviour.
 
     Attributes:
         opcode: As in the language reference.
@@ -64,7 +64,7 @@ class Instruction:
         kind: Type of the result, "void" if there is none.
         incoming: Of a phi: value and label, in order.
         addresses: Local names that are used as addresses.
-        conditions: Local names that decide where control or data come from.
+        conditions: Local names that a branch, switch or select depends on.
         callee: Function that is called, or None.
         arguments: Of a call: type and value of each argument.
         location: Number of its debug location, or None.
@@ -91,12 +91,7 @@ class Instruction:
         return names
 
     def text(self, names: dict[str, str] | None = None, labels: dict[str, str] | None = None) -> str:
-        """The instruction without its result.
-
-        Args:
-            names: Other names for local values.
-            labels: Other names for the blocks that a phi names.
-        """
+        """The instruction without its result; local values, and the blocks that a phi names, may get other names."""
         values, blocks = names or {}, labels or {}
         text = " ".join(values.get(token, token) for token in self.tokens)
         if self.opcode != "phi":
@@ -117,7 +112,7 @@ class Block:
 
     @property
     def sites(self) -> list[Instruction]:
-        """What writes a value, in the order of dynamic indices."""
+        """The instructions that write a value, in the order of dynamic indices."""
         return [instruction for instruction in self.phis + self.body if instruction.result is not None]
 
     def all(self) -> list[Instruction]:
@@ -164,14 +159,7 @@ class Function:
 
 @dataclass(slots=True)
 class Module:
-    """A module: the functions of the fault space in parts, all else as text.
-
-    Attributes:
-        preamble: Target, globals, declarations.
-        functions: The fault space.
-        others: Definitions outside of it (Numba's wrapper and runtime), as text.
-        metadata: Text of the numbered metadata.
-    """
+    """A module: preamble (target, globals, declarations), fault space, and other definitions and metadata as text."""
 
     preamble: list[str] = field(default_factory=list)
     functions: list[Function] = field(default_factory=list)

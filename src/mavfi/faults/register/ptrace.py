@@ -46,11 +46,11 @@ _RIP, _ORIG_RAX = (8 * GENERAL.index(name) for name in ("rip", "orig_rax"))
 
 
 class TargetGoneError(MavfiError):
-    """The target ended while it was traced, with a status as of waitpid (0 where somebody else waited)."""
+    """The target ended while it was traced, with an exit code (negative = number of a signal)."""
 
-    def __init__(self, text: str, status: int = 0) -> None:
+    def __init__(self, text: str, code: int = 0) -> None:
         super().__init__(text)
-        self.status = status
+        self.code = code
 
 
 class TracerTimeoutError(MavfiError):
@@ -179,8 +179,8 @@ class Tracee:
         """Take in a status of waitpid; why the thread stopped."""
         if not os.WIFSTOPPED(status):
             self.stopped, self.ended = False, True
-            how = f"by signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else f"with {os.WEXITSTATUS(status)}"
-            raise TargetGoneError(f"the target ended {how}", status)
+            code = os.waitstatus_to_exitcode(status)
+            raise TargetGoneError(f"the target ended {f'by signal {-code}' if code < 0 else f'with {code}'}", code)
         self.stopped = True
         event, number = status >> 16, os.WSTOPSIG(status)
         if event == _EVENT_STOP:
