@@ -1,4 +1,4 @@
-"""What a value is used for: as an address, to decide where control goes, or as data.
+"""Uses of values: as an address, to decide a branch, or as data.
 
 A value feeds an address if a pointer operand is computed from it, without a call or a comparison between; also through
 a parameter of a function that was not inlined, and through memory: what is stored where an address is loaded from later
@@ -45,12 +45,7 @@ def roles(module: Module) -> dict[str, Roles]:
 
 @dataclass(slots=True)
 class _Flow:
-    """How values of one function flow into addresses.
-
-    Attributes:
-        addresses: Values that feed addresses.
-        indices: Origins of memory from which address-feeding values are loaded.
-    """
+    """Flow of a function's values into addresses; `indices` are origins of memory from which such values are loaded."""
 
     function: Function
     addresses: set[str] = field(default_factory=set)
@@ -64,7 +59,7 @@ class _Flow:
         self.made_by = {str(made.result): made for made in self.instructions if made.result is not None}
 
     def grow(self, flows: "dict[str, _Flow]") -> bool:
-        """Add what follows from what is known so far; says whether there was anything new."""
+        """One step towards the fixed point; says whether anything was added."""
         before = len(self.addresses) + len(self.indices)
         seeds = set(self.addresses)
         for instruction in self.instructions:
@@ -81,7 +76,7 @@ class _Flow:
         return len(self.addresses) + len(self.indices) > before
 
     def _exchange(self, call: Instruction, callee: "_Flow") -> set[str]:
-        """Tell a callee which memory holds indices, and learn it; gives the arguments that it uses in addresses."""
+        """Exchange the memory that holds indices with a callee; gives the arguments that it uses in addresses."""
         found = set()
         for (_, name), (_, argument) in zip(callee.function.parameters, call.arguments, strict=True):
             if name in callee.addresses:
@@ -118,7 +113,7 @@ class _Flow:
 
 
 def _pointers(maker: Instruction | None) -> list[str]:
-    """What a pointer is computed from; nothing if it has its origin here."""
+    """Pointers from which a pointer is computed; none at its origin."""
     if maker is None or maker.opcode in ("alloca", "call", "load"):
         return []
     if maker.opcode == "getelementptr":
@@ -128,7 +123,7 @@ def _pointers(maker: Instruction | None) -> list[str]:
 
 
 def _sources(names: Iterable[str], made_by: dict[str, Instruction], stops: tuple[str, ...]) -> set[str]:
-    """The names, and all from which they are computed."""
+    """The names, and all names from which they are computed."""
     found: set[str] = set()
     following = list(names)
     while following:

@@ -1,4 +1,4 @@
-"""The part of an instrumented kernel that counts, resolves and injects: hand-written IR, and where its memory lies.
+"""The part of an instrumented kernel that counts, resolves and injects: hand-written IR, and the layout of its memory.
 
 A counter runs over the values that the kernel writes.  Each block adds the number of its sites before it runs and
 compares with a threshold; only beyond it `mavfi_slow` is called, which decides by the mode.
