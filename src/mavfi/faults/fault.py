@@ -5,7 +5,7 @@ any of them.
 """
 
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 from mavfi.errors import BadInputError
 from mavfi.flight_log import Injection
@@ -15,7 +15,7 @@ __all__ = ["Fault", "FaultSite", "Injection", "InstructionFault", "MessageFault"
 NO_SITE = -1
 """`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden flight has no site."""
 Model = Literal["one_bit", "bits", "random", "zero"]
-MODELS = ("one_bit", "bits", "random", "zero")
+MODELS: tuple[Model, ...] = get_args(Model)
 RESTART_S = 0.57
 """Time until a node that died is there again: a ROS 1 node killed and started again by roslaunch, measured (s)."""
 REGISTERS = ("all", "general", "fp")

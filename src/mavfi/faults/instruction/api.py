@@ -79,7 +79,7 @@ def draw(
         n: How many.
         *args: Its arguments; they stay as they are.
         which: Class of instructions, see `mavfi.faults.instruction.selection`.
-        model: "one_bit", "bits", "random" or "zero".
+        model: "one_bit", "bits", "random" or "zero", see `mavfi.faults.instruction.plan`.
         seed: Of the draw.
         bits: Number of bits for the model "bits".
 

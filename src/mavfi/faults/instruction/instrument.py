@@ -65,13 +65,9 @@ def instrument(text: str, kernel: str) -> Instrumented:
 
 
 def _digest(bodies: str) -> str:
-    names: dict[str, str] = {}
-
-    def neutral(match: "re.Match[str]") -> str:
-        return names.setdefault(match[0], _PER_PROCESS.sub("*", match[0]))
-
     bodies = _PICKLED_SIZE.sub(r"\1*", bodies)
-    return hashlib.sha256(re.sub(r'@(?:"[^"]*"|[-\w$.]+)', neutral, bodies).encode()).hexdigest()
+    neutral = re.sub(r'@(?:"[^"]*"|[-\w$.]+)', lambda name: _PER_PROCESS.sub("*", name[0]), bodies)
+    return hashlib.sha256(neutral.encode()).hexdigest()
 
 
 class _Rewriter:

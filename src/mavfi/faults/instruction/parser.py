@@ -116,18 +116,13 @@ class _Reader:
             self.names[name] = f"%a{len(function.parameters)}"
             function.parameters.append((kind, self.names[name]))
             cursor.accept(",")
-        self._tail(cursor)
-        return function
-
-    def _tail(self, cursor: Cursor) -> None:
         while not cursor.accept("{"):
-            token = cursor.take()
-            if token[0] == "#":
-                self._check_group(token)
-            elif token not in ("local_unnamed_addr", "unnamed_addr"):
-                cursor.at -= 1
-                raise cursor.refused()
+            if cursor.next.startswith("#"):
+                self._check_group(cursor.take())
+            else:
+                cursor.expect("local_unnamed_addr", "unnamed_addr")
         cursor.finish()
+        return function
 
     def _check_group(self, group: str) -> None:
         words = re.sub(r"memory\([^)]*\)", "", self.groups.get(group, "")).split()
@@ -187,12 +182,9 @@ class _Reader:
 def _joined(lines: list[str]) -> list[str]:
     """Lines with the cases of a switch in one line."""
     joined: list[str] = []
-    inside = False
     for line in lines:
-        if inside:
+        if joined and joined[-1].lstrip().startswith("switch ") and "]" not in joined[-1]:
             joined[-1] += f" {line.strip()}"
         else:
             joined.append(line)
-        if inside or line.lstrip().startswith("switch "):
-            inside = "]" not in line
     return joined

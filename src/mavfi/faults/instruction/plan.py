@@ -26,16 +26,16 @@ def plan(
     random: np.random.Generator, function: str, ir_sha256: str, site: Site, index: int, model: Model = "one_bit",
     count: int = 2, **more: Any,
 ) -> InstructionFault:  # fmt: skip
-    """Choose how the result of an instruction is changed.
+    """Choose how the result of a dynamic instruction is changed.
 
     Args:
         random: Stream of the fault.
         function: Module and name.
         ir_sha256: Digest of the IR.
-        site: The static instruction that has the index.
-        index: Which dynamic instruction.
-        model: "one_bit", uniform; "bits": `count` distinct ones; "random": any value; "zero".
-        count: For "bits"; no more than the value has.
+        site: The static instruction.
+        index: Dynamic index.
+        model: "one_bit", uniform; "bits": `count` distinct ones, or all that there are; "random": any value; "zero".
+        count: For "bits".
         more: Further fields of the fault.
 
     Raises:
@@ -75,11 +75,7 @@ def budget_for(total: int) -> int:
 
 
 def check_fault(fault: InstructionFault, variant: Variant, function: Any) -> None:
-    """Refuse a fault that was drawn for other machine code.
-
-    Raises:
-        MismatchError: Function or digest differ.
-    """
+    """Raise a MismatchError if a fault was drawn for another function or other machine code."""
     if fault.function != name_of(function):
         raise MismatchError(f"fault in {fault.function}: given to {name_of(function)}")
     if fault.ir_sha256 != variant.ir_sha256:

@@ -46,7 +46,7 @@ class StratumKey:
 
 
 REST = StratumKey("", "", 0)
-"""Strata that are too many for the wanted number of faults, taken together."""
+"""The smallest strata, pooled where there are more than faults."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,19 +189,11 @@ def draw_stratified(
 ) -> list[Stratum]:
     """Draw faults for one call, in strata by value class and source line.
 
-    Where there are more strata than faults, the smallest are taken together.
-
-    Args:
-        kernel: A compiled function.
-        n: How many faults, over all strata.
-        *args: Its arguments; they stay as they are.
-        which: Class of instructions, see `mavfi.faults.instruction.selection`; shares are those within the class.
-        model: "one_bit", "bits", "random" or "zero".
-        seed: Of the draw.
-        bits: Number of bits for the model "bits".
+    Arguments as in `api.draw`; n is the number of faults over all strata, and shares are those within the class.  Where
+    there are more strata than faults, the smallest are pooled.
 
     Returns:
-        Strata with their faults; `estimate` puts outcomes together again.
+        Strata with their faults; `estimate` combines their outcomes.
 
     Raises:
         BadInputError: n is below 1, or the call executes no instruction of that class.

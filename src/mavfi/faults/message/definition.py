@@ -81,7 +81,8 @@ class Definition:
             for member in members:
                 if member.kind not in FORMATS and member.kind != _STRING and member.kind not in self.types:
                     raise BadInputError(f"type {kind}: its definition lacks {member.kind}")
-        self._sizes: dict[str, int | None] = {}
+        self._sizes: dict[str, int | None] = {name: struct.calcsize(form) for name, form in FORMATS.items()}
+        self._sizes[_STRING] = None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Definition) and self.types == other.types
@@ -198,20 +199,11 @@ class Definition:
 
     def _size(self, kind: str) -> int | None:
         """Bytes of a type whose size is always the same, else None."""
-        if kind in FORMATS:
-            return struct.calcsize(FORMATS[kind])
-        if kind == _STRING:
-            return None
         if kind not in self._sizes:
-            sizes = [self._member_size(member) for member in self.types[kind]]
-            self._sizes[kind] = None if None in sizes else sum(size for size in sizes if size is not None)
+            parts = [(self._size(part.kind), 1 if part.length is None else part.length) for part in self.types[kind]]
+            is_fixed = all(size is not None and count >= 0 for size, count in parts)
+            self._sizes[kind] = sum((size or 0) * count for size, count in parts) if is_fixed else None
         return self._sizes[kind]
-
-    def _member_size(self, member: Member) -> int | None:
-        size = self._size(member.kind)
-        if size is None or member.length == -1:
-            return None
-        return size * (1 if member.length is None else member.length)
 
     # ---- whole messages ---------------------------------------------------------------------------------------------
     def numbers(self, data: bytes, longest_list: int) -> list[str]:
