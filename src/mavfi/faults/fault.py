@@ -1,4 +1,4 @@
-"""What is planned to go wrong: one type of fault for each level, all pure data.  What then happened is an `Injection`.
+"""Planned faults: one type for each level, all pure data.  The event that follows is a `flight_log.Injection`.
 
 Each has `level`, `site` (text), `stratum`, `weight`, `seed`, `bit`, `has_site` and `to_json`; `fault_from_json` reads
 any of them.
@@ -8,9 +8,6 @@ from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Literal, get_args
 
 from mavfi.errors import BadInputError
-from mavfi.flight_log import Injection
-
-__all__ = ["Fault", "FaultSite", "Injection", "InstructionFault", "MessageFault", "RegisterFault", "StateFault"]
 
 NO_SITE = -1
 """`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden flight has no site."""
@@ -268,11 +265,7 @@ LEVELS: dict[str, type[Fault]] = {
 
 
 def fault_from_json(data: dict[str, Any]) -> Fault:
-    """Inverse of `to_json` of any fault.
-
-    Raises:
-        BadInputError: There is no such level.
-    """
+    """Inverse of `to_json` of any fault; raises a BadInputError if there is no such level."""
     given = dict(data)
     level = given.pop("level", None)
     if level not in LEVELS:

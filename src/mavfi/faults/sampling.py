@@ -22,22 +22,13 @@ FAULT_PURPOSE = 3
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What a fault is drawn from: fields, by state.
-
-    Attributes:
-        name: A stage, or the name of a group.
-        fields: Names of the fields of each state that can be injected; no state is empty.
-    """
+    """A stage or a named group: by state, the fields from which faults are drawn; no state is empty."""
 
     name: str
     fields: dict[str, tuple[str, ...]]
 
     def within(self, stratum: str) -> "Target":
-        """The part whose words have bits of the stratum.
-
-        Raises:
-            BadInputError: There is none.
-        """
+        """The part whose words have bits of the stratum; raises a BadInputError if it is empty."""
         kept = {
             state: tuple(name for name in names if bits_of(STATES[state].find(name), stratum))
             for state, names in self.fields.items()
@@ -64,14 +55,8 @@ def stage_target(
 ) -> Target:  # fmt: skip
     """All live fields of the states of a stage.
 
-    Args:
-        stage: "perception", "planning" or "control".
-        stack: Name of the autopilot profile, which decides what is dead.
-        monitored_set: Only fields of this set; None = all.
-        localization: "truth" or "estimator", which decides what states there are.
-
-    Raises:
-        BadInputError: There is no such stage or set, or nothing is left.
+    The autopilot profile (`stack`) decides which fields are dead, the localization which states there are; a monitored
+    set leaves only its own fields. Raises a BadInputError if there is no such stage or set.
     """
     if stage not in PPC_STAGES:
         raise BadInputError(f"stage {stage!r}: not known; allowed: {', '.join(PPC_STAGES)}")
@@ -87,8 +72,7 @@ def stage_target(
 def group_target(name: str, sites: Sequence[str], localization: str = "truth") -> Target:
     """The named fields, e.g. "planning.waypoint.x".
 
-    Raises:
-        BadInputError: A site names no state or no field, or a state that this localization does not publish.
+    Raises a BadInputError if a site names no state or no field, or a state that this localization does not publish.
     """
     fields: dict[str, tuple[str, ...]] = {}
     for site in sites:
@@ -113,7 +97,7 @@ def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: in
     """Draw one fault.
 
     Args:
-        target: What it is drawn from.
+        target: Fields from which it is drawn.
         stratum: Stratum of its bit.
         profile: Publications of the golden flight.
         seed: Seed of the mission.
@@ -144,11 +128,7 @@ def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: in
 def share_out(shares: Mapping[str, float], count: int, seed: int, *address: str) -> list[str]:
     """Give each of `count` faults its stratum: exact shares (largest remainder), in an order that the seed draws.
 
-    Args:
-        shares: Share of each stratum; need not add up to 1.
-        count: How many faults.
-        seed: First seed of the campaign.
-        address: Environment, and name of the target; each has an order of its own.
+    Shares need not add up to 1. The address is environment and name of the target; each has an order of its own.
     """
     total = sum(shares.values())
     exact = {stratum: count * share / total for stratum, share in shares.items()}

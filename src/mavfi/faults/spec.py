@@ -24,15 +24,9 @@ _LONGEST = 1e9
 
 @dataclass(frozen=True, slots=True)
 class StateRequest:
-    """A fault in a state as a user names it; what is None is drawn.
+    """A fault in a state as a user names it: field, element of its list, bit, earliest instant; what is None is drawn.
 
-    Attributes:
-        state: Row of the state table.
-        field: Name of a field.
-        element: Element of the list that the state carries.
-        bit: Bit to flip.
-        time_us: Earliest instant.
-        null: Whether nothing is to be flipped.
+    A null fault flips nothing.
     """
 
     state: StateSpec
@@ -53,8 +47,8 @@ class StateRequest:
 
         Args:
             seed: Seed of the fault.
-            stack: Name of the autopilot profile: a field that nothing reads is injected only if it was named.
-            profile: Publications of the golden flight; wanted where `needs_profile`.
+            stack: Name of the autopilot profile; a field that nothing reads is injected only if it was named.
+            profile: Publications of the golden flight, where `needs_profile`.
         """
         random = stream(seed, "spec", self.state.name)
         field = self._field(random, stack)

@@ -6,22 +6,20 @@ from dataclasses import replace
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import FaultSite, Injection, StateFault
+from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.faults.strata import WORD_BITS
+from mavfi.flight_log import Injection
 from mavfi.states import STATES, State, StateSpec, find_state
 
 
 def flip(state: State, site: FaultSite, bit: int | None) -> tuple[State, float | int | bool, float | int | bool]:
-    """Flip one bit of one field; flipping it again restores the state.
+    """Flip one bit of one field in a copy of a state; gives the copy, and the field's value before and after.
 
     Args:
-        state: What was published; it is left as it is.
+        state: A publication.
         site: Field, and element where the field belongs to the elements (clamped to those that are there).
         bit: 0 = least significant bit of the field (IEEE 754 binary32 or binary64, two's complement); a flag has
             bit 0 only; None = flip nothing.
-
-    Returns:
-        A copy with the bit flipped, the field's value before, and after.
 
     Raises:
         BadInputError: The field has no such bit, or the state has no element.
@@ -68,8 +66,7 @@ class ActedOn:
 class CounterWatch:
     """A tap in the injector's place that changes nothing, and keeps the counters that an injector has to know.
 
-    Attributes:
-        acted_on: By state, for those of which consumers do not act on every publication.
+    They are in `acted_on`, for the states of which consumers do not act on every publication.
     """
 
     spent = True
@@ -103,11 +100,7 @@ class CounterWatch:
 
 
 class StateInjector:
-    """A tap that injects one fault, once; every other publication passes untouched.
-
-    Attributes:
-        injections: What it did so far.
-    """
+    """A tap that injects one fault, once; every other publication passes untouched."""
 
     def __init__(self, fault: StateFault, watch: CounterWatch | None = None) -> None:
         """Arm the fault; `watch` has seen the publications before this injector is put in, None = there were none."""

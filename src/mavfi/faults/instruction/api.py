@@ -45,12 +45,9 @@ class InjectedCall:
 
 
 def count(kernel: Any, *args: Any) -> int:
-    """How many values a compiled function writes, with arguments that are changed as by a call.
+    """How many values a compiled function writes: its dynamic instructions that can be injected.
 
-    These are its dynamic instructions that can be injected.
-
-    Raises:
-        RefusedError: It cannot be instrumented exactly.
+    The arguments are changed as by a call. Raises a RefusedError if the function cannot be instrumented exactly.
     """
     return variant_for(kernel, args).count(*args)[1]
 
@@ -135,13 +132,9 @@ def inject(kernel: Any, fault: InstructionFault, *args: Any) -> tuple[Any, Injec
 
 
 def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float = 60.0) -> InjectedCall:
-    """Call a kernel with a fault in a forked child, and compare with the call without it.
+    """Call a kernel with a fault in a forked child, and compare with the call without it; arguments stay as they are.
 
-    Args:
-        kernel: A compiled function.
-        fault: What to inject.
-        *args: Its arguments; they stay as they are.
-        timeout: Wall-clock limit (s), for what the budget of instructions does not see.
+    The wall-clock limit `timeout` (s) is for hangs outside of the instructions that have a budget.
 
     Raises:
         MismatchError: The fault belongs to other machine code.
@@ -193,11 +186,7 @@ def _bytes(value: Any) -> Iterator[bytes]:
 
 
 def apart(work: Callable[[], Any]) -> Any:
-    """The result of a run without a fault in a forked child, so that arguments stay as they are.
-
-    Raises:
-        BuildError: The child did not end well.
-    """
+    """The result of a run without a fault in a forked child, so that arguments stay as they are; or a BuildError."""
     ended = run_in_child(lambda: pickle.dumps(work()))
     if ended.how != "done":
         raise BuildError(f"a run without a fault ended with {ended.how} ({ended.detail})")

@@ -64,9 +64,7 @@ def check(kernel: Any) -> None:
 def build(kernel: Any, signature: tuple[Any, ...]) -> Built:
     """Instrument a Numba dispatcher for one signature (Numba types of the arguments).
 
-    Raises:
-        RefusedError: It has a construct that is not known.
-        BuildError: The compiler did not survive it.
+    Raises a RefusedError for an unknown construct, and a BuildError if the compiler does not survive.
     """
     check(kernel)
     ended = run_fresh(kernel, signature, _PATIENCE) or run_in_child(lambda: make(kernel, signature), _PATIENCE)

@@ -61,11 +61,7 @@ class ForkPoint:
         return self._pipe >= 0
 
     def split(self, timeout: float = 60.0, attend: Attend | None = None) -> Ended | None:
-        """Fork.
-
-        Args:
-            timeout: Wall-clock limit of the child (s).
-            attend: See `Attend`.
+        """Fork; `timeout` is the wall-clock limit of the child (s).
 
         Returns:
             None in the child, at once; in the parent how the child ended.

@@ -45,11 +45,7 @@ _PYTHON = re.compile(r"@\"?numba_gil_ensure")
 
 
 def parse_instruction(cursor: Cursor) -> Instruction | None:
-    """Read one instruction; None for a call that only promises something.
-
-    Raises:
-        RefusedError: Anything in it is not known.
-    """
+    """Read one instruction, None for a call that only promises something; raises a RefusedError if it is not known."""
     result = None
     if cursor.next.startswith("%"):
         result = cursor.local()

@@ -17,13 +17,7 @@ from mavfi.flight_log import Injection
 
 
 class Counting:
-    """Counts the instructions of every call.
-
-    Attributes:
-        function: The compiled function.
-        counts: Values that each call wrote.
-        digests: Digest of the IR that each call ran.
-    """
+    """Counts the values that each call of a compiled function writes, and keeps the digest of the IR that it ran."""
 
     def __init__(self, function: Any) -> None:
         self.function = function
@@ -43,7 +37,7 @@ class Counting:
 
 
 class Profiling(Counting):
-    """Counts the instructions of every call, and how often each static one was executed in all calls."""
+    """Counts also how often each static instruction was executed in all calls."""
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
@@ -133,11 +127,8 @@ class Injecting:
     Args:
         function: The compiled function.
         fault: What to inject; its budget must be set.
-        before: Called just before the injection, e.g. to fork; the fault is injected where it answers True, in other
+        before: Called just before the injection, e.g. to fork; the fault is injected where it returns True, in other
             processes the call is an ordinary one.
-
-    Attributes:
-        calls: How many there were.
 
     Raises:
         BadInputError: The fault has no budget.
@@ -153,11 +144,7 @@ class Injecting:
         self._variant: Variant | None = None
 
     def __call__(self, *args: Any) -> Any:
-        """As the function; once with the fault.
-
-        Raises:
-            MismatchError: The fault belongs to other machine code.
-        """
+        """As the function; once with the fault, or a MismatchError if it belongs to other machine code."""
         call, self.calls = self.calls, self.calls + 1
         if call != self._fault.call:
             return self._function(*args)

@@ -123,15 +123,10 @@ class Block:
 
 @dataclass(slots=True)
 class Function:
-    """A function in the fault space.
+    """A function in the fault space, with its global name, type of the result, and blocks, the entry first.
 
-    Attributes:
-        name: Global name.
-        linkage: What stands before the type of the result.
-        kind: Type of the result.
-        parameters: Type, with what the calling convention needs, and local name of each parameter.
-        blocks: First the entry.
-        location: Number of its debug subprogram, or None.
+    The linkage precedes the type of the result. Parameters are types, with attributes of the calling convention, and
+    local names. The location is the number of the debug subprogram, or None.
     """
 
     name: str

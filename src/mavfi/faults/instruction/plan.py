@@ -93,16 +93,10 @@ def is_in_data(fault: InstructionFault) -> bool:
 def injection_of(
     fault: InstructionFault, report: Report | None, time_s: float = 0.0, call: int | None = None
 ) -> Injection:  # fmt: skip
-    """The record of an injection, from what the machine code reported (None = the index was not reached).
+    """The record of an injection at an instant (s), from the report of the machine code (None = not reached).
 
     Its values are numbers of the instruction's type (signed integers), and their bits are in the details, as
-    hexadecimal text.
-
-    Args:
-        fault: As planned.
-        report: From the machine code.
-        time_s: When, of the flight (s).
-        call: Which call was injected, if not the planned one.
+    hexadecimal text. `call` is the one that was injected, if not the planned one.
     """
     function = fault.entry or fault.function
     if report is None:

@@ -72,12 +72,7 @@ class Passes:
 
 
 class Variant:
-    """Instrumented machine code that takes the arguments of its kernel, which are changed as by a call.
-
-    Attributes:
-        table: The sites.
-        ir_sha256: Digest of the fault space.
-    """
+    """Instrumented machine code that takes the arguments of its kernel, which are changed as by a call."""
 
     def __init__(self, built: Built, environment: Any) -> None:
         self.table: Table = built.table
@@ -208,11 +203,9 @@ def variant_for(kernel: Any, args: tuple[Any, ...]) -> Variant:
 
 
 def variant_of(kernel: Any, signature: tuple[Any, ...]) -> Variant:
-    """The variant for a signature: built, or loaded from the cache, at its first use; before workers are forked.
+    """The variant for a signature, built or loaded from the cache at its first use; a parent loads it before it forks.
 
-    Raises:
-        RefusedError: The kernel cannot be instrumented exactly.
-        BuildError: The compiler did not survive it.
+    Raises a RefusedError if the kernel cannot be instrumented exactly, a BuildError if the compiler does not survive.
     """
     check(kernel)
     known = _variants.setdefault(kernel, {})

@@ -56,14 +56,9 @@ class Leaf:
 
 
 class Definition:
-    """A message type with all types that it is made of.
+    """A message type, e.g. "sensor_msgs/JointState", with all types that it is made of.
 
-    Args:
-        kind: Its name, e.g. "sensor_msgs/JointState".
-        text: Its full definition, as in a connection header or a bag.
-
-    Raises:
-        BadInputError: The text does not define the type.
+    It is read from a full definition, as in a connection header or a bag; raises a BadInputError if this lacks a type.
     """
 
     def __init__(self, kind: str, text: str) -> None:
@@ -108,11 +103,7 @@ class Definition:
 
     # ---- paths ------------------------------------------------------------------------------------------------------
     def check(self, path: str) -> str:
-        """Kind of the number that a path like `transforms[0].transform.rotation.z` leads to.
-
-        Raises:
-            BadInputError: It leads nowhere, or to something that is no number; the line says what is allowed.
-        """
+        """Kind of the number that a path like `transforms[0].transform.rotation.z` leads to, or a BadInputError."""
         kind = self.kind
         for name, index in steps(path):
             member = self._member(kind, name, path)
@@ -254,11 +245,7 @@ class Definition:
 
 @cache
 def steps(path: str) -> tuple[tuple[str, int | None], ...]:
-    """The names and indices of a path.
-
-    Raises:
-        BadInputError: It is not written like one.
-    """
+    """The names and indices of a path; raises a BadInputError if it is none."""
     found, place = [], 0
     while place < len(path):
         match = _STEP.match(path, place)

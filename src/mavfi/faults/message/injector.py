@@ -23,11 +23,7 @@ class Outlet(Protocol):
 
 
 def check_fault(fault: MessageFault, definition: Definition) -> None:
-    """Refuse a field or bit that messages of a type do not have.
-
-    Raises:
-        BadInputError: One line with what is allowed.
-    """
+    """Raise a BadInputError, with what is allowed, for a field or bit that messages of a type do not have."""
     kind = definition.check(fault.field)
     bits = Leaf(0, kind).bits
     if fault.bit is not None and not 0 <= fault.bit < bits:

@@ -105,11 +105,7 @@ class AddressSpace:
     """The target's memory map as it was when it was last read; it can be asked when the target has ended."""
 
     def __init__(self, pid: int) -> None:
-        """Read the map; `close` it in the end.
-
-        Raises:
-            OSError: The target has ended, or may not be inspected.
-        """
+        """Read the map, to be closed in the end; raises an OSError if the target has ended or may not be inspected."""
         self._pid = pid
         self._root = os.open(f"/proc/{pid}/root", os.O_PATH | os.O_DIRECTORY)
         self.read()
@@ -146,8 +142,7 @@ class AddressSpace:
     def find(self, text: str) -> int:
         """Address of a function, by its exact name or by a part of it that no other function has.
 
-        Raises:
-            BadInputError: There is none, or more than one; names some.
+        Raises a BadInputError if there is none, or more than one.
         """
         matches = dict(self._matches(text))
         exact = {address: name for address, name in matches.items() if name == text}

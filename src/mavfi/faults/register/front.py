@@ -44,9 +44,10 @@ def inject(
             mavfi itself, or belongs to another user or to the kernel; no such thread or symbol; no permission.
         MavfiError: The target ended, or did not come by in time.
     """
-    if count < 1 or not 0.0 <= interval < float("inf"):
-        name, value = ("count", count) if count < 1 else ("interval", interval)
-        raise BadInputError(f"{name}: {value}: allowed: {'1 or more' if count < 1 else '0 s or more'}")
+    if count < 1:
+        raise BadInputError(f"count: {count}: allowed: 1 or more")
+    if not 0.0 <= interval < float("inf"):
+        raise BadInputError(f"interval: {interval}: allowed: 0 s or more")
     if pid < 1:
         raise BadInputError(f"pid: {pid}: allowed: the number of a running process")
     check_target(pid, os.getpid())

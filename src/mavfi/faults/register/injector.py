@@ -45,15 +45,9 @@ class _Search:
 
 @dataclass(slots=True)
 class _Attempt:
-    """The stopped target.
+    """The stopped target: thread, file of its memory, begin and in the end duration of the stop (s).
 
-    Attributes:
-        tracee: The thread.
-        memory: File of the target's memory.
-        since: When it was seen to stand still (s).
-        walked: Instructions executed one by one.
-        done: What was injected.
-        stopped: How long it stood still, once it has been let go (s).
+    It was stepped (`walked`) through some instructions.
     """
 
     tracee: Tracee
@@ -93,17 +87,10 @@ class _Done:
 
 
 def inject_once(pid: int, fault: RegisterFault, number: int, tool: int, cancelled: Callable[[], bool]) -> Injection:
-    """Flip one bit.
+    """Flip one bit of a process; gives the injection, whose instant is 0.
 
-    Args:
-        pid: The process.
-        fault: Where and how.
-        number: Of the injection; each has random choices of its own.
-        tool: Process that asked; never a target.
-        cancelled: Asked while waiting; True ends the wait.
-
-    Returns:
-        The injection; its instant is 0.
+    Each injection has a number, and so random choices of its own; `tool` is the process that asks, and never a target;
+    `cancelled` is called while waiting, and True ends the wait.
 
     Raises:
         BadInputError: The target is refused.

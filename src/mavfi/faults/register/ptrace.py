@@ -67,13 +67,8 @@ class _Vector(ctypes.Structure):
     _fields_ = [("base", ctypes.c_void_p), ("length", ctypes.c_size_t)]
 
 
-_libc = ctypes.CDLL(None, use_errno=True)
-_libc.ptrace.restype = ctypes.c_long
-_libc.ptrace.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]
-
-
-# the library's ptrace tells values and errors apart by errno alone; the system call does not
-_syscall = ctypes.CDLL(None).syscall
+# not the library's ptrace, which tells values and errors apart by errno alone
+_syscall = ctypes.CDLL(None, use_errno=True).syscall
 _syscall.restype = ctypes.c_long
 _syscall.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]
 _SYS_PTRACE = 101
@@ -85,22 +80,19 @@ def await_news(seconds: float) -> None:
 
 
 def _ptrace(request: int, thread: int, address: int = 0, data: int = 0) -> None:
-    if _libc.ptrace(request, thread, address, data) < 0:
+    if _syscall(_SYS_PTRACE, request, thread, address, data) < 0:
         code = ctypes.get_errno()
         raise OSError(code, os.strerror(code), f"ptrace {request:#x} of {thread}")
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Why a thread stopped.
-
-    Attributes:
-        signal: Signal that is on its way to the target and must be passed on; 0 = none.
-        interrupted: Whether it is the stop that `interrupt` asked for, or a stop of the whole process by SIGSTOP.
-    """
+    """Why a thread stopped."""
 
     signal: int = 0
+    """On its way to the target, and to be passed on; 0 = none."""
     interrupted: bool = False
+    """Stopped by `interrupt`, or with the whole process by SIGSTOP."""
 
 
 class Tracee:
@@ -116,10 +108,9 @@ class Tracee:
     """
 
     def __init__(self, thread: int, *, seize: bool = True, cancelled: Callable[[], bool] = bool) -> None:
-        """Seize a thread, which runs on; False = it is traced already, as the child of a thread that is.
+        """Seize a thread, which runs on, unless it is traced already as the child of such a thread.
 
-        Raises:
-            OSError: It must not be traced.
+        Raises an OSError if it must not be traced.
         """
         self.thread = thread
         self.stopped = False
@@ -226,8 +217,7 @@ class Tracee:
         return self._peek(_ORIG_RAX) < 1 << 63  # outside of calls it is -1, unsigned
 
     def _peek(self, offset: int) -> int:
-        if _syscall(_SYS_PTRACE, _PEEKUSER, self.thread, offset, self._word_at) < 0:
-            raise ProcessLookupError(f"thread {self.thread}: has ended, or does not stand still")
+        _ptrace(_PEEKUSER, self.thread, offset, self._word_at)
         return self._word.value
 
     def set_general(self, registers: dict[str, int]) -> None:

@@ -20,14 +20,10 @@ _MASKED = re.compile(r"[xy]mm\d+(?= \{k[1-7]\})")
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """A register as an instruction names it.
+    """A register as an instruction names it, e.g. "eax", "xmm3", "rflags".
 
-    Attributes:
-        name: E.g. "eax", "xmm3", "rflags".
-        holder: The register of which it is a part; "" for vector registers.
-        index: Number of a vector register.
-        shift: Where it begins in the holder (bits).
-        bits: Bits that can be flipped, counted from its begin.
+    It begins `shift` bits within its holder, which is "" for vector registers; those have an index. `bits` can be
+    flipped, counted from the begin of the register.
     """
 
     name: str

@@ -18,11 +18,7 @@ def check_machine() -> None:
 
 
 def check_target(pid: int, tool: int) -> None:
-    """Refuse a process that cannot or must not be injected, as `tool`, the process that asks.
-
-    Raises:
-        BadInputError: One line that says why.
-    """
+    """Raise a BadInputError, with the reason, for a process that cannot or must not be injected, as `tool` itself."""
     check_machine()
     if pid in (os.getpid(), tool):
         raise BadInputError(f"pid {pid}: is mavfi itself")
@@ -80,11 +76,7 @@ def threads_of(pid: int) -> list[int]:
 
 
 def choose_thread(pid: int, wanted: int) -> int:
-    """The wanted thread, or the one that has computed most; those that run now come first.
-
-    Raises:
-        BadInputError: The process has ended, or has no such thread.
-    """
+    """The wanted thread (0 = the one that has computed most, of those that run now), or a BadInputError."""
     threads = threads_of(pid)
     if wanted:
         if wanted not in threads:
