@@ -109,17 +109,10 @@ def draw(
 
 
 def inject(kernel: Any, fault: InstructionFault, *args: Any) -> tuple[Any, Injection]:
-    """Call a kernel with a fault, in this process.
+    """Call a compiled function with a fault, in this process; gives the result of the call, and the injection.
 
-    A wild write, a crash or a hang (exit status 77) ends the process: use `run_forked` for addresses and control.
-
-    Args:
-        kernel: A compiled function.
-        fault: What to inject.
-        *args: Its arguments; they are changed as by a call with the fault.
-
-    Returns:
-        The result of the call, and the injection.
+    The arguments are changed as by a call with the fault. A wild write, a crash or a hang (exit status 77) ends the
+    process: use `run_forked` for addresses and control.
 
     Raises:
         MismatchError: The fault belongs to other machine code.

@@ -9,7 +9,7 @@ A value decides control if a branch, switch or select depends on it, without a l
 floating-point numbers between: counters and bounds of loops do.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from mavfi.faults.instruction.ir import Function, Instruction, Module, holds_pointer, is_floating
@@ -91,16 +91,9 @@ class _Flow:
     def origins(self, pointer: str) -> frozenset[str]:
         """Where a pointer comes from: parameters, allocations, calls, loads."""
         if pointer not in self.known_origins:
-            found, seen, following = set(), {pointer}, [pointer]
-            while following:
-                name = following.pop()
-                sources = _pointers(self.made_by.get(name))
-                if not sources and name[0] == "%":
-                    found.add(name)
-                new = [source for source in sources if source not in seen]
-                seen.update(new)
-                following += new
-            self.known_origins[pointer] = frozenset(found)
+            chain = _closure([pointer], lambda name: _pointers(self.made_by.get(name)))
+            origins = (name for name in chain if name[0] == "%" and not _pointers(self.made_by.get(name)))
+            self.known_origins[pointer] = frozenset(origins)
         return self.known_origins[pointer]
 
     def roles(self) -> Roles:
@@ -123,15 +116,22 @@ def _pointers(maker: Instruction | None) -> list[str]:
 
 
 def _sources(names: Iterable[str], made_by: dict[str, Instruction], stops: tuple[str, ...]) -> set[str]:
-    """The names, and all names from which they are computed."""
-    found: set[str] = set()
-    following = list(names)
-    while following:
-        name = following.pop()
-        if name in found or name[0] != "%":
-            continue
-        found.add(name)
+    """The local names, and all from which they are computed."""
+
+    def uses(name: str) -> list[str]:
         maker = made_by.get(name)
-        if maker is not None and maker.opcode not in stops:
-            following += maker.uses()
+        return [] if maker is None or maker.opcode in stops else maker.uses()
+
+    return {name for name in _closure(names, uses) if name[0] == "%"}
+
+
+def _closure(names: Iterable[str], following: Callable[[str], list[str]]) -> set[str]:
+    """The names, and all that follow from them."""
+    found: set[str] = set()
+    waiting = list(names)
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            waiting += following(name)
     return found

@@ -13,6 +13,7 @@ so that all but the injected block run as before.  Nothing is optimised after th
 import hashlib
 import re
 from dataclasses import dataclass
+from itertools import count
 
 from mavfi.faults.instruction.ir import Block, Function, Instruction, parts, width
 from mavfi.faults.instruction.parser import parse_module
@@ -89,7 +90,7 @@ class _Rewriter:
                 self._split(block, number)
                 number += 1
             else:
-                self._copy(block)
+                self.lines += [f"{block.label[1:]}:", *(instruction.line() for instruction in block.all())]
         return "\n".join([*self.lines, "}"])
 
     def _let(self, text: str) -> str:
@@ -99,19 +100,14 @@ class _Rewriter:
         self.lines.append(f"  {name} = {text}")
         return name
 
-    def _copy(self, block: Block) -> None:
-        self.lines.append(f"{block.label[1:]}:")
-        self.lines += [f"  {memory.result} = {memory.text()}" for memory in block.allocations]
-        self.lines += [f"  {instruction.text()}" for instruction in block.all() if instruction.result is None]
-
     def _split(self, block: Block, number: int) -> None:
-        label, count = block.label, len(block.sites)
+        label = block.label
         self.lines.append(f"{label[1:]}:")
         raw = {str(phi.result): f"{phi.result}.p" for phi in block.phis}
-        self.lines += [f"  {phi.result}.p = {phi.text({}, self.joined)}" for phi in block.phis]
-        self.lines += [f"  {memory.result} = {memory.text()}" for memory in block.allocations]
+        self.lines += [phi.line(labels=self.joined, suffix=".p") for phi in block.phis]
+        self.lines += [memory.line() for memory in block.allocations]
         before = self._let("load i64, ptr @mavfi_control")
-        after = self._let(f"add i64 {before}, {count}")
+        after = self._let(f"add i64 {before}, {len(block.sites)}")
         self.lines.append(f"  store i64 {after}, ptr @mavfi_control")
         beyond = self._let(f"icmp ugt i64 {after}, {self._let(f'load i64, ptr {address(Control.THRESHOLD)}')}")
         self.lines.append(f"  br i1 {beyond}, label {label}.slow, label {label}.fast, !prof !0")
@@ -129,12 +125,9 @@ class _Rewriter:
     def _fast(self, block: Block, names: dict[str, str]) -> dict[str, str]:
         self.lines.append(f"{block.label[1:]}.fast:")
         for instruction in block.body:
-            text = instruction.text(names)
-            if instruction.result is None:
-                self.lines.append(f"  {text}")
-            else:
+            self.lines.append(instruction.line(names, suffix=".f"))
+            if instruction.result is not None:
                 names[instruction.result] = f"{instruction.result}.f"
-                self.lines.append(f"  {instruction.result}.f = {text}")
         self.lines.append(f"  br label {block.label}.join")
         return names
 
@@ -144,18 +137,14 @@ class _Rewriter:
         self.seen = self._let(
             f"getelementptr i64, ptr {self._let(f'load ptr, ptr {address(Control.REPORT)}')}, i64 {REPORT_WORDS}"
         )
-        offset = 0
+        offsets = count()
         for phi in block.phis:
-            names[str(phi.result)] = self._injected(phi, f"{phi.result}.p", injected, offset)
-            offset += 1
+            names[str(phi.result)] = self._injected(phi, f"{phi.result}.p", injected, next(offsets))
         for instruction in block.body:
-            text = instruction.text(names)
-            if instruction.result is None:
-                self.lines.append(f"  {text}")
-                continue
-            self.lines.append(f"  {instruction.result}.r = {text}")
-            names[instruction.result] = self._injected(instruction, f"{instruction.result}.r", injected, offset)
-            offset += 1
+            self.lines.append(instruction.line(names, suffix=".r"))
+            if instruction.result is not None:
+                raw = f"{instruction.result}.r"
+                names[instruction.result] = self._injected(instruction, raw, injected, next(offsets))
         self.lines.append(f"  br label {block.label}.join")
         return names
 

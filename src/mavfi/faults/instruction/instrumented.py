@@ -62,9 +62,7 @@ class Profiling(Counting):
 class Locating:
     """Finds the call, and the index in it, at which the drawn passes through blocks begin.
 
-    Args:
-        function: The compiled function.
-        wanted: By digest of the IR: block, and which of its executions in all calls, from 0.
+    Wanted are, by digest of the IR, blocks and numbers of their executions in all calls, from 0.
     """
 
     def __init__(self, function: Any, wanted: Mapping[str, Sequence[tuple[int, int]]]) -> None:
@@ -93,11 +91,7 @@ class Locating:
 
 
 class Resolving:
-    """Finds the static instructions of the wanted indices, by call.
-
-    Attributes:
-        sites: Static instruction by call and index.
-    """
+    """Finds the static instructions (`sites`, by call and index) of the wanted indices, by call."""
 
     def __init__(self, function: Any, wanted: Mapping[int, Sequence[int]]) -> None:
         self._function = function
@@ -124,11 +118,8 @@ class Resolving:
 class Injecting:
     """Runs the function unchanged, except for the call with the fault.
 
-    Args:
-        function: The compiled function.
-        fault: What to inject; its budget must be set.
-        before: Called just before the injection, e.g. to fork; the fault is injected where it returns True, in other
-            processes the call is an ordinary one.
+    `before` is called just before the injection, e.g. to fork; the fault is injected where it returns True, and in
+    other processes the call is an ordinary one.
 
     Raises:
         BadInputError: The fault has no budget.

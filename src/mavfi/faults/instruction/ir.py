@@ -99,6 +99,11 @@ class Instruction:
         pairs = (f"[ {values.get(value, value)}, {blocks.get(label, label)} ]" for value, label in self.incoming)
         return f"{text} {', '.join(pairs)}"
 
+    def line(self, names: dict[str, str] | None = None, labels: dict[str, str] | None = None, suffix: str = "") -> str:
+        """The instruction with its result, whose name gets a suffix."""
+        result = "" if self.result is None else f"{self.result}{suffix} = "
+        return f"  {result}{self.text(names, labels)}"
+
 
 @dataclass(slots=True)
 class Block:
@@ -145,10 +150,7 @@ class Function:
         """Its definition."""
         lines = [self.head()]
         for block in self.blocks:
-            lines.append(f"{block.label[1:]}:")
-            for instruction in block.all():
-                result = "" if instruction.result is None else f"{instruction.result} = "
-                lines.append(f"  {result}{instruction.text()}")
+            lines += [f"{block.label[1:]}:", *(instruction.line() for instruction in block.all())]
         return "\n".join([*lines, "}"])
 
 

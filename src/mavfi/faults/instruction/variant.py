@@ -117,7 +117,10 @@ class Variant:
         control[Control.MODE] = mode
         control[Control.THRESHOLD] = threshold
 
-    def _run(self, mode: Mode, threshold: int, args: tuple[Any, ...]) -> Any:
+    def _run(self, mode: Mode, threshold: int, args: tuple[Any, ...], **words: int) -> Any:
+        """Run with some words of the control block set."""
+        for name, word in words.items():
+            self._control[Control[name]] = word
         self._set(mode, threshold)
         try:
             return self._function(None, args, None)
@@ -134,21 +137,20 @@ class Variant:
         """Run without a fault; gives the result, how often each block ran, and the first `room` blocks in order."""
         histogram = np.zeros(len(self.table.blocks), np.int64)
         trace = np.zeros(max(room, 1), np.int32)
-        control = self._control
-        control[Control.HISTOGRAM], control[Control.TRACE] = histogram.ctypes.data, trace.ctypes.data
-        control[Control.TRACE_ROOM], control[Control.TRACE_LENGTH] = room, 0
-        result = self._run(Mode.PROFILE, 0, args)
-        return result, histogram, trace[: int(control[Control.TRACE_LENGTH])]
+        result = self._run(
+            Mode.PROFILE, 0, args, HISTOGRAM=histogram.ctypes.data, TRACE=trace.ctypes.data, TRACE_ROOM=room,
+            TRACE_LENGTH=0,
+        )  # fmt: skip
+        return result, histogram, trace[: int(self._control[Control.TRACE_LENGTH])]
 
     def resolve(self, indices: Sequence[int], *args: Any) -> tuple[Any, list[Site | None]]:
         """Run without a fault; gives the result and the site of each dynamic index, None for those beyond the last."""
         wanted = np.array(sorted(set(indices)), np.int64)
         blocks, offsets = np.full(len(wanted), -1), np.full(len(wanted), -1)
-        control = self._control
-        control[Control.EVENTS], control[Control.EVENT_COUNT] = wanted.ctypes.data, len(wanted)
-        control[Control.EVENT_BLOCKS], control[Control.EVENT_OFFSETS] = blocks.ctypes.data, offsets.ctypes.data
-        control[Control.NEXT_EVENT] = 0
-        result = self._run(Mode.RESOLVE, int(wanted[0]) if len(wanted) else NEVER, args)
+        result = self._run(
+            Mode.RESOLVE, int(wanted[0]) if len(wanted) else NEVER, args, EVENTS=wanted.ctypes.data,
+            EVENT_COUNT=len(wanted), EVENT_BLOCKS=blocks.ctypes.data, EVENT_OFFSETS=offsets.ctypes.data, NEXT_EVENT=0,
+        )  # fmt: skip
         sites = {
             int(index): self.table.blocks[block][offset] if block >= 0 else None
             for index, block, offset in zip(wanted, blocks, offsets, strict=True)
@@ -157,12 +159,10 @@ class Variant:
 
     def locate(self, passes: Passes, *args: Any) -> Any:
         """Run without a fault, and note in `passes` the dynamic indices at which those not yet found begin."""
-        control = self._control
-        control[Control.HISTOGRAM], control[Control.EVENTS] = passes.passed.ctypes.data, passes.wanted.ctypes.data
-        control[Control.EVENT_BLOCKS], control[Control.EVENT_OFFSETS] = (
-            passes.cursors.ctypes.data, passes.starts.ctypes.data,
+        return self._run(
+            Mode.LOCATE, 0, args, HISTOGRAM=passes.passed.ctypes.data, EVENTS=passes.wanted.ctypes.data,
+            EVENT_BLOCKS=passes.cursors.ctypes.data, EVENT_OFFSETS=passes.starts.ctypes.data,
         )  # fmt: skip
-        return self._run(Mode.LOCATE, 0, args)
 
     def inject(self, index: int, keep: int, flip: int, budget: int, *args: Any) -> Any:
         """Run and inject once: the value with this dynamic index, from 0, becomes (value & keep) ^ flip.
@@ -172,9 +172,7 @@ class Variant:
         for memory, mask in ((self._keep, keep), (self._flip, flip)):
             memory[:] = np.frombuffer((mask % (1 << 8 * MASK_BYTES)).to_bytes(MASK_BYTES, "little"), np.uint8)
         self._injected[:] = 0
-        control = self._control
-        control[Control.TARGET], control[Control.BUDGET] = index, budget
-        return self._run(Mode.INJECT, index, args)
+        return self._run(Mode.INJECT, index, args, TARGET=index, BUDGET=budget)
 
     def report(self) -> Report | None:
         """Report of the last injection, here or in a forked child; None if the index was not reached."""

@@ -38,12 +38,11 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class _Symbols:
-    """Functions of an ELF file by address; addresses as in the file, not where it is loaded."""
+    """Functions of an ELF file; addresses as in the file, not where it is loaded."""
 
-    starts: tuple[int, ...]
-    sizes: tuple[int, ...]
-    names: tuple[str, ...]
-    segments: tuple[tuple[int, int, int], ...]
+    functions: dict[int, tuple[int, str]]
+    """By address, in ascending order: size and name."""
+    segments: list[tuple[int, int, int]]
     """Of each loaded segment: offset in the file, size, address."""
 
     def offset_of(self, address: int) -> int | None:
@@ -55,13 +54,12 @@ class _Symbols:
         """Function that holds a byte of the file, and the distance from its begin."""
         fits = (first + offset - start for start, size, first in self.segments if start <= offset < start + size)
         address = next(fits, None)
-        index = -1 if address is None else bisect.bisect_right(self.starts, address) - 1
+        starts = list(self.functions)
+        index = -1 if address is None else bisect.bisect_right(starts, address) - 1
         if address is None or index < 0:
             return ""
-        distance = address - self.starts[index]
-        if self.sizes[index] and distance >= self.sizes[index]:
-            return ""
-        return f"{self.names[index].split('@')[0]}+{distance:#x}"
+        distance, (size, name) = address - starts[index], self.functions[starts[index]]
+        return "" if size and distance >= size else f"{name.split('@')[0]}+{distance:#x}"
 
 
 def _mappings(text: str) -> list[_Mapping]:
@@ -95,10 +93,7 @@ def _symbols(path: str, identity: tuple[int, int]) -> _Symbols:
                         functions[value] = (size, texts[name : texts.index(b"\0", name)].decode(errors="replace"))
     except (OSError, ELFError, struct.error, ValueError):
         pass
-    order = sorted(functions)
-    return _Symbols(
-        tuple(order), tuple(functions[at][0] for at in order), tuple(functions[at][1] for at in order), tuple(segments)
-    )
+    return _Symbols(dict(sorted(functions.items())), segments)
 
 
 class AddressSpace:
@@ -161,7 +156,7 @@ class AddressSpace:
             if symbols is None:
                 continue
             last = mapping.offset + mapping.end - mapping.start
-            for at, name in zip(symbols.starts, symbols.names, strict=True):
+            for at, (_, name) in symbols.functions.items():
                 plain = name.split("@")[0]
                 offset = symbols.offset_of(at) if text in plain else None
                 if offset is not None and mapping.offset <= offset < last:

@@ -32,12 +32,12 @@ def inject(
     Args:
         pid: The process.
         fault: Where and how.
-        count: How many injections.
-        interval: Between two of them (s).
-        tell: Called with each injection as soon as it is done.
+        count: Number of injections.
+        interval: Time between two of them (s).
+        tell: Called with each injection at once.
 
     Returns:
-        The injections, their instants from now on (s); `activated` says whether the bit was read back flipped.
+        The injections, with instants from now on (s); `activated` says whether the bit was read back flipped.
 
     Raises:
         BadInputError: Not x86-64 Linux; no such process, or one that has ended, is stopped, is traced already, is
