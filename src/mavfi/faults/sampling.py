@@ -44,7 +44,7 @@ class Target:
 
 
 def live_fields(spec: StateSpec, stack: str) -> tuple[str, ...]:
-    """Names of the fields that some consumer reads, each name once; of a user's own stack, what any stack reads."""
+    """Names of the fields that some consumer reads, each name once; for a user's own stack, those of any stack."""
     stacks = (stack,) if stack in STACKS else STACKS
     live = (field.name for field in spec.fields if not all(field.dead_in(name) for name in stacks))
     return tuple(dict.fromkeys(live))
@@ -94,18 +94,10 @@ def stream(seed: int, *key: int | str) -> np.random.Generator:
 
 
 def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: int | str) -> StateFault:
-    """Draw one fault.
+    """Draw one fault: a field of the target, a publication of the golden flight, and a bit of the stratum.
 
-    Args:
-        target: Fields from which it is drawn.
-        stratum: Stratum of its bit.
-        profile: Publications of the golden flight.
-        seed: Seed of the mission.
-        address: Environment, and number in the mission: without them, environments that share seeds would be injected
-            at the same sites.
-
-    Returns:
-        The fault; with `NO_SITE` for its time if the golden flight never published what was drawn.
+    Its time is `NO_SITE` if the golden flight never published the field. The address is environment and number in the
+    mission: without it, environments that share seeds would be injected at the same sites.
     """
     random = stream(seed, target.name, *address)
     part = target.within(stratum)

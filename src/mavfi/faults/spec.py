@@ -191,4 +191,4 @@ _PARSERS: dict[str, Callable[[str, str, str], StateRequest | InstructionRequest]
     "instruction": _parse_instruction,
     "register": _refuse_register,
 }
-"""By level: from the whole text, what follows the level, and the localization."""
+"""By level; arguments are the whole text, its part after the level, and the localization."""

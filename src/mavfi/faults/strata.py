@@ -1,4 +1,4 @@
-"""Bits of a word by what they mean: the strata that faults are drawn from.
+"""Strata of a word's bits, from which faults are drawn.
 
 The paper finds that sign and exponent decide (section III-C); pooled over all bits of a float64 they are 12 of 64.
 So bits are drawn per stratum, and each draw keeps the weight that leads back to a whole word.

@@ -21,7 +21,7 @@ _CONTROL_STOPS = ("load", "call", "fcmp")
 
 @dataclass(slots=True)
 class Roles:
-    """Names of a function's values by what they are used for."""
+    """Names of a function's values that are used in addresses and in conditions."""
 
     addresses: set[str]
     conditions: set[str]

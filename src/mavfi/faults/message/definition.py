@@ -169,7 +169,7 @@ class Definition:
 
     @staticmethod
     def _count(member: Member, data: bytes, offset: int) -> tuple[int, int]:
-        """Number of elements, 1 of what is no list, and where they begin."""
+        """Number of elements, 1 for a member that is no list, and offset of the first."""
         if member.length != -1:
             return 1 if member.length is None else member.length, offset
         return _COUNT.unpack_from(data, offset)[0], offset + 4

@@ -29,7 +29,7 @@ class _Mapping:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where an address lies: file, offset in it, and function with distance from its begin."""
+    """Where an address lies: file, offset in it, and function with the distance from its start."""
 
     library: str
     offset: int
@@ -51,7 +51,7 @@ class _Symbols:
         return next(fits, None)
 
     def name_at(self, offset: int) -> str:
-        """Function that holds a byte of the file, and the distance from its begin."""
+        """Function that holds a byte of the file, and the distance from its start."""
         fits = (first + offset - start for start, size, first in self.segments if start <= offset < start + size)
         address = next(fits, None)
         starts = list(self.functions)

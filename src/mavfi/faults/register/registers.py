@@ -1,4 +1,4 @@
-"""Which registers an instruction reads and writes, where they lie, and how a bit of one is flipped."""
+"""Registers that an instruction reads and writes, and flips of their bits."""
 
 import re
 from dataclasses import dataclass
@@ -22,8 +22,8 @@ _MASKED = re.compile(r"[xy]mm\d+(?= \{k[1-7]\})")
 class Register:
     """A register as an instruction names it, e.g. "eax", "xmm3", "rflags".
 
-    It begins `shift` bits within its holder, which is "" for vector registers; those have an index. `bits` can be
-    flipped, counted from the begin of the register.
+    It starts at bit `shift` of its holder, which is "" for vector registers; those have an index. `bits` can be
+    flipped, counted from the start of the register.
     """
 
     name: str
@@ -77,18 +77,14 @@ class Instruction:
     writes: tuple[Register, ...]
 
 
-_PREFIXES = frozenset(b"\x66\x67\xf0\xf2\xf3\x2e\x36\x3e\x26\x64\x65") | frozenset(range(0x40, 0x50))
-_TWO_BYTES, _SYSCALL, _SYSENTER, _INT = 0x0F, 0x05, 0x34, 0xCD
+_PREFIXES = b"\x66\x67\xf0\xf2\xf3\x2e\x36\x3e\x26\x64\x65" + bytes(range(0x40, 0x50))
+_SYSCALL, _SYSENTER, _INT = b"\x0f\x05", b"\x0f\x34", b"\xcd"
 
 
 @lru_cache(maxsize=4096)
 def enters_kernel(code: bytes) -> bool:
     """`Instruction.enters_kernel` of the first of these bytes, without decoding it (Intel SDM, vol. 2)."""
-    place = 0
-    while place < len(code) and code[place] in _PREFIXES:
-        place += 1
-    opcode = code[place : place + 2]
-    return opcode[:1] == bytes([_INT]) or opcode in (bytes([_TWO_BYTES, _SYSCALL]), bytes([_TWO_BYTES, _SYSENTER]))
+    return code.lstrip(_PREFIXES).startswith((_SYSCALL, _SYSENTER, _INT))
 
 
 @lru_cache(maxsize=4096)
