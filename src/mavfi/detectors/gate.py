@@ -95,7 +95,7 @@ class PlausibilityScorer(Scorer):
     def __init__(self, v_max: float, arena: tuple[tuple[float, ...], tuple[float, ...]]) -> None:
         self._limits = np.array([SPEED_MARGIN * v_max, *arena[0], *arena[1]], np.float64)
         self._rules: dict[str, Callable[[State], int]] = {
-            "perception.collision_status": self._judge_exit,
+            "perception.collision_status": self._judge_status,
             "planning.waypoint": self._judge_waypoint,
             "control.command": self._judge_command,
         }
@@ -128,7 +128,7 @@ class PlausibilityScorer(Scorer):
             self._known[_TRAJECTORY], self._numbers[_TRAJECTORY] = True, state.header["trajectory_seq"][0]
             self._position[:] = _reals(state)[:3]
 
-    def _judge_exit(self, state: State) -> int:
+    def _judge_status(self, state: State) -> int:
         if not (0.0 <= float(state.header["time_to_collision"][0]) <= LONGEST_TIME_TO_COLLISION):
             return _index(state.spec, "time_to_collision")
         step = int(state.header["future_collision_seq"][0]) - int(self._numbers[_SEQUENCE])
