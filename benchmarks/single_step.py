@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.destinations import destinations, is_out_of_reach
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.faults.instruction.forked import Ended, judge_status, run_in_child
+from mavfi.faults.instruction.forked import Ended, judge_exit, run_in_child
 from mavfi.faults.register.ptrace import TargetGoneError, Tracee, TracerTimeoutError
 from mavfi.faults.register.registers import Instruction, Register, decode, flip, value_of
 from mavfi.faults.register.target import check_machine, not_permitted
@@ -217,7 +217,7 @@ class SteppedCall:
                 tracee.detach()
                 return None
         except TargetGoneError as gone:
-            return judge_status(gone.status)
+            return judge_exit(gone.code)
         except BaseException:
             _kill(child)
             raise

@@ -1,1 +1,1 @@
-"""Faults: what they are, how they are drawn, and how they strike."""
+"""Faults: types, draws and injectors for each level."""

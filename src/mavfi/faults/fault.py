@@ -1,23 +1,18 @@
-"""What is planned to go wrong: one type of fault for each level, all pure data.  What then happened is an `Injection`.
+"""Planned faults: one type for each level, all pure data.  The event that follows is a `flight_log.Injection`.
 
-`Fault` is their union: `StateFault` (one field of one publication), `InstructionFault` (one dynamic instruction of one
-call of a kernel), `MessageFault` (a number in messages of a ROS topic), `RegisterFault` (a register of a live process).
 Each has `level`, `site` (text), `stratum`, `weight`, `seed`, `bit`, `has_site` and `to_json`; `fault_from_json` reads
 any of them.
 """
 
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 from mavfi.errors import BadInputError
-from mavfi.flight_log import Injection
-
-__all__ = ["Fault", "FaultSite", "Injection", "InstructionFault", "MessageFault", "RegisterFault", "StateFault"]
 
 NO_SITE = -1
 """`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden flight has no site."""
 Model = Literal["one_bit", "bits", "random", "zero"]
-MODELS = ("one_bit", "bits", "random", "zero")
+MODELS: tuple[Model, ...] = get_args(Model)
 RESTART_S = 0.57
 """Time until a node that died is there again: a ROS 1 node killed and started again by roslaunch, measured (s)."""
 REGISTERS = ("all", "general", "fp")
@@ -27,7 +22,6 @@ DEFAULT_WALK = 16
 stands still for longer (docs/ros-attach.md)."""
 LONGEST_WALK = 100_000
 LONGEST_TIMEOUT = 3600.0
-_ALL = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +38,23 @@ class FaultSite:
 
 
 @dataclass(frozen=True, slots=True)
-class StateFault:
+class _Planned:
+    """What the levels have in common."""
+
+    level: ClassVar[str]
+
+    @property
+    def has_site(self) -> bool:
+        """Whether there is something to change, as far as is known before the run."""
+        return True
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {"level": self.level, **asdict(self)}
+
+
+@dataclass(frozen=True, slots=True)
+class StateFault(_Planned):
     """One bit of one field of one publication of an inter-kernel state, once.
 
     Attributes:
@@ -75,13 +85,9 @@ class StateFault:
         """Whether the golden flight had a publication to change when the fault was drawn."""
         return self.time_us != NO_SITE
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return {"level": self.level, **asdict(self)}
-
 
 @dataclass(frozen=True, slots=True)
-class InstructionFault:
+class InstructionFault(_Planned):
     """The result of one dynamic instruction of one call of a compiled function, once.
 
     Attributes:
@@ -141,7 +147,7 @@ class InstructionFault:
     def masks(self) -> tuple[int, int]:
         """Keep and flip: the value becomes (value & keep) ^ flip."""
         if self.bits:
-            return _ALL, sum(1 << bit for bit in self.bits)
+            return -1, sum(1 << bit for bit in self.bits)
         return 0, self.value
 
     def to_json(self) -> dict[str, Any]:
@@ -150,7 +156,7 @@ class InstructionFault:
 
 
 @dataclass(frozen=True, slots=True)
-class MessageFault:
+class MessageFault(_Planned):
     """A number in messages of a ROS topic.
 
     Attributes:
@@ -188,18 +194,9 @@ class MessageFault:
         """Topic and field as text."""
         return f"{self.topic}.{self.field}"
 
-    @property
-    def has_site(self) -> bool:
-        """Whether there is something to change; only the message tells."""
-        return True
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return {"level": self.level, **asdict(self)}
-
 
 @dataclass(frozen=True, slots=True)
-class RegisterFault:
+class RegisterFault(_Planned):
     """One bit of a register that an instruction of a live process reads or writes, once.
 
     Attributes:
@@ -259,15 +256,6 @@ class RegisterFault:
         """Drawn when the process has been stopped."""
         return None
 
-    @property
-    def has_site(self) -> bool:
-        """Whether there is something to change; only the process tells."""
-        return True
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return {"level": self.level, **asdict(self)}
-
 
 Fault = StateFault | InstructionFault | MessageFault | RegisterFault
 """A planned fault of any level."""
@@ -277,19 +265,13 @@ LEVELS: dict[str, type[Fault]] = {
 
 
 def fault_from_json(data: dict[str, Any]) -> Fault:
-    """Inverse of `to_json` of any fault.
-
-    Raises:
-        BadInputError: There is no such level.
-    """
+    """Inverse of `to_json` of any fault; raises a BadInputError if there is no such level."""
     given = dict(data)
     level = given.pop("level", None)
+    if level not in LEVELS:
+        raise BadInputError(f"fault: level {level!r}: not known; allowed: {', '.join(LEVELS)}")
     if level == StateFault.level:
-        return StateFault(**{**given, "where": FaultSite(**given["where"])})
+        given["where"] = FaultSite(**given["where"])
     if level == InstructionFault.level:
-        return InstructionFault(**{**given, "bits": tuple(given["bits"]), "value": int(given["value"], 16)})
-    if level == MessageFault.level:
-        return MessageFault(**given)
-    if level == RegisterFault.level:
-        return RegisterFault(**given)
-    raise BadInputError(f"fault: level {level!r}: not known; allowed: {', '.join(LEVELS)}")
+        given |= {"bits": tuple(given["bits"]), "value": int(given["value"], 16)}
+    return LEVELS[level](**given)

@@ -22,22 +22,13 @@ FAULT_PURPOSE = 3
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What a fault is drawn from: fields, by state.
-
-    Attributes:
-        name: A stage, or the name of a group.
-        fields: Names of the fields of each state that can be struck; no state is empty.
-    """
+    """A stage or a named group: by state, the fields from which faults are drawn; no state is empty."""
 
     name: str
     fields: dict[str, tuple[str, ...]]
 
     def within(self, stratum: str) -> "Target":
-        """The part whose words have bits of the stratum.
-
-        Raises:
-            BadInputError: There is none.
-        """
+        """The part whose words have bits of the stratum; raises a BadInputError if it is empty."""
         kept = {
             state: tuple(name for name in names if bits_of(STATES[state].find(name), stratum))
             for state, names in self.fields.items()
@@ -53,7 +44,7 @@ class Target:
 
 
 def live_fields(spec: StateSpec, stack: str) -> tuple[str, ...]:
-    """Names of the fields that some consumer reads, each name once; of a user's own stack, what any stack reads."""
+    """Names of the fields that some consumer reads, each name once; for a user's own stack, those of any stack."""
     stacks = (stack,) if stack in STACKS else STACKS
     live = (field.name for field in spec.fields if not all(field.dead_in(name) for name in stacks))
     return tuple(dict.fromkeys(live))
@@ -64,14 +55,8 @@ def stage_target(
 ) -> Target:  # fmt: skip
     """All live fields of the states of a stage.
 
-    Args:
-        stage: "perception", "planning" or "control".
-        stack: Name of the stack, which decides what is dead.
-        monitored_set: Only fields of this set; None = all.
-        localization: "truth" or "estimator", which decides what states there are.
-
-    Raises:
-        BadInputError: There is no such stage or set, or nothing is left.
+    The autopilot profile (`stack`) decides which fields are dead, the localization which states there are; a monitored
+    set leaves only its own fields. Raises a BadInputError if there is no such stage or set.
     """
     if stage not in PPC_STAGES:
         raise BadInputError(f"stage {stage!r}: not known; allowed: {', '.join(PPC_STAGES)}")
@@ -87,8 +72,7 @@ def stage_target(
 def group_target(name: str, sites: Sequence[str], localization: str = "truth") -> Target:
     """The named fields, e.g. "planning.waypoint.x".
 
-    Raises:
-        BadInputError: A site names no state or no field, or a state that this localization does not publish.
+    Raises a BadInputError if a site names no state or no field, or a state that this localization does not publish.
     """
     fields: dict[str, tuple[str, ...]] = {}
     for site in sites:
@@ -110,18 +94,10 @@ def stream(seed: int, *key: int | str) -> np.random.Generator:
 
 
 def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: int | str) -> StateFault:
-    """Draw one fault.
+    """Draw one fault: a field of the target, a publication of the golden flight, and a bit of the stratum.
 
-    Args:
-        target: What it is drawn from.
-        stratum: Stratum of its bit.
-        profile: Publications of the golden flight.
-        seed: Seed of the mission.
-        address: What tells it from the other faults of this target and seed: environment, and number in the mission.
-            Seeds alone do not: environments that share them would be struck at the same sites.
-
-    Returns:
-        The fault; with `NO_SITE` for its time if the golden flight never published what was drawn.
+    Its time is `NO_SITE` if the golden flight never published the field. The address is environment and number in the
+    mission: without it, environments that share seeds would be injected at the same sites.
     """
     random = stream(seed, target.name, *address)
     part = target.within(stratum)
@@ -144,11 +120,7 @@ def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: in
 def share_out(shares: Mapping[str, float], count: int, seed: int, *address: str) -> list[str]:
     """Give each of `count` faults its stratum: exact shares (largest remainder), in an order that the seed draws.
 
-    Args:
-        shares: Share of each stratum; need not add up to 1.
-        count: How many faults.
-        seed: First seed of the campaign.
-        address: Environment, and name of the target; each has an order of its own.
+    Shares need not add up to 1. The address is environment and name of the target; each has an order of its own.
     """
     total = sum(shares.values())
     exact = {stratum: count * share / total for stratum, share in shares.items()}
@@ -161,15 +133,10 @@ def share_out(shares: Mapping[str, float], count: int, seed: int, *address: str)
 
 
 def draw_publication(random: np.random.Generator, profile: Profile, site: FaultSite) -> tuple[int, int | None]:
-    """Draw a publication that carries the field, uniform, and an element of it where the field has several.
-
-    Args:
-        random: Stream of the fault.
-        profile: Publications of the golden flight.
-        site: State and field; a named element is kept.
+    """Draw a publication of the golden flight that carries the field, uniformly, and an element if none is named.
 
     Returns:
-        Instant (us), or `NO_SITE`, and the element, or None.
+        Instant (us), or `NO_SITE`, and the element, or None where the field is not in a list.
     """
     times = profile.times_us.get(site.state, np.zeros(0, np.int64))
     counts = profile.counts.get(site.state, np.zeros(0, np.int32))

@@ -1,9 +1,9 @@
 """Faults as text: `null`, `state:planning.waypoint.x`, `state:planning.trajectory.x[3]:bit=62@5.0`."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 
@@ -19,21 +19,14 @@ _PATTERN = re.compile(
     r"(?P<path>[^:@\[\]]+)(\[(?P<element>\d+)\])?(:bit=(?P<bit>\d+))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?"
 )
 _INSTRUCTION = re.compile(r"(?P<kernel>\w+)(:which=(?P<which>.+?))?(:model=(?P<model>\w+))?")
-_NULL_SITE = FaultSite("planning.waypoint", "x")
 _LONGEST = 1e9
 
 
 @dataclass(frozen=True, slots=True)
 class StateRequest:
-    """A fault in a state as a user names it; what is None is drawn.
+    """A fault in a state as a user names it: field, element of its list, bit, earliest instant; what is None is drawn.
 
-    Attributes:
-        state: Row of the state table.
-        field: Name of a field.
-        element: Element of the list that the state carries.
-        bit: Bit to flip.
-        time_us: Earliest instant.
-        null: Whether nothing is to be flipped.
+    A null fault flips nothing.
     """
 
     state: StateSpec
@@ -50,15 +43,12 @@ class StateRequest:
         return self.time_us is None or some_element
 
     def resolve(self, seed: int, stack: str, profile: Profile | None = None) -> StateFault:
-        """Draw what was not named.
+        """Draw what was not named; bits uniformly from the whole word.
 
         Args:
             seed: Seed of the fault.
-            stack: Name of the autopilot profile: a field that nothing reads is injected only if it was named.
-            profile: Publications of the golden flight; wanted where `needs_profile`.
-
-        Returns:
-            The fault; bits are drawn uniformly from the whole word.
+            stack: Name of the autopilot profile; a field that nothing reads is injected only if it was named.
+            profile: Publications of the golden flight, where `needs_profile`.
         """
         random = stream(seed, "spec", self.state.name)
         field = self._field(random, stack)
@@ -125,29 +115,30 @@ def parse(text: str, localization: str = "truth") -> StateRequest | InstructionR
     Raises:
         BadInputError: It names no state, field, element or bit that exists; the message says what does.
     """
-    if text == "null":
-        return StateRequest(STATES[_NULL_SITE.state], _NULL_SITE.field, null=True)
     level, _, rest = text.partition(":")
-    if level == "register":
-        raise BadInputError(f"fault {text!r}: registers are injected by mavfi inject; allowed: state, instruction")
-    if level == "instruction":
-        return _parse_instruction(text, rest)
-    match = _PATTERN.fullmatch(rest)
-    if level != "state" or match is None:
-        raise BadInputError(f"fault {text!r}: not understood; allowed: {FORM}")
-    spec, field = _find(text, match["path"], localization)
-    element, bit = (None if match[name] is None else int(match[name]) for name in ("element", "bit"))
-    _check_element(text, spec, field, element)
-    _check_bit(text, spec, field, bit)
-    return StateRequest(spec, field, element, bit, _microseconds(text, match["time"]))
+    return _PARSERS.get(level, _not_understood)(text, rest, localization)
 
 
-def _parse_instruction(text: str, rest: str) -> InstructionRequest:
+def _not_understood(text: str, _rest: str, _localization: str) -> NoReturn:
+    raise BadInputError(f"fault {text!r}: not understood; allowed: {FORM}")
+
+
+def _parse_null(text: str, rest: str, localization: str) -> StateRequest:
+    if text != "null":
+        _not_understood(text, rest, localization)
+    return StateRequest(STATES["planning.waypoint"], "x", null=True)
+
+
+def _refuse_register(text: str, _rest: str, _localization: str) -> NoReturn:
+    raise BadInputError(f"fault {text!r}: registers are injected by mavfi inject; allowed: state, instruction")
+
+
+def _parse_instruction(text: str, rest: str, localization: str) -> InstructionRequest:
     from mavfi.faults.instruction.selection import parse_selection
 
     match = _INSTRUCTION.fullmatch(rest)
     if match is None:
-        raise BadInputError(f"fault {text!r}: not understood; allowed: {FORM}")
+        _not_understood(text, rest, localization)
     which = match["which"] or "all"
     model: Any = match["model"] or "one_bit"
     try:
@@ -157,6 +148,27 @@ def _parse_instruction(text: str, rest: str) -> InstructionRequest:
     if model not in MODELS:
         raise BadInputError(f"fault {text!r}: no model {model!r}; allowed: {', '.join(MODELS)}")
     return InstructionRequest({match["kernel"]: 1}, which, model)
+
+
+def _parse_state(text: str, rest: str, localization: str) -> StateRequest:
+    match = _PATTERN.fullmatch(rest)
+    if match is None:
+        _not_understood(text, rest, localization)
+    spec, field = _find(text, match["path"], localization)
+    element, bit = (None if match[name] is None else int(match[name]) for name in ("element", "bit"))
+    if field is None:
+        named, fields, has_elements = spec.name, spec.fields, bool(spec.elements)
+    else:
+        named, fields, has_elements = f"{spec.name}.{field}", (spec.find(field),), spec.in_elements(field)
+    if element is not None and not has_elements:
+        raise BadInputError(f"fault {text!r}: element [{element}]: {named} is no list; allowed: no element")
+    bits = max(WORD_BITS[candidate.dtype] for candidate in fields)
+    if bit is not None and bit >= bits:
+        raise BadInputError(f"fault {text!r}: no bit {bit} in {named}; allowed: 0 to {bits - 1}")
+    seconds = match["time"]
+    if seconds is not None and not float(seconds) < _LONGEST:
+        raise BadInputError(f"fault {text!r}: instant {seconds} s; allowed: 0 to {_LONGEST:g}")
+    return StateRequest(spec, field, element, bit, None if seconds is None else round(float(seconds) * 1e6))
 
 
 def _find(text: str, path: str, localization: str) -> tuple[StateSpec, str | None]:
@@ -173,24 +185,10 @@ def _find(text: str, path: str, localization: str) -> tuple[StateSpec, str | Non
         raise BadInputError(f"fault {text!r}: {error}") from None
 
 
-def _check_element(text: str, spec: StateSpec, field: str | None, element: int | None) -> None:
-    has_elements = bool(spec.elements) if field is None else spec.in_elements(field)
-    if element is not None and not has_elements:
-        named = spec.name if field is None else f"{spec.name}.{field}"
-        raise BadInputError(f"fault {text!r}: element [{element}]: {named} is no list; allowed: no element")
-
-
-def _check_bit(text: str, spec: StateSpec, field: str | None, bit: int | None) -> None:
-    fields = spec.fields if field is None else (spec.find(field),)
-    count = max(WORD_BITS[candidate.dtype] for candidate in fields)
-    if bit is not None and bit >= count:
-        named = spec.name if field is None else f"{spec.name}.{field}"
-        raise BadInputError(f"fault {text!r}: no bit {bit} in {named}; allowed: 0 to {count - 1}")
-
-
-def _microseconds(text: str, seconds: str | None) -> int | None:
-    if seconds is None:
-        return None
-    if not float(seconds) < _LONGEST:
-        raise BadInputError(f"fault {text!r}: instant {seconds} s; allowed: 0 to {_LONGEST:g}")
-    return round(float(seconds) * 1e6)
+_PARSERS: dict[str, Callable[[str, str, str], StateRequest | InstructionRequest]] = {
+    "null": _parse_null,
+    "state": _parse_state,
+    "instruction": _parse_instruction,
+    "register": _refuse_register,
+}
+"""By level; arguments are the whole text, its part after the level, and the localization."""

@@ -6,22 +6,20 @@ from dataclasses import replace
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import FaultSite, Injection, StateFault
+from mavfi.faults.fault import FaultSite, StateFault
 from mavfi.faults.strata import WORD_BITS
+from mavfi.flight_log import Injection
 from mavfi.states import STATES, State, StateSpec, find_state
 
 
 def flip(state: State, site: FaultSite, bit: int | None) -> tuple[State, float | int | bool, float | int | bool]:
-    """Flip one bit of one field; flipping it again restores the state.
+    """Flip one bit of one field in a copy of a state; gives the copy, and the field's value before and after.
 
     Args:
-        state: What was published; it is left as it is.
+        state: A publication.
         site: Field, and element where the field belongs to the elements (clamped to those that are there).
         bit: 0 = least significant bit of the field (IEEE 754 binary32 or binary64, two's complement); a flag has
             bit 0 only; None = flip nothing.
-
-    Returns:
-        A copy with the bit flipped, the field's value before, and after.
 
     Raises:
         BadInputError: The field has no such bit, or the state has no element.
@@ -47,10 +45,8 @@ def flip(state: State, site: FaultSite, bit: int | None) -> tuple[State, float |
 class ActedOn:
     """Tells which publications of one state consumers act upon: the same rule for drawing and for injecting.
 
-    Where `StateSpec.acted_on` names a counter, these are the publications in which it grew; elsewhere all.
-
-    Attributes:
-        last: The counter when this was asked last.
+    Where `StateSpec.acted_on` names a counter, these are the publications in which it grew beyond `last`, its value in
+    the publication before; elsewhere all.
     """
 
     def __init__(self, spec: StateSpec) -> None:
@@ -68,10 +64,9 @@ class ActedOn:
 
 
 class CounterWatch:
-    """A tap in the injector's place that changes nothing, and notes what an injector has to know of what passed.
+    """A tap in the injector's place that changes nothing, and keeps the counters that an injector has to know.
 
-    Attributes:
-        acted_on: By state, for those of which consumers do not act on every publication.
+    They are in `acted_on`, for the states of which consumers do not act on every publication.
     """
 
     spent = True
@@ -92,7 +87,7 @@ class CounterWatch:
         )
 
     def __call__(self, state: State, time_us: int) -> State:
-        """Answer the publication itself."""
+        """The publication itself."""
         del time_us
         acted_on = self.acted_on.get(state.spec.name)
         if acted_on is not None:
@@ -105,19 +100,10 @@ class CounterWatch:
 
 
 class StateInjector:
-    """A tap that injects one fault, once; every other publication passes untouched.
-
-    Attributes:
-        injections: What it did so far.
-    """
+    """A tap that injects one fault, once; every other publication passes untouched."""
 
     def __init__(self, fault: StateFault, watch: CounterWatch | None = None) -> None:
-        """Get ready.
-
-        Args:
-            fault: What to do.
-            watch: What passed before this injector is put in; None = nothing.
-        """
+        """Arm the fault; `watch` has seen the publications before this injector is put in, None = there were none."""
         self.injections: list[Injection] = []
         self._fault = fault
         self._spec = find_state(fault.where.state)
@@ -139,15 +125,7 @@ class StateInjector:
         return not self._armed
 
     def __call__(self, state: State, time_us: int) -> State:
-        """Answer what is published instead.
-
-        Args:
-            state: The publication.
-            time_us: Now.
-
-        Returns:
-            The same object, or, once, a copy with a bit flipped.
-        """
+        """The publication itself, or, once, a copy with a bit flipped; `time_us` is now."""
         if state.spec is not self._spec or not self._armed:
             return state
         acted_on = self._acted_on(state)
@@ -167,7 +145,7 @@ class StateInjector:
         return injected
 
     def finish(self) -> list[Injection]:
-        """All that it did; if the publication never came, one record that says so."""
+        """The injections; if the publication never came, one record that says so."""
         if not self.injections:
             fault = self._fault
             time_s = fault.time_us / 1e6 if fault.has_site else 0.0

@@ -1,4 +1,4 @@
-"""Bits of a word by what they mean: the strata that faults are drawn from.
+"""Strata of a word's bits, from which faults are drawn.
 
 The paper finds that sign and exponent decide (section III-C); pooled over all bits of a float64 they are 12 of 64.
 So bits are drawn per stratum, and each draw keeps the weight that leads back to a whole word.
@@ -30,11 +30,7 @@ HEADLINE = "sign_exponent"
 
 
 def bits_of(field: Field, stratum: str) -> range:
-    """Bits of a field that belong to a stratum; empty where the type has none.
-
-    Raises:
-        BadInputError: There is no such stratum.
-    """
+    """Bits of a field in a stratum, empty where its type has none; a BadInputError if there is no such stratum."""
     if stratum not in STRATA:
         raise BadInputError(f"stratum {stratum!r}: not known; allowed: {', '.join(STRATA)}")
     parts = [bits for name, bits in _CLASSES[field.dtype].items() if name in STRATA[stratum]]

@@ -1,4 +1,4 @@
-"""What one does with a kernel: count its instructions, say what they are, draw faults, and inject them.
+"""Functions on one kernel: count and resolve its instructions, draw faults, and inject them.
 
 Kernels are functions compiled by `mavfi.numerics.jit.kernel_jit`; nothing else of mavfi is needed.
 """
@@ -15,12 +15,12 @@ import numpy as np
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault, Model
 from mavfi.faults.instruction.build import name_of
-from mavfi.faults.instruction.forked import Ended, run_in_child
+from mavfi.faults.instruction.forked import run_in_child
 from mavfi.faults.instruction.plan import budget_for, check_fault, injection_of, plan
 from mavfi.faults.instruction.refusal import BuildError
 from mavfi.faults.instruction.selection import parse_selection
 from mavfi.faults.instruction.table import Site
-from mavfi.faults.instruction.variant import Variant, variant_for
+from mavfi.faults.instruction.variant import variant_for
 from mavfi.flight_log import Injection
 
 _ROUNDS = 40
@@ -29,13 +29,13 @@ _BATCH = 256
 
 @dataclass(frozen=True, slots=True)
 class InjectedCall:
-    """What became of one call with a fault.
+    """The effect of a fault on one call.
 
     Attributes:
         how: "masked": result and arguments are bit for bit as without the fault; "sdc": they are not; "crash": a
             signal; "hang": the budget of instructions was used up; "exception"; "not_activated": the instruction was
             not reached.
-        injection: What the fault did.
+        injection: What was injected.
         detail: Name of the signal, or text of the exception.
     """
 
@@ -45,37 +45,23 @@ class InjectedCall:
 
 
 def count(kernel: Any, *args: Any) -> int:
-    """How many values the kernel writes: its dynamic instructions that can be injected.
+    """How many values a compiled function writes: its dynamic instructions that can be injected.
 
-    Args:
-        kernel: A compiled function.
-        *args: Its arguments; they are changed as by a call.
-
-    Raises:
-        RefusedError: It cannot be instrumented exactly.
+    The arguments are changed as by a call. Raises a RefusedError if the function cannot be instrumented exactly.
     """
     return variant_for(kernel, args).count(*args)[1]
 
 
 def histogram(kernel: Any, *args: Any) -> list[tuple[Site, int]]:
-    """All static instructions, and how often each is executed.
-
-    Args:
-        kernel: A compiled function.
-        *args: Its arguments; they are changed as by a call.
-    """
+    """All static instructions of a compiled function, and how often each is executed; arguments change as by a call."""
     variant = variant_for(kernel, args)
-    _, times, _ = variant.profile(*args)
-    return [(site, int(n)) for block, n in zip(variant.table.blocks, times, strict=True) for site in block]
+    return variant.table.executions(variant.profile(*args)[1])
 
 
 def resolve(kernel: Any, indices: Sequence[int], *args: Any) -> list[Site | None]:
-    """Which static instruction has which dynamic index; None beyond the last.
+    """Static instructions that have dynamic indices (from 0, in any order) in a call, which changes the arguments.
 
-    Args:
-        kernel: A compiled function.
-        indices: From 0; in any order.
-        *args: Its arguments; they are changed as by a call.
+    None stands for an index beyond the last.
     """
     return variant_for(kernel, args).resolve(indices, *args)[1]
 
@@ -90,7 +76,7 @@ def draw(
         n: How many.
         *args: Its arguments; they stay as they are.
         which: Class of instructions, see `mavfi.faults.instruction.selection`.
-        model: "one_bit", "bits", "random" or "zero".
+        model: "one_bit", "bits", "random" or "zero", see `mavfi.faults.instruction.plan`.
         seed: Of the draw.
         bits: Number of bits for the model "bits".
 
@@ -100,13 +86,13 @@ def draw(
     variant = variant_for(kernel, args)
     selection = parse_selection(which)
     random = np.random.default_rng(seed)
-    total = int(apart(lambda: variant.count(*args)[1]))
+    total = int(apart(partial(count, kernel, *args)))
     if total == 0:
         raise BadInputError(f"{name_of(kernel)}: it writes no value that could be injected")
     found: list[InstructionFault] = []
     for _ in range(_ROUNDS):
         indices = random.integers(total, size=max(_BATCH, n)).tolist()
-        sites: list[Site] = apart(partial(_sites, variant, indices, args))
+        sites: list[Site] = apart(partial(resolve, kernel, indices, *args))
         for index, site in zip(indices, sites, strict=True):
             if site in selection and len(found) < n:
                 fault = plan(
@@ -123,36 +109,25 @@ def draw(
 
 
 def inject(kernel: Any, fault: InstructionFault, *args: Any) -> tuple[Any, Injection]:
-    """Call a kernel with a fault, in this process.
+    """Call a compiled function with a fault, in this process; gives the result of the call, and the injection.
 
-    A wild write, a crash or a hang (exit status 77) ends the process: use `run_forked` for addresses and control.
-
-    Args:
-        kernel: A compiled function.
-        fault: What to inject.
-        *args: Its arguments; they are changed as by a call with the fault.
-
-    Returns:
-        The result of the call, and what the fault did.
+    The arguments are changed as by a call with the fault. A wild write, a crash or a hang (exit status 77) ends the
+    process: use `run_forked` for addresses and control.
 
     Raises:
         MismatchError: The fault belongs to other machine code.
     """
     variant = variant_for(kernel, args)
     check_fault(fault, variant, kernel)
-    budget = fault.budget or budget_for(int(apart(lambda: variant.count(*args)[1])))
+    budget = fault.budget or budget_for(int(apart(partial(count, kernel, *args))))
     result = variant.inject(fault.index, *fault.masks, budget, *args)
     return result, injection_of(fault, variant.report())
 
 
 def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float = 60.0) -> InjectedCall:
-    """Call a kernel with a fault in a forked child, and compare with the call without it.
+    """Call a kernel with a fault in a forked child, and compare with the call without it; arguments stay as they are.
 
-    Args:
-        kernel: A compiled function.
-        fault: What to inject.
-        *args: Its arguments; they stay as they are.
-        timeout: Wall-clock limit (s), for what the budget of instructions does not see.
+    The wall-clock limit `timeout` (s) is for hangs outside of the instructions that have a budget.
 
     Raises:
         MismatchError: The fault belongs to other machine code.
@@ -160,20 +135,21 @@ def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float 
     variant = variant_for(kernel, args)
     check_fault(fault, variant, kernel)
     variant.own_report()
-    golden, total = apart(lambda: _digest_and_count(variant, args))
+
+    def golden_run() -> tuple[bytes, int]:
+        result, total = variant.count(*args)
+        return digest((result, args)), total
+
+    golden, total = apart(golden_run)
     armed = replace(fault, budget=fault.budget or budget_for(total))
 
-    def injected() -> bytes:
+    def injected_run() -> bytes:
         result = variant.inject(armed.index, *armed.masks, armed.budget, *args)
         return digest((result, args))
 
-    return judge(armed, variant, run_in_child(injected, timeout), golden)
-
-
-def judge(fault: InstructionFault, variant: Variant, ended: Ended, golden: bytes) -> InjectedCall:
-    """What became of a call whose child reported the digest of what it left."""
+    ended = run_in_child(injected_run, timeout)
     report = variant.report()
-    injection = injection_of(fault, report)
+    injection = injection_of(armed, report)
     if report is None:
         return InjectedCall("not_activated", injection, ended.detail)
     if ended.how == "done":
@@ -202,21 +178,8 @@ def _bytes(value: Any) -> Iterator[bytes]:
         yield type(value).__name__.encode() + number
 
 
-def _sites(variant: Variant, indices: list[int], args: tuple[Any, ...]) -> list[Site | None]:
-    return variant.resolve(indices, *args)[1]
-
-
-def _digest_and_count(variant: Variant, args: tuple[Any, ...]) -> tuple[bytes, int]:
-    result, total = variant.count(*args)
-    return digest((result, args)), total
-
-
 def apart(work: Callable[[], Any]) -> Any:
-    """The result of a sound run in a forked child, so that arguments stay as they are.
-
-    Raises:
-        BuildError: It did not end well, although there was no fault.
-    """
+    """The result of a run without a fault in a forked child, so that arguments stay as they are; or a BuildError."""
     ended = run_in_child(lambda: pickle.dumps(work()))
     if ended.how != "done":
         raise BuildError(f"a run without a fault ended with {ended.how} ({ended.detail})")

@@ -21,14 +21,9 @@ _OPTIMISATION = 3
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """Machine code of an instrumented kernel and what is known of it.
+    """An instrumented kernel: object file, sites, and digest of the fault space.
 
-    Attributes:
-        code: Object file.
-        table: What can be injected.
-        ir_sha256: Digest of the fault space.
-        wrapper: Name of the function that Python calls.
-        environment: Name of the global that points to Numba's environment of the kernel.
+    Python calls the function `wrapper`; the global `environment` points to Numba's environment of the kernel.
     """
 
     code: bytes
@@ -38,7 +33,7 @@ class Built:
     environment: str
 
     def pack(self) -> bytes:
-        """Bytes that hold all of it."""
+        """As bytes."""
         facts = [self.table.to_json(), self.ir_sha256, self.wrapper, self.environment]
         head = zlib.compress(json.dumps(facts).encode(), 1)
         return len(head).to_bytes(8, "little") + head + self.code
@@ -57,11 +52,7 @@ def name_of(kernel: Any) -> str:
 
 
 def check(kernel: Any) -> None:
-    """Refuse what cannot be instrumented exactly, as far as the kernel's flags say so.
-
-    Raises:
-        RefusedError: It is not compiled, or with flags under which a fault could not be replayed.
-    """
+    """Raise a RefusedError for what is not compiled, or with flags under which a fault could not be replayed."""
     flags = getattr(kernel, "targetoptions", None)
     if flags is None or not hasattr(kernel, "inspect_llvm"):
         raise RefusedError(getattr(kernel, "__name__", repr(kernel)), "it is not a function compiled by kernel_jit")
@@ -71,15 +62,9 @@ def check(kernel: Any) -> None:
 
 
 def build(kernel: Any, signature: tuple[Any, ...]) -> Built:
-    """Instrument one signature of a kernel.
+    """Instrument a Numba dispatcher for one signature (Numba types of the arguments).
 
-    Args:
-        kernel: Numba dispatcher.
-        signature: Numba types of the arguments.
-
-    Raises:
-        RefusedError: It has a construct that is not known.
-        BuildError: The compiler did not survive it.
+    Raises a RefusedError for an unknown construct, and a BuildError if the compiler does not survive.
     """
     check(kernel)
     ended = run_fresh(kernel, signature, _PATIENCE) or run_in_child(lambda: make(kernel, signature), _PATIENCE)
@@ -91,7 +76,7 @@ def build(kernel: Any, signature: tuple[Any, ...]) -> Built:
 
 
 def make(kernel: Any, signature: tuple[Any, ...]) -> bytes:
-    """What `build` has done in another process, since LLVM aborts on a malformed module."""
+    """The part of `build` for another process, since LLVM aborts on a malformed module."""
     try:
         return b"B" + assemble(*prepare(kernel, signature)).pack()
     except RefusedError as error:
@@ -99,7 +84,7 @@ def make(kernel: Any, signature: tuple[Any, ...]) -> bytes:
 
 
 def prepare(kernel: Any, signature: tuple[Any, ...]) -> tuple[Instrumented, str, str]:
-    """Compile a kernel anew in this process, and instrument its IR; gives wrapper and environment by name, too."""
+    """Compile a kernel anew in this process, and instrument its IR; gives also the names of wrapper and environment."""
     copy = uncached_copy(kernel)
     copy.compile(signature)
     names = copy.overloads[signature].fndesc
@@ -113,7 +98,7 @@ def assemble(made: Instrumented, wrapper: str, environment: str) -> Built:
 
 
 def target_machine() -> Any:
-    """What Numba generates code for: this CPU."""
+    """This CPU, as Numba generates code for it."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     target = llvm.Target.from_triple(llvm.get_process_triple())
@@ -124,11 +109,7 @@ def target_machine() -> Any:
 
 
 def translate(text: str) -> bytes:
-    """IR to an object file.
-
-    Raises:
-        RuntimeError: The IR is not well formed (where LLVM does not abort).
-    """
+    """IR to an object file; malformed IR is a RuntimeError where LLVM does not abort."""
     module = llvm.parse_assembly(text)
     module.verify()
     return bytes(target_machine().emit_object(module))

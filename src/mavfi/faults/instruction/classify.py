@@ -1,4 +1,4 @@
-"""What a value is used for: as an address, to decide where control goes, or as data.
+"""Uses of values: as an address, to decide a branch, or as data.
 
 A value feeds an address if a pointer operand is computed from it, without a call or a comparison between; also through
 a parameter of a function that was not inlined, and through memory: what is stored where an address is loaded from later
@@ -9,7 +9,7 @@ A value decides control if a branch, switch or select depends on it, without a l
 floating-point numbers between: counters and bounds of loops do.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 from mavfi.faults.instruction.ir import Function, Instruction, Module, holds_pointer, is_floating
@@ -21,7 +21,7 @@ _CONTROL_STOPS = ("load", "call", "fcmp")
 
 @dataclass(slots=True)
 class Roles:
-    """Names of a function's values by what they are used for."""
+    """Names of a function's values that are used in addresses and in conditions."""
 
     addresses: set[str]
     conditions: set[str]
@@ -45,12 +45,7 @@ def roles(module: Module) -> dict[str, Roles]:
 
 @dataclass(slots=True)
 class _Flow:
-    """How values of one function flow into addresses.
-
-    Attributes:
-        addresses: Values that feed addresses.
-        indices: Origins of memory from which address-feeding values are loaded.
-    """
+    """Flow of a function's values into addresses; `indices` are origins of memory from which such values are loaded."""
 
     function: Function
     addresses: set[str] = field(default_factory=set)
@@ -64,7 +59,7 @@ class _Flow:
         self.made_by = {str(made.result): made for made in self.instructions if made.result is not None}
 
     def grow(self, flows: "dict[str, _Flow]") -> bool:
-        """Add what follows from what is known so far; says whether there was anything new."""
+        """One step towards the fixed point; says whether anything was added."""
         before = len(self.addresses) + len(self.indices)
         seeds = set(self.addresses)
         for instruction in self.instructions:
@@ -81,7 +76,7 @@ class _Flow:
         return len(self.addresses) + len(self.indices) > before
 
     def _exchange(self, call: Instruction, callee: "_Flow") -> set[str]:
-        """Tell a callee which memory holds indices, and learn it; gives the arguments that it uses in addresses."""
+        """Exchange the memory that holds indices with a callee; gives the arguments that it uses in addresses."""
         found = set()
         for (_, name), (_, argument) in zip(callee.function.parameters, call.arguments, strict=True):
             if name in callee.addresses:
@@ -96,16 +91,9 @@ class _Flow:
     def origins(self, pointer: str) -> frozenset[str]:
         """Where a pointer comes from: parameters, allocations, calls, loads."""
         if pointer not in self.known_origins:
-            found, seen, following = set(), {pointer}, [pointer]
-            while following:
-                name = following.pop()
-                sources = _pointers(self.made_by.get(name))
-                if not sources and name[0] == "%":
-                    found.add(name)
-                new = [source for source in sources if source not in seen]
-                seen.update(new)
-                following += new
-            self.known_origins[pointer] = frozenset(found)
+            chain = _closure([pointer], lambda name: _pointers(self.made_by.get(name)))
+            origins = (name for name in chain if name[0] == "%" and not _pointers(self.made_by.get(name)))
+            self.known_origins[pointer] = frozenset(origins)
         return self.known_origins[pointer]
 
     def roles(self) -> Roles:
@@ -118,7 +106,7 @@ class _Flow:
 
 
 def _pointers(maker: Instruction | None) -> list[str]:
-    """What a pointer is computed from; nothing if it has its origin here."""
+    """Pointers from which a pointer is computed; none at its origin."""
     if maker is None or maker.opcode in ("alloca", "call", "load"):
         return []
     if maker.opcode == "getelementptr":
@@ -128,15 +116,22 @@ def _pointers(maker: Instruction | None) -> list[str]:
 
 
 def _sources(names: Iterable[str], made_by: dict[str, Instruction], stops: tuple[str, ...]) -> set[str]:
-    """The names, and all from which they are computed."""
-    found: set[str] = set()
-    following = list(names)
-    while following:
-        name = following.pop()
-        if name in found or name[0] != "%":
-            continue
-        found.add(name)
+    """The local names, and all from which they are computed."""
+
+    def uses(name: str) -> list[str]:
         maker = made_by.get(name)
-        if maker is not None and maker.opcode not in stops:
-            following += maker.uses()
+        return [] if maker is None or maker.opcode in stops else maker.uses()
+
+    return {name for name in _closure(names, uses) if name[0] == "%"}
+
+
+def _closure(names: Iterable[str], following: Callable[[str], list[str]]) -> set[str]:
+    """The names, and all that follow from them."""
+    found: set[str] = set()
+    waiting = list(names)
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            waiting += following(name)
     return found

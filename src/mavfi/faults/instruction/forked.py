@@ -1,7 +1,7 @@
-"""Work in a forked child: whatever a fault does there, the parent goes on from the instant of the fork.
+"""Work in a forked child: whatever a fault does there, the parent continues from the instant of the fork.
 
-The child carries on, reports through a pipe, and ends without running the parent's clean-up code.  It ends with the
-parent, writes no core file, and leaves no zombie and no open file behind.
+The child reports through a pipe and ends without running the parent's clean-up code.  It ends with the parent, writes
+no core file, and leaves no zombie and no open file behind.
 """
 
 import contextlib
@@ -45,7 +45,8 @@ class Ended:
 
 
 Attend = Callable[[int], Ended | None]
-"""What a parent does with its child meanwhile."""
+"""Called in the parent with the child's number before its report is waited for, e.g. to trace it.  An answer other than
+None is how the child ended; then the child has been waited for."""
 
 
 class ForkPoint:
@@ -60,12 +61,7 @@ class ForkPoint:
         return self._pipe >= 0
 
     def split(self, timeout: float = 60.0, attend: Attend | None = None) -> Ended | None:
-        """Fork.
-
-        Args:
-            timeout: Wall-clock limit of the child (s).
-            attend: Called in the parent with the child's number before its report is waited for, e.g. to trace it.
-                What it answers, other than None, is how the child ended, and then it has waited for that end itself.
+        """Fork; `timeout` is the wall-clock limit of the child (s).
 
         Returns:
             None in the child, at once; in the parent how the child ended.
@@ -91,7 +87,7 @@ class ForkPoint:
 
     @contextlib.contextmanager
     def guard(self) -> Iterator[None]:
-        """Within it an exception in the child is reported and ends it; in the parent it changes nothing."""
+        """Report an exception in the child and end it; change nothing in the parent."""
         try:
             yield
         except BaseException as error:
@@ -107,7 +103,7 @@ class ForkPoint:
 
 
 def framed(payload: bytes) -> bytes:
-    """As a child writes its report: `judge_status` sees whether it is whole."""
+    """A report as a child writes it: with its length, so that `judge_exit` sees whether it is complete."""
     return len(payload).to_bytes(LENGTH_BYTES, "little") + payload
 
 
@@ -119,13 +115,7 @@ def write_all(handle: int, data: bytes) -> None:
 
 
 def run_in_child(work: Callable[[], bytes], timeout: float = 60.0, attend: Attend | None = None) -> Ended:
-    """Do something in a forked child.
-
-    Args:
-        work: Gives the report.
-        timeout: Wall-clock limit (s).
-        attend: See `ForkPoint.split`.
-    """
+    """Run `work`, which gives the report, in a forked child; the rest as in `ForkPoint.split`."""
     point = ForkPoint()
     with point.guard():
         ended = point.split(timeout, attend)
@@ -135,7 +125,7 @@ def run_in_child(work: Callable[[], bytes], timeout: float = 60.0, attend: Atten
 
 
 def _settle(parent: int) -> None:
-    """What makes a child harmless."""
+    """Make the child harmless."""
     ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(_EXCEPTION_EXIT)  # the parent ended before it could be watched
@@ -166,27 +156,17 @@ def _wait(pid: int, pipe: int, timeout: float) -> Ended:
             elif handle in ready:
                 break  # it ended, and nothing is left in the pipe
     finally:
-        if late or not _has_ended(handle):
+        if late or not select.select([handle], [], [], 0.0)[0]:
             signal.pidfd_send_signal(handle, signal.SIGKILL)
         _, status = os.waitpid(pid, 0)
         os.close(handle)
-    return Ended("hang", detail=WALL_CLOCK) if late else judge_status(status, bytes(data))
+    return Ended("hang", detail=WALL_CLOCK) if late else judge_exit(os.waitstatus_to_exitcode(status), bytes(data))
 
 
-def _has_ended(handle: int) -> bool:
-    return bool(select.select([handle], [], [], 0.0)[0])
-
-
-def judge_status(status: int, data: bytes = b"") -> Ended:
-    """How a child ended.
-
-    Args:
-        status: As of waitpid.
-        data: What it wrote to its pipe.
-    """
-    if os.WIFSIGNALED(status):
-        return Ended("crash", detail=_SIGNALS.get(os.WTERMSIG(status), f"signal {os.WTERMSIG(status)}"))
-    code = os.WEXITSTATUS(status)
+def judge_exit(code: int, data: bytes = b"") -> Ended:
+    """How a child ended, given its exit code (negative = number of a signal) and the data that it wrote to its pipe."""
+    if code < 0:
+        return Ended("crash", detail=_SIGNALS.get(-code, f"signal {-code}"))
     if code == HANG_EXIT:
         return Ended("hang", detail="instruction budget")
     payload = data[LENGTH_BYTES:]

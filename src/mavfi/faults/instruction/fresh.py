@@ -1,8 +1,8 @@
 """Prepares a kernel that calls other compiled functions in a process that has compiled nothing before.
 
-What LLVM inlines depends on how a callee came to be: compiled just now, or loaded from a cache.  So the IR of such a
-kernel, and with it the digest of its faults, is that of a fresh process with an empty cache: it then follows from the
-source, the versions and the CPU alone.
+LLVM's inlining depends on whether a callee was just compiled or loaded from a cache.  So the IR of such a kernel, and
+with it the digest of its faults, is that of a fresh process with an empty cache: it then follows from the source, the
+versions and the CPU alone.
 """
 
 import contextlib
@@ -16,19 +16,14 @@ from functools import reduce
 from importlib import import_module
 from typing import Any
 
-from mavfi.faults.instruction.forked import Ended, framed, judge_status, write_all
+from mavfi.faults.instruction.forked import Ended, framed, judge_exit, write_all
 
 _NOT_HERE = b"N"
 """It was loaded from a file that is on no path, or Numba compiles it only where it has been compiled (recursion)."""
 
 
 def run_fresh(kernel: Any, signature: tuple[Any, ...], timeout: float) -> Ended | None:
-    """What `build.make` writes for a kernel in a fresh process.
-
-    Args:
-        kernel: Numba dispatcher.
-        signature: Numba types of the arguments.
-        timeout: Wall-clock limit (s).
+    """Run `build.make` in a fresh process, for `timeout` seconds at most.
 
     Returns:
         How the process ended; None if the kernel calls no compiled function, or cannot be prepared there.
@@ -58,17 +53,12 @@ def run_fresh(kernel: Any, signature: tuple[Any, ...], timeout: float) -> Ended 
         finally:
             process.kill()
             process.wait()
-    ended = judge_status(_status(process.returncode), data)
+    ended = judge_exit(process.returncode, data)
     return None if ended.payload == _NOT_HERE else ended
 
 
-def _status(code: int) -> int:
-    """As waitpid gives it."""
-    return -code if code < 0 else code << 8
-
-
 def surroundings(function: Any) -> dict[str, Any]:
-    """What a function takes from where it was defined: values of the scopes around it and of its module, by name."""
+    """Values that a function takes from the scopes around it and from its module, by name."""
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     named = {name: function.__globals__[name] for name in function.__code__.co_names if name in function.__globals__}
     return {name: cell.cell_contents for name, cell in cells} | named
@@ -82,7 +72,7 @@ def _calls_compiled(function: Any) -> bool:
 
 
 def _find(module: str, name: str) -> Any:
-    """What another process finds under a name; None if nothing."""
+    """The object that another process finds under a name, or None."""
     if module == "__main__":
         return None
     with contextlib.suppress(AttributeError, KeyError):

@@ -45,40 +45,25 @@ _PYTHON = re.compile(r"@\"?numba_gil_ensure")
 
 
 def parse_instruction(cursor: Cursor) -> Instruction | None:
-    """Read one instruction; None for a call that only promises something.
-
-    Raises:
-        RefusedError: Anything in it is not known.
-    """
+    """Read one instruction, None for a call that only promises something; raises a RefusedError if it is not known."""
     result = None
     if cursor.next.startswith("%"):
         result = cursor.local()
         cursor.expect("=")
-    for word in ("musttail", "notail"):
-        if cursor.next == word:
-            raise cursor.refused()
     cursor.accept("tail")
-    opcode = cursor.take()
-    reader = _READERS.get(opcode)
-    if reader is None:
-        cursor.at -= 1
-        raise cursor.refused()
+    opcode = cursor.expect(*_READERS)
     instruction = Instruction(opcode, [opcode], result)
-    _flags(cursor)
-    reader(cursor, instruction)
-    cursor.finish()
-    return None if instruction.callee is not None and _DROPPED.match(instruction.callee) else instruction
-
-
-def _flags(cursor: Cursor) -> None:
     while cursor.accept(*POISON_FLAGS):
         pass
     if cursor.next in FAST_MATH:
         raise cursor.refused(f"fast math ({cursor.next!r} in {' '.join(cursor.tokens)[:80]!r})")
+    _READERS[opcode](cursor, instruction)
+    cursor.finish()
+    return None if instruction.callee is not None and _DROPPED.match(instruction.callee) else instruction
 
 
 def skip_promises(cursor: Cursor) -> list[str]:
-    """Pass over attributes that promise something; gives those that the calling convention needs."""
+    """Skip attributes that promise something; gives those that the calling convention needs."""
     kept = []
     while True:
         if cursor.next in ABI_ATTRIBUTES:
@@ -99,48 +84,67 @@ def _like(kind: str, other: str) -> str:
     return f"{other.split(' x ')[0]} x {kind}>" if other.startswith("<") else kind
 
 
-def _alignment(cursor: Cursor) -> list[str]:
-    if not cursor.accept(","):
-        return []
-    cursor.expect("align")
-    return [",", "align", cursor.number()]
-
-
 def _locals(*values: str) -> list[str]:
     return [value for value in values if value.startswith("%")]
 
 
-def _binary(cursor: Cursor, new: Instruction) -> None:
-    new.kind = cursor.kind()
-    left = cursor.value()
-    cursor.expect(",")
-    new.tokens += [new.kind, left, ",", cursor.value()]
+_FORMS = {
+    **dict.fromkeys(_BINARY, "kind value , value"), **dict.fromkeys(_CASTS, "kind value to kind"),
+    "fneg": "kind value", "freeze": "kind value", "select": "kind value , kind value , kind value",
+    "load": "kind , ptr value align", "store": "kind value , ptr value align", "alloca": "kind align",
+    "extractvalue": "kind value indices", "insertvalue": "kind value , kind value indices",
+    "extractelement": "kind value , kind value", "insertelement": "kind value , kind value , kind value",
+    "shufflevector": "kind value , kind value , kind value", "unreachable": "",
+}  # fmt: skip
+"""Operands of instructions: types, values, an alignment that may be left out, indices, and words of the language."""
 
 
-def _unary(cursor: Cursor, new: Instruction) -> None:
-    new.kind = cursor.kind()
-    new.tokens += [new.kind, cursor.value()]
+def _operands(cursor: Cursor, new: Instruction) -> None:
+    """Read an instruction whose operands have a fixed form."""
+    kinds = []
+    for part in _FORMS[new.opcode].split():
+        if part == "kind":
+            kinds.append(cursor.kind())
+            new.tokens.append(kinds[-1])
+        elif part == "value":
+            new.tokens.append(cursor.value())
+        elif part == "align" and cursor.accept(","):
+            cursor.expect("align")
+            new.tokens += [",", "align", cursor.number()]
+        elif part == "indices":
+            while cursor.accept(","):
+                new.tokens += [",", cursor.number()]
+        elif part != "align":
+            new.tokens.append(cursor.expect(part))
+    new.kind = _result(new, kinds)
+    if new.opcode == "select":
+        new.conditions = _locals(new.tokens[2])
+    if new.opcode in ("load", "store"):
+        new.addresses = _locals(new.tokens[4 if new.opcode == "load" else 5])
 
 
-def _cast(cursor: Cursor, new: Instruction) -> None:
-    new.tokens += [cursor.kind(), cursor.value(), cursor.expect("to")]
-    new.kind = cursor.kind()
-    new.tokens.append(new.kind)
+def _result(new: Instruction, kinds: list[str]) -> str:
+    """Type of the result, given those of the operands."""
+    if new.opcode in ("store", "unreachable"):
+        return "void"
+    if new.opcode == "alloca":
+        return "ptr"
+    if new.opcode == "extractvalue":
+        kind = kinds[0]
+        for index in new.tokens[4::2]:
+            kind = parts(kind)[int(index)]
+        return kind
+    if new.opcode == "extractelement":
+        return kinds[0].split(" x ", 1)[1][:-1]
+    if new.opcode == "shufflevector":
+        return f"{kinds[2].split(' x ')[0]} x {kinds[0].split(' x ', 1)[1]}"
+    return kinds[1] if new.opcode in _CASTS or new.opcode == "select" else kinds[0]
 
 
 def _compare(cursor: Cursor, new: Instruction) -> None:
     predicate, kind = cursor.expect(*_PREDICATES[new.opcode]), cursor.kind()
-    left = cursor.value()
-    cursor.expect(",")
+    new.tokens += [predicate, kind, cursor.value(), cursor.expect(","), cursor.value()]
     new.kind = _like("i1", kind)
-    new.tokens += [predicate, kind, left, ",", cursor.value()]
-
-
-def _select(cursor: Cursor, new: Instruction) -> None:
-    new.tokens += [cursor.kind(), cursor.value(), cursor.expect(",")]
-    new.conditions = _locals(new.tokens[2])
-    new.kind = cursor.kind()
-    new.tokens += [new.kind, cursor.value(), cursor.expect(","), cursor.kind(), cursor.value()]
 
 
 def _phi(cursor: Cursor, new: Instruction) -> None:
@@ -156,19 +160,6 @@ def _phi(cursor: Cursor, new: Instruction) -> None:
             return
 
 
-def _load(cursor: Cursor, new: Instruction) -> None:
-    new.kind = cursor.kind()
-    new.tokens += [new.kind, cursor.expect(","), cursor.expect("ptr"), cursor.value()]
-    new.addresses = _locals(new.tokens[-1])
-    new.tokens += _alignment(cursor)
-
-
-def _store(cursor: Cursor, new: Instruction) -> None:
-    new.tokens += [cursor.kind(), cursor.value(), cursor.expect(","), cursor.expect("ptr"), cursor.value()]
-    new.addresses = _locals(new.tokens[-1])
-    new.tokens += _alignment(cursor)
-
-
 def _element_address(cursor: Cursor, new: Instruction) -> None:
     new.tokens += [cursor.kind(), cursor.expect(",")]
     kinds = [cursor.kind()]
@@ -178,50 +169,6 @@ def _element_address(cursor: Cursor, new: Instruction) -> None:
         new.tokens += [",", kinds[-1], cursor.value()]
     new.kind = _like("ptr", next((kind for kind in kinds if kind.startswith("<")), ""))
     new.addresses = _locals(*new.tokens)
-
-
-def _alloca(cursor: Cursor, new: Instruction) -> None:
-    new.kind = "ptr"
-    new.tokens.append(cursor.kind())
-    new.tokens += _alignment(cursor)
-
-
-def _extract_value(cursor: Cursor, new: Instruction) -> None:
-    kind = cursor.kind()
-    new.tokens += [kind, cursor.value()]
-    while cursor.accept(","):
-        index = cursor.number()
-        kind = parts(kind)[int(index)]
-        new.tokens += [",", index]
-    new.kind = kind
-
-
-def _insert_value(cursor: Cursor, new: Instruction) -> None:
-    new.kind = cursor.kind()
-    new.tokens += [new.kind, cursor.value(), cursor.expect(","), cursor.kind(), cursor.value()]
-    while cursor.accept(","):
-        new.tokens += [",", cursor.number()]
-
-
-def _extract_element(cursor: Cursor, new: Instruction) -> None:
-    kind = cursor.kind()
-    new.tokens += [kind, cursor.value(), cursor.expect(","), cursor.kind(), cursor.value()]
-    new.kind = kind.split(" x ", 1)[1][:-1]
-
-
-def _insert_element(cursor: Cursor, new: Instruction) -> None:
-    new.kind = cursor.kind()
-    new.tokens += [new.kind, cursor.value(), cursor.expect(","), cursor.kind(), cursor.value()]
-    new.tokens += [cursor.expect(","), cursor.kind(), cursor.value()]
-
-
-def _shuffle(cursor: Cursor, new: Instruction) -> None:
-    kind = cursor.kind()
-    new.tokens += [kind, cursor.value(), cursor.expect(","), cursor.kind(), cursor.value()]
-    new.tokens.append(cursor.expect(","))
-    mask = cursor.kind()
-    new.tokens += [mask, cursor.value()]
-    new.kind = f"{mask.split(' x ')[0]} x {kind.split(' x ', 1)[1]}"
 
 
 def _call(cursor: Cursor, new: Instruction) -> None:
@@ -295,15 +242,7 @@ def _return(cursor: Cursor, new: Instruction) -> None:
         new.tokens.append(cursor.value())
 
 
-def _nothing(cursor: Cursor, new: Instruction) -> None:
-    """`unreachable` has no operands."""
-
-
 _READERS = {
-    **dict.fromkeys(_BINARY, _binary), **dict.fromkeys(_CASTS, _cast), "fneg": _unary, "freeze": _unary,
-    "icmp": _compare, "fcmp": _compare, "select": _select, "phi": _phi, "load": _load, "store": _store,
-    "getelementptr": _element_address, "alloca": _alloca, "extractvalue": _extract_value,
-    "insertvalue": _insert_value, "extractelement": _extract_element, "insertelement": _insert_element,
-    "shufflevector": _shuffle, "call": _call, "br": _branch, "switch": _switch, "ret": _return,
-    "unreachable": _nothing,
+    **dict.fromkeys(_FORMS, _operands), "icmp": _compare, "fcmp": _compare, "phi": _phi,
+    "getelementptr": _element_address, "call": _call, "br": _branch, "switch": _switch, "ret": _return,
 }  # fmt: skip

@@ -13,8 +13,9 @@ so that all but the injected block run as before.  Nothing is optimised after th
 import hashlib
 import re
 from dataclasses import dataclass
+from itertools import count
 
-from mavfi.faults.instruction.ir import Block, Function, Instruction, Module, parts, width
+from mavfi.faults.instruction.ir import Block, Function, Instruction, parts, width
 from mavfi.faults.instruction.parser import parse_module
 from mavfi.faults.instruction.refusal import RefusedError
 from mavfi.faults.instruction.runtime import MASK_BYTES, REPORT_WORDS, RUNTIME, Control, address
@@ -33,13 +34,7 @@ _PICKLED_SIZE = re.compile(r"(store ptr @\.const\.pickledata\.\S+ ,?[^\n]*\n[^\n
 
 @dataclass(frozen=True, slots=True)
 class Instrumented:
-    """An instrumented module.
-
-    Attributes:
-        text: Its IR.
-        table: What can be injected.
-        ir_sha256: Digest of the fault space, the same in every process.
-    """
+    """An instrumented module: IR, sites, and the digest of the fault space, which is the same in every process."""
 
     text: str
     table: Table
@@ -47,11 +42,7 @@ class Instrumented:
 
 
 def instrument(text: str, kernel: str) -> Instrumented:
-    """Instrument a module.
-
-    Args:
-        text: IR as `Dispatcher.inspect_llvm` gives it.
-        kernel: Name for error messages.
+    """Instrument a module as `Dispatcher.inspect_llvm` gives it; `kernel` is the name for error messages.
 
     Raises:
         RefusedError: Something in it is not known, or cannot be instrumented exactly.
@@ -63,7 +54,7 @@ def instrument(text: str, kernel: str) -> Instrumented:
     widest = max((site.width for block in table.blocks for site in block), default=0)
     if widest > 8 * MASK_BYTES:
         raise RefusedError(kernel, f"a value of {widest} bits")
-    bodies = _fault_space(module)
+    bodies = "\n".join(function.text() for function in module.functions)
     if _ENVIRONMENT.search(bodies):
         raise RefusedError(kernel, "Python objects are used within compiled code (Numba's environment)")
     lines, first = [*module.preamble, RUNTIME], 0
@@ -74,18 +65,10 @@ def instrument(text: str, kernel: str) -> Instrumented:
     return Instrumented("\n".join(lines), table, _digest(bodies))
 
 
-def _fault_space(module: Module) -> str:
-    return "\n".join(function.text() for function in module.functions)
-
-
 def _digest(bodies: str) -> str:
-    names: dict[str, str] = {}
-
-    def neutral(match: "re.Match[str]") -> str:
-        return names.setdefault(match[0], _PER_PROCESS.sub("*", match[0]))
-
     bodies = _PICKLED_SIZE.sub(r"\1*", bodies)
-    return hashlib.sha256(re.sub(r'@(?:"[^"]*"|[-\w$.]+)', neutral, bodies).encode()).hexdigest()
+    neutral = re.sub(r'@(?:"[^"]*"|[-\w$.]+)', lambda name: _PER_PROCESS.sub("*", name[0]), bodies)
+    return hashlib.sha256(neutral.encode()).hexdigest()
 
 
 class _Rewriter:
@@ -107,32 +90,24 @@ class _Rewriter:
                 self._split(block, number)
                 number += 1
             else:
-                self._copy(block)
+                self.lines += [f"{block.label[1:]}:", *(instruction.line() for instruction in block.all())]
         return "\n".join([*self.lines, "}"])
-
-    def _temporary(self) -> str:
-        self.temporaries += 1
-        return f"%t{self.temporaries}"
 
     def _let(self, text: str) -> str:
         """A new name for the result of an instruction."""
-        name = self._temporary()
+        self.temporaries += 1
+        name = f"%t{self.temporaries}"
         self.lines.append(f"  {name} = {text}")
         return name
 
-    def _copy(self, block: Block) -> None:
-        self.lines.append(f"{block.label[1:]}:")
-        self.lines += [f"  {memory.result} = {memory.text()}" for memory in block.allocations]
-        self.lines += [f"  {instruction.text()}" for instruction in block.all() if instruction.result is None]
-
     def _split(self, block: Block, number: int) -> None:
-        label, count = block.label, len(block.sites)
+        label = block.label
         self.lines.append(f"{label[1:]}:")
         raw = {str(phi.result): f"{phi.result}.p" for phi in block.phis}
-        self.lines += [f"  {phi.result}.p = {phi.text({}, self.joined)}" for phi in block.phis]
-        self.lines += [f"  {memory.result} = {memory.text()}" for memory in block.allocations]
+        self.lines += [phi.line(labels=self.joined, suffix=".p") for phi in block.phis]
+        self.lines += [memory.line() for memory in block.allocations]
         before = self._let("load i64, ptr @mavfi_control")
-        after = self._let(f"add i64 {before}, {count}")
+        after = self._let(f"add i64 {before}, {len(block.sites)}")
         self.lines.append(f"  store i64 {after}, ptr @mavfi_control")
         beyond = self._let(f"icmp ugt i64 {after}, {self._let(f'load i64, ptr {address(Control.THRESHOLD)}')}")
         self.lines.append(f"  br i1 {beyond}, label {label}.slow, label {label}.fast, !prof !0")
@@ -150,12 +125,9 @@ class _Rewriter:
     def _fast(self, block: Block, names: dict[str, str]) -> dict[str, str]:
         self.lines.append(f"{block.label[1:]}.fast:")
         for instruction in block.body:
-            text = instruction.text(names)
-            if instruction.result is None:
-                self.lines.append(f"  {text}")
-            else:
+            self.lines.append(instruction.line(names, suffix=".f"))
+            if instruction.result is not None:
                 names[instruction.result] = f"{instruction.result}.f"
-                self.lines.append(f"  {instruction.result}.f = {text}")
         self.lines.append(f"  br label {block.label}.join")
         return names
 
@@ -165,23 +137,19 @@ class _Rewriter:
         self.seen = self._let(
             f"getelementptr i64, ptr {self._let(f'load ptr, ptr {address(Control.REPORT)}')}, i64 {REPORT_WORDS}"
         )
-        offset = 0
+        offsets = count()
         for phi in block.phis:
-            names[str(phi.result)] = self._injected(phi, f"{phi.result}.p", injected, offset)
-            offset += 1
+            names[str(phi.result)] = self._injected(phi, f"{phi.result}.p", injected, next(offsets))
         for instruction in block.body:
-            text = instruction.text(names)
-            if instruction.result is None:
-                self.lines.append(f"  {text}")
-                continue
-            self.lines.append(f"  {instruction.result}.r = {text}")
-            names[instruction.result] = self._injected(instruction, f"{instruction.result}.r", injected, offset)
-            offset += 1
+            self.lines.append(instruction.line(names, suffix=".r"))
+            if instruction.result is not None:
+                raw = f"{instruction.result}.r"
+                names[instruction.result] = self._injected(instruction, raw, injected, next(offsets))
         self.lines.append(f"  br label {block.label}.join")
         return names
 
     def _injected(self, site: Instruction, raw: str, chosen: str, offset: int) -> str:
-        """Emit what changes a value if it is the chosen one, and notes it before and after; gives its new name."""
+        """Write code that changes a value if it is chosen, and reports it before and after; gives its new name."""
         bits = width(site.kind)
         word, room = f"i{bits}", f"i{-(-bits // 8) * 8}"
         here = self._let(f"icmp eq i64 {chosen}, {offset}")

@@ -1,7 +1,6 @@
-"""Instrumented functions: each takes the place of a compiled function in a flight, and counts, resolves or injects.
+"""Instrumented functions: each replaces a compiled function in a flight, and counts, resolves or injects.
 
-A flight calls a function many times.  A counting flight comes first; `strata.choose` draws call and index from its
-counts, and a resolving flight tells what the drawn instructions are.
+From the counts of a first flight `strata.choose` draws call and index; a second flight resolves the instructions.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -18,13 +17,7 @@ from mavfi.flight_log import Injection
 
 
 class Counting:
-    """Counts the instructions of every call.
-
-    Attributes:
-        function: The compiled function.
-        counts: Values that each call wrote.
-        digests: Digest of the IR that each call ran.
-    """
+    """Counts the values that each call of a compiled function writes, and keeps the digest of the IR that it ran."""
 
     def __init__(self, function: Any) -> None:
         self.function = function
@@ -44,7 +37,7 @@ class Counting:
 
 
 class Profiling(Counting):
-    """Counts the instructions of every call, and how often each static one was executed in all calls."""
+    """Counts also how often each static instruction was executed in all calls."""
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
@@ -54,25 +47,22 @@ class Profiling(Counting):
         result, times, _ = variant.profile(*args)
         _, total = self._times.setdefault(variant.ir_sha256, (variant.table, np.zeros_like(times)))
         total += times
-        return result, int(times @ np.array(variant.table.sizes(), np.int64))
+        return result, variant.table.written(times)
 
     def executed(self) -> list[tuple[str, Site, int]]:
         """All static instructions that were executed: digest of the IR, instruction, and how often."""
         return [
-            (digest, site, int(times))
+            (digest, site, times)
             for digest, (table, total) in self._times.items()
-            for block, times in zip(table.blocks, total, strict=True)
+            for site, times in table.executions(total)
             if times
-            for site in block
         ]
 
 
 class Locating:
-    """Finds out in which call, and at which index in it, the drawn passes through blocks begin.
+    """Finds the call, and the index in it, at which the drawn passes through blocks begin.
 
-    Args:
-        function: The compiled function.
-        wanted: By digest of the IR: block, and which of its executions in all calls, from 0.
+    Wanted are, by digest of the IR, blocks and numbers of their executions in all calls, from 0.
     """
 
     def __init__(self, function: Any, wanted: Mapping[str, Sequence[tuple[int, int]]]) -> None:
@@ -101,15 +91,7 @@ class Locating:
 
 
 class Resolving:
-    """Finds out what the drawn instructions are.
-
-    Args:
-        function: The compiled function.
-        wanted: By call: indices.
-
-    Attributes:
-        sites: Static instruction by call and index.
-    """
+    """Finds the static instructions (`sites`, by call and index) of the wanted indices, by call."""
 
     def __init__(self, function: Any, wanted: Mapping[int, Sequence[int]]) -> None:
         self._function = function
@@ -119,7 +101,7 @@ class Resolving:
 
     @property
     def done(self) -> bool:
-        """Whether the last call of which something is wanted has been made."""
+        """Whether the last wanted call has been made."""
         return self._calls > max(self._wanted, default=-1)
 
     def __call__(self, *args: Any) -> Any:
@@ -134,16 +116,10 @@ class Resolving:
 
 
 class Injecting:
-    """Runs the function as it is, but for the call with the fault.
+    """Runs the function unchanged, except for the call with the fault.
 
-    Args:
-        function: The compiled function.
-        fault: What to inject; its budget must be set.
-        before: Called just before the injection, e.g. to fork; the fault is injected where it answers True, in other
-            processes the call is an ordinary one.
-
-    Attributes:
-        calls: How many there were.
+    `before` is called just before the injection, e.g. to fork; the fault is injected where it returns True, and in
+    other processes the call is an ordinary one.
 
     Raises:
         BadInputError: The fault has no budget.
@@ -159,11 +135,7 @@ class Injecting:
         self._variant: Variant | None = None
 
     def __call__(self, *args: Any) -> Any:
-        """As the function; once with the fault.
-
-        Raises:
-            MismatchError: The fault belongs to other machine code.
-        """
+        """As the function; once with the fault, or a MismatchError if it belongs to other machine code."""
         call, self.calls = self.calls, self.calls + 1
         if call != self._fault.call:
             return self._function(*args)
@@ -176,5 +148,5 @@ class Injecting:
         return self._variant.inject(fault.index, *fault.masks, fault.budget, *args)
 
     def injection(self) -> Injection:
-        """What the fault did, here or in a forked child."""
+        """The injection, here or in a forked child."""
         return injection_of(self._fault, None if self._variant is None else self._variant.report())

@@ -1,4 +1,4 @@
-"""What the injector knows of a module of LLVM IR: functions, blocks, instructions; and of the types of their values."""
+"""A module of LLVM IR as the injector sees it: functions, blocks, instructions, and the types of their values."""
 
 import re
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ _ARRAY = re.compile(r"\[(\d+) x (.+)\]")
 
 
 def width(kind: str) -> int:
-    """Bits of a value of a type, the fields of aggregates one after the other without padding; 0 for `void`."""
+    """Bits of a value of a type, the fields of aggregates packed; 0 for `void`."""
     if kind == "void":
         return 0
     if kind in _SCALARS:
@@ -32,7 +32,7 @@ def parts(kind: str) -> list[str]:
 
 
 def split(text: str) -> list[str]:
-    """The parts between commas that are not within brackets."""
+    """Split a text at the commas outside of brackets."""
     found, depth, start = [], 0, 0
     for i, character in enumerate(text):
         depth += (character in "{[<(") - (character in "}]>)")
@@ -55,7 +55,7 @@ def holds_pointer(kind: str) -> bool:
 
 @dataclass(slots=True)
 class Instruction:
-    """One instruction, freed of what would turn a corrupted value into undefined behaviour.
+    """One instruction, without flags that would turn a corrupted value into undefined behaviour.
 
     Attributes:
         opcode: As in the language reference.
@@ -64,7 +64,7 @@ class Instruction:
         kind: Type of the result, "void" if there is none.
         incoming: Of a phi: value and label, in order.
         addresses: Local names that are used as addresses.
-        conditions: Local names that decide where control or data come from.
+        conditions: Local names that a branch, switch or select depends on.
         callee: Function that is called, or None.
         arguments: Of a call: type and value of each argument.
         location: Number of its debug location, or None.
@@ -91,18 +91,18 @@ class Instruction:
         return names
 
     def text(self, names: dict[str, str] | None = None, labels: dict[str, str] | None = None) -> str:
-        """The instruction without its result.
-
-        Args:
-            names: Other names for local values.
-            labels: Other names for the blocks that a phi names.
-        """
+        """The instruction without its result; local values, and the blocks that a phi names, may get other names."""
         values, blocks = names or {}, labels or {}
         text = " ".join(values.get(token, token) for token in self.tokens)
         if self.opcode != "phi":
             return text
         pairs = (f"[ {values.get(value, value)}, {blocks.get(label, label)} ]" for value, label in self.incoming)
         return f"{text} {', '.join(pairs)}"
+
+    def line(self, names: dict[str, str] | None = None, labels: dict[str, str] | None = None, suffix: str = "") -> str:
+        """The instruction with its result, whose name gets a suffix."""
+        result = "" if self.result is None else f"{self.result}{suffix} = "
+        return f"  {result}{self.text(names, labels)}"
 
 
 @dataclass(slots=True)
@@ -117,7 +117,7 @@ class Block:
 
     @property
     def sites(self) -> list[Instruction]:
-        """What writes a value, in the order of dynamic indices."""
+        """The instructions that write a value, in the order of dynamic indices."""
         return [instruction for instruction in self.phis + self.body if instruction.result is not None]
 
     def all(self) -> list[Instruction]:
@@ -128,15 +128,10 @@ class Block:
 
 @dataclass(slots=True)
 class Function:
-    """A function in the fault space.
+    """A function in the fault space, with its global name, type of the result, and blocks, the entry first.
 
-    Attributes:
-        name: Global name.
-        linkage: What stands before the type of the result.
-        kind: Type of the result.
-        parameters: Type, with what the calling convention needs, and local name of each parameter.
-        blocks: First the entry.
-        location: Number of its debug subprogram, or None.
+    The linkage precedes the type of the result. Parameters are types, with attributes of the calling convention, and
+    local names. The location is the number of the debug subprogram, or None.
     """
 
     name: str
@@ -155,23 +150,13 @@ class Function:
         """Its definition."""
         lines = [self.head()]
         for block in self.blocks:
-            lines.append(f"{block.label[1:]}:")
-            for instruction in block.all():
-                result = "" if instruction.result is None else f"{instruction.result} = "
-                lines.append(f"  {result}{instruction.text()}")
+            lines += [f"{block.label[1:]}:", *(instruction.line() for instruction in block.all())]
         return "\n".join([*lines, "}"])
 
 
 @dataclass(slots=True)
 class Module:
-    """A module: the functions of the fault space in parts, all else as text.
-
-    Attributes:
-        preamble: Target, globals, declarations.
-        functions: The fault space.
-        others: Definitions outside of it (Numba's wrapper and runtime), as text.
-        metadata: Text of the numbered metadata.
-    """
+    """A module: preamble (target, globals, declarations), fault space, and other definitions and metadata as text."""
 
     preamble: list[str] = field(default_factory=list)
     functions: list[Function] = field(default_factory=list)

@@ -1,7 +1,7 @@
 """Starts a program with fixed addresses, so that faults in addresses can be replayed too.
 
-A corrupted address reads or writes what lies there, which is the same in two processes only if nothing is placed at
-random.  Faults in data need none of this.
+The memory at a corrupted address is the same in two processes only if nothing is placed at random.  Faults in data need
+none of this.
 """
 
 import contextlib
@@ -26,8 +26,7 @@ def addresses_are_fixed() -> bool:
 def with_fixed_addresses(start: Callable[[], T]) -> T:
     """Start a program with fixed addresses; where that is not allowed, with random ones.
 
-    Args:
-        start: Starts it from this thread, with the environment variable `PYTHONHASHSEED` set.
+    `start` does it from this thread, with the environment variable `PYTHONHASHSEED` set.
     """
     before, stack = _personality(), resource.getrlimit(resource.RLIMIT_STACK)
     _personality(before | _NO_RANDOMIZE)

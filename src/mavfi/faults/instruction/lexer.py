@@ -21,11 +21,7 @@ _SCALAR = re.compile(r"i\d+|half|bfloat|float|double|ptr|void")
 
 
 def tokens_of(line: str, kernel: str) -> list[str]:
-    """Tokens of a line; a comment is left out.
-
-    Raises:
-        RefusedError: There is something that is no token of the language as known here.
-    """
+    """Tokens of a line without its comment; anything that is no known token is a RefusedError."""
     found, at, end = [], 0, len(line.rstrip())
     while at < end:
         match = _TOKEN.match(line, at)
@@ -47,7 +43,7 @@ class Cursor:
 
     @property
     def next(self) -> str:
-        """The token to come, "" at the end."""
+        """The token to come; "" at the end."""
         return self.tokens[self.at] if self.at < len(self.tokens) else ""
 
     def take(self) -> str:

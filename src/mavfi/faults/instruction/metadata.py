@@ -12,13 +12,7 @@ _FIELD = r'\b{}: (?:!(\d+)|"((?:[^"\\]|\\.)*)"|(\d+))'
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A source line.
-
-    Attributes:
-        file: Path.
-        line: From 1; 0 = not known.
-        function: Name.
-    """
+    """A source line: path, number from 1 (0 = not known), and name of the function."""
 
     file: str
     line: int
@@ -26,10 +20,7 @@ class Frame:
 
 
 def variable_of(line: str, metadata: dict[int, str]) -> dict[str, str]:
-    """The local name that a `#dbg_value` line describes and the name of the variable; empty if there is none.
-
-    Names that Numba made up, and the numbers of its versions of one variable, are left out.
-    """
+    """By local name, the source variable of a `#dbg_value` line; empty if there is none, or if Numba made it up."""
     match = _VALUE.match(line)
     if match is None:
         return {}
@@ -43,7 +34,7 @@ def _field(node: str, name: str) -> str:
 
 
 class Locations:
-    """Answers which source lines a debug location stands for."""
+    """Source lines of debug locations."""
 
     def __init__(self, metadata: dict[int, str]) -> None:
         self._metadata = metadata

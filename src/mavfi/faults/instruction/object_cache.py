@@ -1,7 +1,7 @@
 """Keeps instrumented machine code on disk, beside Numba's own cache.
 
-A key names the kernel, what it was made from as far as Python knows, the versions and the CPU; an entry is valid while
-every source file that its line tables name is as it was.
+The key covers the kernel's bytecode with its constants and globals, the versions and the CPU; an entry is valid while
+every source file in its line tables is unchanged.
 """
 
 import contextlib
@@ -27,12 +27,7 @@ _FOLDER = "instruction"
 
 
 def cached_build(kernel: Any, signature: tuple[Any, ...]) -> Built:
-    """The instrumented variant from the cache; built and stored if it is not there or not valid.
-
-    Raises:
-        RefusedError: The kernel has a construct that is not known.
-        BuildError: The compiler did not survive it.
-    """
+    """The instrumented variant from the cache; if it is missing or not valid, from `build`, whose errors it raises."""
     path = code_folder() / _FOLDER / f"{key(kernel, signature)}.bin"
     built = _load(path)
     if built is None:
@@ -42,7 +37,7 @@ def cached_build(kernel: Any, signature: tuple[Any, ...]) -> Built:
 
 
 def key(kernel: Any, signature: tuple[Any, ...]) -> str:
-    """Digest of everything that the machine code is made from, but the text of callees."""
+    """Digest of everything that the machine code is made from, except the text of callees."""
     digest = hashlib.sha256(_platform())
     digest.update(repr([str(kind) for kind in signature]).encode())
     for part in _parts(kernel, set()):
@@ -91,11 +86,6 @@ def _value(value: Any, seen: set[int]) -> Iterator[bytes]:
         yield getattr(value, "__name__", type(value).__name__).encode()
 
 
-def _own(path: str) -> bool:
-    """Whether a source file is watched: not those of Numba, which its version stands for."""
-    return os.path.isfile(path) and not Path(path).is_relative_to(Path(numba.__file__).parent)
-
-
 def _digest_of(path: str) -> str:
     try:
         return hashlib.sha256(Path(path).read_bytes()).hexdigest()
@@ -118,8 +108,10 @@ def _load(path: Path) -> Built | None:
 
 
 def _store(path: Path, built: Built) -> None:
-    """Write an entry at once, so that no other process sees half of it; without room on disk there is no cache."""
-    sources = json.dumps({file: _digest_of(file) for file in sorted(built.table.files()) if _own(file)}).encode()
+    """Write an entry at once, so that no other process sees half of it; without space on disk there is no cache."""
+    numbas = Path(numba.__file__).parent  # its version stands for its files
+    own = [file for file in sorted(built.table.files()) if os.path.isfile(file) and numbas not in Path(file).parents]
+    sources = json.dumps({file: _digest_of(file) for file in own}).encode()
     body = len(sources).to_bytes(8, "little") + sources + built.pack()
     part = path.with_suffix(f".{os.getpid()}")
     try:

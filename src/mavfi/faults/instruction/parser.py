@@ -1,11 +1,11 @@
-"""Reads a module of LLVM IR as text, strictly: what is not known is refused, never passed over.
+"""Reads a module of LLVM IR as text, strictly: unknown constructs are refused, never skipped.
 
-What would turn a corrupted value into undefined behaviour is left out while reading: poison-generating flags,
-attributes that promise something of a value or of memory, and all metadata but the source locations.
+Whatever would turn a corrupted value into undefined behaviour is left out: poison-generating flags, attributes that
+promise something of a value or of memory, and all metadata but the source locations.
 """
 
 import re
-from collections.abc import Iterator
+from itertools import takewhile
 
 from mavfi.faults.instruction.grammar import parse_instruction, skip_promises
 from mavfi.faults.instruction.ir import Block, Function, Instruction, Module
@@ -20,17 +20,13 @@ _HARMLESS = {
     "alwaysinline", "cold", "inlinehint", "minsize", "mustprogress", "nocallback", "nocreateundeforpoison", "nofree",
     "noinline", "norecurse", "nosync", "nounwind", "optsize", "speculatable", "ssp", "uwtable", "willreturn",
 }  # fmt: skip
-_SKIPPED_LINES = ("source_filename", ";")
-_KEPT_LINES = ("target ", "declare ", "$")
 _METADATA = re.compile(r"^!(\d+) = (?:distinct )?(.*)", re.MULTILINE)
+_ATTACHED = re.compile(r"(, ![\w.]+ !\d+)+$")
+_DEBUG = re.compile(r" !dbg !(\d+)")
 
 
 def parse_module(text: str, kernel: str) -> Module:
-    """Read a module.
-
-    Args:
-        text: As `Dispatcher.inspect_llvm` gives it.
-        kernel: Name for error messages.
+    """Read a module as `Dispatcher.inspect_llvm` gives it; `kernel` is the name for error messages.
 
     Raises:
         RefusedError: There is a construct that is not known.
@@ -41,40 +37,29 @@ def parse_module(text: str, kernel: str) -> Module:
     lines = iter(text.split("\n"))
     for line in lines:
         if line.startswith("define "):
-            body = _body(lines)
+            body = list(takewhile(lambda line: line != "}", lines))
             name = re.search(r'@(?:"[^"]*"|[-\w$.]+)(?=\()', line)
             if name is not None and _OUTSIDE.match(name[0]):
                 module.others.append(_bare(line, body, kernel))
             else:
                 module.functions.append(_Reader(kernel, groups, metadata).function(line, body))
-        elif not line.startswith(("attributes ", "!", *_SKIPPED_LINES)) and line.strip():
+        elif not line.startswith(("attributes ", "!", "source_filename", ";")) and line.strip():
             module.preamble.append(_top_level(line, kernel))
     return module
 
 
-def _body(lines: Iterator[str]) -> list[str]:
-    found: list[str] = []
-    for line in lines:
-        if line == "}":
-            return found
-        found.append(line)
-    return found
-
-
 def _top_level(line: str, kernel: str) -> str:
     """A global, a declaration or the target, without attribute groups and metadata."""
-    if line.startswith("@"):
-        return re.sub(r"(, ![\w.]+ !\d+)+$", "", line)
-    if line.startswith("target "):
-        return line
-    if line.startswith(_KEPT_LINES):
+    if line.startswith(("@", "target ")):
+        return _ATTACHED.sub("", line)
+    if line.startswith(("declare ", "$")):
         return " ".join(token for token in tokens_of(line, kernel) if token[0] not in "#!")
     raise RefusedError(kernel, f"line {line[:80]!r}")
 
 
 def _bare(head: str, body: list[str], kernel: str) -> str:
     """A function outside the fault space, word by word, without attribute groups and metadata."""
-    lines = [" ".join(token for token in tokens_of(re.sub(r" !dbg !\d+", "", head), kernel) if token[0] != "#")]
+    lines = [" ".join(token for token in tokens_of(_DEBUG.sub("", head), kernel) if token[0] != "#")]
     for line in body:
         if not line.strip().startswith("#dbg_") and "@llvm.experimental.noalias.scope.decl" not in line:
             label = LABEL.match(line)
@@ -83,7 +68,7 @@ def _bare(head: str, body: list[str], kernel: str) -> str:
 
 
 def _without_metadata(line: str, kernel: str) -> str:
-    tokens = [token for token in tokens_of(re.sub(r"(, ![\w.]+ !\d+)+$", "", line), kernel) if token[0] != "#"]
+    tokens = [token for token in tokens_of(_ATTACHED.sub("", line), kernel) if token[0] != "#"]
     if any(token[0] == "!" for token in tokens):
         raise RefusedError(kernel, f"metadata in {line.strip()[:80]!r}")
     return "  " + " ".join(tokens)
@@ -114,9 +99,8 @@ class _Reader:
         return function
 
     def _head(self, head: str) -> Function:
-        line = re.sub(r" !dbg !\d+", "", head)
-        debug = re.search(r"!dbg !(\d+)", head)
-        cursor = Cursor(tokens_of(line, self.kernel), self.kernel)
+        debug = _DEBUG.search(head)
+        cursor = Cursor(tokens_of(_DEBUG.sub("", head), self.kernel), self.kernel)
         cursor.expect("define")
         linkage = ""
         while cursor.next in _LINKAGE:
@@ -132,18 +116,13 @@ class _Reader:
             self.names[name] = f"%a{len(function.parameters)}"
             function.parameters.append((kind, self.names[name]))
             cursor.accept(",")
-        self._tail(cursor)
-        return function
-
-    def _tail(self, cursor: Cursor) -> None:
         while not cursor.accept("{"):
-            token = cursor.take()
-            if token[0] == "#":
-                self._check_group(token)
-            elif token not in ("local_unnamed_addr", "unnamed_addr"):
-                cursor.at -= 1
-                raise cursor.refused()
+            if cursor.next.startswith("#"):
+                self._check_group(cursor.take())
+            else:
+                cursor.expect("local_unnamed_addr", "unnamed_addr")
         cursor.finish()
+        return function
 
     def _check_group(self, group: str) -> None:
         words = re.sub(r"memory\([^)]*\)", "", self.groups.get(group, "")).split()
@@ -158,7 +137,7 @@ class _Reader:
         if block.terminator is not None:
             raise RefusedError(self.kernel, f"{line[:80]!r} after the end of a block")
         debug = re.search(r", !dbg !(\d+)", line)
-        cursor = Cursor(tokens_of(re.sub(r"(, ![\w.]+ !\d+)+$", "", line), self.kernel), self.kernel)
+        cursor = Cursor(tokens_of(_ATTACHED.sub("", line), self.kernel), self.kernel)
         instruction = parse_instruction(cursor)
         if instruction is None:
             return
@@ -203,12 +182,9 @@ class _Reader:
 def _joined(lines: list[str]) -> list[str]:
     """Lines with the cases of a switch in one line."""
     joined: list[str] = []
-    inside = False
     for line in lines:
-        if inside:
+        if joined and joined[-1].lstrip().startswith("switch ") and "]" not in joined[-1]:
             joined[-1] += f" {line.strip()}"
         else:
             joined.append(line)
-        if inside or line.lstrip().startswith("switch "):
-            inside = "]" not in line
     return joined

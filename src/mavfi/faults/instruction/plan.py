@@ -1,4 +1,4 @@
-"""Faults in instructions: what becomes of the drawn value, whether a fault fits a function, and what then happened."""
+"""Faults in instructions: how a value is changed, whether a fault fits a function, and the record of the injection."""
 
 import re
 import struct
@@ -26,16 +26,16 @@ def plan(
     random: np.random.Generator, function: str, ir_sha256: str, site: Site, index: int, model: Model = "one_bit",
     count: int = 2, **more: Any,
 ) -> InstructionFault:  # fmt: skip
-    """Choose what becomes of the result of an instruction.
+    """Choose how the result of a dynamic instruction is changed.
 
     Args:
         random: Stream of the fault.
         function: Module and name.
         ir_sha256: Digest of the IR.
-        site: The static instruction that has the index.
-        index: Which dynamic instruction.
-        model: "one_bit", uniform; "bits": `count` distinct ones; "random": any value; "zero".
-        count: For "bits"; no more than the value has.
+        site: The static instruction.
+        index: Dynamic index.
+        model: "one_bit", uniform; "bits": `count` distinct ones, or all that there are; "random": any value; "zero".
+        count: For "bits".
         more: Further fields of the fault.
 
     Raises:
@@ -57,11 +57,9 @@ def plan(
 
 
 def stratum_of(kind: str, bit: int | None) -> str:
-    """What a bit means in a value: "sign", "exponent" or "mantissa"; "other" where it is no floating-point number.
+    """Class of a bit of a value: "sign", "exponent" or "mantissa"; "other" if it is no floating-point number or no bit.
 
-    Args:
-        kind: Type of the value, as in LLVM; of a vector the bit counts through its elements.
-        bit: None = no single bit.
+    `kind` is a type as in LLVM; in a vector the bit counts through its elements.
     """
     element = re.sub(r"<\d+ x (\w+)>", r"\1", kind)
     if bit is None or element not in _LAYOUTS:
@@ -72,16 +70,12 @@ def stratum_of(kind: str, bit: int | None) -> str:
 
 
 def budget_for(total: int) -> int:
-    """After how many values a call counts as hanging, if it writes `total` without a fault."""
+    """Number of values after which a call counts as hanging, if it writes `total` without a fault."""
     return 3 * total + 10_000
 
 
 def check_fault(fault: InstructionFault, variant: Variant, function: Any) -> None:
-    """Refuse a fault that was drawn for other machine code.
-
-    Raises:
-        MismatchError: Function or digest differ.
-    """
+    """Raise a MismatchError if a fault was drawn for another function or other machine code."""
     if fault.function != name_of(function):
         raise MismatchError(f"fault in {fault.function}: given to {name_of(function)}")
     if fault.ir_sha256 != variant.ir_sha256:
@@ -99,17 +93,10 @@ def is_in_data(fault: InstructionFault) -> bool:
 def injection_of(
     fault: InstructionFault, report: Report | None, time_s: float = 0.0, call: int | None = None
 ) -> Injection:  # fmt: skip
-    """What a fault did, from what the machine code reported.
+    """The record of an injection at an instant (s), from the report of the machine code (None = not reached).
 
-    Args:
-        fault: As planned.
-        report: None = the index was not reached.
-        time_s: When, of the flight (s).
-        call: Which call was injected, if not the planned one.
-
-    Returns:
-        The injection; its values are numbers of the instruction's type (signed integers), and their bits are in the
-        details, as hexadecimal text.
+    Its values are numbers of the instruction's type (signed integers), and their bits are in the details, as
+    hexadecimal text. `call` is the one that was injected, if not the planned one.
     """
     function = fault.entry or fault.function
     if report is None:

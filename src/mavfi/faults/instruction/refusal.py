@@ -4,12 +4,7 @@ from mavfi.errors import MavfiError
 
 
 class RefusedError(MavfiError):
-    """The kernel has a construct that cannot be instrumented exactly.
-
-    Attributes:
-        kernel: Name of the kernel.
-        construct: What was met.
-    """
+    """The kernel has a construct that cannot be instrumented exactly."""
 
     def __init__(self, kernel: str, construct: str) -> None:
         super().__init__(f"{kernel}: cannot be instrumented: {construct}")
@@ -18,7 +13,7 @@ class RefusedError(MavfiError):
 
 
 class BuildError(MavfiError):
-    """The compiler did not survive the instrumented module, or answered nonsense."""
+    """The compiler did not survive the instrumented module."""
 
 
 class MismatchError(MavfiError):

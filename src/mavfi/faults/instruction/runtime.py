@@ -1,4 +1,4 @@
-"""The part of an instrumented kernel that counts, resolves and injects: hand-written IR, and where its memory lies.
+"""The part of an instrumented kernel that counts, resolves and injects: hand-written IR, and the layout of its memory.
 
 A counter runs over the values that the kernel writes.  Each block adds the number of its sites before it runs and
 compares with a threshold; only beyond it `mavfi_slow` is called, which decides by the mode.
@@ -6,36 +6,15 @@ compares with a threshold; only beyond it `mavfi_slow` is called, which decides 
 
 from enum import IntEnum
 
-
-class Control(IntEnum):
-    """Words of the control block `mavfi_control` (64 bits each)."""
-
-    COUNTER = 0
-    THRESHOLD = 1
-    MODE = 2
-    TARGET = 3
-    BUDGET = 4
-    INJECTED = 5
-    REPORT = 6
-    STOP = 7
-    HISTOGRAM = 8
-    TRACE = 9
-    TRACE_ROOM = 10
-    TRACE_LENGTH = 11
-    EVENTS = 12
-    EVENT_COUNT = 13
-    NEXT_EVENT = 14
-    EVENT_BLOCKS = 15
-    EVENT_OFFSETS = 16
-
-
-class Mode(IntEnum):
-    """What happens beyond the threshold."""
-
-    INJECT = 0
-    PROFILE = 1
-    RESOLVE = 2
-    LOCATE = 3
+Control = IntEnum(
+    "Control",
+    "COUNTER THRESHOLD MODE TARGET BUDGET INJECTED REPORT STOP HISTOGRAM TRACE TRACE_ROOM TRACE_LENGTH "
+    "EVENTS EVENT_COUNT NEXT_EVENT EVENT_BLOCKS EVENT_OFFSETS",
+    start=0,
+)
+"""Words of the control block `mavfi_control` (64 bits each), in order."""
+Mode = IntEnum("Mode", "INJECT PROFILE RESOLVE LOCATE", start=0)
+"""Behaviour beyond the threshold."""
 
 
 WORDS = 32

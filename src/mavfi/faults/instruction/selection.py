@@ -20,9 +20,7 @@ class Selection:
         kind: "all"; "floating_point": by the type of the result, whatever it is used for; "data": neither an
             address nor a branch is computed from it; "address", "control", "integer": by value class; "opcode"; "line".
         opcode: As in LLVM's language reference.
-        file: End of the path of a source file.
-        first: First line.
-        last: Last line.
+        file: End of the path of a source file, of which lines from `first` to `last` are in the class.
     """
 
     kind: str = "all"
@@ -48,11 +46,7 @@ class Selection:
 
 
 def parse_selection(text: str) -> Selection:
-    """Read a class of instructions.
-
-    Raises:
-        BadInputError: It is none; the message says what is allowed.
-    """
+    """Read a class of instructions; a BadInputError says what is allowed."""
     if text in ("all", "floating_point", "data", *_CLASSES):
         return Selection(text)
     kind, _, rest = text.partition(":")

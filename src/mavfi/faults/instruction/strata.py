@@ -29,7 +29,7 @@ from mavfi.faults.instruction.instrumented import Profiling
 from mavfi.faults.instruction.plan import budget_for, plan
 from mavfi.faults.instruction.selection import Selection, parse_selection
 from mavfi.faults.instruction.table import Site
-from mavfi.faults.instruction.variant import Passes, Variant, variant_for
+from mavfi.faults.instruction.variant import Passes, variant_for
 
 _EVEN = 0.5
 """Share of the faults that is spread evenly over strata."""
@@ -38,13 +38,7 @@ _Z2 = 1.959963984540054**2
 
 @dataclass(frozen=True, slots=True, order=True)
 class StratumKey:
-    """What the instructions of a stratum have in common.
-
-    Attributes:
-        value_class: "address", "control", "floating_point" or "integer"; "" = all that are too rare for their own.
-        file: Source file, relative to the folder from which it was imported; the innermost of inlined calls.
-        line: Source line; 0 = not known.
-    """
+    """Value class of the instructions of a stratum, and source line as in `Site`."""
 
     value_class: str
     file: str
@@ -52,19 +46,12 @@ class StratumKey:
 
 
 REST = StratumKey("", "", 0)
-"""Strata that are too many for the wanted number of faults, taken together."""
+"""The smallest strata, pooled where there are more than faults."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stratum:
-    """A stratum and its faults.
-
-    Attributes:
-        key: What its instructions have in common.
-        instructions: Dynamic instructions in it.
-        share: Of all dynamic instructions that were drawn from.
-        faults: Drawn from it; at least one.
-    """
+    """A stratum: its number of dynamic instructions, their share of all, and the faults drawn from it, one at least."""
 
     key: StratumKey
     instructions: int
@@ -78,14 +65,7 @@ class Stratum:
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A static instruction of a stratum.
-
-    Attributes:
-        function: Which of the counted functions.
-        digest: Of its IR.
-        site: The instruction.
-        times: How often it was executed.
-    """
+    """A static instruction of a stratum: counted function, digest of its IR, site, and number of executions."""
 
     function: str
     digest: str
@@ -95,12 +75,9 @@ class Member:
 
 @dataclass(frozen=True, slots=True)
 class Pick:
-    """A dynamic instruction.
+    """A dynamic instruction: the static one, and which execution of its block, from 0.
 
-    Attributes:
-        member: The static one.
-        number: Which execution of its block, from 0.
-        weight: Share of its stratum / probability of the stratum.
+    Its weight is share of its stratum / probability of the stratum.
     """
 
     member: Member
@@ -124,15 +101,9 @@ def key_of(site: Site) -> StratumKey:
 
 
 def choose(random: np.random.Generator, counts: Sequence[int], n: int) -> list[tuple[int, int]]:
-    """Draw dynamic instructions of a whole flight, uniformly: each call has the weight of its count.
+    """Draw dynamic instructions of a whole flight, uniformly; gives call and index in the call, in the order drawn.
 
-    Args:
-        random: Stream.
-        counts: Of each call; those of several functions may be joined end to end.
-        n: How many.
-
-    Returns:
-        Call and index within the call, in the order of drawing.
+    `counts` has the instructions of each call; those of several functions may be joined end to end.
     """
     ends = np.cumsum(counts).tolist()
     drawn = random.integers(ends[-1], size=n).tolist()
@@ -159,18 +130,10 @@ def sizes_of(strata: Mapping[StratumKey, Sequence[Member]]) -> dict[StratumKey, 
 def pick(
     random: np.random.Generator, counted: Mapping[str, Profiling], selection: Selection, number: int
 ) -> list[Pick]:  # fmt: skip
-    """Draw dynamic instructions of one kernel in one mission, by stratum.
+    """Draw dynamic instructions of one kernel in one mission, by stratum; none if it executes no selected one.
 
-    Strata are drawn systematically, which keeps the faults of one mission apart.
-
-    Args:
-        random: Stream.
-        counted: The golden flight's counts, by function.
-        selection: Class of instructions; shares are those within it.
-        number: How many.
-
-    Returns:
-        None where the mission executes no such instruction.
+    Strata are drawn systematically, which keeps the faults of one mission apart.  `counted` has the golden flight's
+    counts by function; shares are those within the selection.
     """
     executed = (Member(name, *one) for name, function in counted.items() for one in function.executed())
     strata = members_of(executed, selection)
@@ -195,24 +158,15 @@ def uniform(random: np.random.Generator, members: Sequence[Member], weight: floa
 
 
 def densities(sizes: Mapping[StratumKey, int]) -> dict[StratumKey, float]:
-    """Which share of the faults goes to which stratum.
-
-    Args:
-        sizes: Dynamic instructions of each.
-    """
+    """Share of the faults for each stratum, given their numbers of dynamic instructions."""
     whole = sum(sizes.values())
     return {key: (1 - _EVEN) * size / whole + _EVEN / len(sizes) for key, size in sizes.items()}
 
 
 def allocate(sizes: Mapping[StratumKey, int], n: int) -> dict[StratumKey, int]:
-    """Number of faults in each stratum: one at least, else in the shares of `densities`.
+    """Number of faults in each stratum: one at least, else in the shares of `densities`; their sum is n.
 
-    Args:
-        sizes: Dynamic instructions of each stratum; no more strata than faults.
-        n: Of all faults.
-
-    Returns:
-        Numbers whose sum is n.
+    `sizes` has the dynamic instructions of each stratum; there are no more strata than faults.
     """
     wanted = densities(sizes)
     keys = sorted(sizes)
@@ -224,12 +178,7 @@ def allocate(sizes: Mapping[StratumKey, int], n: int) -> dict[StratumKey, int]:
 
 
 def pooled(sizes: Mapping[StratumKey, int], n: int) -> dict[StratumKey, StratumKey]:
-    """The stratum in which each one is drawn: its own, or `REST` for the smallest where there are more than n.
-
-    Args:
-        sizes: Dynamic instructions of each stratum.
-        n: Of all faults.
-    """
+    """The stratum in which each one is drawn: its own, or `REST` for the smallest where there are more than n."""
     order = sorted(sizes, key=lambda key: (-sizes[key], key))
     kept = set(order if len(order) <= n else order[: n - 1])
     return {key: key if key in kept else REST for key in order}
@@ -240,19 +189,11 @@ def draw_stratified(
 ) -> list[Stratum]:
     """Draw faults for one call, in strata by value class and source line.
 
-    Where there are more strata than faults, the smallest are taken together.
-
-    Args:
-        kernel: A compiled function.
-        n: How many faults, over all strata.
-        *args: Its arguments; they stay as they are.
-        which: Class of instructions, see `mavfi.faults.instruction.selection`; shares are those within the class.
-        model: "one_bit", "bits", "random" or "zero".
-        seed: Of the draw.
-        bits: Number of bits for the model "bits".
+    Arguments as in `api.draw`; n is the number of faults over all strata, and shares are those within the class.  Where
+    there are more strata than faults, the smallest are pooled.
 
     Returns:
-        Strata with their faults; `estimate` puts outcomes together again.
+        Strata with their faults; `estimate` combines their outcomes.
 
     Raises:
         BadInputError: n is below 1, or the call executes no instruction of that class.
@@ -261,11 +202,7 @@ def draw_stratified(
         raise BadInputError(f"number of faults: {n}; allowed: 1 or more")
     variant = variant_for(kernel, args)
     times = np.frombuffer(apart(lambda: variant.profile(*args)[1].tobytes()), np.int64)
-    executed = (
-        Member("", variant.ir_sha256, site, int(number))
-        for block, number in zip(variant.table.blocks, times, strict=True)
-        for site in block
-    )
+    executed = (Member("", variant.ir_sha256, *one) for one in variant.table.executions(times))
     members = members_of(executed, parse_selection(which))
     if not members:
         raise BadInputError(f"instructions {which!r}: {name_of(kernel)} executes none; allowed: a class that it does")
@@ -277,8 +214,13 @@ def draw_stratified(
     random = np.random.default_rng(seed)
     picks = {key: [uniform(random, joined[key]) for _ in range(number)] for key, number in allocate(sizes, n).items()}
     passes = Passes(len(times), [(one.member.site.block, one.number) for own in picks.values() for one in own])
-    passes.starts[:] = np.frombuffer(apart(lambda: _located(variant, passes, args)), np.int64)
-    budget = budget_for(int(times @ np.array(variant.table.sizes(), np.int64)))
+
+    def located() -> bytes:
+        variant.locate(passes, *args)
+        return passes.starts.tobytes()
+
+    passes.starts[:] = np.frombuffer(apart(located), np.int64)
+    budget = budget_for(variant.table.written(times))
     whole = sum(sizes.values())
 
     def fault(chosen: Pick) -> InstructionFault:
@@ -295,14 +237,11 @@ def draw_stratified(
 
 
 def estimate(outcomes: Iterable[tuple[float, Sequence[bool]]]) -> Estimate:
-    """The kernel's rate from outcomes by stratum.
+    """The kernel's rate, given the share of each stratum, and for each of its faults whether it counts.
 
     The interval is MOVER's (Zou and Donner, Statistics in Medicine 27, 2008): the distances to Wilson's bounds within
-    the strata, times the shares, added as standard errors are.  A stratum without a failure keeps its doubt, so with
-    few faults per stratum it is wide.
-
-    Args:
-        outcomes: Share of each stratum, and for each of its faults whether it counts.
+    the strata, times the shares, added as standard errors are.  A stratum without a failure keeps its uncertainty, so
+    with few faults per stratum the interval is wide.
 
     Raises:
         BadInputError: Shares do not add up to 1, or a stratum has no faults: its rate is not known.
@@ -322,11 +261,6 @@ def estimate(outcomes: Iterable[tuple[float, Sequence[bool]]]) -> Estimate:
         above += (share * (high - own)) ** 2
     n = sum(len(counts) for _, counts in parts)
     return Estimate(n, rate, max(0.0, rate - sqrt(below)), min(1.0, rate + sqrt(above)))
-
-
-def _located(variant: Variant, passes: Passes, args: tuple[Any, ...]) -> bytes:
-    variant.locate(passes, *args)
-    return passes.starts.tobytes()
 
 
 def _wilson(rate: float, n: int) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""The sites of an instrumented kernel: what each static instruction is, and where it stands in the source."""
+"""The sites of an instrumented kernel: its static instructions and their source lines."""
 
 import sys
 from dataclasses import asdict, dataclass
@@ -6,7 +6,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from mavfi.faults.instruction.classify import ADDRESS, roles
+import numpy as np
+
+from mavfi.faults.instruction.classify import roles
 from mavfi.faults.instruction.ir import Block, Function, Module, is_floating, width
 from mavfi.faults.instruction.metadata import Frame, Locations
 
@@ -43,16 +45,10 @@ class Site:
         return is_floating(self.kind)
 
     @property
-    def feeds_address(self) -> bool:
-        """Whether an address is computed from the result."""
-        return self.value_class == ADDRESS
-
-    @property
     def frames(self) -> list[tuple[str, int]]:
-        """Source files and lines, the innermost inlined call first, without those within Numba.
+        """Source files, relative to the folder of their import, and lines: the innermost inlined call first.
 
-        Whether Numba's own helpers have lines depends on what a process compiled before. Files are relative to the
-        folder from which they were imported.
+        Numba's own helpers are left out: whether they have lines depends on what a process compiled before.
         """
         all_frames = [(short_path(frame.file), frame.line) for frame in self.chain]
         return [frame for frame in all_frames if not frame[0].startswith("numba/")] or all_frames[:1]
@@ -73,7 +69,7 @@ class Site:
 
 
 def short_path(path: str) -> str:
-    """A path without the folder on Python's path in which it lies, so that records do not depend on the machine."""
+    """A path relative to its folder on Python's path, so that records do not depend on the machine."""
     return _relative_to_longest(path, tuple(sys.path))
 
 
@@ -86,11 +82,7 @@ def _relative_to_longest(path: str, folders: tuple[str, ...]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """All sites of a kernel, by block.
-
-    Attributes:
-        blocks: Sites of each block, in the order of dynamic indices.
-    """
+    """All sites of a kernel, by block in the order of dynamic indices."""
 
     blocks: tuple[tuple[Site, ...], ...]
 
@@ -98,8 +90,16 @@ class Table:
         """Number of sites of each block."""
         return [len(block) for block in self.blocks]
 
+    def written(self, times: np.ndarray) -> int:
+        """Values that are written if each block is executed so often. Shape (blocks,)."""
+        return int(times @ np.array(self.sizes(), np.int64))
+
+    def executions(self, times: np.ndarray) -> list[tuple[Site, int]]:
+        """All sites with the numbers of executions of their blocks. Shape (blocks,)."""
+        return [(site, int(number)) for block, number in zip(self.blocks, times, strict=True) for site in block]
+
     def files(self) -> set[str]:
-        """Source files that are named."""
+        """All source files."""
         return {frame.file for block in self.blocks for site in block for frame in site.chain}
 
     def to_json(self) -> list[list[dict[str, Any]]]:
@@ -143,16 +143,14 @@ def make_table(module: Module) -> Table:
 
 def _chains(block: Block, function: Function, locations: Locations) -> dict[int, tuple[tuple[Frame, ...], bool]]:
     """Source lines of each instruction, and whether they are borrowed from the next one that has some."""
-    own = [
-        (instruction, () if instruction.location is None else locations.chain(instruction.location))
-        for instruction in block.all()
-    ]
-    own = [(instruction, chain if chain and chain[0].line else ()) for instruction, chain in own]
+    own = []
+    for instruction in reversed(block.all()):
+        chain = () if instruction.location is None else locations.chain(instruction.location)
+        own.append((instruction, chain if chain and chain[0].line else ()))
     fallback = () if function.location is None else locations.function(function.location)
-    last = next((chain for _, chain in reversed(own) if chain), fallback)
+    following = next((chain for _, chain in own if chain), fallback)
     found = {}
-    following = last
-    for instruction, chain in reversed(own):
+    for instruction, chain in own:
         following = chain or following
         found[id(instruction)] = (following, not chain)
     return found

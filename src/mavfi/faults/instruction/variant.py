@@ -1,4 +1,4 @@
-"""The instrumented variant of one signature of a kernel, in memory: its modes, and what an injection reported.
+"""The instrumented variant of one signature of a kernel, in memory: its modes, and the report of an injection.
 
 A variant is one piece of code with one control block: it is not for several threads at once.
 """
@@ -25,13 +25,7 @@ _CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, c
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What an injection reported.
-
-    Attributes:
-        site: Which static instruction.
-        before: Bits of its result, as an integer.
-        after: The same after the injection.
-    """
+    """Report of an injection: static instruction, and the bits of its result before and after, as integers."""
 
     site: Site
     before: int
@@ -50,12 +44,7 @@ class Passes:
     """
 
     def __init__(self, blocks: int, wanted: Iterable[tuple[int, int]]) -> None:
-        """Note what is wanted.
-
-        Args:
-            blocks: How many blocks the kernel has.
-            wanted: Block, and which of its executions, from 0.
-        """
+        """Of a kernel with so many blocks: the wanted blocks, each with the number of its execution, from 0."""
         ordered: dict[int, list[int]] = {}
         for block, number in sorted(set(wanted)):
             ordered.setdefault(block, []).append(number)
@@ -70,7 +59,7 @@ class Passes:
         self.starts, self.calls = (np.full(len(passes), -1, np.int64) for _ in range(2))
 
     def close_call(self, call: int) -> None:
-        """Note in which call the passes were that have come since the last one."""
+        """Note the call in which the passes since the last note began."""
         self.calls[(self.starts >= 0) & (self.calls < 0)] = call
 
     def start(self, block: int, number: int) -> int:
@@ -83,12 +72,7 @@ class Passes:
 
 
 class Variant:
-    """Instrumented machine code that takes the arguments of its kernel.
-
-    Attributes:
-        table: What can be injected.
-        ir_sha256: Digest of the fault space.
-    """
+    """Instrumented machine code that takes the arguments of its kernel, which are changed as by a call."""
 
     def __init__(self, built: Built, environment: Any) -> None:
         self.table: Table = built.table
@@ -101,8 +85,10 @@ class Variant:
         if place:
             ctypes.c_void_p.from_address(place).value = id(environment)
         self._function = _CALL(self._engine.get_function_address(built.wrapper))
-        self._control = self._words("mavfi_control", WORDS)
-        self._keep, self._flip = (self._bytes(name) for name in ("mavfi_keep", "mavfi_flip"))
+        self._control = self._array("mavfi_control", ctypes.c_int64, WORDS)
+        self._keep, self._flip = (
+            self._array(name, ctypes.c_uint8, MASK_BYTES) for name in ("mavfi_keep", "mavfi_flip")
+        )
         self._reader = -1
         self.own_report()
         self._control[Control.STOP] = ctypes.cast(ctypes.CDLL(None)._exit, ctypes.c_void_p).value or 0
@@ -121,12 +107,9 @@ class Variant:
         self._values = report[8 * REPORT_WORDS :]
         self._control[Control.REPORT] = report.ctypes.data
 
-    def _words(self, name: str, count: int) -> np.ndarray:
-        return np.ctypeslib.as_array((ctypes.c_int64 * count).from_address(self._engine.get_global_value_address(name)))
-
-    def _bytes(self, name: str) -> np.ndarray:
-        place = self._engine.get_global_value_address(name)
-        return np.ctypeslib.as_array((ctypes.c_uint8 * MASK_BYTES).from_address(place))
+    def _array(self, name: str, kind: Any, count: int) -> np.ndarray:
+        """A global of the machine code."""
+        return np.ctypeslib.as_array((kind * count).from_address(self._engine.get_global_value_address(name)))
 
     def _set(self, mode: Mode, threshold: int) -> None:
         control = self._control
@@ -134,57 +117,40 @@ class Variant:
         control[Control.MODE] = mode
         control[Control.THRESHOLD] = threshold
 
-    def __call__(self, *args: Any) -> Any:
-        """Run it as it is set."""
-        return self._function(None, args, None)
+    def _run(self, mode: Mode, threshold: int, args: tuple[Any, ...], **words: int) -> Any:
+        """Run with some words of the control block set."""
+        for name, word in words.items():
+            self._control[Control[name]] = word
+        self._set(mode, threshold)
+        try:
+            return self._function(None, args, None)
+        finally:
+            self._set(Mode.INJECT, NEVER)
 
     def count(self, *args: Any) -> tuple[Any, int]:
-        """Run without a fault; gives the result and how many values were written.
-
-        Args:
-            *args: Of the kernel; they are changed as by a call.
-        """
+        """Run without a fault; gives the result and how many values were written."""
         self._set(Mode.INJECT, NEVER)
-        result = self(*args)
+        result = self._function(None, args, None)
         return result, int(self._control[Control.COUNTER])
 
     def profile(self, *args: Any, room: int = 0) -> tuple[Any, np.ndarray, np.ndarray]:
-        """Run without a fault; gives the result, how often each block ran, and the first blocks in order.
-
-        Args:
-            *args: Of the kernel; they are changed as by a call.
-            room: How many blocks to note in order.
-        """
+        """Run without a fault; gives the result, how often each block ran, and the first `room` blocks in order."""
         histogram = np.zeros(len(self.table.blocks), np.int64)
         trace = np.zeros(max(room, 1), np.int32)
-        control = self._control
-        control[Control.HISTOGRAM], control[Control.TRACE] = histogram.ctypes.data, trace.ctypes.data
-        control[Control.TRACE_ROOM], control[Control.TRACE_LENGTH] = room, 0
-        self._set(Mode.PROFILE, 0)
-        try:
-            result = self(*args)
-        finally:
-            self._set(Mode.INJECT, NEVER)
-        return result, histogram, trace[: int(control[Control.TRACE_LENGTH])]
+        result = self._run(
+            Mode.PROFILE, 0, args, HISTOGRAM=histogram.ctypes.data, TRACE=trace.ctypes.data, TRACE_ROOM=room,
+            TRACE_LENGTH=0,
+        )  # fmt: skip
+        return result, histogram, trace[: int(self._control[Control.TRACE_LENGTH])]
 
     def resolve(self, indices: Sequence[int], *args: Any) -> tuple[Any, list[Site | None]]:
-        """Run without a fault; gives the result and the site of each dynamic index, None where the kernel ended before.
-
-        Args:
-            indices: In any order.
-            *args: Of the kernel; they are changed as by a call.
-        """
+        """Run without a fault; gives the result and the site of each dynamic index, None for those beyond the last."""
         wanted = np.array(sorted(set(indices)), np.int64)
         blocks, offsets = np.full(len(wanted), -1), np.full(len(wanted), -1)
-        control = self._control
-        control[Control.EVENTS], control[Control.EVENT_COUNT] = wanted.ctypes.data, len(wanted)
-        control[Control.EVENT_BLOCKS], control[Control.EVENT_OFFSETS] = blocks.ctypes.data, offsets.ctypes.data
-        control[Control.NEXT_EVENT] = 0
-        self._set(Mode.RESOLVE, int(wanted[0]) if len(wanted) else NEVER)
-        try:
-            result = self(*args)
-        finally:
-            self._set(Mode.INJECT, NEVER)
+        result = self._run(
+            Mode.RESOLVE, int(wanted[0]) if len(wanted) else NEVER, args, EVENTS=wanted.ctypes.data,
+            EVENT_COUNT=len(wanted), EVENT_BLOCKS=blocks.ctypes.data, EVENT_OFFSETS=offsets.ctypes.data, NEXT_EVENT=0,
+        )  # fmt: skip
         sites = {
             int(index): self.table.blocks[block][offset] if block >= 0 else None
             for index, block, offset in zip(wanted, blocks, offsets, strict=True)
@@ -192,46 +158,24 @@ class Variant:
         return result, [sites[index] for index in indices]
 
     def locate(self, passes: Passes, *args: Any) -> Any:
-        """Run without a fault, and note at which dynamic index the wanted passes through blocks begin.
-
-        Args:
-            passes: What is wanted; goes on where the last call left it.
-            *args: Of the kernel; they are changed as by a call.
-        """
-        control = self._control
-        control[Control.HISTOGRAM], control[Control.EVENTS] = passes.passed.ctypes.data, passes.wanted.ctypes.data
-        control[Control.EVENT_BLOCKS], control[Control.EVENT_OFFSETS] = (
-            passes.cursors.ctypes.data, passes.starts.ctypes.data,
+        """Run without a fault, and note in `passes` the dynamic indices at which those not yet found begin."""
+        return self._run(
+            Mode.LOCATE, 0, args, HISTOGRAM=passes.passed.ctypes.data, EVENTS=passes.wanted.ctypes.data,
+            EVENT_BLOCKS=passes.cursors.ctypes.data, EVENT_OFFSETS=passes.starts.ctypes.data,
         )  # fmt: skip
-        self._set(Mode.LOCATE, 0)
-        try:
-            return self(*args)
-        finally:
-            self._set(Mode.INJECT, NEVER)
 
     def inject(self, index: int, keep: int, flip: int, budget: int, *args: Any) -> Any:
-        """Run and inject once: the value with dynamic index `index` becomes (value & keep) ^ flip.
+        """Run and inject once: the value with this dynamic index, from 0, becomes (value & keep) ^ flip.
 
-        Args:
-            index: From 0.
-            keep: Mask.
-            flip: Mask.
-            budget: Values that the kernel may write; beyond it the process ends with status `HANG_EXIT`.
-            *args: Of the kernel.
+        A kernel that writes more values than its budget ends the process with status `HANG_EXIT`.
         """
         for memory, mask in ((self._keep, keep), (self._flip, flip)):
             memory[:] = np.frombuffer((mask % (1 << 8 * MASK_BYTES)).to_bytes(MASK_BYTES, "little"), np.uint8)
         self._injected[:] = 0
-        control = self._control
-        control[Control.TARGET], control[Control.BUDGET] = index, budget
-        self._set(Mode.INJECT, index)
-        try:
-            return self(*args)
-        finally:
-            self._set(Mode.INJECT, NEVER)
+        return self._run(Mode.INJECT, index, args, TARGET=index, BUDGET=budget)
 
     def report(self) -> Report | None:
-        """What the last injection did, here or in a forked child; None if the index was not reached."""
+        """Report of the last injection, here or in a forked child; None if the index was not reached."""
         injected, block, offset = self._injected.tolist()
         if not injected:
             return None
@@ -252,21 +196,14 @@ def signature_of(args: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def variant_for(kernel: Any, args: tuple[Any, ...]) -> Variant:
-    """The variant for the types of these arguments; built, or loaded from the cache, when first asked for.
-
-    Raises:
-        RefusedError: The kernel cannot be instrumented exactly.
-        BuildError: The compiler did not survive it.
-    """
+    """`variant_of` for the types of these arguments."""
     return variant_of(kernel, signature_of(args))
 
 
 def variant_of(kernel: Any, signature: tuple[Any, ...]) -> Variant:
-    """The variant for a signature; a parent loads it before it forks workers.
+    """The variant for a signature, built or loaded from the cache at its first use; a parent loads it before it forks.
 
-    Raises:
-        RefusedError: The kernel cannot be instrumented exactly.
-        BuildError: The compiler did not survive it.
+    Raises a RefusedError if the kernel cannot be instrumented exactly, a BuildError if the compiler does not survive.
     """
     check(kernel)
     known = _variants.setdefault(kernel, {})

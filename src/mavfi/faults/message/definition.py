@@ -1,8 +1,7 @@
-"""What a ROS 1 message holds, read from the definition that its publisher sends along: any type, no generated classes.
+"""ROS 1 messages of any type, read with the definition that the publisher sends along, without generated classes.
 
 A message on the wire is its fields one after the other, little-endian, packed; strings and lists of variable length
-begin with a uint32 (http://wiki.ros.org/msg).  So a field is a range of bytes that can be found by walking over those
-before it, and a bit is flipped in place: nothing else changes.
+begin with a uint32 (http://wiki.ros.org/msg).  So a field is found by walking over those before it.
 """
 
 import re
@@ -30,51 +29,36 @@ class AbsentError(MavfiError):
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A member of a message type.
-
-    Attributes:
-        name: Its name.
-        kind: A number, "string", or a message type.
-        length: None = no list, -1 = a list of variable length, else its length.
-    """
+    """A member of a message type; its kind is a number, "string", or a message type."""
 
     name: str
     kind: str
     length: int | None = None
+    """None = no list, -1 = a list of variable length."""
 
 
 @dataclass(frozen=True, slots=True)
 class Leaf:
-    """A number in a message.
-
-    Attributes:
-        offset: Where it begins (bytes).
-        kind: Type.
-    """
+    """A number in a message: its offset (bytes) and type."""
 
     offset: int
     kind: str
 
     @property
     def bits(self) -> int:
-        """How many."""
+        """Size of the number (bits)."""
         return 8 * struct.calcsize(FORMATS[self.kind])
 
     def value(self, data: bytes | bytearray) -> int | float:
-        """What the message holds there."""
+        """The number in a message."""
         found: int | float = struct.unpack_from("<" + FORMATS[self.kind], data, self.offset)[0]
         return found
 
 
 class Definition:
-    """A message type with everything that it is made of.
+    """A message type, e.g. "sensor_msgs/JointState", with all types that it is made of.
 
-    Args:
-        kind: Its name, e.g. "sensor_msgs/JointState".
-        text: Its full definition, as in a connection header or a bag.
-
-    Raises:
-        BadInputError: The text does not define the type.
+    It is read from a full definition, as in a connection header or a bag; raises a BadInputError if this lacks a type.
     """
 
     def __init__(self, kind: str, text: str) -> None:
@@ -92,7 +76,8 @@ class Definition:
             for member in members:
                 if member.kind not in FORMATS and member.kind != _STRING and member.kind not in self.types:
                     raise BadInputError(f"type {kind}: its definition lacks {member.kind}")
-        self._sizes: dict[str, int | None] = {}
+        self._sizes: dict[str, int | None] = {name: struct.calcsize(form) for name, form in FORMATS.items()}
+        self._sizes[_STRING] = None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Definition) and self.types == other.types
@@ -118,11 +103,7 @@ class Definition:
 
     # ---- paths ------------------------------------------------------------------------------------------------------
     def check(self, path: str) -> str:
-        """Kind of the number that a path like `transforms[0].transform.rotation.z` leads to.
-
-        Raises:
-            BadInputError: It leads nowhere, or to something that is no number; the line says what is allowed.
-        """
+        """Kind of the number that a path like `transforms[0].transform.rotation.z` leads to, or a BadInputError."""
         kind = self.kind
         for name, index in steps(path):
             member = self._member(kind, name, path)
@@ -152,11 +133,7 @@ class Definition:
         raise BadInputError(f"field {path}: {kind} has no member {name!r}; allowed: {allowed(names, name)}")
 
     def locate(self, data: bytes, path: str) -> Leaf:
-        """Where a message holds a number.
-
-        Args:
-            data: The message as on the wire.
-            path: As of `check`.
+        """Where a message on the wire holds the number at a path.
 
         Raises:
             AbsentError: A list of this message is too short.
@@ -172,15 +149,11 @@ class Definition:
                 kind = member.kind
                 if index is not None:
                     offset = self._element(member, data, offset, index, path)
+            leaf = Leaf(offset, kind)
+            leaf.value(data)
         except struct.error:
-            raise self._short(data) from None
-        leaf = Leaf(offset, kind)
-        if offset + leaf.bits // 8 > len(data):
-            raise self._short(data)
+            raise MavfiError(f"a message of {len(data)} bytes is not a {self.kind}: it is too short") from None
         return leaf
-
-    def _short(self, data: bytes) -> MavfiError:
-        return MavfiError(f"a message of {len(data)} bytes is not a {self.kind}: it is too short")
 
     def _element(self, member: Member, data: bytes, offset: int, index: int, path: str) -> int:
         count, offset = self._count(member, data, offset)
@@ -196,16 +169,14 @@ class Definition:
 
     @staticmethod
     def _count(member: Member, data: bytes, offset: int) -> tuple[int, int]:
-        """Number of elements of a list, and where they begin."""
-        if member.length is not None and member.length >= 0:
-            return member.length, offset
+        """Number of elements, 1 for a member that is no list, and offset of the first."""
+        if member.length != -1:
+            return 1 if member.length is None else member.length, offset
         return _COUNT.unpack_from(data, offset)[0], offset + 4
 
     def _skip(self, member: Member, data: bytes, offset: int) -> int:
         """One past the last byte of a member."""
-        count = 1
-        if member.length is not None:
-            count, offset = self._count(member, data, offset)
+        count, offset = self._count(member, data, offset)
         size = self._size(member.kind)
         if size is not None:
             return offset + count * size
@@ -219,55 +190,40 @@ class Definition:
 
     def _size(self, kind: str) -> int | None:
         """Bytes of a type whose size is always the same, else None."""
-        if kind in FORMATS:
-            return struct.calcsize(FORMATS[kind])
-        if kind == _STRING:
-            return None
         if kind not in self._sizes:
-            sizes = [self._member_size(member) for member in self.types[kind]]
-            self._sizes[kind] = None if None in sizes else sum(size for size in sizes if size is not None)
+            parts = [(self._size(part.kind), 1 if part.length is None else part.length) for part in self.types[kind]]
+            is_fixed = all(size is not None and count >= 0 for size, count in parts)
+            self._sizes[kind] = sum((size or 0) * count for size, count in parts) if is_fixed else None
         return self._sizes[kind]
-
-    def _member_size(self, member: Member) -> int | None:
-        size = self._size(member.kind)
-        if size is None or member.length == -1:
-            return None
-        return size * (1 if member.length is None else member.length)
 
     # ---- whole messages ---------------------------------------------------------------------------------------------
     def numbers(self, data: bytes, longest_list: int) -> list[str]:
         """Paths of the numbers of a message, without headers, and without lists longer than `longest_list`."""
-        return [path for path, _ in self._walk(Member("", self.kind), data, 0, "", longest_list)[0]]
+        return self._walk(Member("", self.kind), data, 0, "", longest_list)[0]
 
-    def _walk(
-        self, member: Member, data: bytes, offset: int, path: str, longest: int
-    ) -> tuple[list[tuple[str, int]], int]:
-        """Numbers within a member, each with its offset, and where the member ends."""
+    def _walk(self, member: Member, data: bytes, offset: int, path: str, longest: int) -> tuple[list[str], int]:
+        """Paths of the numbers within a member, and where the member ends."""
         if member.kind in (_STRING, "std_msgs/Header"):
             return [], self._skip(member, data, offset)
-        if member.length is not None:
+        if member.length is None and member.kind in FORMATS:
+            return [path], self._skip(member, data, offset)
+        if member.length is None:
+            inside = [(part, f"{path}.{part.name}".lstrip(".")) for part in self.types[member.kind]]
+        else:
             count, start = self._count(member, data, offset)
             if count > longest:
                 return [], self._skip(member, data, offset)
-            found, offset = [], start
-            for index in range(count):
-                inner, offset = self._walk(Member("", member.kind), data, offset, f"{path}[{index}]", longest)
-                found += inner
-            return found, offset
-        if member.kind in FORMATS:
-            return [(path, offset)], offset + struct.calcsize(FORMATS[member.kind])
+            inside, offset = [(Member("", member.kind), f"{path}[{index}]") for index in range(count)], start
         found = []
-        for part in self.types[member.kind]:
-            inner, offset = self._walk(part, data, offset, f"{path}.{part.name}".lstrip("."), longest)
+        for part, place in inside:
+            inner, offset = self._walk(part, data, offset, place, longest)
             found += inner
         return found, offset
 
     def without(self, data: bytes, ignored: tuple[str, ...]) -> bytes:
-        """The message with members of these names set to zero, wherever they stand; for comparisons.
+        """The message with all members of these names set to zero, for comparisons.
 
-        Args:
-            data: The message.
-            ignored: Names of members that are not lists and of fixed size, e.g. "stamp", "seq".
+        The members are of fixed size and no lists, e.g. "stamp", "seq".
         """
         blank = bytearray(data)
         self._blank(Member("", self.kind), data, 0, ignored, blank)
@@ -280,9 +236,7 @@ class Definition:
             return end
         if member.kind in FORMATS or member.kind == _STRING:
             return self._skip(member, data, offset)
-        count = 1
-        if member.length is not None:
-            count, offset = self._count(member, data, offset)
+        count, offset = self._count(member, data, offset)
         for _ in range(count):
             for part in self.types[member.kind]:
                 offset = self._blank(part, data, offset, ignored, blank)
@@ -291,11 +245,7 @@ class Definition:
 
 @cache
 def steps(path: str) -> tuple[tuple[str, int | None], ...]:
-    """The names and indices of a path.
-
-    Raises:
-        BadInputError: It is not written like one.
-    """
+    """The names and indices of a path; raises a BadInputError if it is none."""
     found, place = [], 0
     while place < len(path):
         match = _STEP.match(path, place)

@@ -1,7 +1,6 @@
 """Flips bits in numbers of messages on their way, and keeps a record of each."""
 
 import random
-import struct
 import threading
 import time
 from collections.abc import Callable
@@ -9,48 +8,35 @@ from typing import Protocol
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import MessageFault
-from mavfi.faults.message.definition import FORMATS, AbsentError, Definition, Leaf, flip_bit
+from mavfi.faults.message.definition import AbsentError, Definition, Leaf, flip_bit
 from mavfi.flight_log import Injection
 
 
 class Outlet(Protocol):
-    """Where messages are passed on.
-
-    Attributes:
-        definition: Of the messages.
-        to: Name of the topic.
-    """
+    """Passes messages with a definition on, to the topic `to`."""
 
     definition: Definition
     to: str
 
     def send(self, message: bytes) -> int:
-        """Pass a message on, and answer how many readers got it."""
+        """Pass a message on; gives the number of readers that got it."""
 
 
 def check_fault(fault: MessageFault, definition: Definition) -> None:
-    """Refuse a field or bit that messages of a type do not have.
-
-    Raises:
-        BadInputError: One line with what is allowed.
-    """
+    """Raise a BadInputError, with what is allowed, for a field or bit that messages of a type do not have."""
     kind = definition.check(fault.field)
-    bits = 8 * struct.calcsize(FORMATS[kind])
+    bits = Leaf(0, kind).bits
     if fault.bit is not None and not 0 <= fault.bit < bits:
         raise BadInputError(f"bit {fault.bit}: {fault.field} is a {kind}; allowed: 0 to {bits - 1}")
 
 
 class MessageInjector:
-    """What a relay does to messages.
-
-    Args:
-        fault: Which bits.
-        tell: Called with each injection.
+    """Changes messages in a relay, and calls `tell` with each injection.
 
     Attributes:
-        injections: What was done, at seconds since this injector was made.  An injection is activated if the bytes sent
-            differ from those that came in this bit alone, and a reader got them.
-        done: Set when a fault that is injected once has been, and was sent.
+        injections: At seconds since this injector was made.  An injection is activated if the bytes sent differ from
+            those received in this bit alone, and a reader got them.
+        done: Set after the first injection was sent.
         too_short: Messages that should have been changed and do not hold the element.
     """
 

@@ -1,4 +1,4 @@
-"""What lies where in the target: mapped files, functions by address, and addresses by name."""
+"""The target's address space: mapped files, functions by address, and addresses by name."""
 
 import bisect
 import os
@@ -29,7 +29,7 @@ class _Mapping:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where an address lies: file, offset in it, and function with distance from its begin."""
+    """Where an address lies: file, offset in it, and function with the distance from its start."""
 
     library: str
     offset: int
@@ -38,27 +38,28 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class _Symbols:
-    """Functions of an ELF file by address; addresses as in the file, not where it is loaded."""
+    """Functions of an ELF file; addresses as in the file, not where it is loaded."""
 
-    starts: tuple[int, ...]
-    sizes: tuple[int, ...]
-    names: tuple[str, ...]
-    segments: tuple[tuple[int, int, int], ...]
+    functions: dict[int, tuple[int, str]]
+    """By address, in ascending order: size and name."""
+    segments: list[tuple[int, int, int]]
     """Of each loaded segment: offset in the file, size, address."""
-
-    def address_of(self, offset: int) -> int | None:
-        """Address of a byte of the file."""
-        for start, size, address in self.segments:
-            if start <= offset < start + size:
-                return address + offset - start
-        return None
 
     def offset_of(self, address: int) -> int | None:
         """Byte of the file at an address."""
-        for start, size, first in self.segments:
-            if first <= address < first + size:
-                return start + address - first
-        return None
+        fits = (start + address - first for start, size, first in self.segments if first <= address < first + size)
+        return next(fits, None)
+
+    def name_at(self, offset: int) -> str:
+        """Function that holds a byte of the file, and the distance from its start."""
+        fits = (first + offset - start for start, size, first in self.segments if start <= offset < start + size)
+        address = next(fits, None)
+        starts = list(self.functions)
+        index = -1 if address is None else bisect.bisect_right(starts, address) - 1
+        if address is None or index < 0:
+            return ""
+        distance, (size, name) = address - starts[index], self.functions[starts[index]]
+        return "" if size and distance >= size else f"{name.split('@')[0]}+{distance:#x}"
 
 
 def _mappings(text: str) -> list[_Mapping]:
@@ -92,30 +93,20 @@ def _symbols(path: str, identity: tuple[int, int]) -> _Symbols:
                         functions[value] = (size, texts[name : texts.index(b"\0", name)].decode(errors="replace"))
     except (OSError, ELFError, struct.error, ValueError):
         pass
-    order = sorted(functions)
-    return _Symbols(
-        tuple(order), tuple(functions[at][0] for at in order), tuple(functions[at][1] for at in order), tuple(segments)
-    )
+    return _Symbols(dict(sorted(functions.items())), segments)
 
 
 class AddressSpace:
     """The target's memory map as it was when it was last read; it can be asked when the target has ended."""
 
     def __init__(self, pid: int) -> None:
-        """Read the map; `close` it in the end.
-
-        Args:
-            pid: The target.
-
-        Raises:
-            OSError: It has ended, or may not be looked into.
-        """
+        """Read the map, to be closed in the end; raises an OSError if the target has ended or may not be inspected."""
         self._pid = pid
         self._root = os.open(f"/proc/{pid}/root", os.O_PATH | os.O_DIRECTORY)
         self.read()
 
     def read(self) -> None:
-        """Read the map anew: text alone, which takes some 0.1 ms; what it says is found out when it is asked."""
+        """Read the map anew: text alone, which takes some 0.1 ms and is parsed later."""
         self._text = Path(f"/proc/{self._pid}/maps").read_text()
 
     def close(self) -> None:
@@ -140,19 +131,13 @@ class AddressSpace:
                 continue
             offset = address - mapping.start + mapping.offset
             symbols = self._symbols_of(mapping)
-            at = None if symbols is None else symbols.address_of(offset)
-            name = "" if symbols is None or at is None else _name_at(symbols, at)
-            return Place(mapping.name, offset, name)
+            return Place(mapping.name, offset, "" if symbols is None else symbols.name_at(offset))
         return Place("[anon]", address, "")
 
     def find(self, text: str) -> int:
-        """Address of a function.
+        """Address of a function, by its exact name or by a part of it that no other function has.
 
-        Args:
-            text: Its exact name, or a part of it that belongs to one function only.
-
-        Raises:
-            BadInputError: There is none, or more than one; names some.
+        Raises a BadInputError if there is none, or more than one.
         """
         matches = dict(self._matches(text))
         exact = {address: name for address, name in matches.items() if name == text}
@@ -171,19 +156,8 @@ class AddressSpace:
             if symbols is None:
                 continue
             last = mapping.offset + mapping.end - mapping.start
-            for at, name in zip(symbols.starts, symbols.names, strict=True):
+            for at, (_, name) in symbols.functions.items():
                 plain = name.split("@")[0]
                 offset = symbols.offset_of(at) if text in plain else None
                 if offset is not None and mapping.offset <= offset < last:
                     yield mapping.start + offset - mapping.offset, plain
-
-
-def _name_at(symbols: _Symbols, address: int) -> str:
-    """Function that holds an address, and the distance from its begin."""
-    index = bisect.bisect_right(symbols.starts, address) - 1
-    if index < 0:
-        return ""
-    distance = address - symbols.starts[index]
-    if symbols.sizes[index] and distance >= symbols.sizes[index]:
-        return ""
-    return f"{symbols.names[index].split('@')[0]}+{distance:#x}"

@@ -25,29 +25,29 @@ def inject(
 ) -> list[Injection]:
     """Flip bits in registers of a running process.
 
-    The injector of the paper reaches its targets by system calls, too (MAVFI section III-B).
-
-    The target is traced by a process of its own, is stopped for about a millisecond for each injection, and runs on
-    afterwards, whatever becomes of the caller.
+    The injector of the paper reaches its targets by system calls, too (MAVFI section III-B).  The target is traced by a
+    process of its own, is stopped for about a millisecond for each injection, and runs on afterwards, whatever happens
+    to the caller.
 
     Args:
         pid: The process.
         fault: Where and how.
-        count: How many injections.
-        interval: Between two of them (s).
-        tell: Called with each injection as soon as it is done.
+        count: Number of injections.
+        interval: Time between two of them (s).
+        tell: Called with each injection at once.
 
     Returns:
-        The injections, their instants from now on (s); `activated` says whether the bit was read back flipped.
+        The injections, with instants from now on (s); `activated` says whether the bit was read back flipped.
 
     Raises:
         BadInputError: Not x86-64 Linux; no such process, or one that has ended, is stopped, is traced already, is
             mavfi itself, or belongs to another user or to the kernel; no such thread or symbol; no permission.
         MavfiError: The target ended, or did not come by in time.
     """
-    if count < 1 or not 0.0 <= interval < float("inf"):
-        name, value = ("count", count) if count < 1 else ("interval", interval)
-        raise BadInputError(f"{name}: {value}: allowed: {'1 or more' if count < 1 else '0 s or more'}")
+    if count < 1:
+        raise BadInputError(f"count: {count}: allowed: 1 or more")
+    if not 0.0 <= interval < float("inf"):
+        raise BadInputError(f"interval: {interval}: allowed: 0 s or more")
     if pid < 1:
         raise BadInputError(f"pid: {pid}: allowed: the number of a running process")
     check_target(pid, os.getpid())

@@ -9,7 +9,7 @@ import os
 import random
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 
 from mavfi.errors import BadInputError, MavfiError
@@ -27,20 +27,27 @@ _PAUSES = (2e-4, 5e-3)
 _STEP_LIMIT = 2.0
 _NAP = 1e-3
 _LONGEST_INSTRUCTION = 15
-_SIGN = 1 << 63
+
+
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """What all attempts at one injection share."""
+
+    pid: int
+    fault: RegisterFault
+    choices: random.Random
+    deadline: float
+    cancelled: Callable[[], bool]
+
+    def is_over(self) -> bool:
+        return time.monotonic() > self.deadline or self.cancelled()
 
 
 @dataclass(slots=True)
 class _Attempt:
-    """The target as it stands.
+    """The stopped target: thread, file of its memory, begin and in the end duration of the stop (s).
 
-    Attributes:
-        tracee: The thread.
-        memory: File of the target's memory.
-        since: When it was seen to stand still (s).
-        walked: Instructions executed one by one.
-        done: What was injected.
-        stopped: How long it stood still, once it has been let go (s).
+    It was stepped (`walked`) through some instructions.
     """
 
     tracee: Tracee
@@ -49,10 +56,6 @@ class _Attempt:
     walked: int = 0
     done: "_Done | None" = None
     stopped: float = 0.0
-
-    def in_system_call(self) -> bool:
-        """Whether the thread was stopped on its way through the kernel: its registers then belong to the call."""
-        return self.tracee.system_call() < _SIGN
 
     def here(self) -> tuple[int, Instruction | None]:
         """Address of the next instruction, and the instruction."""
@@ -83,48 +86,36 @@ class _Done:
     after: int
 
 
-def inject_once(
-    pid: int, fault: RegisterFault, number: int, tool: int, cancelled: Callable[[], bool] = bool
-) -> Injection:
-    """Flip one bit.
+def inject_once(pid: int, fault: RegisterFault, number: int, tool: int, cancelled: Callable[[], bool]) -> Injection:
+    """Flip one bit of a process; gives the injection, whose instant is 0.
 
-    Args:
-        pid: The process.
-        fault: Where and how.
-        number: Of the injection; each has random choices of its own.
-        tool: Process that asked; never a target.
-        cancelled: Asked while waiting; True ends the wait.
-
-    Returns:
-        What was done; its instant is 0.
+    Each injection has a number, and so random choices of its own; `tool` is the process that asks, and never a target;
+    `cancelled` is called while waiting, and True ends the wait.
 
     Raises:
         BadInputError: The target is refused.
         MavfiError: The target ended, or did not come to an instruction that qualifies in time.
     """
     check_target(pid, tool)
-    choices = random.Random(f"{fault.seed}/{number}")
-    deadline = time.monotonic() + fault.timeout
+    search = _Search(pid, fault, random.Random(f"{fault.seed}/{number}"), time.monotonic() + fault.timeout, cancelled)
     attempts = 0
-    _warm_up()
+    decode(b"\x90", 0)  # builds the decoder while the target still runs
     try:
         while True:
             attempts += 1
-            with ExitStack() as after:
-                space = AddressSpace(pid)
-                after.callback(space.close)
-                with _stopped(pid, fault, space, choices, deadline, cancelled) as attempt:
-                    attempt.done = _try(fault, choices, attempt)
+            with closing(AddressSpace(pid)) as space:
+                with _stopped(search, space) as attempt:
+                    attempt.done = _try(search, attempt)
                     if attempt.done is not None:
                         space.read()
                 if attempt.done is not None:
-                    return _record(pid, fault, attempt, attempts, space)
-            if time.monotonic() > deadline or cancelled():
+                    return _record(search, attempt, attempt.done, attempts, space)
+            if search.is_over():
                 raise TracerTimeoutError(
                     f"pid {pid}: within {fault.timeout:g} s and {attempts} stops it was never at an "
                     f"instruction with registers {fault.registers!r} to {fault.access}, outside of system calls"
                 )
-            time.sleep(choices.uniform(*_PAUSES))
+            time.sleep(search.choices.uniform(*_PAUSES))
     except TargetGoneError as error:
         raise MavfiError(f"pid {pid}: {error} before the injection") from None
     except PermissionError:
@@ -133,14 +124,10 @@ def inject_once(
         raise MavfiError(f"pid {pid}: ended before the injection") from None
 
 
-def _warm_up() -> None:
-    """Build the decoder while the target still runs."""
-    decode(b"\x90", 0)
-
-
-def _try(fault: RegisterFault, choices: random.Random, attempt: _Attempt) -> _Done | None:
+def _try(search: _Search, attempt: _Attempt) -> _Done | None:
     """Walk, and flip a bit at the first instruction that qualifies; None if there is none."""
-    if attempt.in_system_call() or not attempt.walk(choices.randrange(fault.walk)):
+    fault, choices, tracee = search.fault, search.choices, attempt.tracee
+    if tracee.in_system_call() or not attempt.walk(choices.randrange(fault.walk)):
         return None
     access = choices.choice(("read", "write")) if fault.access == "either" else fault.access
     for _ in range(_REACH):
@@ -151,7 +138,12 @@ def _try(fault: RegisterFault, choices: random.Random, attempt: _Attempt) -> _Do
         if registers and not (instruction.enters_kernel and access == "write"):
             register = choices.choice(registers)
             bit = choices.choice(register.bits)
-            return _flip(fault, attempt.tracee, address, instruction, access, register, bit)
+            if access == "write":
+                tracee.step(_STEP_LIMIT)
+            before = value_of(tracee, register)
+            if not fault.null:
+                flip(tracee, register, bit)
+            return _Done(address, instruction, access, register, bit, before, value_of(tracee, register))
         if not attempt.walk(1):
             return None
     return None
@@ -162,58 +154,35 @@ def _qualifying(instruction: Instruction, access: str, wanted: str) -> list[Regi
     return [register for register in registers if wanted == "all" or register.is_vector == (wanted == "fp")]
 
 
-def _flip(  # noqa: PLR0913 - all that is known of the injection
-    fault: RegisterFault, tracee: Tracee, address: int, instruction: Instruction, access: str, register: Register,
-    bit: int,
-) -> _Done:  # fmt: skip
-    if access == "write":
-        tracee.step(_STEP_LIMIT)
-    before = value_of(tracee, register)
-    if not fault.null:
-        flip(tracee, register, bit)
-    return _Done(address, instruction, access, register, bit, before, value_of(tracee, register))
-
-
-def _record(pid: int, fault: RegisterFault, attempt: _Attempt, attempts: int, space: AddressSpace) -> Injection:
-    """All that is known of an injection; the target runs again.
-
-    The register read back must be the one before with exactly this bit flipped (a null fault: not flipped).  Values and
-    addresses are hexadecimal text, since registers have up to 256 bits.
-    """
-    done = attempt.done
-    assert done is not None
+def _record(search: _Search, attempt: _Attempt, done: _Done, attempts: int, space: AddressSpace) -> Injection:
+    """The injection; values and addresses are hexadecimal text, since registers have up to 256 bits."""
     place = space.place(done.address)
     return Injection(
         "register", done.register.name, 0.0, done.bit, f"{done.before:#x}", f"{done.after:#x}",
-        done.after == done.before ^ (0 if fault.null else 1 << done.bit),
+        done.after == done.before ^ (0 if search.fault.null else 1 << done.bit),
         details={
-            "pid": pid, "thread": attempt.tracee.thread, "address": f"{done.address:#x}", "library": place.library,
-            "offset": f"{place.offset:#x}", "symbol": place.symbol, "instruction": done.instruction.text,
-            "access": done.access, "register": done.register.name, "width": done.register.width,
-            "attempts": attempts, "walked": attempt.walked, "stopped_us": round(1e6 * attempt.stopped),
+            "pid": search.pid, "thread": attempt.tracee.thread, "address": f"{done.address:#x}",
+            "library": place.library, "offset": f"{place.offset:#x}", "symbol": place.symbol,
+            "instruction": done.instruction.text, "access": done.access, "register": done.register.name,
+            "width": done.register.width, "attempts": attempts, "walked": attempt.walked,
+            "stopped_us": round(1e6 * attempt.stopped),
         },
     )  # fmt: skip
 
 
 @contextmanager
-def _stopped(
-    pid: int,
-    fault: RegisterFault,
-    space: AddressSpace,
-    choices: random.Random,
-    deadline: float,
-    cancelled: Callable[[], bool],
-) -> Iterator[_Attempt]:
-    """The thread that is to be injected, standing still; it is let go in any case."""
+def _stopped(search: _Search, space: AddressSpace) -> Iterator[_Attempt]:
+    """Stop the thread that is to be injected; it is let go in any case."""
+    pid, fault = search.pid, search.fault
     with ExitStack() as cleanup:
         memory = os.open(f"/proc/{pid}/mem", os.O_RDONLY)
         cleanup.callback(os.close, memory)
         if fault.symbol:
-            tracee, since = _stop_at(pid, fault, space, deadline, cancelled, cleanup)
+            tracee, since = _stop_at(search, space, cleanup)
         else:
-            tracee = Tracee(choose_thread(pid, fault.thread), cancelled=cancelled)
+            tracee = Tracee(choose_thread(pid, fault.thread), cancelled=search.cancelled)
             cleanup.callback(tracee.detach)
-            time.sleep(choices.uniform(*_PAUSES))
+            time.sleep(search.choices.uniform(*_PAUSES))
             since = time.perf_counter()
             tracee.interrupt(_STEP_LIMIT)
         attempt = _Attempt(tracee, memory, since)
@@ -222,26 +191,20 @@ def _stopped(
         attempt.stopped = time.perf_counter() - since
 
 
-def _stop_at(
-    pid: int,
-    fault: RegisterFault,
-    space: AddressSpace,
-    deadline: float,
-    cancelled: Callable[[], bool],
-    cleanup: ExitStack,
-) -> tuple[Tracee, float]:
-    """Stop the first thread that calls the function, since when it stands; the others are let go again."""
+def _stop_at(search: _Search, space: AddressSpace, cleanup: ExitStack) -> tuple[Tracee, float]:
+    """Stop the first thread that calls the function; gives it and the instant (s).  The others are let go again."""
+    pid, fault = search.pid, search.fault
     address = space.find(fault.symbol)
     held: dict[int, Tracee] = {}
 
     def let_go() -> None:
         for tracee in held.values():
-            _disarm(tracee)
+            tracee.detach()
 
     cleanup.callback(let_go)
     for thread in [choose_thread(pid, fault.thread)] if fault.thread else threads_of(pid):
         try:
-            held[thread] = Tracee(thread, cancelled=cancelled)
+            held[thread] = Tracee(thread, cancelled=search.cancelled)
             held[thread].interrupt(_STEP_LIMIT)
             if not fault.thread:
                 held[thread].follow_threads()
@@ -251,7 +214,7 @@ def _stop_at(
             if thread in (pid, fault.thread):
                 raise
             held.pop(thread, None)  # a thread that came to its end since it was listed
-    arrived = _first_at(address, held, pid, fault, deadline, cancelled)
+    arrived = _first_at(address, held, search)
     since = time.perf_counter()
     arrived.clear_breakpoint()
     del held[arrived.thread]
@@ -261,25 +224,19 @@ def _stop_at(
     return arrived, since
 
 
-def _first_at(
-    address: int,
-    held: dict[int, Tracee],
-    pid: int,
-    fault: RegisterFault,
-    deadline: float,
-    cancelled: Callable[[], bool],
-) -> Tracee:
-    """Wait for the first thread that stands at an address; threads that come up meanwhile are watched as well."""
+def _first_at(address: int, held: dict[int, Tracee], search: _Search) -> Tracee:
+    """Wait for the first thread that stands at an address; new threads are watched as well."""
     while held:
         thread, status = os.waitpid(-1, WAIT_ALL | os.WNOHANG)
         if not thread:
-            if time.monotonic() > deadline or cancelled():
-                raise TracerTimeoutError(f"pid {pid}: did not call {fault.symbol!r} within {fault.timeout:g} s")
+            if search.is_over():
+                fault = search.fault
+                raise TracerTimeoutError(f"pid {search.pid}: did not call {fault.symbol!r} within {fault.timeout:g} s")
             await_news(_NAP)
             continue
         new = thread not in held
         if new:  # made by one that is watched
-            held[thread] = Tracee(thread, seize=False, cancelled=cancelled)
+            held[thread] = Tracee(thread, seize=False, cancelled=search.cancelled)
         tracee = held[thread]
         try:
             stop = tracee.note(status)
@@ -292,16 +249,3 @@ def _first_at(
             return tracee
         tracee.resume(stop.signal)
     raise TargetGoneError("the target ended")
-
-
-def _disarm(tracee: Tracee) -> None:
-    """Take the breakpoint back, and let go."""
-    try:
-        number = 0
-        if not tracee.stopped and not tracee.ended:
-            number = tracee.halt(_STEP_LIMIT)
-        if not tracee.ended:
-            tracee.clear_breakpoint()
-        tracee.detach(number)
-    except (ProcessLookupError, ChildProcessError, TargetGoneError, TracerTimeoutError):
-        pass

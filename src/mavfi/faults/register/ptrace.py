@@ -30,7 +30,7 @@ _XMM = 160
 _DEBUG_REGISTERS = 848
 """offsetof(struct user, u_debugreg)."""
 _SPINS = 200
-_HALT_LIMIT = 1.0
+_HALT_LIMIT = 2.0
 _NAP = 1e-3
 _NEWS = (signal.SIGCHLD,)
 
@@ -46,19 +46,15 @@ _RIP, _ORIG_RAX = (8 * GENERAL.index(name) for name in ("rip", "orig_rax"))
 
 
 class TargetGoneError(MavfiError):
-    """The target ended while it was traced.
+    """The target ended while it was traced, with an exit code (negative = number of a signal)."""
 
-    Attributes:
-        status: As of waitpid; 0 where somebody else waited.
-    """
-
-    def __init__(self, text: str, status: int = 0) -> None:
+    def __init__(self, text: str, code: int = 0) -> None:
         super().__init__(text)
-        self.status = status
+        self.code = code
 
 
 class TracerTimeoutError(MavfiError):
-    """The target did not do in time what was waited for."""
+    """The target did not stop in time, or the wait was cancelled."""
 
 
 class _Registers(ctypes.Structure):
@@ -71,47 +67,38 @@ class _Vector(ctypes.Structure):
     _fields_ = [("base", ctypes.c_void_p), ("length", ctypes.c_size_t)]
 
 
-_libc = ctypes.CDLL(None, use_errno=True)
-_libc.ptrace.restype = ctypes.c_long
-_libc.ptrace.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]
-
-
-# the library's ptrace tells values and errors apart by errno alone; the system call does not
-_syscall = ctypes.CDLL(None).syscall
+# not the library's ptrace, which tells values and errors apart by errno alone
+_syscall = ctypes.CDLL(None, use_errno=True).syscall
 _syscall.restype = ctypes.c_long
 _syscall.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]
 _SYS_PTRACE = 101
 
 
 def await_news(seconds: float) -> None:
-    """Wait until some traced thread stops or ends, at most for so long.
-
-    News come as SIGCHLD, which a tracer blocks (see `tracer.main`); where it is not blocked this is a sleep.
-    """
+    """Wait, at most so long, for the SIGCHLD of a thread that stops or ends; just sleep where it is not blocked."""
     signal.sigtimedwait(_NEWS, seconds)
 
 
 def _ptrace(request: int, thread: int, address: int = 0, data: int = 0) -> None:
-    if _libc.ptrace(request, thread, address, data) < 0:
+    if _syscall(_SYS_PTRACE, request, thread, address, data) < 0:
         code = ctypes.get_errno()
         raise OSError(code, os.strerror(code), f"ptrace {request:#x} of {thread}")
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Why a thread stopped.
-
-    Attributes:
-        signal: Signal that is on its way to the target and must be passed on; 0 = none.
-        interrupted: Whether it is the stop that `interrupt` asked for, or a stop of the whole process by SIGSTOP.
-    """
+    """Why a thread stopped."""
 
     signal: int = 0
+    """On its way to the target, and to be passed on; 0 = none."""
     interrupted: bool = False
+    """Stopped by `interrupt`, or with the whole process by SIGSTOP."""
 
 
 class Tracee:
     """One thread of the target.
+
+    Methods that wait for it raise `TargetGoneError` if it ended, and `TracerTimeoutError` if it did not stop in time.
 
     Attributes:
         thread: Its number.
@@ -121,15 +108,9 @@ class Tracee:
     """
 
     def __init__(self, thread: int, *, seize: bool = True, cancelled: Callable[[], bool] = bool) -> None:
-        """Take hold of a thread; it runs on.
+        """Seize a thread, which runs on, unless it is traced already as the child of such a thread.
 
-        Args:
-            thread: Its number.
-            seize: False = it is traced already, being the child of a thread that is.
-            cancelled: See the attributes.
-
-        Raises:
-            OSError: It must not be traced.
+        Raises an OSError if it must not be traced.
         """
         self.thread = thread
         self.stopped = False
@@ -139,47 +120,25 @@ class Tracee:
         self._info_at = ctypes.addressof(self._info)
         self._word = ctypes.c_uint64()
         self._word_at = ctypes.addressof(self._word)
+        self._has_breakpoint = False
         if seize:
             _ptrace(_SEIZE, thread)
 
     # ---- running and stopping ---------------------------------------------------------------------------------------
     def follow_threads(self) -> None:
-        """From now on, threads that this one makes are traced too; the thread must stand still."""
+        """From now on, trace the threads that this one, which stands still, makes."""
         _ptrace(_SETOPTIONS, self.thread, 0, _TRACE_CLONE)
 
     def interrupt(self, timeout: float) -> None:
-        """Stop the thread; signals that come first are delivered.
-
-        Raises:
-            TargetGoneError: It ended.
-            TracerTimeoutError: It did not stop in time.
-        """
+        """Stop the thread; signals that come first are delivered."""
         _ptrace(_INTERRUPT, self.thread)
         stop = self.wait(timeout)
         while not stop.interrupted:
             self.resume(stop.signal)
             stop = self.wait(timeout)
 
-    def halt(self, timeout: float) -> int:
-        """Stop the thread for whatever reason comes first, and answer the signal that is still to be delivered.
-
-        This is how the target is let go, so it is not cancelled: a breakpoint would be left behind.
-
-        Raises:
-            TargetGoneError: It ended.
-            TracerTimeoutError: It did not stop in time.
-        """
-        _ptrace(_INTERRUPT, self.thread)
-        self.cancelled = bool
-        return self.wait(timeout).signal
-
     def step(self, timeout: float) -> None:
-        """Execute one instruction; where a signal arrives first, the first one of its handler.
-
-        Raises:
-            TargetGoneError: It ended.
-            TracerTimeoutError: It did not stop in time.
-        """
+        """Execute one instruction; where a signal arrives first, the first one of its handler."""
         stop = Stop()
         while True:
             _ptrace(_SINGLESTEP, self.thread, 0, stop.signal)
@@ -194,12 +153,7 @@ class Tracee:
         self.stopped = False
 
     def wait(self, timeout: float) -> Stop:
-        """Wait until the thread stops.
-
-        Raises:
-            TargetGoneError: It ended.
-            TracerTimeoutError: It did not stop in time, or the wait was cancelled.
-        """
+        """Wait until the thread stops."""
         deadline, spins = time.monotonic() + timeout, 0
         while True:
             found, status = os.waitpid(self.thread, WAIT_ALL | os.WNOHANG)
@@ -213,15 +167,11 @@ class Tracee:
             await_news(_NAP)
 
     def note(self, status: int) -> Stop:
-        """Take a status of waitpid in.
-
-        Raises:
-            TargetGoneError: It says that the thread ended.
-        """
+        """Take in a status of waitpid; why the thread stopped."""
         if not os.WIFSTOPPED(status):
             self.stopped, self.ended = False, True
-            how = f"by signal {os.WTERMSIG(status)}" if os.WIFSIGNALED(status) else f"with {os.WEXITSTATUS(status)}"
-            raise TargetGoneError(f"the target ended {how}", status)
+            code = os.waitstatus_to_exitcode(status)
+            raise TargetGoneError(f"the target ended {f'by signal {-code}' if code < 0 else f'with {code}'}", code)
         self.stopped = True
         event, number = status >> 16, os.WSTOPSIG(status)
         if event == _EVENT_STOP:
@@ -235,13 +185,18 @@ class Tracee:
         _ptrace(_GETSIGINFO, self.thread, 0, self._info_at)
         return self._info[2] > 0  # si_code
 
-    def detach(self, number: int = 0) -> None:
-        """Let go; a thread that has ended needs nothing."""
+    def detach(self) -> None:
+        """Take the breakpoint back, and let the thread go, with the signal that was on its way."""
         if self.ended:
             return
+        number = 0
         try:
             if not self.stopped:
-                number = self.halt(_HALT_LIMIT)
+                self.cancelled = bool  # not to be cancelled: a breakpoint would be left behind
+                _ptrace(_INTERRUPT, self.thread)
+                number = self.wait(_HALT_LIMIT).signal
+            if self._has_breakpoint:
+                self.clear_breakpoint()
             _ptrace(_DETACH, self.thread, 0, number)
         except (ProcessLookupError, ChildProcessError, TargetGoneError, TracerTimeoutError):
             pass
@@ -257,13 +212,12 @@ class Tracee:
         """Address of the next instruction: `general()["rip"]` in a fraction of the time."""
         return self._peek(_RIP)
 
-    def system_call(self) -> int:
-        """`general()["orig_rax"]`: number of the system call that the thread is in, -1 (unsigned) outside of them."""
-        return self._peek(_ORIG_RAX)
+    def in_system_call(self) -> bool:
+        """Whether the thread was stopped on its way through the kernel: its registers then belong to the call."""
+        return self._peek(_ORIG_RAX) < 1 << 63  # outside of calls it is -1, unsigned
 
     def _peek(self, offset: int) -> int:
-        if _syscall(_SYS_PTRACE, _PEEKUSER, self.thread, offset, self._word_at) < 0:
-            raise ProcessLookupError(f"thread {self.thread}: has ended, or does not stand still")
+        _ptrace(_PEEKUSER, self.thread, offset, self._word_at)
         return self._word.value
 
     def set_general(self, registers: dict[str, int]) -> None:
@@ -308,15 +262,17 @@ class Tracee:
 
     # ---- breakpoint -------------------------------------------------------------------------------------------------
     def set_breakpoint(self, address: int) -> None:
-        """Stop before the instruction at an address is executed by this thread.
+        """Stop before this thread, which stands still, executes the instruction at an address.
 
         A debug register of the processor does it: the target's code stays as it is, so threads that are not traced and
         children of the target never meet the breakpoint.
         """
+        self._has_breakpoint = True
         _ptrace(_POKEUSER, self.thread, _DEBUG_REGISTERS, address)
         _ptrace(_POKEUSER, self.thread, _DEBUG_REGISTERS + 8 * 7, 1)
 
     def clear_breakpoint(self) -> None:
-        """Take it back; the thread must stand still."""
+        """Take the breakpoint back; the thread must stand still."""
+        self._has_breakpoint = False
         _ptrace(_POKEUSER, self.thread, _DEBUG_REGISTERS + 8 * 7, 0)
         _ptrace(_POKEUSER, self.thread, _DEBUG_REGISTERS, 0)

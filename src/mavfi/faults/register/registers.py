@@ -1,4 +1,4 @@
-"""Which registers an instruction reads and writes, where they lie, and how a bit of one is flipped."""
+"""Registers that an instruction reads and writes, and flips of their bits."""
 
 import re
 from dataclasses import dataclass
@@ -20,14 +20,10 @@ _MASKED = re.compile(r"[xy]mm\d+(?= \{k[1-7]\})")
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """A register as an instruction names it.
+    """A register as an instruction names it, e.g. "eax", "xmm3", "rflags".
 
-    Attributes:
-        name: E.g. "eax", "xmm3", "rflags".
-        holder: The register of which it is a part; "" for vector registers.
-        index: Number of a vector register.
-        shift: Where it begins in the holder (bits).
-        bits: Bits that can be flipped, counted from its begin.
+    It starts at bit `shift` of its holder, which is "" for vector registers; those have an index. `bits` can be
+    flipped, counted from the start of the register.
     """
 
     name: str
@@ -38,7 +34,7 @@ class Register:
 
     @property
     def width(self) -> int:
-        """Size (bits)."""
+        """Size in bits."""
         return max(self.bits) + 1 if self.name == "rflags" else len(self.bits)
 
     @property
@@ -47,24 +43,15 @@ class Register:
         return not self.holder
 
 
-def _part(name: str, holder: str, shift: int, width: int) -> Register:
-    return Register(name, holder, 0, shift, tuple(range(width)))
-
-
 def _general() -> dict[str, Register]:
-    parts = []
-    for letter in "abcd":
-        holder = f"r{letter}x"
-        parts += [(holder, holder, 0, 64), (f"e{letter}x", holder, 0, 32), (f"{letter}x", holder, 0, 16)]
-        parts += [(f"{letter}l", holder, 0, 8), (f"{letter}h", holder, 8, 8)]
-    for name in ("si", "di", "bp", "sp"):
-        parts += [(f"r{name}", f"r{name}", 0, 64), (f"e{name}", f"r{name}", 0, 32), (name, f"r{name}", 0, 16)]
-        parts += [(f"{name}l", f"r{name}", 0, 8)]
-    for number in range(8, 16):
-        holder = f"r{number}"
-        parts += [(holder, holder, 0, 64), (f"{holder}d", holder, 0, 32), (f"{holder}w", holder, 0, 16)]
-        parts += [(f"{holder}b", holder, 0, 8)]
-    return {part[0]: _part(*part) for part in parts}
+    families = [[(f"r{x}x", 64), (f"e{x}x", 32), (f"{x}x", 16), (f"{x}l", 8), (f"{x}h", 8)] for x in "abcd"]
+    families += [[(f"r{x}", 64), (f"e{x}", 32), (x, 16), (f"{x}l", 8)] for x in ("si", "di", "bp", "sp")]
+    families += [[(f"r{x}", 64), (f"r{x}d", 32), (f"r{x}w", 16), (f"r{x}b", 8)] for x in range(8, 16)]
+    return {
+        name: Register(name, family[0][0], 0, 8 if name[-1] == "h" else 0, tuple(range(width)))
+        for family in families
+        for name, width in family
+    }
 
 
 _GENERAL = _general()
@@ -79,13 +66,9 @@ def _decoder() -> capstone.Cs:
 
 @dataclass(frozen=True, slots=True)
 class Instruction:
-    """A decoded instruction.
+    """A decoded instruction: mnemonic and operands, and the registers that it reads and writes.
 
-    Attributes:
-        text: Mnemonic and operands.
-        enters_kernel: Whether it is a system call: stepping over it may block.
-        reads: Registers that it reads.
-        writes: Registers that it writes.
+    If it enters the kernel (a system call), stepping over it may block.
     """
 
     text: str
@@ -94,35 +77,19 @@ class Instruction:
     writes: tuple[Register, ...]
 
 
-_PREFIXES = frozenset(b"\x66\x67\xf0\xf2\xf3\x2e\x36\x3e\x26\x64\x65") | frozenset(range(0x40, 0x50))
-_TWO_BYTES, _SYSCALL, _SYSENTER, _INT = 0x0F, 0x05, 0x34, 0xCD
+_PREFIXES = b"\x66\x67\xf0\xf2\xf3\x2e\x36\x3e\x26\x64\x65" + bytes(range(0x40, 0x50))
+_SYSCALL, _SYSENTER, _INT = b"\x0f\x05", b"\x0f\x34", b"\xcd"
 
 
 @lru_cache(maxsize=4096)
 def enters_kernel(code: bytes) -> bool:
-    """Whether an instruction is a system call, as `Instruction.enters_kernel`, without decoding it (Intel SDM, vol. 2).
-
-    Args:
-        code: Its bytes; more may follow.
-    """
-    place = 0
-    while place < len(code) and code[place] in _PREFIXES:
-        place += 1
-    opcode = code[place : place + 2]
-    return opcode[:1] == bytes([_INT]) or opcode in (bytes([_TWO_BYTES, _SYSCALL]), bytes([_TWO_BYTES, _SYSENTER]))
+    """`Instruction.enters_kernel` of the first of these bytes, without decoding it (Intel SDM, vol. 2)."""
+    return code.lstrip(_PREFIXES).startswith((_SYSCALL, _SYSENTER, _INT))
 
 
 @lru_cache(maxsize=4096)
 def decode(code: bytes, address: int) -> Instruction | None:
-    """Decode what stands at an address.
-
-    Args:
-        code: Up to 15 bytes.
-        address: Where they stand.
-
-    Returns:
-        The instruction; None if it is not one that the decoder knows.
-    """
+    """The instruction with which up to 15 bytes at an address begin; None if the decoder does not know it."""
     found = next(_decoder().disasm(code, address, 1), None)
     if found is None:
         return None
@@ -141,17 +108,11 @@ def decode(code: bytes, address: int) -> Instruction | None:
 
 def _flag_masks(*verbs: str) -> dict[str, int]:
     """Capstone's bits of `eflags` that say that an instruction does something to a flag."""
-    found = {}
-    for flag in _FLAGS:
-        names = [f"X86_EFLAGS_{verb}_{flag}" for verb in verbs]
-        found[flag] = sum(getattr(x86, name, 0) for name in names)
-    return found
+    return {flag: sum(getattr(x86, f"X86_EFLAGS_{verb}_{flag}", 0) for verb in verbs) for flag in _FLAGS}
 
 
 _FLAGS_READ = _flag_masks("TEST")
 _FLAGS_WRITTEN = _flag_masks("MODIFY", "SET", "RESET")
-
-
 _ALL_FLAGS = (Register("rflags", "rflags", 0, 0, tuple(_FLAGS.values())),)
 
 
@@ -170,7 +131,7 @@ def _registers(found: capstone.CsInsn, numbers: list[int], flags: dict[str, int]
 
 
 def _vector(name: str, mnemonic: str) -> tuple[Register, ...]:
-    """A vector register that can be injected; nothing if the name is not of one."""
+    """A vector register that can be injected; empty if the name is of another register."""
     found = _VECTOR.match(name)
     if found is None or int(found[2]) > _LAST_VECTOR:
         return ()
@@ -187,13 +148,13 @@ def _used_bits(mnemonic: str, kind: str) -> int:
 
 
 def value_of(tracee: Tracee, register: Register) -> int:
-    """What a register holds; the thread must stand still."""
+    """Value of a register of a stopped thread."""
     whole = tracee.vector(register.index) if register.is_vector else tracee.general()[register.holder]
     return (whole >> register.shift) % (1 << register.width)
 
 
 def flip(tracee: Tracee, register: Register, bit: int) -> None:
-    """Flip a bit of a register; the rest of its holder stays as it is; the thread must stand still."""
+    """Flip a bit of a register of a stopped thread."""
     mask = 1 << (register.shift + bit)
     if register.is_vector:
         tracee.set_vector(register.index, tracee.vector(register.index) ^ mask)

@@ -12,25 +12,13 @@ _ELF_64 = b"\x7fELF\x02"
 
 
 def check_machine() -> None:
-    """Refuse machines whose registers are not known.
-
-    Raises:
-        BadInputError: It is not x86-64 Linux.
-    """
+    """Raise a BadInputError on other machines than x86-64 Linux, whose registers are not known."""
     if not sys.platform.startswith("linux") or platform.machine() != "x86_64":
         raise BadInputError(f"registers are injected on x86-64 Linux; this is {sys.platform} on {platform.machine()}")
 
 
 def check_target(pid: int, tool: int) -> None:
-    """Refuse a process that cannot or must not be injected.
-
-    Args:
-        pid: The process.
-        tool: Process that asked; it is refused as well.
-
-    Raises:
-        BadInputError: One line that says why.
-    """
+    """Raise a BadInputError, with the reason, for a process that cannot or must not be injected, as `tool` itself."""
     check_machine()
     if pid in (os.getpid(), tool):
         raise BadInputError(f"pid {pid}: is mavfi itself")
@@ -80,11 +68,7 @@ def not_permitted() -> str:
 
 
 def threads_of(pid: int) -> list[int]:
-    """Numbers of all threads.
-
-    Raises:
-        BadInputError: The process has ended.
-    """
+    """Numbers of all threads; a BadInputError if the process has ended."""
     try:
         return sorted(int(name) for name in os.listdir(f"/proc/{pid}/task"))
     except OSError:
@@ -92,11 +76,7 @@ def threads_of(pid: int) -> list[int]:
 
 
 def choose_thread(pid: int, wanted: int) -> int:
-    """The wanted thread, or the one that has computed most; those that run now come first.
-
-    Raises:
-        BadInputError: The process has ended, or has no such thread.
-    """
+    """The wanted thread (0 = the one that has computed most, of those that run now), or a BadInputError."""
     threads = threads_of(pid)
     if wanted:
         if wanted not in threads:

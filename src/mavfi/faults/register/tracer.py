@@ -25,7 +25,7 @@ def _abandoned() -> bool:
 
 
 def serve(order: dict, answers: TextIO) -> None:
-    """Inject as often as ordered; each injection, or the reason why there is none, becomes a line of JSON."""
+    """Inject as often as ordered; write each injection, or the reason why there is none, as a line of JSON."""
     began = time.monotonic()
     try:
         fault = fault_from_json(order["fault"])
@@ -50,12 +50,10 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE):
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD})  # so that it can be waited for, see `await_news`
-    line = b""
-    while not line.endswith(b"\n"):  # not through a buffer: what follows is the end of the file, which is waited for
-        byte = os.read(sys.stdin.fileno(), 1)
-        if not byte:
-            return
-        line += byte
+    with open(sys.stdin.fileno(), "rb", buffering=0, closefd=False) as orders:  # the end of the file stays unread
+        line = orders.readline()
+    if not line.endswith(b"\n"):
+        return
     try:
         serve(json.loads(line), sys.stdout)
         sys.stdout.flush()
