@@ -1,4 +1,4 @@
-"""How a flight stands: the mission's status, judged at every control period."""
+"""The mission's status, judged at every control period."""
 
 import math
 from dataclasses import dataclass
@@ -10,15 +10,7 @@ from mavfi.sim.environments import World
 
 @dataclass(slots=True)
 class Judge:
-    """What ends a mission.
-
-    Attributes:
-        goal: World frame (m).
-        lower: Corner of the arena (m).
-        upper: Same.
-        max_failed_plans: In a row.
-        limit_us: Longest flight.
-    """
+    """What ends a mission: goal, arena (world frame, m), failed plans in a row, and the longest flight (us)."""
 
     goal: list[float]
     lower: list[float]
@@ -34,7 +26,7 @@ class Judge:
         return Judge(world.goal.tolist(), *corners, scenario.stack.max_failed_plans, int(1e6 * limit))
 
     def status(self, plant: Plant, failed_plans: int, now: int) -> MissionStatus | None:
-        """How the mission ended; None = it continues."""
+        """The final status; None = the mission continues."""
         state = plant.odometry.tolist()  # NumPy would take longer to start than to run, fifty times a second
         if not all(map(math.isfinite, state)):
             return MissionStatus.INVALID_STATE
