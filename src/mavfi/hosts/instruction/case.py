@@ -1,4 +1,4 @@
-"""What is known of a fault in an instruction on its way through a flight, and the flight log that comes of it."""
+"""A fault in an instruction on its way through a flight, and the resulting flight log."""
 
 from dataclasses import dataclass, replace
 
@@ -13,15 +13,15 @@ from mavfi.mission import Scenario
 from mavfi.states import INJECTABLE, INJECTED_KERNEL, PLANNERS
 
 WAITING = "not_activated"
-"""How a case stands whose instruction has not come yet."""
+"""State of a case whose instruction has not come yet."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChildReport:
-    """What a child leaves.
+    """Report of a child.
 
     Attributes:
-        log: Its record; None where nothing differed at the end of the injected call.
+        log: Of its flight; None where nothing differed at the end of the injected call.
         output: Of the injected step; None where the kernel made none.
         call_same: Whether result and arguments of the injected call are bit for bit the golden ones.
         missed: Whether the call ended before the instruction came, or that instruction's value has no such bit.
@@ -42,11 +42,11 @@ class Case:
         kernel: The kernel of the pipeline that is injected.
         call: The call of its function that is injected.
         time_us: When (us).
-        value: What the machine code reported of the injected value.
+        value: The machine code's report of the injected value.
         how: How the call ended, or `WAITING`.
         detail: Signal, budget or exception.
-        report: What the child left that went on flying.
-        golden: What the kernel gives in that step without the fault.
+        report: Of the child that went on flying.
+        golden: The kernel's output in that step without the fault.
         replayable: Whether the flight gives the same bytes in every process; None = by the value class.
     """
 
@@ -63,10 +63,10 @@ class Case:
 
 
 def check_kernel(kernel: str, planner: str) -> None:
-    """Refuse a kernel that cannot be injected in a mission.
+    """Check that a kernel can be injected in a mission with this planner.
 
     Raises:
-        BadInputError: There is none of that name, or it is a planner and the mission flies another one.
+        BadInputError: There is no such kernel, or it is a planner and the mission flies another one.
     """
     if kernel not in INJECTABLE:
         raise BadInputError(f"kernel {kernel!r}: not known; allowed: {', '.join(INJECTABLE)}")
@@ -75,7 +75,7 @@ def check_kernel(kernel: str, planner: str) -> None:
 
 
 def case_of(fault: InstructionFault, scenario: Scenario) -> Case:
-    """A fault that nothing has happened of yet.
+    """A fault before its injection.
 
     Raises:
         BadInputError: The mission has no such kernel.
@@ -85,7 +85,7 @@ def case_of(fault: InstructionFault, scenario: Scenario) -> Case:
 
 
 def flight_of(case: Case, golden: Flight) -> Flight:
-    """The flight with the fault, beside the golden one."""
+    """The flight with the fault, given the golden one."""
     log = golden.log if case.report is None or case.report.log is None else case.report.log
     injection = injection_of(case.fault, case.value, case.time_us / 1e6, case.call)
     if case.replayable is not None:
@@ -95,7 +95,7 @@ def flight_of(case: Case, golden: Flight) -> Flight:
 
 
 def _effect(case: Case, golden: FlightLog) -> KernelEffect:
-    """What the kernel did: against its own golden output where both made a step, else against the whole flight."""
+    """The kernel's effect: against its own golden output where both made a step, else against the whole flight."""
     report, difference = case.report, None
     how = case.how
     if how == "done" and report is not None:

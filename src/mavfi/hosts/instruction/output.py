@@ -1,4 +1,4 @@
-"""What a kernel gave in one step, and the first number in which two such outputs differ."""
+"""The output of a kernel in one step, and the first number in which two outputs differ."""
 
 import math
 from collections.abc import Sequence
@@ -14,12 +14,7 @@ from mavfi.states import State
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """One step of a kernel.
-
-    Attributes:
-        states: By name: header and elements of what it publishes.
-        memory: Fingerprint of what it remembers.
-    """
+    """One step of a kernel: header and elements of what it publishes, by name, and a fingerprint of its memory."""
 
     states: dict[str, tuple[np.ndarray, np.ndarray]]
     memory: bytes
@@ -31,17 +26,17 @@ class Output:
         return Output(published, cast(Remembers, kernel).fingerprint())
 
     def same(self, other: "Output") -> bool:
-        """Whether both are the same, bit for bit, with what is remembered."""
+        """Whether both are the same, bit for bit, memory included."""
         return self.memory == other.memory and first_difference(self, other) is None
 
 
 def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
-    """The first published field that differs.
+    """The first published field that differs, as plain data; None if nothing differs.
 
     Returns:
-        Plain data: `state`, `field`, `element` (None for a field of the header), `before` (golden), `after`,
-        `elements` (in how many places the field differs) and `largest` (difference; infinite where one is not finite).
-        Where the lists differ in length: the field `elements`, with both lengths. None if nothing differs.
+        `state`, `field`, `element` (None for a field of the header), `before` (golden), `after`, `elements` (in how
+        many places the field differs) and `largest` (difference; infinite where one is not finite).  Where the lists
+        differ in length: the field `elements`, with both lengths.
     """
     for state, (header, elements) in golden.states.items():
         if state not in injected.states:
