@@ -27,11 +27,7 @@ _DIED = tuple(effect.label for effect in DUE)
 
 
 class NodeHost:
-    """Trials on a foreign node.
-
-    Args:
-        node: The node under test.
-    """
+    """Trials on a foreign node, the node under test."""
 
     name = "node"
     levels = frozenset({"register"})
@@ -44,7 +40,7 @@ class NodeHost:
         self._node = node
 
     def resolve(self, spec: MissionSpec) -> NodeConfig:
-        """What stands for a scenario; a node has no world."""
+        """The node, which has no world, instead of a scenario."""
         del spec
         return self._node
 
@@ -54,7 +50,7 @@ class NodeHost:
         return NodeMission(self._node)
 
     def check(self) -> None:
-        """Refuse a node that cannot be tried.
+        """Check that the node can be tested.
 
         Raises:
             BadInputError: ROS is not installed, there can be no private network, or golden outputs differ.
@@ -67,12 +63,7 @@ class NodeHost:
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """What a trial leaves.
-
-    Attributes:
-        kept: What a ledger keeps of it.
-        profile: A node has none.
-    """
+    """The record of a trial, as a `Recorded`; a node has no profile."""
 
     kept: FlightRecord
     profile: None = None
@@ -83,23 +74,14 @@ class TrialResult:
 
 
 class NodeMission:
-    """The trials of one mission.
-
-    Args:
-        node: The node under test.
-    """
+    """The trials of one mission."""
 
     def __init__(self, node: NodeConfig) -> None:
         self._node = node
         self._outputs: tuple[str, ...] = ()
 
     def golden(self, arm: str, *, profile: bool = False) -> TrialResult:
-        """The error-free trials.
-
-        Raises:
-            BadInputError: Their outputs differ.
-            MavfiError: The node does not come up, or gives no output.
-        """
+        """The error-free trials; see `golden_trial`."""
         del arm, profile
         trial = golden_trial(self._node)
         self._outputs = tuple(trial.outputs)
@@ -109,7 +91,7 @@ class NodeMission:
         """See `MissionFlights.know`; nothing is flown elsewhere."""
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, TrialResult | Exception]]:
-        """Trials with a fault, in turn; what makes every trial impossible is raised."""
+        """Trials with a fault, in turn; a `BadInputError`, which would end every trial, is raised."""
         for place, (_, fault) in enumerate(runs):
             try:
                 trial = run_trial(self._node, self._outputs, cast(RegisterFault, fault))
@@ -138,7 +120,7 @@ def golden_trial(node: NodeConfig) -> Trial:
 
 
 def record_of_trial(trial: Trial) -> FlightRecord:
-    """What is kept of a trial; its digest is that of the outputs, so that equal outputs count as masked."""
+    """The record of a trial; its digest is that of the outputs, so that equal outputs count as masked."""
     extra = {
         "outputs": trial.outputs, "asked": trial.asked, "differing": len(trial.differing),
         "differences": trial.differences, "reason": trial.reason,

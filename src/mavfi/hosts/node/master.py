@@ -4,19 +4,19 @@ import http.client
 import os
 import socket
 import xmlrpc.client
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 from urllib.parse import urlparse
 
-from mavfi.errors import BadInputError, MavfiError
-from mavfi.hosts.node.names import absolute, check_known
+from mavfi.errors import BadInputError, MavfiError, allowed
 
 URI_VARIABLE = "ROS_MASTER_URI"
-DEFAULT_URI = "http://127.0.0.1:11311"
+_DEFAULT_URI = "http://127.0.0.1:11311"
 CALLER = "/mavfi"
 MASTER_CALLER = "/master"
-"""As whom the master tells nodes who publishes."""
+"""Name of the master when it informs nodes about publishers."""
 PATIENCE_S = 3.0
 _DONE = 1
 
@@ -26,7 +26,7 @@ class SilentError(MavfiError):
 
 
 class _Transport(xmlrpc.client.Transport):
-    """HTTP that gives up."""
+    """HTTP with a time-out."""
 
     def make_connection(self, host: Any) -> http.client.HTTPConnection:
         connection = super().make_connection(host)
@@ -34,16 +34,25 @@ class _Transport(xmlrpc.client.Transport):
         return connection
 
 
+def absolute(name: str) -> str:
+    """The name with its leading slash."""
+    return name if name.startswith("/") else f"/{name}"
+
+
+def check_known(what: str, name: str, names: Collection[str]) -> str:
+    """The absolute name, if it is known.
+
+    Raises:
+        BadInputError: It is not; the line says which are.
+    """
+    wanted = absolute(name)
+    if wanted not in names:
+        raise BadInputError(f"{what} {wanted}: not in the graph; allowed: {allowed(names, wanted)}")
+    return wanted
+
+
 def call(uri: str, method: str, *arguments: Any) -> Any:
-    """Call the interface of a master or node.
-
-    Args:
-        uri: Where it listens.
-        method: Name.
-        arguments: The caller's name first.
-
-    Returns:
-        The value of the answer.
+    """Call the interface of a master or node; the first argument is the caller's name.
 
     Raises:
         SilentError: No answer within PATIENCE_S.
@@ -63,13 +72,9 @@ def call(uri: str, method: str, *arguments: Any) -> Any:
 
 @dataclass(frozen=True)
 class Graph:
-    """Who publishes, reads and serves what, by topic or service.
+    """Publishers and subscribers (nodes by topic), services (nodes by service), and types by topic.
 
-    Attributes:
-        publishers: Nodes by topic.
-        subscribers: Nodes by topic.
-        services: Nodes by service.
-        types: Type by topic; "*" if only readers of any type are there.
+    A topic that has only readers of any type has the type "*".
     """
 
     publishers: dict[str, list[str]]
@@ -93,14 +98,14 @@ class Master:
     """A running ROS master.
 
     Args:
-        uri: Where it listens; None = environment variable ROS_MASTER_URI, then port 11311 of this machine.
+        uri: Its address; None = environment variable ROS_MASTER_URI, then port 11311 of this machine.
 
     Raises:
         BadInputError: None is there.
     """
 
     def __init__(self, uri: str | None = None) -> None:
-        self.uri = uri or os.environ.get(URI_VARIABLE) or DEFAULT_URI
+        self.uri = uri or os.environ.get(URI_VARIABLE) or _DEFAULT_URI
         try:
             self.call("getPid")
         except MavfiError:
@@ -118,7 +123,7 @@ class Master:
         return Graph(publishers, subscribers, services, dict(self.call("getTopicTypes")))
 
     def node_uri(self, name: str) -> str:
-        """Where a node listens.
+        """Address of a node.
 
         Raises:
             BadInputError: It is not registered.
@@ -158,10 +163,7 @@ def is_here(uri: str) -> bool:
     if host in ("localhost", socket.gethostname(), os.environ.get("ROS_IP"), os.environ.get("ROS_HOSTNAME")):
         return True
     try:
-        return socket.gethostbyname(host) in {
-            "127.0.0.1",
-            "127.0.1.1",
-            *socket.gethostbyname_ex(socket.gethostname())[2],
-        }
+        address = socket.gethostbyname(host)
+        return address in {"127.0.0.1", "127.0.1.1", *socket.gethostbyname_ex(socket.gethostname())[2]}
     except OSError:
         return False

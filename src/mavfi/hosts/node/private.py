@@ -1,25 +1,23 @@
-"""A private network for ROS programs: roscpp listens on all interfaces, whatever it is told."""
+"""A private network for ROS programs: roscpp listens on all interfaces, whatever its settings."""
 
 import subprocess
 
 from mavfi.errors import BadInputError
 
-WAYS = (("unshare", "-n"), ("unshare", "-Urn"))
 
-
-def private_network() -> list[str]:
+def private_network(allowed: str = "as root, or with user namespaces") -> list[str]:
     """Command that runs a program in a network of its own, in which nothing outside can reach it.
 
     Raises:
-        BadInputError: It cannot be had.
+        BadInputError: There can be none; the line says what is allowed instead.
     """
-    for way in WAYS:
+    for way in (["unshare", "-n"], ["unshare", "-Urn"]):
         try:
             if subprocess.run([*way, "true"], capture_output=True, check=False).returncode == 0:
-                return list(way)
+                return way
         except OSError:
             break
     raise BadInputError(
         "no private network: neither `unshare -n` nor `unshare -Urn` works here, and ROS's C++ nodes listen on all "
-        "interfaces; allowed: as root, or with user namespaces"
+        f"interfaces; allowed: {allowed}"
     )

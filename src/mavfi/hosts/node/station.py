@@ -1,6 +1,6 @@
 """Our end of the graph: the interface that every ROS node has, and topics that others can read from us.
 
-Nothing is registered with the master unless `advertise` is called.
+The master is informed only by `advertise` and `subscribe`.
 """
 
 import os
@@ -28,13 +28,7 @@ class _Server(ThreadingMixIn, SimpleXMLRPCServer):
 
 @dataclass(slots=True, eq=False)
 class Reader:
-    """A node that reads from us.
-
-    Attributes:
-        node: Its name.
-        connection: To it.
-        active: Whether it is sent what is published.
-    """
+    """A node that reads from us; only an active one is sent what is published."""
 
     node: str
     connection: socket.socket
@@ -50,7 +44,7 @@ class Outlet:
         header: Type, md5sum, message_definition and latching, as sent to readers.
         active: Whether new readers are active at once.
         readers: Those that are connected.
-        last: For a latched topic: what is sent to new readers.
+        last: For a latched topic: the message for new readers.
     """
 
     topic: str
@@ -61,7 +55,7 @@ class Outlet:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def send(self, data: bytes) -> int:
-        """Send a message to all active readers, and answer how many there were."""
+        """Send a message to all active readers; returns their number."""
         whole = frame(data)
         with self.lock:
             if self.header.get("latching") == "1":
@@ -97,22 +91,20 @@ class Outlet:
 
 
 class Inlet:
-    """A topic that we read.
+    """A topic that we read as node `caller`.
 
     Args:
         topic: Its name.
         arrived: Called with each message.
-        caller: As which node.
+        caller: Our name.
 
     Attributes:
         sources: Connections by the publisher's address.
-        failures: Why publishers could not be read, the last ones.
     """
 
     def __init__(self, topic: str, arrived: Callable[[bytes], None], caller: str) -> None:
         self.topic, self._arrived, self._caller = topic, arrived, caller
         self.sources: dict[str, Source] = {}
-        self.failures: list[str] = []
         self._lock = threading.Lock()
 
     def connect(self, uris: Sequence[str]) -> None:
@@ -124,8 +116,7 @@ class Inlet:
                 if uri not in self.sources:
                     try:
                         source = Source(uri, uri, self.topic, self._caller)
-                    except MavfiError as error:
-                        self.failures.append(str(error))
+                    except MavfiError:
                         continue
                     self.sources[uri] = source
                     threading.Thread(target=self._read, args=(uri, source), daemon=True).start()
@@ -139,12 +130,7 @@ class Inlet:
 
 
 class Station:
-    """A participant of the graph.
-
-    Args:
-        master: The graph.
-        name: As which node.
-    """
+    """A participant of the graph, of this name."""
 
     def __init__(self, master: Master, name: str) -> None:
         self.master, self.name = master, name
@@ -153,13 +139,10 @@ class Station:
         self._listener = socket.create_server((LOOPBACK, 0))
         self._server = _Server((LOOPBACK, 0), logRequests=False, allow_none=True)
         self.uri = f"http://{LOOPBACK}:{self._server.server_address[1]}/"
-        for method in _METHODS:
-            self._server.register_function(getattr(self, f"_{method}"), method)
-        for work in (self._serve, self._accept):
-            threading.Thread(target=work, daemon=True).start()
-
-    def _serve(self) -> None:
-        self._server.serve_forever(0.05)
+        for name, method in self._interface().items():
+            self._server.register_function(method, name)
+        threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
+        threading.Thread(target=self._accept, daemon=True).start()
 
     def close(self) -> None:
         """Stop listening, and close every connection."""
@@ -177,13 +160,7 @@ class Station:
                 outlet.leave(reader)
 
     def offer(self, topic: str, header: Mapping[str, str], active: bool = True) -> Outlet:
-        """Offer a topic to nodes that are told of us; the master is not.
-
-        Args:
-            topic: Its name.
-            header: Type, md5sum, message_definition and latching.
-            active: Whether readers are sent messages from the beginning.
-        """
+        """Offer a topic to nodes that are informed of us, without the master; see `Outlet`."""
         kept = {name: header[name] for name in ("type", "md5sum", "message_definition", "latching") if name in header}
         self._outlets[topic] = Outlet(topic, {"callerid": self.name, **kept}, active)
         return self._outlets[topic]
@@ -194,13 +171,8 @@ class Station:
         self.master.call("registerPublisher", topic, header["type"], self.uri, caller=self.name)
         return outlet
 
-    def subscribe(self, topic: str, arrived: Callable[[bytes], None]) -> "Inlet":
-        """Read a topic like any other node: the master tells us who publishes it.
-
-        Args:
-            topic: Its name.
-            arrived: Called with each message, in the thread of its publisher.
-        """
+    def subscribe(self, topic: str, arrived: Callable[[bytes], None]) -> Inlet:
+        """Read a topic as any node: `arrived` gets each message, in the thread of its publisher."""
         self._inlets[topic] = Inlet(topic, arrived, self.name)
         publishers = self.master.call("registerSubscriber", topic, "*", self.uri, caller=self.name)
         self._inlets[topic].connect(publishers)
@@ -216,7 +188,7 @@ class Station:
             threading.Thread(target=self._greet, args=(connection,), daemon=True).start()
 
     def _greet(self, connection: socket.socket) -> None:
-        """Answer the header of a reader, and wait until it goes."""
+        """Answer the header of a reader, and wait until it leaves."""
         stream = connection.makefile("rb")
         try:
             told = decode_header(read_frame(stream, LARGEST_HEADER))
@@ -242,55 +214,45 @@ class Station:
             connection.close()
 
     # ---- the interface of a node ------------------------------------------------------------------------------------
-    def _getPid(self, caller: str) -> list[Any]:  # noqa: N802 - names of ROS
-        return [1, "", os.getpid()]
+    def _interface(self) -> dict[str, Callable[..., list[Any]]]:
+        """Methods of http://wiki.ros.org/ROS/Slave_API; their first argument is the caller's name."""
+        return {
+            "getPid": lambda caller: [1, "", os.getpid()],
+            "getMasterUri": lambda caller: [1, "", self.master.uri],
+            "getBusStats": lambda caller: [1, "", [[], [], []]],
+            "getBusInfo": lambda caller: [1, "", self._connections()],
+            "getSubscriptions": lambda caller: [1, "", [[topic, "*"] for topic in self._inlets]],
+            "getPublications": lambda caller: [
+                1,
+                "",
+                [[name, out.header["type"]] for name, out in self._outlets.items()],
+            ],
+            "requestTopic": self._request_topic,
+            "publisherUpdate": self._update_publishers,
+            "paramUpdate": lambda caller, key, value: [1, "", 0],
+            "shutdown": lambda caller, reason="": [0, "is ended by its user alone", 0],
+        }
 
-    def _getMasterUri(self, caller: str) -> list[Any]:  # noqa: N802
-        return [1, "", self.master.uri]
-
-    def _getBusStats(self, caller: str) -> list[Any]:  # noqa: N802
-        return [1, "", [[], [], []]]
-
-    def _getBusInfo(self, caller: str) -> list[Any]:  # noqa: N802
-        rows = [
-            [number, reader.node, "o", "TCPROS", topic, True, "TCPROS connection"]
-            for topic, outlet in self._outlets.items()
-            for number, reader in enumerate(list(outlet.readers))
+    def _connections(self) -> list[list[Any]]:
+        ends = [
+            (topic, "o", [reader.node for reader in list(outlet.readers)]) for topic, outlet in self._outlets.items()
         ]
-        rows += [
-            [number, uri, "i", "TCPROS", topic, True, "TCPROS connection"]
-            for topic, inlet in self._inlets.items()
-            for number, uri in enumerate(list(inlet.sources))
+        ends += [(topic, "i", list(inlet.sources)) for topic, inlet in self._inlets.items()]
+        return [
+            [number, name, direction, "TCPROS", topic, True, "TCPROS connection"]
+            for topic, direction, names in ends
+            for number, name in enumerate(names)
         ]
-        return [1, "", rows]
 
-    def _getSubscriptions(self, caller: str) -> list[Any]:  # noqa: N802
-        return [1, "", [[topic, "*"] for topic in self._inlets]]
-
-    def _getPublications(self, caller: str) -> list[Any]:  # noqa: N802
-        return [1, "", [[topic, outlet.header["type"]] for topic, outlet in self._outlets.items()]]
-
-    def _requestTopic(self, caller: str, topic: str, protocols: list[Any]) -> list[Any]:  # noqa: N802
+    def _request_topic(self, caller: str, topic: str, protocols: list[Any]) -> list[Any]:
         if topic not in self._outlets or not any(protocol[:1] == ["TCPROS"] for protocol in protocols):
             return [0, "no such topic here", []]
         return [1, "ready", ["TCPROS", LOOPBACK, self._listener.getsockname()[1]]]
 
-    def _publisherUpdate(self, caller: str, topic: str, uris: list[str]) -> list[Any]:  # noqa: N802
+    def _update_publishers(self, caller: str, topic: str, uris: list[str]) -> list[Any]:
         if topic in self._inlets:
             threading.Thread(target=self._inlets[topic].connect, args=(uris,), daemon=True).start()
         return [1, "", 0]
-
-    def _paramUpdate(self, caller: str, key: str, value: Any) -> list[Any]:  # noqa: N802
-        return [1, "", 0]
-
-    def _shutdown(self, caller: str, reason: str = "") -> list[Any]:
-        return [0, "is ended by its user alone", 0]
-
-
-_METHODS = (
-    "getPid", "getMasterUri", "getBusStats", "getBusInfo", "getSubscriptions", "getPublications", "requestTopic",
-    "publisherUpdate", "paramUpdate", "shutdown",
-)  # fmt: skip
 
 
 def _mismatch(told: Mapping[str, str], header: Mapping[str, str]) -> str:
