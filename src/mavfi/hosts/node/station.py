@@ -139,8 +139,8 @@ class Station:
         self._listener = socket.create_server((LOOPBACK, 0))
         self._server = _Server((LOOPBACK, 0), logRequests=False, allow_none=True)
         self.uri = f"http://{LOOPBACK}:{self._server.server_address[1]}/"
-        for name, method in self._interface().items():
-            self._server.register_function(method, name)
+        for method, function in self._interface().items():
+            self._server.register_function(function, method)
         threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
         threading.Thread(target=self._accept, daemon=True).start()
 
@@ -225,7 +225,7 @@ class Station:
             "getPublications": lambda caller: [
                 1,
                 "",
-                [[name, out.header["type"]] for name, out in self._outlets.items()],
+                [[out.topic, out.header["type"]] for out in self._outlets.values()],
             ],
             "requestTopic": self._request_topic,
             "publisherUpdate": self._update_publishers,
@@ -234,10 +234,8 @@ class Station:
         }
 
     def _connections(self) -> list[list[Any]]:
-        ends = [
-            (topic, "o", [reader.node for reader in list(outlet.readers)]) for topic, outlet in self._outlets.items()
-        ]
-        ends += [(topic, "i", list(inlet.sources)) for topic, inlet in self._inlets.items()]
+        ends = [(out.topic, "o", [reader.node for reader in list(out.readers)]) for out in self._outlets.values()]
+        ends += [(inlet.topic, "i", list(inlet.sources)) for inlet in self._inlets.values()]
         return [
             [number, name, direction, "TCPROS", topic, True, "TCPROS connection"]
             for topic, direction, names in ends
