@@ -217,20 +217,16 @@ class Station:
     def _interface(self) -> dict[str, Callable[..., list[Any]]]:
         """Methods of http://wiki.ros.org/ROS/Slave_API; their first argument is the caller's name."""
         return {
-            "getPid": lambda caller: [1, "", os.getpid()],
-            "getMasterUri": lambda caller: [1, "", self.master.uri],
-            "getBusStats": lambda caller: [1, "", [[], [], []]],
-            "getBusInfo": lambda caller: [1, "", self._connections()],
-            "getSubscriptions": lambda caller: [1, "", [[topic, "*"] for topic in self._inlets]],
-            "getPublications": lambda caller: [
-                1,
-                "",
-                [[out.topic, out.header["type"]] for out in self._outlets.values()],
-            ],
+            "getPid": lambda _: [1, "", os.getpid()],
+            "getMasterUri": lambda _: [1, "", self.master.uri],
+            "getBusStats": lambda _: [1, "", [[], [], []]],
+            "getBusInfo": lambda _: [1, "", self._connections()],
+            "getSubscriptions": lambda _: [1, "", [[topic, "*"] for topic in self._inlets]],
+            "getPublications": lambda _: [1, "", [[out.topic, out.header["type"]] for out in self._outlets.values()]],
             "requestTopic": self._request_topic,
             "publisherUpdate": self._update_publishers,
-            "paramUpdate": lambda caller, key, value: [1, "", 0],
-            "shutdown": lambda caller, reason="": [0, "is ended by its user alone", 0],
+            "paramUpdate": lambda *_: [1, "", 0],
+            "shutdown": lambda *_: [0, "is ended by its user alone", 0],
         }
 
     def _connections(self) -> list[list[Any]]:
