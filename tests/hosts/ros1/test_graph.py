@@ -5,10 +5,9 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD, Graph, face_of
-from mavfi.hosts.ros1.launch import launch_text
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import world_listens
-from mavfi.hosts.ros1.session import configure, isolation
+from mavfi.hosts.ros1.session import configure, isolation, launch_text
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import PERIODIC, STATES, Stage
 from tests.hosts.missions import STACKS, fault, mission

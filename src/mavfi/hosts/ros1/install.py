@@ -28,7 +28,7 @@ PACKAGES = (
 
 
 def main() -> int:
-    """Install what is missing, and say so in one line."""
+    """Install missing packages, and report in one line."""
     try:
         before = finder.missing()
         if before:
@@ -43,7 +43,7 @@ def main() -> int:
 
 
 def install() -> None:
-    """Install with the rights that this user has.
+    """Install with the rights of this user.
 
     Raises:
         BadInputError: There is no apt.
@@ -58,11 +58,11 @@ def install() -> None:
 
 
 def unpack(folder: Path, status: Path = Path("/var/lib/dpkg/status")) -> int:
-    """Download the packages that are not installed, and unpack them; no rights are needed.
+    """Download the packages that are not installed, and unpack them into a folder; no rights are needed.
 
     Args:
-        folder: Where.
-        status: What is installed, in dpkg's form.
+        folder: The folder.
+        status: The installed packages, in dpkg's form.
 
     Returns:
         How many packages.
@@ -92,7 +92,7 @@ def unpack(folder: Path, status: Path = Path("/var/lib/dpkg/status")) -> int:
 
 
 def version() -> str:
-    """Version of rospy, as Debian says."""
+    """Version of rospy in Debian."""
     folders = [root / finder.DIST_PACKAGES for root in finder.roots()]
     found = [path.name.split("-")[1] for folder in folders for path in folder.glob("rospy-*.egg-info")]
     return found[0].removesuffix(".egg") if found else ""

@@ -11,14 +11,12 @@ import numpy as np
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.recovery import SCANNING
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
-from mavfi.hosts.ros1.ending import fatal
 from mavfi.hosts.ros1.generate import message_type
 from mavfi.hosts.ros1.graph import RECOMPUTE
-from mavfi.hosts.ros1.inbox import Inbox
 from mavfi.hosts.ros1.nodelet_cloud import NodeletCloud
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.planning_service import offer_planning
-from mavfi.hosts.ros1.ports import Ports
+from mavfi.hosts.ros1.ports import Inbox, Ports, fatal
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.platforms.compute import latency
@@ -29,20 +27,9 @@ _LOADING_FLIGHT_US = 3_000_000
 
 
 class KernelNode:
-    """What both ways of running have in common.
-
-    Attributes:
-        kernels: By name.
-        ports: Its topics.
-    """
+    """Builds the kernels of a node, and advertises their results."""
 
     def __init__(self, name: str, plan: Plan) -> None:
-        """Build the kernels and advertise what they write.
-
-        Args:
-            name: Name of the node.
-            plan: The flight.
-        """
         built = build_pipeline(plan.config)
         self.kernels = {kernel: built[kernel] for kernel in plan.graph.nodes[name]}
         self.ports = Ports(name, plan)
@@ -68,10 +55,9 @@ class KernelNode:
 
 
 class LockStepNode(KernelNode):
-    """Does what the world asks for, in its order, on what came over the topics."""
+    """Executes the orders of the world in their sequence, on values that came over the topics."""
 
     def __init__(self, name: str, plan: Plan) -> None:
-        """Build it; see `KernelNode`."""
         super().__init__(name, plan)
         self._inbox = Inbox()
         self._taken: dict[int, tuple[State, int]] = {}
@@ -146,16 +132,14 @@ class LockStepNode(KernelNode):
         return state
 
     def _publish(self, kernel: Kernel, order: Any) -> None:
-        del kernel
         state = self._results.pop(order.number)
         self._outlets[state.spec.name].publish(state, order.number, order.time_us)
 
 
 class FreeNode(KernelNode):
-    """Computes on what comes, when it comes, and publishes when the latency of the modelled platform has passed."""
+    """Computes as values arrive, and publishes when the latency of the modelled platform has passed."""
 
     def __init__(self, name: str, plan: Plan) -> None:
-        """Build it; see `KernelNode`."""
         super().__init__(name, plan)
         self._latency_us = {kernel: latency(plan.scenario.platform, kernel) for kernel in self.kernels}
         self._queue: queue.SimpleQueue[tuple[State | None, int, Any]] = queue.SimpleQueue()
@@ -189,7 +173,7 @@ class FreeNode(KernelNode):
                 self._step(kernel, now)
 
     def _begins_period(self, state: State, now: int) -> bool:
-        """Whether a value says that a control period begins: a position that is known then, not between."""
+        """Whether a value begins a control period: a position known at its start, not in between."""
         return state.spec.name == self.ports.plan.config.odometry and now % CONTROL_PERIOD_US == 0
 
     def _step(self, kernel: Kernel, now: int) -> None:
@@ -208,7 +192,7 @@ class FreeNode(KernelNode):
             self._outlets[state.spec.name].publish(state, self._number, now + latency_us)
 
     def _recompute(self, request: Any, now: int) -> None:
-        """A detector's request, as far as it is for these kernels."""
+        """A detector's request, as far as it concerns these kernels."""
         for name in request.restores:
             if name in self.kernels:
                 self.kernels[name].rollback()
@@ -222,7 +206,7 @@ class FreeNode(KernelNode):
 
 
 def load_compiled(plan: Plan) -> None:
-    """Fly the first seconds in this process: functions are compiled and loaded at their first use, which takes time."""
+    """Fly the first seconds in this process: functions are compiled and loaded at their first use."""
     loop = new_loop(plan.scenario)
     watch(loop, None if plan.free_running else plan.detector, plan.coupling)
     loop.judge.limit_us = _LOADING_FLIGHT_US

@@ -14,7 +14,7 @@ SERVICE = "/plan"
 
 
 def find_path(planner: MotionPlanner, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """A path on the present map; the flight does not notice: the planner's randomness is put back.
+    """A path on the present map, without effect on the flight: the planner's randomness is restored.
 
     Args:
         planner: The kernel.
@@ -22,8 +22,7 @@ def find_path(planner: MotionPlanner, start: np.ndarray, goal: np.ndarray) -> np
         goal: Same.
 
     Returns:
-        Vertices from start on, with the planner's radius or, if that fails, the checker's; empty = none.
-        Shape (n, 3).
+        Vertices from start on, with the planner's radius or, if that fails, the checker's; empty = none. Shape (n, 3).
     """
     routes = planner.routes
     before = routes.search.random.copy()
@@ -42,7 +41,7 @@ def offer_planning(planner: Kernel, config: PipelineConfig, lock: threading.Lock
 
     Args:
         planner: The kernel, a `MotionPlanner`.
-        config: Of the mission; its goal is meant where a request has the goal (0, 0, 0).
+        config: Of the mission; its goal replaces (0, 0, 0) in a request.
         lock: Held while the kernel computes.
     """
     import rospy

@@ -1,6 +1,6 @@
-"""Lives with a flight in its private network: starts roslaunch, and leaves no process behind, however the flight ends.
+"""Runs a flight in its private network: starts roslaunch, and leaves no process behind, however the flight ends.
 
-Orphans become its children, so that everything the flight has started can be found and ended by its process id.
+Orphans become its children, so that every process of the flight can be found and ended by its id.
 """
 
 import ctypes
@@ -16,8 +16,9 @@ from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 
+from mavfi.hosts.ros1 import folder as files
 from mavfi.hosts.ros1.finder import find_file
-from mavfi.hosts.ros1.folder import FAILURE, FLIGHT, LAUNCH_FILE, LOG, PID, environment, flight_folder, master_port
+from mavfi.hosts.ros1.folder import FAILURE, FLIGHT, LAUNCH_FILE, LOG, PID, write_file
 
 _PDEATHSIG, _SUBREAPER = 1, 36  # PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER of <linux/prctl.h>
 _GET_FLAGS, _SET_FLAGS, _UP = 0x8913, 0x8914, 0x1  # SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP of <linux/sockios.h>
@@ -26,9 +27,9 @@ _STOP = [False]
 
 
 def main() -> None:
-    """Run a flight until it is over, its parent dies, or a signal says so."""
+    """Run a flight until it is over, its parent dies, or a signal ends it."""
     parent = os.getppid()
-    folder = flight_folder()
+    folder = files.flight_folder()
     libc = ctypes.CDLL(None)
     libc.prctl(_PDEATHSIG, signal.SIGTERM)
     libc.prctl(_SUBREAPER, 1)
@@ -41,14 +42,12 @@ def main() -> None:
             subprocess.Popen(
                 [
                     str(find_file("usr/bin/roslaunch")), "--skip-log-check", "--disable-title",
-                    "-p", master_port(), str(folder / LAUNCH_FILE),
+                    "-p", files.master_port(), str(folder / LAUNCH_FILE),
                 ],
-                env=environment(folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, cwd=folder,
+                env=files.environment(folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, cwd=folder,
                 preexec_fn=lambda: libc.prctl(_PDEATHSIG, signal.SIGKILL),
             )  # fmt: skip
-        part = folder / f"part-{PID}"
-        part.write_text(str(os.getpid()))
-        part.rename(folder / PID)
+        write_file(PID, str(os.getpid()).encode())
         while not _STOP[0] and not any((folder / name).exists() for name in (FLIGHT, FAILURE)):
             if not reap():
                 break
@@ -76,7 +75,7 @@ def loopback_up() -> None:
 
 
 def reap() -> bool:
-    """Take leave of children that have ended; says whether there are any left."""
+    """Collect children that have ended; whether there are any left."""
     try:
         while os.waitpid(-1, os.WNOHANG)[0]:
             pass
@@ -97,7 +96,7 @@ def children(parent: int) -> list[int]:
 
 
 def end_all() -> None:
-    """Kill every process that this one has started or inherited; what they leave behind is inherited in turn."""
+    """Kill all children; orphans of theirs become children in turn."""
     while reap():
         for pid in children(os.getpid()):
             with suppress(ProcessLookupError):
