@@ -39,12 +39,9 @@ class Case:
 
     Attributes:
         fault: As drawn.
-        kernel: The kernel of the pipeline that is injected.
-        call: The call of its function that is injected.
-        time_us: When (us).
+        kernel: The kernel of the pipeline, and `call` of its function, that are injected, at `time_us` (us).
         value: The machine code's report of the injected value.
-        how: How the call ended, or `WAITING`.
-        detail: Signal, budget or exception.
+        how: How the call ended, or `WAITING`; `detail`: signal, budget or exception.
         report: Of the child that went on flying.
         golden: The kernel's output in that step without the fault.
         replayable: Whether the flight gives the same bytes in every process; None = by the value class.

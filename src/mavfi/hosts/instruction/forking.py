@@ -68,13 +68,7 @@ class _ForkingFunction:
 
 
 class Forks:
-    """A golden flight from which flights with faults fork.
-
-    Args:
-        scenario: The mission.
-        faults: In instructions of its kernels.
-        detector: What watches all of these flights.
-        coupling: Of the detector.
+    """A golden flight, watched by a detector or none, from which flights with faults fork.
 
     Attributes:
         cases: The faults on their way, in their order.

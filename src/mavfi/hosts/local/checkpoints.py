@@ -27,8 +27,7 @@ class Checkpoint:
     Attributes:
         instant: What can be compared with other flights, and restored; None = the end.
         rows: Number of rows in the record; `events` and `shown` (publications) are such numbers, too.
-        alarms: The alarms until then, with the outcomes that were known.
-        counts: See `Record.counts`.
+        alarms: The alarms until then, with the outcomes that were known; `counts`: see `Record.counts`.
         injector: A copy of the first tap.
         detector: Memory of the detector, see `Watched`.
     """

@@ -34,13 +34,11 @@ TICKS = {"dense": 50, "octree": 200}
 
 @dataclass(slots=True)
 class Share:
-    """How much of the flights was simulated; everything but `flights` and `converged` in control ticks.
+    """How much of the flights was simulated.
 
     Attributes:
-        flights: Flights asked for.
-        ticks: Their ticks.
-        flown: Simulated ticks.
-        shown: Ticks in which a detector was only shown the publications of a known flight.
+        ticks: Control ticks of all flights; those `flown` were simulated, in those `shown` a detector was only shown
+            the publications of a known flight.
         converged: Flights that converged to another one before their end.
     """
 
@@ -53,14 +51,9 @@ class Share:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """A flight that is over, and its checkpoints, at which others can leave it or converge to it.
+    """A flight that is over, with its publications (if it has no detector) and its checkpoints by number of rows.
 
-    Attributes:
-        log: Its log.
-        rows: The rows, one array each.
-        shown: Every publication and its instant, in flights without a detector.
-        checkpoints: By number of rows.
-        end: The end.
+    Other flights can leave it or converge to it at the checkpoints.
     """
 
     log: FlightLog

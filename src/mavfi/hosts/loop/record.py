@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from mavfi.faults.state import ActedOn
-from mavfi.flight_log import COLUMNS, AlarmRecord, Event, Profile
+from mavfi.flight_log import AlarmRecord, Event, Profile
 from mavfi.states import STAGE_KERNELS, State, StateSpec
 
 
@@ -49,13 +49,8 @@ class Record:
         self.publications = publications
 
     def write_row(self, now: int, odometry: np.ndarray, command: np.ndarray, reference: np.ndarray) -> None:
-        """Note a control period: vehicle, shape (13,), command in force, shape (4,), and reference, shape (3,)."""
-        row = np.empty(len(COLUMNS))
-        row[0] = 1e-6 * now
-        row[1:14] = odometry
-        row[14:18] = command
-        row[18:21] = reference
-        self.rows.append(row)
+        """Note a control period, see `flight_log.COLUMNS`: shapes (13,), (4,) and (3,)."""
+        self.rows.append(np.concatenate(([1e-6 * now], odometry, command, reference)))
 
     def note(self, now: int, kind: str, data: dict[str, object]) -> None:
         """Note an event."""

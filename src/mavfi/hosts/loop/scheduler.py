@@ -67,7 +67,7 @@ class Loop:
     Attributes:
         taps: What every published state passes; hosts put theirs in before the flight.
         actions: What hosts can put into the queue besides this class's methods, by name.
-        before_tick: Called with the instant (us) before each control period; `after_tick` after it.
+        before_tick, after_tick: Called with the instant (us) before and after each control period.
         after_step: Called with a kernel, its results, and the instant, before they are published.
         before_end: Called when the mission has a status.
         busy: Kernels whose latency has not passed, and an input that waits for it.
@@ -88,7 +88,7 @@ class Loop:
             name: [kernel for kernel in self.kernels.values() if name in kernel.reads] for name in STATES
         }
         self.sensors = Sensors(plant, scenario.localization)
-        self.judge = Judge.of(scenario, world)
+        self.judge = Judge(scenario, world)
         self.record = Record(self.kernels, Publications(want_profile, states_with(scenario.localization.kind).values()))
         self.taps = Taps()
         self.actions: dict[str, Callable[..., None]] = {}

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from mavfi.errors import BadInputError, MavfiError
@@ -47,13 +46,11 @@ class Bench:
             self.start(["/usr/bin/rosmaster", "--core", "-p", str(PORT)])
             self.master = self._wait_for_master()
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for station in self._stations:
             station.close()
         for process in reversed(self._processes):
@@ -81,15 +78,17 @@ class Bench:
             "ROS_HOME": str(self._folder), "ROS_LOG_DIR": str(self._folder), "OMP_NUM_THREADS": "1",
             **(extra or {}),
         }  # fmt: skip
-        log = self._folder / f"{len(self._processes)}-{Path(command[0]).name}.log"
+        name = command[0]
+        program = str(finder.find_file(name.lstrip("/"))) if name.startswith("/usr/") else name
+        log = self._folder / f"{len(self._processes)}-{Path(name).name}.log"
         try:
             with log.open("wb") as output:
                 process = subprocess.Popen(
-                    [_program(command[0]), *command[1:]], env=variables, stdout=output, stderr=output,
+                    [program, *command[1:]], env=variables, stdout=output, stderr=output,
                     stdin=subprocess.DEVNULL, cwd=self._folder,
                 )  # fmt: skip
         except OSError as error:
-            raise BadInputError(f"{command[0]}: cannot be started ({error.strerror})") from None
+            raise BadInputError(f"{name}: cannot be started ({error.strerror})") from None
         self._processes.append(process)
         return process
 
@@ -114,11 +113,6 @@ class Bench:
             except MavfiError:
                 time.sleep(_POLL_S)
         raise MavfiError(f"node {name}: is not there after {_START_PATIENCE_S:g} s")
-
-
-def _program(name: str) -> str:
-    """The program, wherever the packages of ROS lie."""
-    return str(finder.find_file(name.lstrip("/"))) if name.startswith("/usr/") else name
 
 
 class Drive:

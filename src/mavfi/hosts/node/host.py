@@ -17,9 +17,9 @@ from mavfi.flight_log import Injection, KernelEffect
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Recorded
 from mavfi.hosts.node.config import NodeConfig
-from mavfi.hosts.node.private import private_network
 from mavfi.hosts.node.trial import Trial, run_trial
 from mavfi.hosts.ros1 import finder
+from mavfi.hosts.ros1.supervisor import private_network
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import DUE, Effect
 

@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from types import TracebackType
 
 from mavfi.errors import BadInputError, MavfiError, allowed
 from mavfi.faults.message.definition import Definition
@@ -62,7 +61,6 @@ class Relay:
         to: Publish under this name instead of turning readers.
 
     Attributes:
-        definition: Of the messages.
         passed: Number of messages given to readers.
         failures: Why readers could not be turned.
         error: Failure while messages passed.
@@ -114,7 +112,7 @@ class Relay:
         try:
             self._begin()
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         return self
 
@@ -135,9 +133,7 @@ class Relay:
             self._pump(self._sources)
         threading.Thread(target=self._watch, daemon=True).start()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ended.set()
         with self._lock:  # no reader is turned any more from here on
             self._guardian.undo()

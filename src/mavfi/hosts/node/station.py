@@ -37,13 +37,10 @@ class Reader:
 
 @dataclass(slots=True, eq=False)
 class Outlet:
-    """A topic that others can read from us.
+    """A topic that others can read from us; `header` is sent to its readers.
 
     Attributes:
-        topic: Its name.
-        header: Type, md5sum, message_definition and latching, as sent to readers.
         active: Whether new readers are active at once.
-        readers: Those that are connected.
         last: For a latched topic: the message for new readers.
     """
 
@@ -91,16 +88,7 @@ class Outlet:
 
 
 class Inlet:
-    """A topic that we read as node `caller`.
-
-    Args:
-        topic: Its name.
-        arrived: Called with each message.
-        caller: Our name.
-
-    Attributes:
-        sources: Connections by the publisher's address.
-    """
+    """A topic that we read as node `caller`; `arrived` gets each message, `sources` are connections by address."""
 
     def __init__(self, topic: str, arrived: Callable[[bytes], None], caller: str) -> None:
         self.topic, self._arrived, self._caller = topic, arrived, caller

@@ -15,16 +15,7 @@ from mavfi.hosts.node.tcpros import Source
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A node.
-
-    Attributes:
-        name: Its name.
-        uri: Its address.
-        pid: Its process; None = it does not answer: only its registration is left.
-        executable: Program of the process; "" if it cannot be found.
-        publishes: Topics.
-        reads: Topics.
-    """
+    """A node; `pid` is None where only its registration is left, `executable` "" where it cannot be found."""
 
     name: str
     uri: str
@@ -41,15 +32,7 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic.
-
-    Attributes:
-        name: Its name.
-        kind: Message type; "*" = not known.
-        publishers: Nodes.
-        readers: Nodes.
-        rate: Messages per second; None = not measured.
-    """
+    """A topic; its type (`kind`) is "*" if not known, its rate (1/s) None if not measured."""
 
     name: str
     kind: str

@@ -26,9 +26,8 @@ from mavfi.faults.register import inject
 from mavfi.flight_log import Injection
 from mavfi.hosts.node.bench import Bench, Drive
 from mavfi.hosts.node.config import NodeConfig
-from mavfi.hosts.node.private import private_network
 from mavfi.hosts.ros1.folder import own_path
-from mavfi.hosts.ros1.supervisor import end_all, loopback_up
+from mavfi.hosts.ros1.supervisor import end_all, loopback_up, private_network
 from mavfi.outcomes import Effect
 
 _PARENT_DIED, _SUBREAPER = 1, 36  # PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER of <linux/prctl.h>
@@ -47,8 +46,7 @@ class Trial:
 
     Attributes:
         effect: Label of an `Effect`: "masked" = no output differs, "sdc" = some do, "crash" = the process ended,
-            "hang" = it gave no output, "unknown" = it could not be judged.
-        reason: Why it could not be judged, or how the process ended.
+            "hang" = it gave no output, "unknown" = it could not be judged; `reason` is for the last three.
         outputs: Hash of the output to each input, before the injection.
         asked: Number of inputs since the injection.
         differing: Hashes of their outputs that differ.

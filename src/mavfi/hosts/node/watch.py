@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from types import TracebackType
 from typing import Any
 
 from mavfi.detectors.detector import Detector
@@ -40,12 +39,10 @@ class ForeignAlarm:
 
     Attributes:
         time_s: When, by this machine's clock (s since 1970).
-        topic: Of the message.
-        message: Its number among those judged, counted from 1.
+        message: Its number among the judged ones of its topic, counted from 1.
         detector: "gaussian" or "autoencoder".
         score: How anomalous; > 1 is an alarm.
-        fields: The numbers that stand out.
-        values: Their values, as text.
+        fields: The numbers that stand out; `values` as text.
     """
 
     time_s: float
@@ -147,9 +144,7 @@ class Listener:
             self._station.subscribe(topic, partial(self._arrived, topic))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._guardian.undo()
         self._station.close()
 
@@ -187,13 +182,7 @@ class Listener:
 
 
 class Watch:
-    """Judges messages, and publishes alarms.
-
-    Args:
-        listener: The graph; it must be open.
-        probes: What is watched.
-        detector: A trained detector.
-        alarm_topic: Where alarms are published, as JSON in a `std_msgs/String`.
+    """Judges messages of an open listener, and publishes alarms on a topic, as JSON in a `std_msgs/String`.
 
     Attributes:
         alarms: All so far.

@@ -29,15 +29,7 @@ writes down what happened."""
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """How the values of one state get to their consumers.
-
-    Attributes:
-        state: Name of the state.
-        writer: Node that publishes it first.
-        readers: Nodes that have kernels which read it.
-        injected: Whether the injector is in the way.
-        gated: Whether the detector is in the way.
-    """
+    """How the values of a state get from the node that publishes them first to those with kernels that read them."""
 
     state: str
     writer: str

@@ -18,12 +18,7 @@ _DEFINITIONS = (
     "std-msgs", "geometry-msgs", "sensor-msgs", "trajectory-msgs", "visualization-msgs", "diagnostic-msgs", "tf2-msgs",
     "rosgraph-msgs", "nav-msgs", "map-msgs", "actionlib-msgs", "robot-state-publisher",
 )  # fmt: skip
-PACKAGES = (
-    "rosout",
-    "topic-tools",
-    *(f"python3-{name}" for name in _PYTHON),
-    *(f"ros-{name}" for name in _DEFINITIONS),
-)
+PACKAGES = ("rosout", "topic-tools", *map("python3-{}".format, _PYTHON), *map("ros-{}".format, _DEFINITIONS))
 """Without `python3-nav-msgs` (144 MB) and `python3-tf2-ros` (200 MB), which pull in development files."""
 
 
@@ -43,12 +38,7 @@ def main() -> int:
 
 
 def install() -> None:
-    """Install with the rights of this user.
-
-    Raises:
-        BadInputError: There is no apt.
-        MavfiError: apt fails.
-    """
+    """Install with the rights of this user; `MavfiError`: there is no apt, or it fails."""
     if os.geteuid() == 0:
         variables = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
         _run(["apt-get", "update", "-qq"], environment=variables)
@@ -66,10 +56,6 @@ def unpack(folder: Path, status: Path = Path("/var/lib/dpkg/status")) -> int:
 
     Returns:
         How many packages.
-
-    Raises:
-        BadInputError: There is no apt.
-        MavfiError: apt fails.
     """
     state, cache = folder / "apt" / "state", folder / "apt" / "cache"
     for place in (state / "lists" / "partial", cache / "archives" / "partial"):

@@ -129,10 +129,6 @@ def focal_length(camera: CameraConfig) -> float:
     return 0.5 * camera.width / math.tan(0.5 * camera.field_of_view)
 
 
-def _camera_info(message: Any, state: State, camera: CameraConfig) -> None:
-    fill_camera_info(message, camera)
-
-
 def fill_camera_info(message: Any, camera: CameraConfig) -> None:
     """Fill in a `sensor_msgs/CameraInfo`, except its header: a pinhole without distortion."""
     focal, cx, cy = focal_length(camera), 0.5 * camera.width - 0.5, 0.5 * camera.height - 0.5
@@ -215,7 +211,10 @@ def _fill_imu(message: Any, values: np.ndarray) -> None:
 
 STANDARDS = (
     Standard("sensor.depth", "/camera/depth/image_rect", "sensor_msgs/Image", OPTICAL, _image),
-    Standard("sensor.depth", "/camera/depth/camera_info", "sensor_msgs/CameraInfo", OPTICAL, _camera_info),
+    Standard(
+        "sensor.depth", "/camera/depth/camera_info", "sensor_msgs/CameraInfo", OPTICAL,
+        lambda message, _, camera: fill_camera_info(message, camera),
+    ),
     Standard("sensor.odometry", "/odometry", "nav_msgs/Odometry", MAP, _odometry),
     Standard("sensor.odometry", "/tf", "tf2_msgs/TFMessage", MAP, _transform),
     Standard("perception.odometry", "/odometry", "nav_msgs/Odometry", MAP, _odometry),
@@ -223,9 +222,7 @@ STANDARDS = (
     Standard("sensor.imu", "/imu/data", "sensor_msgs/Imu", VEHICLE, _imu),
     Standard("perception.point_cloud", "/points", "sensor_msgs/PointCloud2", MAP, _point_cloud),
     Standard("planning.path", "/path", "nav_msgs/Path", MAP, _path),
-    Standard(
-        "planning.trajectory", "/trajectory", "trajectory_msgs/MultiDOFJointTrajectory", MAP, _trajectory
-    ),
+    Standard("planning.trajectory", "/trajectory", "trajectory_msgs/MultiDOFJointTrajectory", MAP, _trajectory),
     Standard("planning.waypoint", "/reference", "trajectory_msgs/MultiDOFJointTrajectory", MAP, _waypoint),
     Standard("control.command", "/command", "geometry_msgs/TwistStamped", MAP, _command),
 )  # fmt: skip

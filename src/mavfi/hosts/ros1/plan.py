@@ -23,8 +23,7 @@ class Plan:
     """A flight on ROS.
 
     Attributes:
-        scenario: The mission.
-        config: Of the kernels.
+        scenario: The mission; `config` of its kernels.
         fault: What to inject into a state.
         detector: What watches, as it is before the flight.
         coupling: "inline": a gate before the consumers; "observer": a subscriber whose requests act one step later.
@@ -35,7 +34,6 @@ class Plan:
         cloud_node: Who computes the point cloud: the project's kernel, or Debian's nodelet.
         register_faults: Bits flipped in registers of nodes.
         profile: Whether to note when which state was published; the world then listens to all of them.
-        graph: Nodes and topics.
         nodes: All nodes of the project except the world.
     """
 

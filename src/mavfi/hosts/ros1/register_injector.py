@@ -37,16 +37,13 @@ def fault_in_node(node: str, time_us: int, registers: str = "all", seed: int = 0
 
 
 class RegisterInjector:
-    """The faults in registers of one flight, in order of time.
+    """The faults in registers of one flight, in order of time; `injections` are those so far, also the failed ones.
 
     Args:
         faults: All.
         pid_of: Process of a node.
         hold: Whether the flight may stand still until the tracer is ready, so that the injected call is the first one
             after the instant, independent of wall-clock time.
-
-    Attributes:
-        injections: Those so far; `details` say why one could not be made.
     """
 
     def __init__(self, faults: Sequence[RegisterFault], pid_of: Callable[[str], int], hold: bool) -> None:

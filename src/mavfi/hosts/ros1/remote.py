@@ -32,12 +32,10 @@ class NodeLostError(Exception):
 
 @dataclass(slots=True)
 class Publication(State):
-    """A value on its way through the topics.
+    """A value on its way through the topics, identified by its number.
 
     Attributes:
-        number: Identifies it.
-        link: Node that holds it until it is to be published; None = the world has it.
-        life: The node's life from which it comes.
+        link: Node that holds it until it is to be published, in its present `life`; None = the world has it.
         kernel: Its writer.
         sent: Whether it is on its topic already, stamped with the instant at which it counts.
     """
@@ -87,8 +85,6 @@ class Link:
     """The connection with one kernel node.
 
     Attributes:
-        node: Its name.
-        pid: Its process.
         lost: Whether it is away.
         life: How often it was lost.
         since: Number of the first publication that this life of the node can have seen.

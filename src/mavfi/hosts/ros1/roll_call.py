@@ -5,7 +5,7 @@ master and `/proc` know about them.  They are expected to die: their registers c
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ HUNG, ENDED = "did not answer", "has ended"
 _POLL_S = 0.01
 
 
-def asks(plan: Plan) -> dict[str, Callable[[str], int | None]]:
+def asks(plan: Plan) -> Mapping[str, Callable[[str], int | None]]:
     """By node: how its process id is asked for; None = the node does not answer."""
     return dict.fromkeys(plan.nodes, ask_ours) | dict.fromkeys(plan.foreign, ask_foreign)
 

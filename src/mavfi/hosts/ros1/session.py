@@ -18,12 +18,12 @@ from mavfi.flight_log import FlightLog, Profile
 from mavfi.hosts.host import Flight
 from mavfi.hosts.loop.compose import pipeline_config
 from mavfi.hosts.node import nodelets
-from mavfi.hosts.node.private import private_network
 from mavfi.hosts.ros1 import finder
 from mavfi.hosts.ros1 import folder as files
 from mavfi.hosts.ros1.generate import generate, name_definitions, package_xml
 from mavfi.hosts.ros1.graph import IMAGE, INFO, POINTS, WORLD
 from mavfi.hosts.ros1.plan import Plan
+from mavfi.hosts.ros1.supervisor import private_network
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.sim.camera import pixel_directions

@@ -16,9 +16,9 @@ from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 
+from mavfi.errors import BadInputError
 from mavfi.hosts.ros1 import folder as files
 from mavfi.hosts.ros1.finder import find_file
-from mavfi.hosts.ros1.folder import FAILURE, FLIGHT, LAUNCH_FILE, LOG, PID, write_file
 
 _PDEATHSIG, _SUBREAPER = 1, 36  # PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER of <linux/prctl.h>
 _GET_FLAGS, _SET_FLAGS, _UP = 0x8913, 0x8914, 0x1  # SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP of <linux/sockios.h>
@@ -38,17 +38,17 @@ def main() -> None:
     with suppress(OSError):  # without a private network it is up already
         loopback_up()
     try:
-        with (folder / LOG / "roslaunch").open("wb") as log:
+        with (folder / files.LOG / "roslaunch").open("wb") as log:
             subprocess.Popen(
                 [
                     str(find_file("usr/bin/roslaunch")), "--skip-log-check", "--disable-title",
-                    "-p", files.master_port(), str(folder / LAUNCH_FILE),
+                    "-p", files.master_port(), str(folder / files.LAUNCH_FILE),
                 ],
                 env=files.environment(folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, cwd=folder,
                 preexec_fn=lambda: libc.prctl(_PDEATHSIG, signal.SIGKILL),
             )  # fmt: skip
-        write_file(PID, str(os.getpid()).encode())
-        while not _STOP[0] and not any((folder / name).exists() for name in (FLIGHT, FAILURE)):
+        files.write_file(files.PID, str(os.getpid()).encode())
+        while not _STOP[0] and not any((folder / name).exists() for name in (files.FLIGHT, files.FAILURE)):
             if not reap():
                 break
             time.sleep(_POLL_S)
@@ -60,6 +60,26 @@ def main() -> None:
 
 def _stop(number: int, frame: FrameType | None) -> None:
     _STOP[0] = True
+
+
+def private_network(allowed: str = "as root, or with user namespaces") -> list[str]:
+    """Command that runs a program in a network of its own, in which nothing outside can reach it.
+
+    ROS needs one: roscpp listens on all interfaces, whatever its settings.
+
+    Raises:
+        BadInputError: There can be none; the line says what is allowed instead.
+    """
+    for way in (["unshare", "-n"], ["unshare", "-Urn"]):
+        try:
+            if subprocess.run([*way, "true"], capture_output=True, check=False).returncode == 0:
+                return way
+        except OSError:
+            break
+    raise BadInputError(
+        "no private network: neither `unshare -n` nor `unshare -Urn` works here, and ROS's C++ nodes listen on all "
+        f"interfaces; allowed: {allowed}"
+    )
 
 
 def loopback_up() -> None:
