@@ -24,8 +24,7 @@ from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
 from mavfi.faults.instruction.variant import Variant, variant_for
 from mavfi.hosts.host import Flight
-from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, case_of, flight_of
-from mavfi.hosts.instruction.output import Output
+from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, Output, case_of, flight_of
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
 from mavfi.hosts.loop.recovery import Coupling

@@ -66,15 +66,10 @@ class Template:
         raise MavfiError(f"the cache of compiled code changes all the time: {code_folder()}")
 
     def ask(self, request: bytes) -> tuple[Any, bool]:
-        """Fork the template and let the child work.
+        """Fork the template and let the child work; its errors are raised here, `MavfiError` also if it died.
 
         Returns:
             The result, and whether addresses and hashes were fixed.
-
-        Raises:
-            BadInputError: As in the child.
-            MismatchError: As in the child.
-            MavfiError: The child or the template died.
         """
         self._send(request)
         fixed, failure, result = pickle.loads(self._receive())
@@ -145,13 +140,8 @@ def fly_from_template(
 ) -> tuple[GoldenPrefix, Case]:  # fmt: skip
     """Fly one mission with a fault in an instruction, in a process forked from the template of its kind.
 
-    Returns:
-        The beginning of the golden flight over there, and the case; it can be replayed if addresses were fixed.
-
-    Raises:
-        BadInputError: As for any flight.
-        MismatchError: The fault belongs to other machine code.
-        MavfiError: The process died.
+    Returns the beginning of the golden flight over there, and the case; raises what the child raised, `MavfiError` also
+    if it died.
     """
     kind = scenario.model_copy(update={"seed": 0, "start": None, "goal": None})
     parts = (json.dumps(part.to_json(), sort_keys=True) for part in (scenario, fault))

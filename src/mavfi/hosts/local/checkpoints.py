@@ -22,14 +22,10 @@ class Instant:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checkpoint:
-    """An instant of a flight from which it, or another one, can continue.
+    """An instant of a flight (None = its end) from which it, or another one, can continue.
 
-    Attributes:
-        instant: What can be compared with other flights, and restored; None = the end.
-        rows: Number of rows in the record; `events` and `shown` (publications) are such numbers, too.
-        alarms: The alarms until then, with the outcomes that were known; `counts`: see `Record.counts`.
-        injector: A copy of the first tap.
-        detector: Memory of the detector, see `Watched`.
+    It has numbers of rows, events and publications (`shown`), alarms with the outcomes known then, counts (see
+    `Record.counts`), a copy of the first tap, and the memory of the detector (see `Watched`).
     """
 
     instant: Instant | None

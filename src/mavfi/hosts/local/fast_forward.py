@@ -175,12 +175,8 @@ class FastForward:
 class _Branch:
     """A flight under construction, on the one loop of the mission.
 
-    Args:
-        forward: The mission.
-        detector: What watches.
-        known: Flights without a detector to which it may converge.
-        own: The golden flight with the same detector.
-        keeps: Whether it keeps checkpoints, for others.
+    It may converge to `known` flights without a detector, or to `own`, the golden flight with the same detector; it may
+    keep checkpoints, for others.
     """
 
     def __init__(

@@ -37,11 +37,7 @@ def find_environment(name: str) -> EnvironmentConfig:
 
 
 def find_planner(name: str) -> PlannerConfig:
-    """A shipped planner by name, a YAML file, or an entry point or "package:Class" with default parameters.
-
-    Raises:
-        BadInputError: The file cannot be read. A missing planner is reported when it is to be made.
-    """
+    """A shipped planner by name, a YAML file, or an entry point or "package:Class" with default parameters."""
     if name.endswith((".yaml", ".yml")) or name in names("planners"):
         return shipped("planners", PlannerConfig, name)
     return PlannerConfig(name=name)
@@ -59,9 +55,9 @@ def resolve(spec: MissionSpec) -> Scenario:
     speed = spec.v_max if spec.v_max is not None else (world.v_max or _DEFAULT_V_MAX)
     if not 0.1 <= speed <= 20.0:
         raise BadInputError(f"v_max: {speed}: must lie between 0.1 and 20 m/s")
-    camera = configs.CameraConfig(noise=spec.depth_noise) if world.camera_range is None else configs.CameraConfig(
-        noise=spec.depth_noise, range=world.camera_range
-    )  # fmt: skip
+    camera = configs.CameraConfig(noise=spec.depth_noise)
+    if world.camera_range is not None:
+        camera = configs.CameraConfig(noise=spec.depth_noise, range=world.camera_range)
     resolution = spec.map_resolution if spec.map_resolution is not None else world.map_resolution
     return Scenario(
         environment=world, seed=spec.seed, stack=shipped("stacks", configs.StackConfig, spec.autopilot),

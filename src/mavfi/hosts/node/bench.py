@@ -29,11 +29,7 @@ _START_PATIENCE_S = 60.0
 
 
 class Bench:
-    """A master in the network of this process, which should be a private one, and programs in it; logs go to `folder`.
-
-    Raises:
-        BadInputError: ROS is not installed.
-    """
+    """A master in the (private) network of this process, and programs of ROS in it; logs go to `folder`."""
 
     def __init__(self, folder: Path) -> None:
         finder.require()
@@ -68,11 +64,7 @@ class Bench:
                 time.sleep(_POLL_S)
 
     def start(self, command: list[str], extra: Mapping[str, str] | None = None) -> "subprocess.Popen[bytes]":
-        """Start a program of ROS, which ends with the bench; `extra` are additional environment variables.
-
-        Raises:
-            BadInputError: There is no such program.
-        """
+        """Start a program, which ends with the bench; `extra` are additional environment variables."""
         variables = {
             **os.environ, **finder.environment(), URI_VARIABLE: MASTER_URI, "ROS_IP": "127.0.0.1",
             "ROS_HOME": str(self._folder), "ROS_LOG_DIR": str(self._folder), "OMP_NUM_THREADS": "1",
@@ -98,11 +90,7 @@ class Bench:
         return self._stations[-1]
 
     def wait_for_node(self, name: str, process: "subprocess.Popen[bytes]") -> None:
-        """Wait until a node is registered, and answers.
-
-        Raises:
-            MavfiError: Its process ends first, or it does not come.
-        """
+        """Wait until a node is registered and answers; `MavfiError` if its process ends first, or it does not come."""
         end = time.monotonic() + _START_PATIENCE_S
         while time.monotonic() < end:
             if process.poll() is not None:
@@ -150,11 +138,9 @@ class Drive:
         self._is_over.set()
 
     def ask(self, number: int, is_held: Callable[[], bool] = bool) -> bytes | None:
-        """Send an input; returns the output without its ignored members, None = none came in time.
+        """Send the input of a number; returns the output without its ignored members, None = none came in time.
 
-        Args:
-            number: Of the input.
-            is_held: Whether we hold the node at the moment: that time does not count.
+        While we hold the node, as `is_held` says, time does not count.
         """
         while not self._answers.empty():
             self._answers.get_nowait()

@@ -67,11 +67,7 @@ class Guardian:
         self._process.stdin.flush()
 
     def undo(self) -> None:
-        """Undo everything, and wait for the end.
-
-        Raises:
-            MavfiError: It takes too long.
-        """
+        """Undo everything, and wait for the end; `MavfiError` if it takes too long."""
         assert self._process.stdin is not None
         self._process.stdin.close()
         try:

@@ -50,12 +50,7 @@ class NodeHost:
         return NodeMission(self._node)
 
     def check(self) -> None:
-        """Check that the node can be tested.
-
-        Raises:
-            BadInputError: ROS is not installed, there can be no private network, or golden outputs differ.
-            MavfiError: The node does not come up, or gives no output.
-        """
+        """See `Host.check`; includes golden trials, see `golden_trial`."""
         finder.require()
         private_network()
         golden_trial(self._node)

@@ -40,11 +40,7 @@ def absolute(name: str) -> str:
 
 
 def check_known(what: str, name: str, names: Collection[str]) -> str:
-    """The absolute name, if it is known.
-
-    Raises:
-        BadInputError: It is not; the line says which are.
-    """
+    """The absolute name; `BadInputError` with the known ones if it is not among them."""
     wanted = absolute(name)
     if wanted not in names:
         raise BadInputError(f"{what} {wanted}: not in the graph; allowed: {allowed(names, wanted)}")
@@ -72,10 +68,7 @@ def call(uri: str, method: str, *arguments: Any) -> Any:
 
 @dataclass(frozen=True)
 class Graph:
-    """Publishers and subscribers (nodes by topic), services (nodes by service), and types by topic.
-
-    A topic that has only readers of any type has the type "*".
-    """
+    """Publishers, subscribers and types by topic, services by service; the type "*" = only readers of any type."""
 
     publishers: dict[str, list[str]]
     subscribers: dict[str, list[str]]
@@ -95,10 +88,7 @@ class Graph:
 
 
 class Master:
-    """A running ROS master.
-
-    Args:
-        uri: Its address; None = environment variable ROS_MASTER_URI, then port 11311 of this machine.
+    """A running ROS master; without an address that of the variable ROS_MASTER_URI, then port 11311 of this machine.
 
     Raises:
         BadInputError: None is there.
@@ -123,11 +113,7 @@ class Master:
         return Graph(publishers, subscribers, services, dict(self.call("getTopicTypes")))
 
     def node_uri(self, name: str) -> str:
-        """Address of a node.
-
-        Raises:
-            BadInputError: It is not registered.
-        """
+        """Address of a node; `BadInputError` if it is not registered."""
         try:
             found: str = self.call("lookupNode", absolute(name))
         except SilentError:

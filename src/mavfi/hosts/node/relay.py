@@ -166,11 +166,7 @@ class Relay:
 
     # ---- readers ----------------------------------------------------------------------------------------------------
     def _turn_all(self, graph: Graph) -> None:
-        """Turn the readers that are not turned yet.
-
-        Raises:
-            MavfiError: None could be turned.
-        """
+        """Turn the readers that are not turned yet; `MavfiError` if there is none in the end."""
         readers = [self._only] if self._only else graph.subscribers.get(self.topic, [])
         failures: list[str] = []
         for node in readers:

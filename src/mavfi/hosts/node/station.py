@@ -37,11 +37,9 @@ class Reader:
 
 @dataclass(slots=True, eq=False)
 class Outlet:
-    """A topic that others can read from us; `header` is sent to its readers.
+    """A topic that others can read from us; `header` is sent to its readers, which are `active` at once or later.
 
-    Attributes:
-        active: Whether new readers are active at once.
-        last: For a latched topic: the message for new readers.
+    A latched topic keeps its `last` message for new readers.
     """
 
     topic: str

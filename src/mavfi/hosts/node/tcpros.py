@@ -33,11 +33,7 @@ def decode_header(body: bytes) -> dict[str, str]:
 
 
 def read_frame(stream: Any, largest: int = 0) -> bytes:
-    """One frame without its length; `largest` bounds the accepted length, 0 = any.
-
-    Raises:
-        EOFError: The other side has closed.
-    """
+    """One frame without its length (at most `largest`, 0 = any); `EOFError` if the other side has closed."""
     head = stream.read(4)
     if len(head) < 4:
         raise EOFError

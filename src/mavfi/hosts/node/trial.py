@@ -64,12 +64,7 @@ class Trial:
 
 
 def run_trial(node: NodeConfig, golden: tuple[str, ...] = (), fault: RegisterFault | None = None) -> Trial:
-    """Run a trial in a private network.
-
-    Args:
-        node: The node under test.
-        golden: Hash of the output to each input; empty = not known yet.
-        fault: What to inject; None = nothing.
+    """Run a trial in a private network; `golden`: hash of the output to each input, empty = not known yet.
 
     Raises:
         BadInputError: ROS is not installed, no private network, a program or type is not known, ptrace is refused.

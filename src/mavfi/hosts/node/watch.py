@@ -167,11 +167,7 @@ class Listener:
                 continue
 
     def first(self) -> dict[str, tuple[Definition, bytes]]:
-        """Definition and a message of each topic.
-
-        Raises:
-            MavfiError: One of them is silent.
-        """
+        """Definition and a message of each topic; `MavfiError` if one of them is silent."""
         found: dict[str, tuple[Definition, bytes]] = {}
         for topic, message in self.take(FIRST_PATIENCE_S):
             found.setdefault(topic, (self.definitions[topic], message))
@@ -226,14 +222,7 @@ def train(
     kind: str, profile: str, probes: dict[str, Probe], messages: Iterator[tuple[str, bytes]],
     told: Callable[[int], None] | None = None,
 ) -> Detector:  # fmt: skip
-    """A detector trained on messages.
-
-    Args:
-        kind: "gaussian" or "autoencoder".
-        profile: "paper" or "tuned".
-        probes: What is watched.
-        messages: Topic and bytes of normal messages, in their order.
-        told: Called with the number of messages that were used.
+    """A detector trained on normal messages (topic and bytes, in order); `told` is called with their number.
 
     Raises:
         BadInputError: See `learn`.

@@ -26,14 +26,7 @@ def from_stamp(stamp: Any) -> int:
 
 
 def to_msg(state: State, number: int, time_us: int, kind: Any) -> Any:
-    """A message with the same bits.
-
-    Args:
-        state: The published value.
-        number: Identifies the publication.
-        time_us: When it counts.
-        kind: Message class of the state (see `generate.state_types`).
-    """
+    """A message (of a class of `generate.state_types`) with the same bits; `time_us`: when the value counts."""
     message = kind()
     to_stamp(message.header.stamp, time_us)
     message.header.frame_id = MAP

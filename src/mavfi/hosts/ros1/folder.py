@@ -76,10 +76,7 @@ def environment(folder: Path) -> dict[str, str]:
 def write_join(folder: Path, isolated: bool, own_users: bool) -> None:
     """Write the script `join`, which runs a command among the nodes of the flight.
 
-    Args:
-        folder: Of the flight.
-        isolated: Whether the flight has a network of its own.
-        own_users: Whether it has a user namespace of its own, too.
+    `isolated` and `own_users`: whether the flight has a network, and a user namespace, of its own.
     """
     enter = "--user --preserve-credentials --net" if own_users else "--net"
     prefix = f"nsenter --target \"$(cat '{folder / PID}')\" {enter} " if isolated else ""

@@ -22,7 +22,7 @@ def generate(folder: Path) -> None:
         MavfiError: The generator fails.
     """
     sources = folder / definitions.PACKAGE
-    for ending, texts in (("msg", definitions.messages()), ("srv", definitions.services())):
+    for ending, texts in (("msg", definitions.messages()), ("srv", definitions.SERVICES)):
         (sources / ending).mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             (sources / ending / f"{name}.{ending}").write_text(text)

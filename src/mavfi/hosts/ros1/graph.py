@@ -67,11 +67,6 @@ class Way:
         """Nodes in the way."""
         return (INJECTOR,) * self.injected + (DETECTOR,) * self.gated
 
-    @property
-    def last(self) -> str:
-        """Node that publishes what consumers read."""
-        return (self.writer, *self.taps)[-1]
-
 
 @dataclass(frozen=True, slots=True)
 class Face:
@@ -94,10 +89,7 @@ def face_of(kernel: Kernel) -> Face:
 class Graph:
     """Nodes and topics of one flight: `faces` of kernels, `nodes` with their kernels, and `ways` of states, by name.
 
-    Args:
-        kernels: All of the flight.
-        injected: State at which the injector sits; None = there is no injector.
-        gate: Whether the detector is a gate.
+    `injected` is the state at which the injector sits, `gate` says whether the detector is one.
     """
 
     def __init__(self, kernels: Mapping[str, Kernel], injected: str | None = None, gate: bool = False) -> None:

@@ -48,14 +48,9 @@ def install() -> None:
 
 
 def unpack(folder: Path, status: Path = Path("/var/lib/dpkg/status")) -> int:
-    """Download the packages that are not installed, and unpack them into a folder; no rights are needed.
+    """Download missing packages, and unpack them into a folder, without rights; returns their number.
 
-    Args:
-        folder: The folder.
-        status: The installed packages, in dpkg's form.
-
-    Returns:
-        How many packages.
+    `status` lists the installed packages, in dpkg's form.
     """
     state, cache = folder / "apt" / "state", folder / "apt" / "cache"
     for place in (state / "lists" / "partial", cache / "archives" / "partial"):

@@ -11,13 +11,15 @@ import numpy as np
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.recovery import SCANNING
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
+from mavfi.hosts.ros1.convert import MAP
 from mavfi.hosts.ros1.generate import message_type
 from mavfi.hosts.ros1.graph import RECOMPUTE
+from mavfi.hosts.ros1.mirrors import ros_type
 from mavfi.hosts.ros1.nodelet_cloud import NodeletCloud
 from mavfi.hosts.ros1.plan import Plan
-from mavfi.hosts.ros1.planning_service import offer_planning
 from mavfi.hosts.ros1.ports import Inbox, Ports, fatal
-from mavfi.pipeline.kernel import Kernel
+from mavfi.pipeline.kernel import Kernel, PipelineConfig
+from mavfi.pipeline.planning import MotionPlanner
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.platforms.compute import latency
 from mavfi.states import PERIODIC, State
@@ -211,3 +213,52 @@ def load_compiled(plan: Plan) -> None:
     watch(loop, None if plan.free_running else plan.detector, plan.coupling)
     loop.judge.limit_us = _LOADING_FLIGHT_US
     loop.fly()
+
+
+def find_path(planner: MotionPlanner, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """A path on the present map (m); empty = none. Shape (n, 3).
+
+    It is found with the planner's radius or, if that fails, the checker's.  The flight is not affected: the planner's
+    randomness is restored.
+    """
+    routes = planner.routes
+    before = routes.search.random.copy()
+    found = None
+    if np.isfinite(start).all() and np.isfinite(goal).all():
+        for counter in (routes.room.wide, routes.room.narrow):
+            found = found if found is not None else routes.between(start, counter, goal)
+    routes.search.random[:] = before
+    if found is None:
+        return np.zeros((0, 3))
+    return found if np.array_equal(found[0], start) else np.vstack([start, found])
+
+
+def offer_planning(planner: Kernel, config: PipelineConfig, lock: threading.Lock) -> None:
+    """Offer the service `/plan` of type `nav_msgs/GetPlan`, answered on the present map of the planner.
+
+    The goal of the mission replaces (0, 0, 0) in a request; `lock` is held while the planner computes.
+    """
+    import rospy
+    from nav_msgs.srv import GetPlan, GetPlanResponse
+
+    assert isinstance(planner, MotionPlanner)
+
+    def answer(request: Any) -> Any:
+        start, goal = (_position(pose) for pose in (request.start, request.goal))
+        with lock, np.errstate(all="ignore"):
+            path = find_path(planner, start, goal if goal.any() else config.goal)
+        response = GetPlanResponse()
+        response.plan.header.frame_id = MAP
+        for vertex in path:
+            pose = ros_type("geometry_msgs/PoseStamped")(header=response.plan.header)
+            pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = map(float, vertex)
+            pose.pose.orientation.w = 1.0
+            response.plan.poses.append(pose)
+        return response
+
+    rospy.Service("/plan", GetPlan, answer)
+
+
+def _position(pose: Any) -> np.ndarray:
+    position = pose.pose.position
+    return np.array([position.x, position.y, position.z])

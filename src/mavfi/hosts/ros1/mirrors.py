@@ -240,12 +240,7 @@ def camera_transform() -> Any:
 
 
 def imu_message(values: np.ndarray, time_us: int) -> Any:
-    """A `sensor_msgs/Imu` without orientation.
-
-    Args:
-        values: Specific force (m/s^2) and rates (rad/s), body frame. Shape (6,).
-        time_us: Instant.
-    """
+    """A `sensor_msgs/Imu` without orientation: specific force (m/s^2), rates (rad/s), body frame. Shape (6,)."""
     message = ros_type("sensor_msgs/Imu")()
     to_stamp(message.header.stamp, time_us)
     message.header.frame_id = VEHICLE

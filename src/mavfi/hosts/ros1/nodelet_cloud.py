@@ -60,9 +60,7 @@ class NodeletCloud(PointCloud):
 class Exchange:
     """Depth images to the nodelet, clouds back; `time_us`: instant of the flight, for stamps.
 
-    Args:
-        camera: Geometry.
-        patience_s: For how long, in total, a tracer may hold the nodelet at one image (s).
+    A tracer may hold the nodelet at one image for `patience_s` in total.
     """
 
     def __init__(self, camera: CameraConfig, patience_s: float) -> None:
@@ -85,8 +83,7 @@ class Exchange:
     def ask(self, depth: np.ndarray) -> np.ndarray:
         """Have the points of an image computed (see `pinhole.Projection`).
 
-        Raises:
-            NoCloudError: The nodelet is away or dies, or it does not answer and is ended.
+        `NoCloudError`: the nodelet is away or dies, or it does not answer and is ended.
         """
         if not is_alive(self._pid) and not self.probe():
             raise NoCloudError(f"{NODELET} is away")

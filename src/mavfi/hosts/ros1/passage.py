@@ -20,15 +20,7 @@ _LOOK_S = 0.5
 
 
 class Passage:
-    """The first tap: every published value passes the topics, and comes back as the injector left it.
-
-    Args:
-        ports: Of the world.
-        counter: Numbers of publications.
-        links: Every node of the flight.
-        registers: Injects into registers of nodes.
-        on_loss: Called with a node that has died while something was waited for.
-    """
+    """The first tap: every published value passes the topics, and comes back as the injector left it."""
 
     spent = False
 
@@ -94,11 +86,7 @@ class Passage:
         return self._judging and not self._links[DETECTOR].lost
 
     def _await(self, key: Any, state: State) -> Any:
-        """Wait for what a node publishes.
-
-        Raises:
-            NodeLostError: A node in the way has died: it will not come.
-        """
+        """Wait for what a node publishes; `NodeLostError` if a node in the way has died."""
         end = time.monotonic() + self._plan.patience_s
         way = self._ways[state.spec.name]
         judge = (DETECTOR,) * self._judging

@@ -61,11 +61,7 @@ class Inbox:
             self._changed.notify_all()
 
     def take(self, key: Hashable, patience_s: float) -> Any:
-        """Wait for a value, and take it out.
-
-        Raises:
-            TimeoutError: It did not come in time.
-        """
+        """Wait for a value, and take it out; `TimeoutError` if it does not come in time."""
         end = time.monotonic() + patience_s
         with self._changed:
             while key not in self._things:
@@ -151,11 +147,7 @@ class Ports:
         self._conditions.append(condition)
 
     def wait_until_connected(self) -> None:
-        """Wait for every publisher and listener of the flight to be connected with this node.
-
-        Raises:
-            MavfiError: Some are not in time.
-        """
+        """Wait for every publisher and listener of the flight to be connected with this node, or raise `MavfiError`."""
         end = time.monotonic() + self.plan.patience_s
         while not self._connected():
             if time.monotonic() > end:

@@ -45,16 +45,9 @@ def ask_foreign(node: str) -> int | None:
 
 
 def wait_for(node: str, patience_s: float, not_pid: int = 0, ask: Callable[[str], int | None] = ask_ours) -> int:
-    """Wait until a node answers; returns its process id.
+    """Wait until a node answers; returns its process id, raises `MavfiError` if it does not come.
 
-    Args:
-        node: Its name.
-        patience_s: For how long (s).
-        not_pid: Process of the node's former life, whose answer does not count.
-        ask: See `asks`.
-
-    Raises:
-        MavfiError: It does not come.
+    The process `not_pid` of a former life of the node does not count; for `ask` see `asks`.
     """
     end = time.monotonic() + patience_s
     while True:

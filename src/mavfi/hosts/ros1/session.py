@@ -170,11 +170,7 @@ def _run(folder: Path, command: list[str], tell: Callable[[Path], None] | None) 
 
 
 def _result(folder: Path, plan: Plan) -> Flight:
-    """The record of the world.
-
-    Raises:
-        MavfiError: There is none.
-    """
+    """The record of the world; `MavfiError` if there is none."""
     failure = folder / files.FAILURE
     if failure.exists():
         raise MavfiError(f"ROS: the flight failed: {failure.read_text().strip().splitlines()[-1]}")

@@ -83,11 +83,7 @@ def private_network(allowed: str = "as root, or with user namespaces") -> list[s
 
 
 def loopback_up() -> None:
-    """Switch the loopback interface of the private network on.
-
-    Raises:
-        OSError: That is not allowed here.
-    """
+    """Switch the loopback interface of the private network on; `OSError` if that is not allowed here."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         request = struct.pack("16sh14x", b"lo", 0)
         flags = struct.unpack("16sh14x", fcntl.ioctl(any_socket, _GET_FLAGS, request))[1]
