@@ -86,11 +86,12 @@ class Outlet:
 
 
 class Inlet:
-    """A topic that we read as node `caller`; `arrived` gets each message, `sources` are connections by address."""
+    """A topic that we read as node `caller`: `arrived` gets each message, `failures` are publishers that could not be read."""
 
     def __init__(self, topic: str, arrived: Callable[[bytes], None], caller: str) -> None:
         self.topic, self._arrived, self._caller = topic, arrived, caller
         self.sources: dict[str, Source] = {}
+        self.failures: list[str] = []
         self._lock = threading.Lock()
 
     def connect(self, uris: Sequence[str]) -> None:
@@ -102,7 +103,8 @@ class Inlet:
                 if uri not in self.sources:
                     try:
                         source = Source(uri, uri, self.topic, self._caller)
-                    except MavfiError:
+                    except MavfiError as error:
+                        self.failures.append(str(error))
                         continue
                     self.sources[uri] = source
                     threading.Thread(target=self._read, args=(uri, source), daemon=True).start()
