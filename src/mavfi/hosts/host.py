@@ -27,8 +27,7 @@ class Flight:
     """A flight.
 
     Attributes:
-        log: Its log.
-        profile: When which state was published, if it was asked for.
+        log: Its log; `profile`: when which state was published, if it was asked for.
         world: Where it was flown; None = not known here.
         pipeline: The kernels as they were at the end, for pictures and inspection.
         extra: What this host adds to the record, as plain data.
@@ -58,13 +57,7 @@ class Recorded(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ArmSetup:
-    """What one arm of a mission flies with.
-
-    Attributes:
-        scenario: The mission, as the host resolves it.
-        make_detector: Makes a detector, ready to start; None = no detector.
-        coupling: Of the detector, see `hosts.loop.recovery`.
-    """
+    """What one arm of a mission flies with: its scenario, and a factory of detectors (None = no detector)."""
 
     scenario: Scenario
     make_detector: Callable[[], Detector] | None = None

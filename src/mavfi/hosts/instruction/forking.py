@@ -94,11 +94,7 @@ class Forks:
 
     # ---- injecting --------------------------------------------------------------------------------------------------
     def inject(self, case: Case, function: Any, args: tuple[Any, ...]) -> tuple[bool, Any]:
-        """Fork at an injected call of a compiled function.
-
-        Returns:
-            In the golden flight False; in a child True, and the result of the call.
-        """
+        """Fork at an injected call; returns False in the golden flight, in a child True and the result of the call."""
         variant = variant_for(function, args)
         try:
             check_fault(case.fault, variant, function)

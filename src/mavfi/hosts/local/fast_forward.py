@@ -51,10 +51,7 @@ class Share:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """A flight that is over, with its publications (if it has no detector) and its checkpoints by number of rows.
-
-    Other flights can leave it or converge to it at the checkpoints.
-    """
+    """A flight that is over, with its publications (if it has no detector) and its checkpoints by number of rows."""
 
     log: FlightLog
     rows: list[np.ndarray]
@@ -173,11 +170,7 @@ class FastForward:
 
 
 class _Branch:
-    """A flight under construction, on the one loop of the mission.
-
-    It may converge to `known` flights without a detector, or to `own`, the golden flight with the same detector; it may
-    keep checkpoints, for others.
-    """
+    """A flight under construction, which may converge to `known` flights, or to `own`, the golden one with its detector."""
 
     def __init__(
         self, forward: FastForward, detector: Detector | None, known: Sequence[Track] = (), own: Track | None = None,

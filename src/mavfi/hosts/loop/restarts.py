@@ -23,7 +23,6 @@ class Restarts:
         loop.actions["restart"] = self._restart
 
     def _keep(self, state: State, now: int) -> None:
-        del now
         self._latest[state.spec.name] = state
         if state.spec.name == _MAP:
             self._updates.append(state)

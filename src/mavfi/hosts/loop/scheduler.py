@@ -190,10 +190,7 @@ class Loop:
     def start(self, kernel: Kernel, now: int, latency_us: int | None = None) -> None:
         """Run a kernel that is not busy, again if that is requested; results are published when its latency has passed.
 
-        Args:
-            kernel: The kernel.
-            now: Instant (us).
-            latency_us: Instead of the kernel's own.
+        `latency_us` replaces the latency of the kernel.
         """
         request = None if kernel.name in SCANNING else self.requests.pop(kernel.name, None)  # those: see `capture`
         if request is not None:

@@ -41,12 +41,10 @@ class NodeHost:
 
     def resolve(self, spec: MissionSpec) -> NodeConfig:
         """The node, which has no world, instead of a scenario."""
-        del spec
         return self._node
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "NodeMission":
         """The trials of a mission; there is one arm, and nothing to fast-forward."""
-        del arms, fast_forward
         return NodeMission(self._node)
 
     def check(self) -> None:
@@ -77,7 +75,6 @@ class NodeMission:
 
     def golden(self, arm: str, *, profile: bool = False) -> TrialResult:
         """The error-free trials; see `golden_trial`."""
-        del arm, profile
         trial = golden_trial(self._node)
         self._outputs = tuple(trial.outputs)
         return TrialResult(record_of_trial(trial))

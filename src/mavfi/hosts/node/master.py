@@ -48,7 +48,7 @@ def check_known(what: str, name: str, names: Collection[str]) -> str:
 
 
 def call(uri: str, method: str, *arguments: Any) -> Any:
-    """Call the interface of a master or node; the first argument is the caller's name.
+    """Call the interface of a master or node, as the node that the first argument names.
 
     Raises:
         SilentError: No answer within PATIENCE_S.
@@ -124,11 +124,7 @@ class Master:
         return found
 
     def node_pid(self, name: str) -> int:
-        """Process of a node of this machine.
-
-        Raises:
-            BadInputError: It is not registered, has died, or runs on another machine.
-        """
+        """Process of a node of this machine; `BadInputError` if it is not registered, has died, or runs elsewhere."""
         node = absolute(name)
         uri = self.node_uri(node)
         try:

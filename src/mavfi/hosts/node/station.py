@@ -86,7 +86,7 @@ class Outlet:
 
 
 class Inlet:
-    """A topic that we read as node `caller`: `arrived` gets each message, `failures` are publishers that could not be read."""
+    """A topic that we read as node `caller`; `failures` are those of connections to publishers."""
 
     def __init__(self, topic: str, arrived: Callable[[bytes], None], caller: str) -> None:
         self.topic, self._arrived, self._caller = topic, arrived, caller

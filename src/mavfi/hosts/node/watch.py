@@ -40,7 +40,6 @@ class ForeignAlarm:
     Attributes:
         time_s: When, by this machine's clock (s since 1970).
         message: Its number among the judged ones of its topic, counted from 1.
-        detector: "gaussian" or "autoencoder".
         score: How anomalous; > 1 is an alarm.
         fields: The numbers that stand out; `values` as text.
     """

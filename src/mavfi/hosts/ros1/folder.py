@@ -74,10 +74,7 @@ def environment(folder: Path) -> dict[str, str]:
 
 
 def write_join(folder: Path, isolated: bool, own_users: bool) -> None:
-    """Write the script `join`, which runs a command among the nodes of the flight.
-
-    `isolated` and `own_users`: whether the flight has a network, and a user namespace, of its own.
-    """
+    """Write the script `join`, which enters the namespaces of network and users that the flight has of its own."""
     enter = "--user --preserve-credentials --net" if own_users else "--net"
     prefix = f"nsenter --target \"$(cat '{folder / PID}')\" {enter} " if isolated else ""
     variables = environment(folder)

@@ -87,10 +87,7 @@ def face_of(kernel: Kernel) -> Face:
 
 
 class Graph:
-    """Nodes and topics of one flight: `faces` of kernels, `nodes` with their kernels, and `ways` of states, by name.
-
-    `injected` is the state at which the injector sits, `gate` says whether the detector is one.
-    """
+    """Nodes and topics of a flight whose injector sits at a state, if at all, and whose detector may be a gate."""
 
     def __init__(self, kernels: Mapping[str, Kernel], injected: str | None = None, gate: bool = False) -> None:
         self.faces = {name: face_of(kernel) for name, kernel in kernels.items()}

@@ -89,21 +89,18 @@ class LockStepNode(KernelNode):
         rospy.spin()
 
     def _drive(self, request: Any) -> Any:
-        with self.lock, np.errstate(all="ignore"):
-            return self._obey(request)
-
-    def _obey(self, request: Any) -> Any:
         from mavfi_msgs.srv import DriveResponse
 
         response = DriveResponse()
-        for order in request.operations:
-            answer = self._actions[order.action](self.kernels[order.kernel], order)
-            if order.action in self._giving:
-                response.numbers = list(range(order.number, order.number + len(answer)))
-                response.states = [state.spec.name for state in answer]
-                self._keep(answer, response.numbers, order.publish_us)
-            elif answer:
-                response.due = True
+        with self.lock, np.errstate(all="ignore"):
+            for order in request.operations:
+                answer = self._actions[order.action](self.kernels[order.kernel], order)
+                if order.action in self._giving:
+                    response.numbers = list(range(order.number, order.number + len(answer)))
+                    response.states = [state.spec.name for state in answer]
+                    self._keep(answer, response.numbers, order.publish_us)
+                elif answer:
+                    response.due = True
         return response
 
     def _keep(self, states: list[State], numbers: list[int], publish_us: int) -> None:

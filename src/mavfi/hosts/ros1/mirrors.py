@@ -45,9 +45,9 @@ class Standard:
     def message(self, state: State, time_us: int, camera: CameraConfig) -> Any:
         """The message of one publication."""
         message = ros_type(self.kind)()
-        to_stamp((message if hasattr(message, "header") else _first(message)).header.stamp, time_us)
-        if hasattr(message, "header"):
-            message.header.frame_id = self.frame
+        stamped = message if hasattr(message, "header") else _first(message)
+        to_stamp(stamped.header.stamp, time_us)
+        stamped.header.frame_id = self.frame
         self.fill(message, state, camera)
         return message
 
@@ -55,7 +55,7 @@ class Standard:
 def _first(transforms: Any) -> Any:
     """The transform of a TFMessage, which has the header."""
     transform = ros_type("geometry_msgs/TransformStamped")()
-    transform.header.frame_id, transform.child_frame_id = MAP, VEHICLE
+    transform.child_frame_id = VEHICLE
     transforms.transforms = [transform]
     return transform
 

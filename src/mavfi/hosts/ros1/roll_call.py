@@ -45,10 +45,7 @@ def ask_foreign(node: str) -> int | None:
 
 
 def wait_for(node: str, patience_s: float, not_pid: int = 0, ask: Callable[[str], int | None] = ask_ours) -> int:
-    """Wait until a node answers; returns its process id, raises `MavfiError` if it does not come.
-
-    The process `not_pid` of a former life of the node does not count; for `ask` see `asks`.
-    """
+    """Wait until a node answers, with another process than `not_pid`, or raise `MavfiError`; returns its process id."""
     end = time.monotonic() + patience_s
     while True:
         answer = ask(node)

@@ -49,9 +49,7 @@ def configure(scenario: Scenario) -> PipelineConfig:
 
 
 def isolation(allow_bind_all: bool = False) -> list[str]:
-    """Command that gives a program a private network; empty where there can be none and `allow_bind_all` is set.
-
-    Without a private network ROS's C++ nodes listen on all interfaces.
+    """See `private_network`; without one, which is allowed on request, ROS's C++ nodes listen on all interfaces.
 
     Raises:
         BadInputError: There can be none.

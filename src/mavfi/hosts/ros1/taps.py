@@ -2,6 +2,7 @@
 
 import json
 import threading
+from contextlib import suppress
 
 import numpy as np
 
@@ -103,17 +104,13 @@ class Watcher:
         alarm = self._detector.check(state, time_us)
         if alarm is None or not self._gated:
             self._detector.accept(state, time_us)
-        action = None if alarm is None else self._decide(alarm, state.spec)
+        action = None
+        if alarm is not None:
+            with suppress(BadInputError):  # an unknown stage, which the world reports
+                action = decide(alarm, state.spec, self._coupling)
         if action is not None and action.awaited:
             self._again.add(action.awaited)
         return alarm, action
-
-    def _decide(self, alarm: Alarm, spec: StateSpec) -> Action | None:
-        """The response; None for an unknown stage, which the world reports."""
-        try:
-            return decide(alarm, spec, self._coupling)
-        except BadInputError:
-            return None
 
     def _tell(self, spec: StateSpec, alarm: Alarm | None, action: Action | None, number: int, time_us: int) -> None:
         withheld = action is not None and action.withholds

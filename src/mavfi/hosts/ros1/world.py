@@ -92,7 +92,7 @@ class Conductor:
     def _before_tick(self, now: int) -> None:
         """Kill, inject and rejoin nodes; publish the clock."""
         while self.kills and self.kills[0][1] <= now:
-            self._kill(self.kills.pop(0)[0])
+            self._lost(self.links[self.kills.pop(0)[0]], PLANNED)
         self._watch_foreign()
         self.registers(now)
         for node in [node for node, then in self.back_us.items() if then <= now]:
@@ -109,11 +109,6 @@ class Conductor:
         self._watch_foreign()
 
     # ---- nodes that die ---------------------------------------------------------------------------------------------
-    def _kill(self, node: str) -> None:
-        link = self.links[node]
-        if not link.lost:
-            self._lost(link, PLANNED)
-
     def _watch_foreign(self) -> None:
         """Note the end of foreign nodes, which may come at any time, also because they hung."""
         for link in self.foreign.values():
