@@ -136,12 +136,10 @@ class Host(Protocol):
         """
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> MissionFlights:
-        """Prepare the flights of a mission; nothing is flown yet.
+        """Prepare the flights of a mission under arms by name; nothing is flown yet.
 
-        Args:
-            arms: By name.
-            fast_forward: Whether flights may begin at checkpoints of known ones and end as these did, if that gives the
-                same bytes.
+        If `fast_forward`, flights may begin at checkpoints of known ones and end as these did, if that gives the same
+        bytes.
         """
 
 

@@ -140,8 +140,7 @@ def fly_from_template(
 ) -> tuple[GoldenPrefix, Case]:  # fmt: skip
     """Fly one mission with a fault in an instruction, in a process forked from the template of its kind.
 
-    Returns the beginning of the golden flight over there, and the case; raises what the child raised, `MavfiError` also
-    if it died.
+    Returns the beginning of the golden flight over there, and the case; for errors see `Template.ask`.
     """
     kind = scenario.model_copy(update={"seed": 0, "start": None, "goal": None})
     parts = (json.dumps(part.to_json(), sort_keys=True) for part in (scenario, fault))

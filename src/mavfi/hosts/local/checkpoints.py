@@ -99,11 +99,11 @@ def _kernels(loop: Loop) -> dict[str, Remembers]:
 
 
 def _settle(loop: Loop) -> None:
-    """Normalize what does not decide anything, so that it is the same in all flights.
+    """Normalize what decides nothing, so that it is the same in all flights.
 
     Queue entries are numbered from 0: only their order matters.  Planning kernels that are not under way are marked:
-    only a publication of such a kernel makes it go back, and its step marks it first.  One that is requested to go back
-    keeps its mark.
+    only a publication of such a kernel makes it go back, and its step marks it first; one requested to go back keeps
+    its mark.
     """
     waiting = sorted(loop.queue, key=lambda entry: entry[:2])
     loop.queue = [(time, place, action, given) for place, (time, _, action, given) in enumerate(waiting)]

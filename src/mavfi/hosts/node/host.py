@@ -1,8 +1,7 @@
 """The host `node`: a foreign ROS node under test.  A flight is a trial: start the node, drive it, compare its outputs.
 
 A mission is error-free trials whose outputs must agree, then trials with a fault.  The instant of an injection is the
-machine's, not the seed's, so a trial cannot be repeated bit for bit; `masked` says that all outputs were
-the golden ones.
+machine's, not the seed's, so a trial cannot be repeated bit for bit; `masked` means that all outputs were golden.
 """
 
 import hashlib

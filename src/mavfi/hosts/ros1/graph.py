@@ -87,7 +87,7 @@ def face_of(kernel: Kernel) -> Face:
 
 
 class Graph:
-    """Nodes and topics of a flight whose injector sits at a state, if at all, and whose detector may be a gate."""
+    """Nodes and topics of a flight; `injected`: state of the injector (None = none), `gate`: the detector is a gate."""
 
     def __init__(self, kernels: Mapping[str, Kernel], injected: str | None = None, gate: bool = False) -> None:
         self.faces = {name: face_of(kernel) for name, kernel in kernels.items()}

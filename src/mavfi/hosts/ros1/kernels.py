@@ -213,10 +213,9 @@ def load_compiled(plan: Plan) -> None:
 
 
 def find_path(planner: MotionPlanner, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """A path on the present map (m); empty = none. Shape (n, 3).
+    """A path on the present map (m), shape (n, 3), empty = none; the flight is not affected: randomness is restored.
 
-    It is found with the planner's radius or, if that fails, the checker's.  The flight is not affected: the planner's
-    randomness is restored.
+    It is found with the planner's radius or, if that fails, the checker's.
     """
     routes = planner.routes
     before = routes.search.random.copy()

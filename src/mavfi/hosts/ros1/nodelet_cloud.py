@@ -1,8 +1,7 @@
 """The kernel `point_cloud` by Debian's C++ nodelet: our depth image goes out in standard types, and points come back.
 
-The nodelet reads images only while somebody reads its points, and after its death roslaunch restarts it: so a tiny
-image is sent to find out whether it is there.  Every wait has an end; a scan that does not come back is lost, and the
-flight continues without it.
+The nodelet reads images only while somebody reads its points, and roslaunch restarts it after its death: so a tiny
+image is sent to find out whether it is there.  Every wait has an end; a scan that does not come back is lost.
 """
 
 import os
