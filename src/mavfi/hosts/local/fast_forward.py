@@ -170,7 +170,7 @@ class FastForward:
 
 
 class _Branch:
-    """A flight under construction; it may converge to `known` flights, or to `own`, the golden one with its detector."""
+    """A flight under construction; it may converge to `known` flights or to `own`, the golden one with its detector."""
 
     def __init__(
         self, forward: FastForward, detector: Detector | None, known: Sequence[Track] = (), own: Track | None = None,
