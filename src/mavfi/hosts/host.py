@@ -1,16 +1,13 @@
-"""What a host is: where missions are flown.  `local` is the deterministic one; `ros1`, `node` and entry points follow.
+"""What a host is: where the flights of one mission are flown, and what is flown once for several of them."""
 
-A campaign, a command or a notebook asks a host for the flights of one mission; the host decides what it flies once for
-several of them.
-"""
-
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault
+from mavfi.faults.fault import Fault, StateFault
 from mavfi.flight_log import FlightLog, Profile
 from mavfi.flight_record import FlightRecord, record_of
 from mavfi.hosts.loop.recovery import Coupling
@@ -27,12 +24,11 @@ _SHIPPED = {
 
 @dataclass(slots=True)
 class Flight:
-    """What a flight gives back.
+    """A flight.
 
     Attributes:
-        log: The record.
-        profile: When which state was published, if it was asked for.
-        world: The world that was flown in; None = it is not known here.
+        log: Its log; `profile`: when which state was published, if it was asked for.
+        world: Where it was flown; None = not known here.
         pipeline: The kernels as they were at the end, for pictures and inspection.
         extra: What this host adds to the record, as plain data.
     """
@@ -44,30 +40,24 @@ class Flight:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def record(self) -> FlightRecord:
-        """What a ledger keeps of it."""
+        """The record that a ledger keeps."""
         return replace(record_of(self.log), extra=dict(self.extra))
 
 
 class Recorded(Protocol):
-    """What a host gives back of a run: a `Flight`, or what stands for one."""
+    """The result of a run: a `Flight`, or its equivalent at hosts without flights."""
 
     @property
     def profile(self) -> Profile | None:
         """When which state was published, if it was asked for."""
 
     def record(self) -> FlightRecord:
-        """What a ledger keeps of it."""
+        """The record that a ledger keeps."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArmSetup:
-    """What one arm of a mission flies with.
-
-    Attributes:
-        scenario: The mission, as the host resolves it.
-        make_detector: Gives the detector, ready to start; None = nothing watches.
-        coupling: Of the detector, see `hosts.loop.recovery`.
-    """
+    """What one arm of a mission flies with: its scenario, and a factory of detectors (None = no detector)."""
 
     scenario: Scenario
     make_detector: Callable[[], Detector] | None = None
@@ -78,24 +68,46 @@ class MissionFlights(Protocol):
     """The flights of one mission under several arms.  Flights without a detector come before those with one."""
 
     def golden(self, arm: str, *, profile: bool = False) -> Recorded:
-        """The error-free flight of an arm.
-
-        Args:
-            arm: Name.
-            profile: Whether to record when which state was published.
-        """
+        """An arm's error-free flight; `profile` = note when which state was published."""
 
     def know(self, arm: str, flight: Flight) -> None:
         """Take over the golden flight of an arm that was flown elsewhere, e.g. with counted instructions."""
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
-        """The flights with a fault, each by its place in the list, in any order.
+        """The flights with a fault, given as arm and fault: each with its place in the list, in any order.
 
         An exception of ours ends one flight, not the others.
-
-        Args:
-            runs: Arm and fault.
         """
+
+
+class ArmFlights(ABC):
+    """Base of `MissionFlights` that keep the golden flight and the detector of each arm."""
+
+    def __init__(self, arms: Mapping[str, ArmSetup]) -> None:
+        self._arms = arms
+        self._detectors: dict[str, Detector | None] = {}
+        self._golden: dict[str, Flight] = {}
+
+    @abstractmethod
+    def _fly(self, arm: str, fault: StateFault | None, *, profile: bool = False) -> Flight:
+        """Fly one flight of an arm."""
+
+    def golden(self, arm: str, *, profile: bool = False) -> Flight:
+        """See `MissionFlights.golden`."""
+        known = self._golden.get(arm)
+        if known is None or (profile and known.profile is None):
+            self._golden[arm] = known = self._fly(arm, None, profile=profile)
+        return known
+
+    def know(self, arm: str, flight: Flight) -> None:
+        """See `MissionFlights.know`."""
+        self._golden[arm] = flight
+
+    def _detector(self, arm: str) -> Detector | None:
+        if arm not in self._detectors:
+            make = self._arms[arm].make_detector
+            self._detectors[arm] = None if make is None else make()
+        return self._detectors[arm]
 
 
 class Host(Protocol):
@@ -104,8 +116,8 @@ class Host(Protocol):
     Attributes:
         name: As in configuration.
         levels: Levels of faults that it can inject.
-        deterministic: Whether a flight is a pure function of its spec; one that is not never reports `masked`.
-        in_process: Whether flights compile and load in this process, so that forked workers inherit what is there.
+        deterministic: Whether a flight is a pure function of its spec; otherwise it is never reported as `masked`.
+        in_process: Whether flights compile and load in this process, so that forked workers inherit compiled code.
     """
 
     name: str
@@ -114,41 +126,35 @@ class Host(Protocol):
     in_process: bool
 
     def resolve(self, spec: MissionSpec) -> Any:
-        """The mission that options ask for: a `Scenario`, or what stands for one, with `key` and `to_json`."""
+        """The mission of a spec: a `Scenario`, or an equivalent with `key` and `to_json`."""
 
     def check(self) -> None:
-        """Refuse at once what would make every flight fail.
+        """Refuse in advance what would make every flight fail.
 
         Raises:
-            BadInputError: Something that the host needs is not there.
+            BadInputError: Something that the host needs is missing.
         """
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> MissionFlights:
-        """Get ready for the flights of a mission; nothing is flown yet.
+        """Prepare the flights of a mission under arms by name; nothing is flown yet.
 
-        Args:
-            arms: By name.
-            fast_forward: Whether flights may begin at checkpoints of known ones, and end as these did, where that
-                gives the same bytes.
+        If `fast_forward`, flights may begin at checkpoints of known ones and end as these did, if that gives the same
+        bytes.
         """
 
 
 def find_host(name: str, options: Mapping[str, Any] | None = None) -> Host:
-    """A host by name.
-
-    Args:
-        name: As in configuration.
-        options: What it is made with.
+    """A host by name, made with its options.
 
     Raises:
-        BadInputError: There is none of that name, or it cannot be imported.
+        BadInputError: There is no such host, or it cannot be imported.
     """
     host: Host = load_object("host", name, GROUP, _SHIPPED)(**(options or {}))
     return host
 
 
 def require_level(host: Host, level: str) -> None:
-    """Refuse a level of faults that a host cannot inject.
+    """Check that a host can inject faults of a level.
 
     Raises:
         BadInputError: It cannot.

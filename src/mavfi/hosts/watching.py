@@ -1,4 +1,4 @@
-"""The detector of a mission, by name: what it was trained for must be what is flown."""
+"""The detector of a mission, by name: it must have been trained for what is flown."""
 
 from pathlib import Path
 

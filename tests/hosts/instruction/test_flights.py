@@ -15,7 +15,7 @@ from mavfi.faults.instruction.variant import variant_for
 from mavfi.faults.spec import InstructionRequest
 from mavfi.flight_record import plain
 from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.instruction.output import Output, first_difference
+from mavfi.hosts.instruction.case import Output, first_difference
 from mavfi.hosts.instruction.template import close_templates
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve

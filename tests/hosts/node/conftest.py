@@ -10,9 +10,9 @@ import pytest
 from mavfi.errors import MavfiError
 from mavfi.hosts.node.bench import MASTER_URI, Bench
 from mavfi.hosts.node.message import Composer
-from mavfi.hosts.node.private import private_network as find_private_network
 from mavfi.hosts.ros1 import finder
 from mavfi.hosts.ros1.supervisor import loopback_up
+from mavfi.hosts.ros1.supervisor import private_network as find_private_network
 
 CLONE_NEWNET = 0x40000000  # of <linux/sched.h>
 TARGET = "/usr/lib/robot_state_publisher/robot_state_publisher"

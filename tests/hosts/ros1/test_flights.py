@@ -218,11 +218,11 @@ def test_no_process_is_left_behind(number, tmp_path):
 
 
 def test_a_flight_that_fails_says_where_to_look(capsys, tmp_path, monkeypatch):
-    from mavfi.hosts.ros1 import launch
+    from mavfi.hosts.ros1 import session
 
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    monkeypatch.setattr(launch.sys, "executable", "/bin/false")
+    monkeypatch.setattr(session.sys, "executable", "/bin/false")
     assert run(["ros", "fly"]) == 1
     text = capsys.readouterr().err
     assert text.count("\n") == 1 and "logs: " in text

@@ -5,10 +5,9 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD, Graph, face_of
-from mavfi.hosts.ros1.launch import launch_text
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import world_listens
-from mavfi.hosts.ros1.session import configure, isolation
+from mavfi.hosts.ros1.session import configure, isolation, launch_text
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import PERIODIC, STATES, Stage
 from tests.hosts.missions import STACKS, fault, mission
@@ -32,7 +31,6 @@ def test_without_taps_values_go_straight_to_their_readers():
     assert set(found) == written | {"sensor.depth", "sensor.odometry"} <= set(STATES)
     for name, way in found.items():
         assert way.first == way.final == "/mavfi/" + name.replace(".", "/")
-        assert way.last == way.writer
         assert not way.taps
     assert found["sensor.odometry"].readers == ("collision_check", "planner", "waypoint", "pid")
     assert found["planning.path"].readers == ("planner",)
@@ -53,7 +51,7 @@ def test_with_an_estimator_its_kernel_is_a_node_and_the_world_reads_what_it_says
 def test_an_injector_sits_at_one_state():
     found = ways("planning.waypoint", gate=False)
     way = found["planning.waypoint"]
-    assert (way.first, way.after_injector, way.last) == (f"{way.final}/raw", way.final, INJECTOR)
+    assert (way.first, way.after_injector, way.taps) == (f"{way.final}/raw", way.final, (INJECTOR,))
     assert [name for name, other in found.items() if other.taps] == ["planning.waypoint"]
 
 

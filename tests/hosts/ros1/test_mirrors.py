@@ -140,7 +140,7 @@ def test_the_camera_looks_ahead():
 
 
 def test_planning_as_a_service_leaves_the_planner_as_it_was():
-    from mavfi.hosts.ros1.planning_service import find_path
+    from mavfi.hosts.ros1.kernels import find_path
 
     planner = golden("published").pipeline["planner"]
     goal = planner.routes._config.goal

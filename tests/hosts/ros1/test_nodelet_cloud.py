@@ -19,13 +19,12 @@ from mavfi.hosts.local import fly as fly_here
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.node import nodelets
 from mavfi.hosts.ros1 import finder
-from mavfi.hosts.ros1.foreign import ask_foreign
-from mavfi.hosts.ros1.launch import launch_text
 from mavfi.hosts.ros1.nodelet_cloud import points_of
 from mavfi.hosts.ros1.pinhole import Pinhole, functions_of, projection
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.register_injector import end_of_nodes, fault_in_node
-from mavfi.hosts.ros1.session import configure
+from mavfi.hosts.ros1.roll_call import ask_foreign
+from mavfi.hosts.ros1.session import configure, launch_text
 from mavfi.hosts.ros1.session import fly as fly_there
 from mavfi.kernels.perception.point_cloud import back_project
 from mavfi.mission import MissionSpec

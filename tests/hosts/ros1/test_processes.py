@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from mavfi.hosts.ros1.inbox import Inbox
+from mavfi.hosts.ros1.ports import Inbox
 from mavfi.hosts.ros1.remote import Counter, Watchdog
 from mavfi.hosts.ros1.roll_call import is_alive
 from mavfi.hosts.ros1.supervisor import children

@@ -1,6 +1,11 @@
-"""What is known of a fault in an instruction on its way through a flight, and the flight log that comes of it."""
+"""A fault in an instruction on its way through a flight, outputs of the injected step, and the resulting flight log."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault
@@ -8,20 +13,39 @@ from mavfi.faults.instruction.plan import injection_of
 from mavfi.faults.instruction.variant import Report
 from mavfi.flight_log import FlightLog, KernelEffect
 from mavfi.hosts.host import Flight
-from mavfi.hosts.instruction.output import Output, first_difference
 from mavfi.mission import Scenario
-from mavfi.states import INJECTABLE, INJECTED_KERNEL, PLANNERS
+from mavfi.pipeline.kernel import Kernel
+from mavfi.pipeline.memory import Remembers
+from mavfi.states import INJECTABLE, INJECTED_KERNEL, PLANNERS, State
 
 WAITING = "not_activated"
-"""How a case stands whose instruction has not come yet."""
+"""State of a case whose instruction has not come yet."""
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """One step of a kernel: header and elements of what it publishes, by name, and a fingerprint of its memory."""
+
+    states: dict[str, tuple[np.ndarray, np.ndarray]]
+    memory: bytes
+
+    @staticmethod
+    def of(kernel: Kernel, states: Sequence[State]) -> "Output":
+        """Output of a step that has just been made."""
+        published = {state.spec.name: (state.header.copy(), state.elements.copy()) for state in states}
+        return Output(published, cast(Remembers, kernel).fingerprint())
+
+    def same(self, other: "Output") -> bool:
+        """Whether both are the same, bit for bit, memory included."""
+        return self.memory == other.memory and first_difference(self, other) is None
 
 
 @dataclass(frozen=True, slots=True)
 class ChildReport:
-    """What a child leaves.
+    """Report of a child.
 
     Attributes:
-        log: Its record; None where nothing differed at the end of the injected call.
+        log: Of its flight; None where nothing differed at the end of the injected call.
         output: Of the injected step; None where the kernel made none.
         call_same: Whether result and arguments of the injected call are bit for bit the golden ones.
         missed: Whether the call ended before the instruction came, or that instruction's value has no such bit.
@@ -39,14 +63,11 @@ class Case:
 
     Attributes:
         fault: As drawn.
-        kernel: The kernel of the pipeline that is injected.
-        call: The call of its function that is injected.
-        time_us: When (us).
-        value: What the machine code reported of the injected value.
-        how: How the call ended, or `WAITING`.
-        detail: Signal, budget or exception.
-        report: What the child left that went on flying.
-        golden: What the kernel gives in that step without the fault.
+        kernel: The kernel of the pipeline, and `call` of its function, that are injected, at `time_us` (us).
+        value: The machine code's report of the injected value.
+        how: How the call ended, or `WAITING`; `detail`: signal, budget or exception.
+        report: Of the child that went on flying.
+        golden: The kernel's output in that step without the fault.
         replayable: Whether the flight gives the same bytes in every process; None = by the value class.
     """
 
@@ -63,10 +84,10 @@ class Case:
 
 
 def check_kernel(kernel: str, planner: str) -> None:
-    """Refuse a kernel that cannot be injected in a mission.
+    """Check that a kernel can be injected in a mission with this planner.
 
     Raises:
-        BadInputError: There is none of that name, or it is a planner and the mission flies another one.
+        BadInputError: There is no such kernel, or it is a planner and the mission flies another one.
     """
     if kernel not in INJECTABLE:
         raise BadInputError(f"kernel {kernel!r}: not known; allowed: {', '.join(INJECTABLE)}")
@@ -75,17 +96,13 @@ def check_kernel(kernel: str, planner: str) -> None:
 
 
 def case_of(fault: InstructionFault, scenario: Scenario) -> Case:
-    """A fault that nothing has happened of yet.
-
-    Raises:
-        BadInputError: The mission has no such kernel.
-    """
+    """A fault before its injection; `BadInputError` if the mission has no such kernel."""
     check_kernel(fault.kernel, scenario.planner.name)
     return Case(fault, INJECTED_KERNEL[fault.kernel], fault.call)
 
 
 def flight_of(case: Case, golden: Flight) -> Flight:
-    """The flight with the fault, beside the golden one."""
+    """The flight with the fault, given the golden one."""
     log = golden.log if case.report is None or case.report.log is None else case.report.log
     injection = injection_of(case.fault, case.value, case.time_us / 1e6, case.call)
     if case.replayable is not None:
@@ -95,7 +112,7 @@ def flight_of(case: Case, golden: Flight) -> Flight:
 
 
 def _effect(case: Case, golden: FlightLog) -> KernelEffect:
-    """What the kernel did: against its own golden output where both made a step, else against the whole flight."""
+    """The kernel's effect: against its own golden output where both made a step, else against the whole flight."""
     report, difference = case.report, None
     how = case.how
     if how == "done" and report is not None:
@@ -108,3 +125,49 @@ def _effect(case: Case, golden: FlightLog) -> KernelEffect:
             same = report.call_same and report.log.digest() == golden.digest()
         how = "masked" if same else "sdc"
     return KernelEffect(how, case.detail, difference)
+
+
+def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
+    """The first published field that differs, as plain data; None if nothing differs.
+
+    Returns:
+        `state`, `field`, `element` (None for a field of the header), `before` (golden), `after`, `elements` (in how
+        many places the field differs) and `largest` (difference; infinite where one is not finite).  Where the lists
+        differ in length: the field `elements`, with both lengths.
+    """
+    for state, (header, elements) in golden.states.items():
+        if state not in injected.states:
+            return _difference(state, "", None, len(elements), 0, 1, math.inf)
+        other_header, other_elements = injected.states[state]
+        found = _in_fields(state, header, other_header, in_list=False)
+        if found is None and len(elements) != len(other_elements):
+            lengths = len(elements), len(other_elements)
+            found = _difference(state, "elements", None, *lengths, 1, float(abs(lengths[0] - lengths[1])))
+        found = found or _in_fields(state, elements, other_elements, in_list=True)
+        if found is not None:
+            return found
+    return None
+
+
+def _in_fields(state: str, golden: np.ndarray, injected: np.ndarray, *, in_list: bool) -> dict[str, Any] | None:
+    for field in golden.dtype.names or ():
+        before, after = np.ascontiguousarray(golden[field]), np.ascontiguousarray(injected[field])
+        width = before.dtype.itemsize
+        bits = [values.view(np.uint8).reshape(-1, width) for values in (before, after)]
+        places = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
+        if len(places):
+            first = int(places[0])
+            apart = np.abs(after[places].astype(np.float64) - before[places].astype(np.float64))
+            largest = float(apart.max()) if np.isfinite(apart).all() else math.inf
+            element = first if in_list else None
+            return _difference(state, field, element, before[first].item(), after[first].item(), len(places), largest)
+    return None
+
+
+def _difference(
+    state: str, field: str, element: int | None, before: Any, after: Any, elements: int, largest: float
+) -> dict[str, Any]:  # fmt: skip
+    return {
+        "state": state, "field": field, "element": element, "before": before, "after": after, "elements": elements,
+        "largest": largest,
+    }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Flies one mission with each of some faults in instructions."""
+"""Flies one mission with each of a number of faults in instructions."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -18,12 +18,12 @@ from mavfi.mission import Scenario
 
 @dataclass(frozen=True, slots=True)
 class InjectedFlights:
-    """What `fly_instruction_faults` gives back.
+    """Flights with faults in instructions.
 
     Attributes:
         golden: The flight without a fault; its pipeline is also that of the others.
-        flights: With the faults, in their order.  `log.kernel` says what the kernel did; where it crashed, hung or
-            raised, the log is that of the flight in which its node was started again.
+        flights: With the faults, in their order.  `log.kernel` is the effect on the kernel; where it crashed, hung or
+            raised, the log is that of the flight in which its node was restarted.
     """
 
     golden: Flight
@@ -34,18 +34,18 @@ def fly_instruction_faults(
     scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None,
     golden: Flight | None = None, coupling: Coupling = "inline",
 ) -> InjectedFlights:  # fmt: skip
-    """Fly one mission with each of some faults in instructions.
+    """Fly one mission with each of a number of faults in instructions.
 
-    Faults in data fork from one golden flight of this process. Others may read or write any memory, so each of these
-    flights is forked from a template, see `mavfi.hosts.instruction.template`: it gives the same bytes in every process,
-    if addresses can be fixed; the record says so (`replayable`).
+    Faults in data fork from one golden flight of this process. Others may access any memory, so each of these flights
+    is forked from a template, see `mavfi.hosts.instruction.template`: it gives the same bytes in every process, if
+    addresses can be fixed; the record says so (`replayable`).
 
     Args:
         scenario: The mission.
         faults: See `mavfi.campaign.samplers.instruction`.
         detector: What watches; None = nothing.
         golden: The flight of this mission without a fault, with this detector, if it has been flown: then golden
-            flights go on only until all faults have been injected.
+            flights stop once all faults have been injected.
         coupling: Of the detector: "inline" or "observer".
 
     Raises:
@@ -57,7 +57,13 @@ def fly_instruction_faults(
     in_data: Iterator[Flight] = iter(())
     if golden is None or own:
         with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
-            golden, flights = _fork(Forks(scenario, own, detector, coupling), golden)
+            forks = Forks(scenario, own, detector, coupling)
+            if golden is None:
+                golden, flights = forks.fly_all()
+            else:
+                prefix, cases = forks.fly_to_injections()
+                prefix.check(golden.log)
+                flights = [flight_of(case, golden) for case in cases]
         in_data = iter(flights)
     return InjectedFlights(
         golden,
@@ -66,14 +72,6 @@ def fly_instruction_faults(
             for fault in faults
         ],
     )
-
-
-def _fork(forks: Forks, golden: Flight | None) -> tuple[Flight, list[Flight]]:
-    if golden is None:
-        return forks.fly_all()
-    prefix, cases = forks.fly_to_injections()
-    prefix.check(golden.log)
-    return golden, [flight_of(case, golden) for case in cases]
 
 
 def _from_template(

@@ -1,9 +1,9 @@
 """Flights with a fault in an instruction of a kernel: they fork from one golden flight at the injected calls.
 
 The golden flight runs plain kernels.  At an injected call it waits while a forked child makes the call with the fault
-and finishes the flight.  Where the child dies (crash, hang, exception), a second child goes on from the same instant as
-a ROS graph would: the node's result is lost, and after the restart latency it is there again with fresh memory.  Then
-the golden flight itself goes on, to the next injected call.
+and finishes the flight.  Where the child dies (crash, hang, exception), a second child continues from the same instant
+as a ROS graph would: the node's result is lost, and after the restart latency it is back with fresh memory.  Then the
+golden flight itself continues, to the next injected call.
 
 A detector's false alarm before the fault makes kernels run again, and so shifts the calls: the call that was drawn may
 then be shorter than the instruction's index, or have a narrower value there.  In flights with a detector the fault goes
@@ -24,8 +24,7 @@ from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
 from mavfi.faults.instruction.variant import Variant, variant_for
 from mavfi.hosts.host import Flight
-from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, case_of, flight_of
-from mavfi.hosts.instruction.output import Output
+from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, Output, case_of, flight_of
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
 from mavfi.hosts.loop.recovery import Coupling
@@ -42,7 +41,7 @@ TIMEOUT = 60.0
 
 @dataclass(slots=True)
 class _Child:
-    """What a forked process is there for."""
+    """The task of a forked process."""
 
     point: ForkPoint
     case: Case
@@ -68,17 +67,10 @@ class _ForkingFunction:
 
 
 class Forks:
-    """A golden flight from which flights with faults fork.
-
-    Args:
-        scenario: The mission.
-        faults: In instructions of its kernels.
-        detector: What watches all of these flights.
-        coupling: Of the detector.
+    """A golden flight, watched by a detector or none, from which flights with faults fork.
 
     Attributes:
-        loop: The flight.
-        cases: What becomes of the faults, in their order.
+        cases: The faults on their way, in their order.
         child: What this process was forked for; None = it flies the golden flight.
 
     Raises:
@@ -102,16 +94,7 @@ class Forks:
 
     # ---- injecting --------------------------------------------------------------------------------------------------
     def inject(self, case: Case, function: Any, args: tuple[Any, ...]) -> tuple[bool, Any]:
-        """Fork at an injected call.
-
-        Args:
-            case: The fault.
-            function: The compiled function.
-            args: Of the call.
-
-        Returns:
-            In the golden flight False; in a child True, and the result of the call.
-        """
+        """Fork at an injected call; returns False in the golden flight, in a child True and the result of the call."""
         variant = variant_for(function, args)
         try:
             check_fault(case.fault, variant, function)
@@ -141,7 +124,7 @@ class Forks:
         return False, None
 
     def _fork(self, case: Case, *, dead: bool) -> Ended | None:
-        """In the child None; in the golden flight how it ended."""
+        """None in the child; in the golden flight how it ended."""
         point = ForkPoint()
         ended = point.split(TIMEOUT)
         if ended is None:
@@ -150,7 +133,8 @@ class Forks:
 
     def _injected_call(self, variant: Variant, function: Any, args: tuple[Any, ...]) -> Any:
         """The call with the fault; a child whose data came out the same ends here: the rest is the golden flight."""
-        child = self._in_child()
+        child = self.child
+        assert child is not None  # only children come here
         fault = child.case.fault
         copies = tuple(copied(argument) for argument in args)
         golden = digest(_as_tuples((function(*copies), copies)))
@@ -162,10 +146,6 @@ class Forks:
         if child.call_same and report is not None and report.site.value_class in DATA:
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True)))
         return result
-
-    def _in_child(self) -> _Child:
-        assert self.child is not None  # only children come here
-        return self.child
 
     def _stepped(self, kernel: Kernel, states: list[State], now: int) -> None:
         """Note the output of injected steps; the node of a step that died dies here."""
@@ -188,7 +168,7 @@ class Forks:
         return golden, [flight_of(case, golden) for case in self.cases]
 
     def fly_to_injections(self) -> tuple[GoldenPrefix, list[Case]]:
-        """Fly until all has happened that there is to know of the faults; children do not come back."""
+        """Fly until everything about the faults is known; children do not come back."""
         self._fly(self._all_known)
         return prefix_of(self.loop), self.cases
 
@@ -219,5 +199,4 @@ def _report_of(ended: Ended) -> ChildReport:
 
 
 def _as_tuples(value: Any) -> Any:
-    """Results and arguments in the form that `digest` takes."""
     return tuple(_as_tuples(part) for part in value) if isinstance(value, tuple) else value

@@ -1,9 +1,9 @@
-"""Flies faults in addresses from processes that are all alike, so that such flights can be replayed bit for bit.
+"""Flies faults in addresses from identical processes, so that such flights can be replayed bit for bit.
 
-A corrupted address reads or writes what lies there, and that depends on all that the process has done before: on its
-other flights, on the command line, on what was compiled.  So each of these flights is forked from a *template*: a
-process with fixed addresses and hashing, a fixed environment and a fixed history, which has flown one fixed mission
-and waits.  Templates of one kind of mission are the same in every command, campaign and worker.
+A corrupted address accesses whatever lies there, and that depends on the whole history of the process: on its other
+flights, on the command line, on what was compiled.  So each of these flights is forked from a *template*: a process
+with fixed addresses and hashing, a fixed environment and a fixed history, which has flown one fixed mission and waits.
+Templates of one kind of mission are the same in every command, campaign and worker.
 """
 
 import atexit
@@ -15,7 +15,6 @@ import select
 import subprocess
 import sys
 from collections import OrderedDict
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,9 +34,7 @@ _SERVER = "mavfi.hosts.instruction.template_server"
 _KEPT = 4
 """Templates that a process keeps waiting."""
 _PASSED = ("HOME", "LANG", "LD_LIBRARY_PATH", "PATH", "VIRTUAL_ENV", "XDG_CACHE_HOME")
-_FIXED = {
-    "PYTHONHASHSEED": "0", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1",
-}  # fmt: skip
+_FIXED = {"PYTHONHASHSEED": "0", **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")}
 _ERRORS = {"BadInputError": BadInputError, "MismatchError": MismatchError}
 _CHUNK = 1 << 16
 ENDED = b"e"
@@ -47,66 +44,38 @@ READY, AGAIN = b"ready", b"again"
 _STARTS = 4
 
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """What a process forked from a template gives back.
-
-    Attributes:
-        result: Of the work.
-        fixed: Whether its addresses and hashes were fixed.
-    """
-
-    result: Any
-    fixed: bool
-
-
 class Template:
-    """A process that waits to be forked.
-
-    Args:
-        server: Module that is run, see `mavfi.hosts.instruction.template_server`.
-        kind: What it warms up with; templates of one kind are alike.
+    """A process that waits to be forked; templates of one `kind`, the mission of their warm-up, are identical.
 
     Raises:
-        MavfiError: It died, or others change the cache of compiled code all the time.
+        MavfiError: It died, or other processes keep changing the cache of compiled code.
     """
 
-    def __init__(self, server: str, kind: str) -> None:
-        command = [sys.executable, "-P", "-m", server, kind]
+    def __init__(self, kind: str) -> None:
+        command = [sys.executable, "-P", "-m", _SERVER, kind]
         for _ in range(_STARTS):
             self._process = with_fixed_addresses(
                 lambda: subprocess.Popen(
-                    command,
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.PIPE,
-                    env=_environment(),
-                    cwd="/",
-                    bufsize=0,
-                    stderr=subprocess.DEVNULL,
-                    start_new_session=True,
+                    command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+                    env=_environment(), cwd="/", bufsize=0, start_new_session=True,
                 )
-            )
+            )  # fmt: skip
             if self._receive() == READY:
                 return
             self.close()
         raise MavfiError(f"the cache of compiled code changes all the time: {code_folder()}")
 
-    def ask(self, request: bytes) -> Answer:
-        """Fork the template and let the child work.
+    def ask(self, request: bytes) -> tuple[Any, bool]:
+        """Fork the template and let the child work; its errors are raised here, `MavfiError` also if it died.
 
-        Args:
-            request: What the server's module understands.
-
-        Raises:
-            BadInputError: As in the child.
-            MismatchError: As in the child.
-            MavfiError: The child or the template died.
+        Returns:
+            The result, and whether addresses and hashes were fixed.
         """
         self._send(request)
         fixed, failure, result = pickle.loads(self._receive())
         if failure:
             raise _ERRORS.get(failure[0], MavfiError)(failure[1])
-        return Answer(result, fixed)
+        return result, fixed
 
     def close(self) -> None:
         """End it."""
@@ -123,7 +92,7 @@ class Template:
             raise MavfiError("the process from which flights are forked has died") from None
 
     def _receive(self) -> bytes:
-        """What the child wrote, which ends with the template's word that it is gone."""
+        """The child's answer, which ends with the template's word that the child is gone."""
         assert self._process.stdout is not None  # a pipe
         handle = self._process.stdout.fileno()
         data = bytearray()
@@ -150,23 +119,18 @@ def _environment() -> dict[str, str]:
 
 _PLUGGED = re.compile(r'"[A-Za-z_][\w.]*:[A-Za-z_]\w*"')
 """How a user's own planner or map is named."""
-_templates: OrderedDict[tuple[int, str, str], Template] = OrderedDict()
+_templates: OrderedDict[tuple[int, str], Template] = OrderedDict()
 
 
-def template_for(server: str, kind: str) -> Template:
-    """The template of a kind; each process has its own, and ends the one that it has not used for longest.
-
-    Args:
-        server: See `Template`.
-        kind: See `Template`.
-    """
+def template_for(kind: str) -> Template:
+    """The template of a kind; each process has its own, and ends the one that it has not used for longest."""
     process = os.getpid()
-    key = (process, server, kind)
+    key = (process, kind)
     if key not in _templates:
         own = [other for other in _templates if other[0] == process]  # others are those of a parent
         for oldest in own[: max(0, len(own) - _KEPT + 1)]:
             _templates.pop(oldest).close()
-        _templates[key] = Template(server, kind)
+        _templates[key] = Template(kind)
     _templates.move_to_end(key)
     return _templates[key]
 
@@ -176,28 +140,15 @@ def fly_from_template(
 ) -> tuple[GoldenPrefix, Case]:  # fmt: skip
     """Fly one mission with a fault in an instruction, in a process forked from the template of its kind.
 
-    Args:
-        scenario: The mission.
-        fault: Anywhere in a kernel.
-        detector: What watches; None = nothing.
-        coupling: Of the detector: "inline" or "observer".
-
-    Returns:
-        How the golden flight began over there, and what became of the fault; it can be replayed if the process had
-        fixed addresses.
-
-    Raises:
-        BadInputError: As for any flight.
-        MismatchError: The fault belongs to other machine code.
-        MavfiError: The process died.
+    Returns the beginning of the golden flight over there, and the case; for errors see `Template.ask`.
     """
     kind = scenario.model_copy(update={"seed": 0, "start": None, "goal": None})
     parts = (json.dumps(part.to_json(), sort_keys=True) for part in (scenario, fault))
-    template = template_for(_SERVER, json.dumps(kind.to_json(), sort_keys=True))
+    template = template_for(json.dumps(kind.to_json(), sort_keys=True))
     paths = sys.path if _has_parts_of_a_user(kind, detector) else []  # the mission computer's memory holds them too
-    answer = template.ask(pickle.dumps((paths, pickle.dumps((*parts, detector, coupling)))))
-    prefix, (case,) = answer.result
-    case.replayable = answer.fixed
+    request = pickle.dumps((paths, pickle.dumps((*parts, detector, coupling))))
+    (prefix, (case,)), fixed = template.ask(request)
+    case.replayable = fixed
     return prefix, case
 
 
@@ -211,6 +162,6 @@ def _has_parts_of_a_user(kind: Scenario, detector: Detector | None) -> bool:
 def close_templates() -> None:
     """End all templates of this process."""
     while _templates:
-        (process, _, _), template = _templates.popitem()
+        (process, _), template = _templates.popitem()
         if process == os.getpid():
             template.close()

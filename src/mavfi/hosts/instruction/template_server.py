@@ -1,4 +1,4 @@
-"""What a template runs: `python -m mavfi.hosts.instruction.template_server SCENARIO`, see `template`.
+"""The program of a template: `python -m mavfi.hosts.instruction.template_server SCENARIO`, see `template`.
 
 It flies one mission of the kind, with every kernel instrumented, and waits.  Each request is read and answered by a
 fork, so that the template itself stays as it is.
@@ -38,7 +38,7 @@ _NO_REQUEST = 3
 
 
 def main() -> None:
-    """Warm up, and be forked until nobody asks any more."""
+    """Warm up, and be forked until requests end."""
     os.dup2(2, 1)  # whatever prints does not print into the answers
     before = _cache()
     try:
@@ -81,17 +81,7 @@ def _answer() -> None:
 
 
 def fly_one(scenario: str, fault: str, detector: Any, coupling: Coupling) -> tuple[GoldenPrefix, list[Case]]:
-    """Fly one mission with a fault.
-
-    Args:
-        scenario: As JSON.
-        fault: As JSON.
-        detector: What watches, or None.
-        coupling: Of the detector.
-
-    Returns:
-        How the golden flight began, and what became of the fault.
-    """
+    """Fly one mission (as JSON) with a fault (as JSON); see `Forks.fly_to_injections`."""
     mission = parse(Scenario, json.loads(scenario), "request")
     planned = fault_from_json(json.loads(fault))
     assert isinstance(planned, InstructionFault)  # others are not flown from templates
@@ -100,7 +90,7 @@ def fly_one(scenario: str, fault: str, detector: Any, coupling: Coupling) -> tup
 
 
 def _cache() -> bytes:
-    """Digest of what is compiled; a child looks, since its memory depends on how much there is."""
+    """Digest of the compiled code; a child looks, since its memory depends on how much there is."""
 
     def look() -> bytes:
         found = sorted((str(path), path.stat().st_size) for path in code_folder().rglob("*") if path.is_file())

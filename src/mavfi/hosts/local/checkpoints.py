@@ -13,13 +13,7 @@ from mavfi.states import Stage
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Instant:
-    """State of plant, loop and kernels at an instant; never changed, and shared by flights.
-
-    Attributes:
-        plant: Its snapshot.
-        loop: Its memory.
-        kernels: Theirs, by name.
-    """
+    """State of plant, loop and kernels at an instant; never changed, and shared by flights."""
 
     plant: Any
     loop: LoopMemory
@@ -28,17 +22,10 @@ class Instant:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checkpoint:
-    """An instant of a flight from which it, or another one, can continue.
+    """An instant of a flight (None = its end) from which it, or another one, can continue.
 
-    Attributes:
-        instant: What can be compared with other flights, and gone back to; None = the end.
-        rows: How many rows the record had.
-        events: How many events.
-        shown: How many publications.
-        alarms: The alarms until then, with the outcomes that were known.
-        counts: See `Record.counts`.
-        injector: A copy of the first tap.
-        detector: Memory of the detector, see `Watched`.
+    It has numbers of rows, events and publications (`shown`), alarms with the outcomes known then, counts (see
+    `Record.counts`), a copy of the first tap, and the memory of the detector (see `Watched`).
     """
 
     instant: Instant | None
@@ -51,12 +38,6 @@ class Checkpoint:
     detector: Any
 
     @property
-    def watch(self) -> CounterWatch:
-        """What passed until then, in a flight without a fault."""
-        assert isinstance(self.injector, CounterWatch)
-        return self.injector
-
-    @property
     def here(self) -> Instant:
         """The instant, where this is not the end."""
         assert self.instant is not None  # nothing continues from the end
@@ -64,21 +45,17 @@ class Checkpoint:
 
 
 class Watched:
-    """A detector whose memory is explicit: `memory()` and `restore()`.
-
-    Attributes:
-        content: The detector.
-    """
+    """A detector (`content`) with explicit memory: `memory()` and `restore()`."""
 
     def __init__(self, detector: Any) -> None:  # noqa: ANN401
         self.content = detector
 
     def save(self) -> Any:  # noqa: ANN401
-        """What it remembers."""
+        """Its memory."""
         return self.content.memory()
 
     def restore(self, saved: Any) -> None:  # noqa: ANN401
-        """Put it back to what `save` gave."""
+        """Inverse of `save`."""
         self.content.restore(saved)
 
     def same(self, saved: Any) -> bool:  # noqa: ANN401
@@ -87,7 +64,7 @@ class Watched:
 
 
 def keeper_of(detector: Detector | None) -> Watched | Foreign[Any]:
-    """What saves the memory of a detector; one that has no such methods is copied whole."""
+    """Saves the memory of a detector; one without such methods is copied whole."""
     explicit = all(callable(getattr(detector, name, None)) for name in ("memory", "restore"))
     return Watched(detector) if explicit else Foreign(detector)
 
@@ -100,7 +77,7 @@ def take(loop: Loop) -> Instant:
 
 
 def put(loop: Loop, instant: Instant) -> None:
-    """Put a loop back to an instant that was taken of it; record and taps are left alone."""
+    """Put a loop back to an instant that was taken of it; record and taps stay."""
     loop.plant.restore(instant.plant)
     loop.restore(instant.loop)
     for name, kernel in _kernels(loop).items():
@@ -108,7 +85,7 @@ def put(loop: Loop, instant: Instant) -> None:
 
 
 def is_at(loop: Loop, instant: Instant) -> bool:
-    """Whether a loop is at an instant: every bit of its state, taps left aside."""
+    """Whether a loop is at an instant, bit for bit; taps are not compared."""
     if not loop.plant.is_at(instant.plant):
         return False
     _settle(loop)
@@ -122,11 +99,11 @@ def _kernels(loop: Loop) -> dict[str, Remembers]:
 
 
 def _settle(loop: Loop) -> None:
-    """Make what does not decide anything the same in all flights.
+    """Normalize what decides nothing, so that it is the same in all flights.
 
-    What waits is numbered from 0: only the order matters, not how much was waited for before.  Planning kernels that
-    are not under way are marked: only what such a kernel publishes makes it go back, and its step marks it first.  One
-    that is requested to go back keeps its mark.
+    Queue entries are numbered from 0: only their order matters.  Planning kernels that are not under way are marked:
+    only a publication of such a kernel makes it go back, and its step marks it first; one requested to go back keeps
+    its mark.
     """
     waiting = sorted(loop.queue, key=lambda entry: entry[:2])
     loop.queue = [(time, place, action, given) for place, (time, _, action, given) in enumerate(waiting)]

@@ -20,6 +20,7 @@ from mavfi.errors import MavfiError
 from mavfi.faults.fault import StateFault
 from mavfi.faults.state import CounterWatch, StateInjector
 from mavfi.flight_log import FlightLog, Profile
+from mavfi.hosts.host import Flight
 from mavfi.hosts.local.checkpoints import Checkpoint, Instant, is_at, keeper_of, put, take
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.recovery import Coupling, Watch
@@ -33,13 +34,11 @@ TICKS = {"dense": 50, "octree": 200}
 
 @dataclass(slots=True)
 class Share:
-    """How much of the flights was flown.
+    """How much of the flights was simulated.
 
     Attributes:
-        flights: Flights asked for.
-        ticks: Their control ticks.
-        flown: Those that were simulated.
-        shown: Those in which a detector was only shown what a known flight had published.
+        ticks: Control ticks of all flights; those `flown` were simulated, in those `shown` a detector was only shown
+            the publications of a known flight.
         converged: Flights that converged to another one before their end.
     """
 
@@ -50,25 +49,9 @@ class Share:
     converged: int = 0
 
 
-@dataclass(slots=True)
-class Forked:
-    """A flight's log, and the profile of the golden flight without a detector."""
-
-    log: FlightLog
-    profile: Profile | None = None
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """A flight that is over, and its checkpoints, at which others can leave it or converge to it.
-
-    Attributes:
-        log: Its record.
-        rows: The record's rows, one array each.
-        shown: Every publication and its instant, in flights without a detector.
-        checkpoints: By number of rows.
-        end: The end.
-    """
+    """A flight that is over, with its publications (if it has no detector) and its checkpoints by number of rows."""
 
     log: FlightLog
     rows: list[np.ndarray]
@@ -81,19 +64,13 @@ class Track:
         return max((rows for rows in self.checkpoints if rows * CONTROL_PERIOD_US < time_us), default=0)
 
     def pieces(self, rows: int) -> Iterator[tuple[Checkpoint, Checkpoint]]:
-        """From a checkpoint to the next one, and so on to the end."""
+        """The checkpoints from one on, each with the next one, to the end."""
         chosen = [self.checkpoints[place] for place in sorted(self.checkpoints) if place >= rows]
         return pairwise([*chosen, self.end])
 
 
 class FastForward:
-    """All flights of one mission.
-
-    Args:
-        scenario: The mission.
-
-    Attributes:
-        share: What was flown so far.
+    """All flights of one mission; `share` says how much of them was simulated.
 
     Raises:
         BadInputError: The scenario cannot be flown.
@@ -114,12 +91,12 @@ class FastForward:
     def fly(
         self, fault: StateFault | None = None, detector: Detector | None = None, arm: str = "",
         coupling: Coupling = "inline",
-    ) -> Forked:  # fmt: skip
-        """Fly, as far as it is not known yet.
+    ) -> Flight:  # fmt: skip
+        """Fly, as far as it is not known yet; only the golden flight without a detector has a profile.
 
         Args:
             fault: What to inject; None = golden flight.
-            detector: What watches; None = nothing.  It is told to `start` where its flights begin.
+            detector: None = none.  It is started where its flights begin.
             arm: Name of the detector: the same name always comes with the same detector and coupling.
             coupling: Of the detector.
         """
@@ -131,7 +108,7 @@ class FastForward:
                 track = self._unwatched(fault) if detector is None else self._injected(fault, detector, arm)
         self.share.flights += 1
         self.share.ticks += len(track.rows)
-        return Forked(track.log, self._profile if fault is None and detector is None else None)
+        return Flight(track.log, self._profile if fault is None and detector is None else None)
 
     def golden(self, detector: Detector | None = None, arm: str = "") -> Track:
         """The golden flight, flown when it is first wanted."""
@@ -172,7 +149,8 @@ class FastForward:
         own, plain = self.golden(detector, arm), self.golden()
         rows = own.before(fault.time_us)
         start = own.checkpoints[rows]
-        injector = StateInjector(fault, start.watch)
+        assert isinstance(start.injector, CounterWatch)  # it is of a flight without a fault
+        injector = StateInjector(fault, start.injector)
         as_plain = rows in plain.checkpoints and start.instant is plain.checkpoints[rows].instant
         # where nothing has alarmed yet, the flight without a detector shows what happens until it does
         along = self._unwatched(fault) if detector is not None and as_plain and not injector.spent else None
@@ -192,15 +170,7 @@ class FastForward:
 
 
 class _Branch:
-    """A flight under construction, on the one loop of the mission.
-
-    Args:
-        forward: The mission.
-        detector: What watches.
-        known: Flights without a detector to which it may converge.
-        own: The golden flight with the same detector.
-        keeps: Whether it keeps checkpoints, for others.
-    """
+    """A flight under construction; it may converge to `known` flights or to `own`, the golden one with its detector."""
 
     def __init__(
         self, forward: FastForward, detector: Detector | None, known: Sequence[Track] = (), own: Track | None = None,
@@ -225,14 +195,14 @@ class _Branch:
             self.loop.taps.detector = Watch(self.loop, self._detector.content, self._coupling)
 
     def remember(self, saved: Any) -> None:  # noqa: ANN401
-        """Put the memory of the detector, if there is one, back to what a checkpoint has of it."""
+        """Restore the memory of the detector, if there is one, from a checkpoint."""
         if self._detector is not None:
             self._detector.restore(saved)
             self._watch()  # it may be another object
 
     # ---- the record -------------------------------------------------------------------------------------------------
     def begin(self, track: Track, start: Checkpoint) -> None:
-        """Take the record of a flight over until a checkpoint."""
+        """Take over the record of a flight up to a checkpoint."""
         record = self.loop.record
         record.rows, record.events = track.rows[: start.rows], track.log.events[: start.events]
         record.alarms, self._shown = list(start.alarms), track.shown[: start.shown]
@@ -280,7 +250,7 @@ class _Branch:
         for here, there in track.pieces(rows):
             if self._detector is None:
                 return self.converge(track, here.rows)
-            if self._own is not None and self._is_own(here, self._own):
+            if self._own is not None and self._is_own(here):
                 return self.converge(self._own, here.rows)
             known = self._detector.save()
             if self._alarms(track.shown[here.shown : there.shown], self._detector.content):
@@ -291,13 +261,13 @@ class _Branch:
                 self.loop.taps.injector = there.injector.copy()
             self._append(track, here, there)
 
-    def _is_own(self, here: Checkpoint, own: Track) -> bool:
+    def _is_own(self, here: Checkpoint) -> bool:
         """Whether the rest is that of the golden flight with the same detector."""
-        known = own.checkpoints.get(here.rows)
+        known = None if self._own is None else self._own.checkpoints.get(here.rows)
         return known is not None and known.instant is here.instant and self._is_through() and self._same_detector(known)
 
     def _is_through(self) -> bool:
-        """Whether nothing is to come of the tap and of the last alarm."""
+        """Whether the injector and the last alarm have no further effect."""
         injector = self.loop.taps.injector
         return not self.loop.awaited and not self.loop.requests and injector is not None and injector.spent
 

@@ -18,7 +18,7 @@ def fly(
     coupling: Coupling = "inline", profile: bool = False, recorders: Sequence[Recorder] = (),
     functions: KernelFunctions = PLAIN,
 ) -> Flight:  # fmt: skip
-    """Fly one mission.
+    """Fly one mission; the same arguments give the same bytes.
 
     Args:
         scenario: The mission.
@@ -28,9 +28,6 @@ def fly(
         profile: Whether to note when which state was published.
         recorders: See what consumers see.
         functions: What the kernels call: the compiled functions, or instrumented ones.
-
-    Returns:
-        The flight; the same arguments give the same bytes.
 
     Raises:
         BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.

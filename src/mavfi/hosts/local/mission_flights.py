@@ -1,11 +1,10 @@
-"""All flights of one mission in this process: fast-forwarded where that gives the same bytes, else the long way."""
+"""All flights of one mission in this process: fast-forwarded where that gives the same bytes, else flown in full."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, StateFault
-from mavfi.hosts.host import ArmSetup, Flight
+from mavfi.hosts.host import ArmFlights, ArmSetup, Flight
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.flight import fly
@@ -26,32 +25,24 @@ class LocalHost:
         return resolve(spec)
 
     def check(self) -> None:
-        """See `Host.check`; everything is here."""
+        """See `Host.check`; nothing can be missing."""
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "LocalFlights":
         """See `Host.mission`."""
         return LocalFlights(arms, fast_forward)
 
 
-class LocalFlights:
+class LocalFlights(ArmFlights):
     """The flights of one mission; see `MissionFlights`."""
 
-    def __init__(self, arms: Mapping[str, ArmSetup], fast_forward: bool = True) -> None:
-        self._arms, self._fast = arms, fast_forward
+    def __init__(self, arms: Mapping[str, ArmSetup], fast_forward: bool) -> None:
+        super().__init__(arms)
+        self._fast = fast_forward
         self._forward: dict[str, FastForward] = {}
-        self._detectors: dict[str, Detector | None] = {}
-        self._golden: dict[str, Flight] = {}
-
-    def golden(self, arm: str, *, profile: bool = False) -> Flight:
-        """See `MissionFlights.golden`."""
-        known = self._golden.get(arm)
-        if known is None or (profile and known.profile is None):
-            self._golden[arm] = known = self._fly(arm, None, profile=profile)
-        return known
 
     def know(self, arm: str, flight: Flight) -> None:
-        """See `MissionFlights.know`; the arms of this mission are then flown the long way."""
-        self._golden[arm] = flight
+        """See `MissionFlights.know`; the arms of this mission are then flown in full."""
+        super().know(arm, flight)
         self._fast = False
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
@@ -62,16 +53,13 @@ class LocalFlights:
                 batches.setdefault(arm, []).append((place, fault))
                 continue
             try:
-                yield place, self._state(arm, fault)
+                if not isinstance(fault, StateFault):
+                    raise BadInputError(f"host local: faults of level {fault.level!r}: allowed: state, instruction")
+                yield place, self._fly(arm, fault)
             except Exception as error:  # noqa: BLE001 - it ends this flight, not the others
                 yield place, error
         for arm, batch in batches.items():
             yield from self._instructions(arm, batch)
-
-    def _state(self, arm: str, fault: Fault) -> Flight:
-        if not isinstance(fault, StateFault):
-            raise BadInputError(f"host local: faults of level {fault.level!r}: allowed: state, instruction")
-        return self._fly(arm, fault)
 
     def _instructions(
         self, arm: str, batch: Sequence[tuple[int, InstructionFault]]
@@ -99,16 +87,10 @@ class LocalFlights:
             key = setup.scenario.key()
             try:
                 forward = self._forward.get(key) or FastForward(setup.scenario)
-                known = forward.fly(fault, detector, arm if detector is not None else "", setup.coupling)
+                flight = forward.fly(fault, detector, arm if detector is not None else "", setup.coupling)
             except Exception:  # noqa: BLE001 - what cannot be copied or compared; the long way says what is recorded
                 self._forward.pop(key, None)
             else:
                 self._forward[key] = forward
-                return Flight(known.log, known.profile)
+                return flight
         return fly(setup.scenario, fault, detector, coupling=setup.coupling, profile=profile)
-
-    def _detector(self, arm: str) -> Detector | None:
-        if arm not in self._detectors:
-            make = self._arms[arm].make_detector
-            self._detectors[arm] = None if make is None else make()
-        return self._detectors[arm]

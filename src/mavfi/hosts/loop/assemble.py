@@ -1,4 +1,4 @@
-"""Puts a flight together: world, plant, kernels and loop."""
+"""Assembles a flight: world, plant, kernels and loop."""
 
 from collections.abc import Callable
 from functools import partial
@@ -28,9 +28,9 @@ def new_loop(
         scenario: The mission.
         profile: Whether to note when which state was published.
         functions: What the kernels call: the compiled functions, or instrumented ones.
-        rewindable: Whether the flight can be put back to earlier instants (see `hosts.local.checkpoints`): maps keep
-            their changes, and kernels are marked even if nothing can alarm yet.
-        make_plant: What moves.
+        rewindable: Whether the flight can be put back to earlier instants (`hosts.local.checkpoints`): maps keep their
+            changes, and kernels are marked even if nothing can alarm yet.
+        make_plant: Makes the plant.
         make_kernels: Makes the kernels, which may be proxies of kernels elsewhere.
 
     Raises:
@@ -43,7 +43,7 @@ def new_loop(
 
 
 def watch(loop: Loop, detector: Detector | None, coupling: Coupling = "inline") -> None:
-    """Put a detector into a flight that has not begun; None = nothing watches."""
+    """Attach a detector, if there is one, to a flight that has not begun."""
     if detector is None:
         return
     loop.marks = True

@@ -4,19 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mavfi.config import (
-    CameraConfig,
-    EnvironmentConfig,
-    LocalizationConfig,
-    MapConfig,
-    PlannerConfig,
-    PlatformConfig,
-    StackConfig,
-    WindConfig,
-    names,
-    parse,
-    shipped,
-)
+from mavfi import config as configs
+from mavfi.config import EnvironmentConfig, PlannerConfig, names, parse, shipped
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.kernels.perception.state_estimation import Noise
@@ -30,14 +19,14 @@ from mavfi.sim.environments import SCAN_ENDINGS, World, environment_for_file
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.states import Stage
 
-DEFAULT_V_MAX = 3.0
-NOMINAL_HULL = 0.35
-"""Hull that the radii of a stack are meant for (m)."""
+_DEFAULT_V_MAX = 3.0
+_NOMINAL_HULL = 0.35
+"""Collision radius of the vehicle that the radii of a stack are meant for (m)."""
 _LEAST_POSITION_NOISE, _LEAST_HEADING_NOISE = 1e-3, 1e-3
 
 
 def find_environment(name: str) -> EnvironmentConfig:
-    """A shipped environment by name, a user's YAML file, or a scanned map (.bt, .ot) by path.
+    """A shipped environment by name, a YAML file, or a scanned map (.bt, .ot) by path.
 
     Raises:
         BadInputError: There is no such environment.
@@ -48,18 +37,14 @@ def find_environment(name: str) -> EnvironmentConfig:
 
 
 def find_planner(name: str) -> PlannerConfig:
-    """A shipped planner by name, a user's YAML file, or an entry point or "package:Class" with the default figures.
-
-    Raises:
-        BadInputError: The file cannot be read. A planner that does not exist is found out when it is to be made.
-    """
+    """A shipped planner by name, a YAML file, or an entry point or "package:Class" with default parameters."""
     if name.endswith((".yaml", ".yml")) or name in names("planners"):
         return shipped("planners", PlannerConfig, name)
     return PlannerConfig(name=name)
 
 
 def resolve(spec: MissionSpec) -> Scenario:
-    """The scenario that a user asks for; what is not given comes from the environment, then from the defaults.
+    """The scenario of a spec; missing options come from the environment, then from the defaults.
 
     Raises:
         BadInputError: Something is not known, or does not fit together.
@@ -67,36 +52,33 @@ def resolve(spec: MissionSpec) -> Scenario:
     world = find_environment(spec.environment)
     if spec.vehicle is not None:
         world = world.model_copy(update={"vehicle": spec.vehicle})
-    speed = spec.v_max if spec.v_max is not None else (world.v_max or DEFAULT_V_MAX)
+    speed = spec.v_max if spec.v_max is not None else (world.v_max or _DEFAULT_V_MAX)
     if not 0.1 <= speed <= 20.0:
         raise BadInputError(f"v_max: {speed}: must lie between 0.1 and 20 m/s")
-    camera = CameraConfig(noise=spec.depth_noise) if world.camera_range is None else CameraConfig(
-        noise=spec.depth_noise, range=world.camera_range
-    )  # fmt: skip
+    camera = configs.CameraConfig(noise=spec.depth_noise)
+    if world.camera_range is not None:
+        camera = configs.CameraConfig(noise=spec.depth_noise, range=world.camera_range)
     resolution = spec.map_resolution if spec.map_resolution is not None else world.map_resolution
     return Scenario(
-        environment=world, seed=spec.seed, stack=shipped("stacks", StackConfig, spec.autopilot),
-        vehicle=find_vehicle(world.vehicle), platform=shipped("platforms", PlatformConfig, spec.platform),
+        environment=world, seed=spec.seed, stack=shipped("stacks", configs.StackConfig, spec.autopilot),
+        vehicle=find_vehicle(world.vehicle), platform=shipped("platforms", configs.PlatformConfig, spec.platform),
         planner=find_planner(spec.planner), camera=camera, map=_map_config(spec.map, resolution),
-        v_max=speed, start=spec.start, goal=spec.goal, wind=parse(WindConfig, {"gust": spec.wind}, "wind"),
-        localization=parse(LocalizationConfig, {"kind": spec.localization}, "localization"),
+        v_max=speed, start=spec.start, goal=spec.goal, wind=parse(configs.WindConfig, {"gust": spec.wind}, "wind"),
+        localization=parse(configs.LocalizationConfig, {"kind": spec.localization}, "localization"),
     )  # fmt: skip
 
 
-def _map_config(kind: str, resolution: float | None) -> MapConfig:
+def _map_config(kind: str, resolution: float | None) -> configs.MapConfig:
     chosen = {"kind": kind} if resolution is None else {"kind": kind, "resolution": resolution}
     find_map(kind)
-    return parse(MapConfig, chosen, "map")
+    return parse(configs.MapConfig, chosen, "map")
 
 
 def pipeline_config(
-    scenario: Scenario,
-    world: World,
-    directions: np.ndarray,
-    rewindable: bool = False,
+    scenario: Scenario, world: World, directions: np.ndarray, rewindable: bool = False,
     functions: KernelFunctions = PLAIN,
-) -> PipelineConfig:
-    """What the pipeline is told of a mission.
+) -> PipelineConfig:  # fmt: skip
+    """The pipeline's part of a mission.
 
     Args:
         scenario: The mission.
@@ -106,7 +88,7 @@ def pipeline_config(
         functions: What its kernels call.
     """
     stack = scenario.stack
-    hull = scenario.vehicle.hull_radius / NOMINAL_HULL
+    hull = scenario.vehicle.hull_radius / _NOMINAL_HULL
     return PipelineConfig(
         stack=stack, planner=scenario.planner, map=scenario.map, camera=scenario.camera, directions=directions,
         arena_lower=world.arena_lower, arena_upper=world.arena_upper, flight_lower=world.flight_lower,
@@ -121,8 +103,8 @@ def pipeline_config(
     )  # fmt: skip
 
 
-def _noise(config: LocalizationConfig) -> Noise | None:
-    """What an estimator assumes: the figures of the sensors, but no better ones than its steps of 4 ms are good for."""
+def _noise(config: configs.LocalizationConfig) -> Noise | None:
+    """The estimator's noise: that of the sensors, but not below what its steps of 4 ms can resolve."""
     if config.kind == "truth":
         return None
     scale = max(config.imu_noise, 1.0)

@@ -14,18 +14,13 @@ from mavfi.mission import MissionStatus
 
 @dataclass(frozen=True, slots=True)
 class GoldenPrefix:
-    """A flight that may have been stopped before its end.
-
-    Attributes:
-        rows: As of a flight log, as far as it went.
-        status: How it ended; None where it was stopped.
-    """
+    """A flight, perhaps stopped early: rows as of a flight log, and its status; None = it was stopped."""
 
     rows: np.ndarray
     status: MissionStatus | None
 
     def check(self, golden: FlightLog) -> None:
-        """Make sure that a golden flight begins bit for bit like this one, and ended like it, if this one ended.
+        """Check that a golden flight begins bit for bit like this one, and ended like it if this one ended.
 
         Raises:
             MavfiError: It does not.
@@ -37,15 +32,7 @@ class GoldenPrefix:
 
 
 def fly_until(loop: Loop, enough: Callable[[], bool]) -> Flight | None:
-    """Fly until it is enough, which is asked after each control period.
-
-    Args:
-        loop: Of a flight that has not begun.
-        enough: Whether to stop.
-
-    Returns:
-        The flight; None if it was stopped before the mission had a status.
-    """
+    """Fly a loop from its start until `enough`, asked after each control period; None = it was stopped by that."""
     loop.begin()
     while loop.status is None and not enough():
         loop.run(len(loop.record.rows) + 1)
@@ -53,5 +40,5 @@ def fly_until(loop: Loop, enough: Callable[[], bool]) -> Flight | None:
 
 
 def prefix_of(loop: Loop) -> GoldenPrefix:
-    """What a loop has flown."""
+    """What a loop has flown so far."""
     return GoldenPrefix(np.asarray(loop.record.rows), loop.status)

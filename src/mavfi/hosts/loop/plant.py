@@ -1,4 +1,4 @@
-"""What moves: the vehicle in its world, as the loop sees it.  MuJoCo (`mavfi.sim`) is one; another is handed in."""
+"""What moves: the vehicle in its world, as the loop sees it.  MuJoCo (`mavfi.sim`) is one plant."""
 
 from collections.abc import Callable
 from typing import Any, Protocol

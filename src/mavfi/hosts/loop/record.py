@@ -1,25 +1,44 @@
-"""What a flight leaves while it is flown: rows, events, alarms, and modelled times of kernels."""
+"""What a flight leaves while it is flown: rows, events, alarms, publications, and modelled times of kernels."""
 
 from collections.abc import Iterable
 
 import numpy as np
 
-from mavfi.flight_log import COLUMNS, AlarmRecord, Event
-from mavfi.hosts.loop.publications import Publications
-from mavfi.states import STAGE_KERNELS, State
+from mavfi.faults.state import ActedOn
+from mavfi.flight_log import AlarmRecord, Event, Profile
+from mavfi.states import STAGE_KERNELS, State, StateSpec
+
+
+class Publications:
+    """Counts publications by state and, if a profile is wanted, notes when they were made: faults are drawn from it."""
+
+    def __init__(self, wanted: bool, states: Iterable[StateSpec]) -> None:
+        self.wanted = wanted
+        self._acted_on = {spec.name: ActedOn(spec) for spec in states}
+        self.count = dict.fromkeys(self._acted_on, 0)
+        self._times: dict[str, list[int]] = {name: [] for name in self._acted_on}
+        self._sizes: dict[str, list[int]] = {name: [] for name in self._acted_on}
+
+    def note(self, state: State, time_us: int) -> None:
+        """Count a publication."""
+        name = state.spec.name
+        self.count[name] += 1
+        if self.wanted and self._acted_on[name](state):
+            self._times[name].append(time_us)
+            self._sizes[name].append(len(state.elements))
+
+    def profile(self) -> Profile | None:
+        """The profile, if it is wanted."""
+        if not self.wanted:
+            return None
+        return Profile(
+            {name: np.array(times, np.int64) for name, times in self._times.items()},
+            {name: np.array(sizes, np.int32) for name, sizes in self._sizes.items()},
+        )
 
 
 class Record:
-    """The record of one flight.
-
-    Attributes:
-        rows: One for each control period.
-        events: In the order in which they happened.
-        alarms: With the outcomes known so far.
-        compute_us: Modelled time by kernel.
-        recompute_us: Modelled time of recomputations by stage.
-        publications: Their numbers and, if wanted, their instants.
-    """
+    """The record of one flight: rows, events, alarms with the outcomes known so far, and modelled times (us)."""
 
     def __init__(self, kernels: Iterable[str], publications: Publications) -> None:
         self.rows: list[np.ndarray] = []
@@ -30,13 +49,8 @@ class Record:
         self.publications = publications
 
     def write_row(self, now: int, odometry: np.ndarray, command: np.ndarray, reference: np.ndarray) -> None:
-        """Note a control period: vehicle, shape (13,), command in force, shape (4,), and reference, shape (3,)."""
-        row = np.empty(len(COLUMNS))
-        row[0] = 1e-6 * now
-        row[1:14] = odometry
-        row[14:18] = command
-        row[18:21] = reference
-        self.rows.append(row)
+        """Note a control period, see `flight_log.COLUMNS`: shapes (13,), (4,) and (3,)."""
+        self.rows.append(np.concatenate(([1e-6 * now], odometry, command, reference)))
 
     def note(self, now: int, kind: str, data: dict[str, object]) -> None:
         """Note an event."""
@@ -55,11 +69,11 @@ class Record:
             self.note(now, "collision_predicted", {"time_to_collision": float(header["time_to_collision"][0])})
 
     def counts(self) -> tuple[int, ...]:
-        """What it counts: modelled compute and recompute time of each kernel and stage, publications."""
+        """Modelled compute and recompute times of kernels and stages, and numbers of publications."""
         return (*self.compute_us.values(), *self.recompute_us.values(), *self.publications.count.values())
 
     def set_counts(self, counts: Iterable[int]) -> None:
-        """Inverse of `counts`; what was handed out before does not change."""
+        """Inverse of `counts`; tables that were handed out before do not change."""
         rest = iter(counts)
         self.compute_us = {name: next(rest) for name in self.compute_us}
         self.recompute_us = {name: next(rest) for name in self.recompute_us}

@@ -1,11 +1,11 @@
-"""What an alarm leads to: `decide`, pure and the only place where that is decided; `Watch` puts a detector to work.
+"""What an alarm leads to: `decide`, pure and the only place where that is decided; `Watch` applies it to a detector.
 
 Coupling `inline`: the detector is a gate.  The value is held back, the kernel goes back to the memory that it had, and
-is stepped again at once; what comes of that is published, and accepted even if it is the same value.
+is stepped again at once; the result is published, and accepted even if it is the same value.
 
 Coupling `observer`: the detector is a subscriber, as the paper's node.  Consumers have seen the value when the alarm
-comes, so the kernel goes back at its next step: at the next control period for planning and control, with the next
-image's turn for perception, with the next sample of the IMU for the state estimator.
+comes, so the kernel goes back at its next step: at the next control period for planning and control, at the next image
+for perception, at the next IMU sample for the state estimator.
 """
 
 from dataclasses import dataclass, replace
@@ -28,10 +28,10 @@ WAYPOINT = "planning.waypoint"
 
 @dataclass(frozen=True, slots=True)
 class Action:
-    """Answer to an alarm.
+    """Response to an alarm.
 
     Attributes:
-        kind: "recompute", or a request to hand-over: "abandon" the way-point in force, or "stop".
+        kind: "recompute", or a request to the setpoint generator: "abandon" the way-point in force, or "stop".
         stage: Whose latency is charged.
         kernel: The kernel that is stepped again; "" = none, the latency alone is charged.
         restores: Kernels whose memory is put back before, in this order.
@@ -48,29 +48,22 @@ class Action:
 
 
 class Awaited(NamedTuple):
-    """A recomputation on its way.
-
-    Attributes:
-        rejected: The value that the alarm was about.
-        place: Of the alarm's record.
-    """
+    """A recomputation under way: the rejected value, and the place of its alarm in the record."""
 
     rejected: State
     place: int
 
 
 def decide(alarm: Alarm, spec: StateSpec, coupling: Coupling) -> Action:
-    """What is done about an alarm.
-
-    Args:
-        alarm: What the detector said.
-        spec: State of the value that it said it about.
-        coupling: Only a gate holds values back.
+    """The response to an alarm about a value of state `spec`; only a gate (`coupling`) holds values back.
 
     Raises:
         BadInputError: The alarm names a stage that cannot be run again.
     """
-    stage, gated = stage_of(alarm), coupling == "inline"
+    if alarm.stage not in STAGE_KERNELS:
+        text = f"stage {alarm.stage!r}: cannot be run again; allowed: {', '.join(STAGE_KERNELS)}"
+        raise BadInputError(f"detector {alarm.source!r}: {text}")
+    stage, gated = Stage(alarm.stage), coupling == "inline"
     if alarm.stop or alarm.abandon_waypoint:
         kind: Literal["abandon", "stop"] = "stop" if alarm.stop else "abandon"
         return Action(kind, Stage.CONTROL, "waypoint", (), WAYPOINT, gated and spec.name == WAYPOINT)
@@ -82,19 +75,6 @@ def decide(alarm: Alarm, spec: StateSpec, coupling: Coupling) -> Action:
     return Action("recompute", stage, "pid", ("pid",)) if stage is Stage.CONTROL else Action("recompute", stage)
 
 
-def stage_of(alarm: Alarm) -> Stage:
-    """The stage that an alarm names.
-
-    Raises:
-        BadInputError: It names none that can be run again.
-    """
-    for stage in STAGE_KERNELS:
-        if stage.value == alarm.stage:
-            return stage
-    allowed = ", ".join(STAGE_KERNELS)
-    raise BadInputError(f"detector {alarm.source!r}: stage {alarm.stage!r}: cannot be run again; allowed: {allowed}")
-
-
 def record_of(alarm: Alarm, action: Action, state: str, time_us: int) -> AlarmRecord:
     """The record of an alarm, before its outcome is known."""
     outcome = "replaced" if action.awaited else "accepted"
@@ -104,20 +84,14 @@ def record_of(alarm: Alarm, action: Action, state: str, time_us: int) -> AlarmRe
 
 
 class Watch:
-    """A detector as a tap; it remembers nothing of its own.
-
-    Args:
-        loop: Where its alarms are answered.
-        detector: What watches.
-        coupling: Whether consumers wait for it.
-    """
+    """A detector as a tap of a loop, which answers its alarms; it has no memory of its own."""
 
     def __init__(self, loop: "Loop", detector: Detector, coupling: Coupling) -> None:
         self._loop = proxy(loop)  # which owns this: maps of a flight that is over are freed at once
         self._detector, self._coupling = detector, coupling
 
     def __call__(self, state: State, now: int) -> State | None:
-        """Show a value to the detector; what comes from a recomputation passes."""
+        """Show a value to the detector; the result of a recomputation passes."""
         loop, detector = self._loop, self._detector
         awaited = loop.awaited.pop(state.spec.name, None)
         alarm = detector.check(state, now) if awaited is None else None
@@ -133,7 +107,7 @@ class Watch:
         return None if action.withholds else state
 
     def _settle(self, awaited: Awaited, state: State) -> None:
-        """Note what came of a recomputation."""
+        """Note the outcome of a recomputation."""
         alarms = self._loop.record.alarms
         if alarms[awaited.place].action == "recompute":
             outcome = "accepted" if state.same_bits(awaited.rejected) else "repaired"

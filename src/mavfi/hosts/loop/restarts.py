@@ -1,4 +1,4 @@
-"""Nodes that die and start again: what a node was about to publish is lost, and it comes back with fresh memory."""
+"""Nodes that die and start again: pending results are lost, and the node comes back with fresh memory."""
 
 from weakref import proxy
 
@@ -10,12 +10,9 @@ _MAP = "perception.map_update"
 
 
 class Restarts:
-    """Lets nodes of a flight die, and start again under the restart policy `fresh`.
+    """Lets nodes of a flight die, and start again under the restart policy `fresh`; the flight has not begun.
 
-    A node that starts again gets the whole map and the last message of each state that it reads from other nodes.
-
-    Args:
-        loop: The flight, which has not begun.
+    A restarted node gets the whole map and the last message of each state that it reads from other nodes.
     """
 
     def __init__(self, loop: Loop) -> None:
@@ -26,19 +23,12 @@ class Restarts:
         loop.actions["restart"] = self._restart
 
     def _keep(self, state: State, now: int) -> None:
-        del now
         self._latest[state.spec.name] = state
         if state.spec.name == _MAP:
             self._updates.append(state)
 
     def die(self, kernel: str, now: int, after_us: int) -> None:
-        """Let the node of a kernel die.
-
-        Args:
-            kernel: Name.
-            now: Instant (us).
-            after_us: After which time it is there again (us).
-        """
+        """Let the node of a kernel die now, and start again `after_us` later (us)."""
         loop, names = self._loop, in_node(kernel)
         loop.down.update(names)
         for name in names:

@@ -1,7 +1,7 @@
 """The loop of one flight, on integer microseconds: plant, kernels and taps are handed in.
 
-The plant advances to now; a kernel whose period or input is due steps; what it gives is published after the latency of
-its platform, through the taps; the control kernel's command goes to the plant; a status ends the flight.
+The plant advances to now; a kernel whose period or input is due steps; its results are published after the latency of
+the platform, through the taps; the control kernel's command goes to the plant; a status ends the flight.
 """
 
 import heapq
@@ -16,8 +16,7 @@ from mavfi.flight_log import FlightLog
 from mavfi.hosts.host import Flight
 from mavfi.hosts.loop.judge import Judge
 from mavfi.hosts.loop.plant import Plant
-from mavfi.hosts.loop.publications import Publications
-from mavfi.hosts.loop.record import Record
+from mavfi.hosts.loop.record import Publications, Record
 from mavfi.hosts.loop.recovery import SCANNING, Action, Awaited
 from mavfi.hosts.loop.sensing import Sensors
 from mavfi.hosts.loop.taps import Taps
@@ -67,14 +66,12 @@ class Loop:
 
     Attributes:
         taps: What every published state passes; hosts put theirs in before the flight.
-        actions: What hosts can put into the queue beside this class's methods, by name.
-        before_tick: Called with the instant (us) before each control period.
-        after_tick: The same after it.
-        after_step: Called with a kernel, what it gave, and the instant, before that is published.
+        actions: What hosts can put into the queue besides this class's methods, by name.
+        before_tick, after_tick: Called with the instant (us) before and after each control period.
+        after_step: Called with a kernel, its results, and the instant, before they are published.
         before_end: Called when the mission has a status.
-        record: What the flight leaves.
         busy: Kernels whose latency has not passed, and an input that waits for it.
-        awaited: Recomputations on their way, by state.
+        awaited: Recomputations under way, by state.
         requests: Recomputations that wait for the kernel's next step, by kernel (coupling `observer`).
         down: Kernels whose node is dead.
     """
@@ -83,17 +80,16 @@ class Loop:
         self, scenario: Scenario, world: World, plant: Plant, make_kernels: Callable[[], dict[str, Kernel]], *,
         want_profile: bool = False, marks: bool = False,
     ) -> None:  # fmt: skip
-        self.scenario, self.world, self.plant, self.make_kernels, self.marks = (
-            scenario, world, plant, make_kernels, marks,
-        )  # fmt: skip
+        self.scenario, self.world, self.plant = scenario, world, plant
+        self.make_kernels, self.marks = make_kernels, marks
         self.kernels = make_kernels()
         self.latency = {name: latency(scenario.platform, name) for name in self.kernels}
         self.readers: dict[str, list[Kernel]] = {
             name: [kernel for kernel in self.kernels.values() if name in kernel.reads] for name in STATES
         }
         self.sensors = Sensors(plant, scenario.localization)
-        self.judge = Judge.of(scenario, world)
-        self.record = Record(self.kernels, Publications(want_profile, states_with(scenario.localization.kind)))
+        self.judge = Judge(scenario, world)
+        self.record = Record(self.kernels, Publications(want_profile, states_with(scenario.localization.kind).values()))
         self.taps = Taps()
         self.actions: dict[str, Callable[..., None]] = {}
         self.before_tick: list[Callable[[int], None]] = []
@@ -113,7 +109,7 @@ class Loop:
 
     # ---- time -------------------------------------------------------------------------------------------------------
     def at(self, time_us: int, action: str, *arguments: Any) -> None:  # noqa: ANN401 (as the action wants)
-        """Do something later: a method, or one of `actions`, by name; what was asked for first is done first."""
+        """Schedule a method, or one of `actions`, by name; at equal times the order of requests counts."""
         self.order += 1
         heapq.heappush(self.queue, (time_us, self.order, action, arguments))
 
@@ -125,12 +121,12 @@ class Loop:
             return self.flight()
 
     def begin(self) -> None:
-        """Put into the queue what a flight begins with; with an estimator, images need its first estimate."""
+        """Schedule the first actions; with an estimator, images need its first estimate."""
         for action in (_TICK, "capture") if self.sensors.estimating else ("capture", _TICK):
             self.at(0, action)
 
     def run(self, until: int = sys.maxsize) -> None:
-        """Go on until the mission has a status, or a control tick is next and so many have been."""
+        """Continue until the mission has a status, or a control tick is next and so many have been."""
         while self.status is None:
             if self.queue[0][2] == _TICK and len(self.record.rows) >= until:
                 return
@@ -140,7 +136,7 @@ class Loop:
             (self.actions.get(action) or getattr(self, action))(self.now, *arguments)
 
     def flight(self) -> Flight:
-        """What became of it, once the mission has a status."""
+        """The flight, once the mission has a status."""
         assert self.status is not None  # `run` has come to the end
         for listener in self.before_end:
             listener()
@@ -151,7 +147,7 @@ class Loop:
 
     # ---- sensors and the control period -----------------------------------------------------------------------------
     def capture(self, now: int) -> None:
-        """Take a depth image, or use the last one again where a recomputation of perception is requested."""
+        """Take a depth image, or reuse the last one where a recomputation of perception is requested."""
         self.captured_us, self.mapped = now, False
         request = self.requests.pop(SCANNING[0], None)
         if request is not None:
@@ -192,12 +188,9 @@ class Loop:
 
     # ---- kernels ----------------------------------------------------------------------------------------------------
     def start(self, kernel: Kernel, now: int, latency_us: int | None = None) -> None:
-        """Run a kernel, again if that is requested; what it gives is published when its latency has passed.
+        """Run a kernel that is not busy, again if that is requested; results are published when its latency has passed.
 
-        Args:
-            kernel: It is not busy.
-            now: Instant (us).
-            latency_us: Instead of the kernel's.
+        `latency_us` replaces the latency of the kernel.
         """
         request = None if kernel.name in SCANNING else self.requests.pop(kernel.name, None)  # those: see `capture`
         if request is not None:
@@ -273,7 +266,7 @@ class Loop:
 
     # ---- recovery ---------------------------------------------------------------------------------------------------
     def recompute(self, action: Action, now: int) -> None:
-        """Put memory back and step again, or ask hand-over for another way-point; the latency is charged again."""
+        """Restore memory and step again, or ask for another way-point; the latency is charged again."""
         kernel: Any = self.kernels[action.kernel]
         cost = self.charge(action)
         if action.kind != "recompute":
@@ -284,7 +277,7 @@ class Loop:
         self.start(kernel, now, None if action.kernel in SCANNING else cost)
 
     def charge(self, action: Action) -> int:
-        """Charge a recomputation; gives its modelled time (us)."""
+        """Charge a recomputation; returns its modelled time (us)."""
         platform = self.scenario.platform
         cost = redo_latency(platform, action.kernel, action.stage) if action.kernel else stage_latency(
             platform, action.stage
@@ -295,18 +288,13 @@ class Loop:
     # ---- memory -----------------------------------------------------------------------------------------------------
     def memory(self) -> LoopMemory:
         """Its state, not copied: a checkpoint takes a copy."""
-        return LoopMemory(
-            self.now, self.order, self.queue, self.busy, self.awaited, self.requests, self.mapped, self.captured_us,
-            self.failed_plans, self.command, self.reference,
-        )  # fmt: skip
+        return LoopMemory(*(getattr(self, name) for name in LoopMemory.__slots__))
 
     def restore(self, memory: LoopMemory) -> None:
         """Continue from a state that `memory` gave; it can be restored again."""
         own = memory.copy()
-        self.now, self.order, self.queue, self.busy = own.now, own.order, own.queue, own.busy
-        self.awaited, self.requests = own.awaited, own.requests
-        self.mapped, self.captured_us, self.failed_plans = own.mapped, own.captured_us, own.failed_plans
-        self.command, self.reference = own.command, own.reference
+        for name in own.__slots__:
+            setattr(self, name, getattr(own, name))
 
     # ---- record -----------------------------------------------------------------------------------------------------
     def log(self, status: MissionStatus, rejected_commands: int) -> FlightLog:

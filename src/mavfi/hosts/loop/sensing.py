@@ -1,6 +1,4 @@
-"""What the vehicle's sensors publish: the truth, or what an estimator is fed with."""
-
-from collections.abc import Iterator
+"""What the vehicle's sensors publish: the truth, or the inputs of an estimator."""
 
 import numpy as np
 
@@ -13,22 +11,13 @@ _ESTIMATE = ODOMETRY["estimator"]
 
 
 class Sensors:
-    """The sensors of one flight.
+    """The sensors of one flight; `estimating`: whether there is an estimator.
 
-    With an estimator nothing that is published comes from the true pose but through a sensor: an image carries the
-    last estimate that consumers have seen, while the camera looks from where the vehicle is.
-
-    Attributes:
-        estimating: Whether there is an estimator.
+    With an estimator the true pose is published through sensors only: an image carries the last estimate that consumers
+    have seen, while the camera looks from where the vehicle is.
     """
 
     def __init__(self, plant: Plant, localization: LocalizationConfig) -> None:
-        """Nothing is measured yet.
-
-        Args:
-            plant: What they measure.
-            localization: Truth, or an estimator and the period of its fixes.
-        """
         self.estimating = localization.kind == "estimator"
         self._plant = plant
         self._period_us = localization.position_period_us
@@ -36,12 +25,12 @@ class Sensors:
         self._estimate = np.zeros(7)
         self._estimate[3] = 1.0
 
-    def samples_between(self, now: int, later: int) -> Iterator[int]:
-        """Instants after now and before the next control period at which the IMU is sampled."""
-        return iter(range(now + STEP_US, later, STEP_US) if self.estimating else ())
+    def samples_between(self, now: int, later: int) -> range:
+        """Instants after `now` and before `later`, the next control period, at which the IMU is sampled."""
+        return range(now + STEP_US, later, STEP_US) if self.estimating else range(0)
 
     def depth(self) -> State:
-        """A depth image with the pose that it is believed to be from."""
+        """A depth image with its believed pose."""
         ranges, pose = self._plant.depth()
         state = new_state("sensor.depth", len(ranges))
         floats(state.header, 7)[:] = self._estimate if self.estimating else pose
@@ -49,7 +38,7 @@ class Sensors:
         return state
 
     def motion(self, now: int) -> list[State]:
-        """Where the vehicle is: the true odometry; or a position fix where one is due, and a sample of the IMU."""
+        """Where the vehicle is: the true odometry; or an IMU sample, after a position fix if that is due."""
         if not self.estimating:
             return [_state(ODOMETRY["truth"], self._plant.odometry)]
         measured = []

@@ -18,13 +18,13 @@ class Injector(Protocol):
 
     @property
     def spent(self) -> bool:
-        """Whether it leaves everything that comes untouched."""
+        """Whether it leaves everything from now on untouched."""
 
     def __call__(self, state: State, time_us: int) -> State | None:
-        """What is published instead; None = it got lost."""
+        """The published value; None = it is lost."""
 
     def finish(self) -> list[Injection]:
-        """All that it did."""
+        """All of its injections."""
 
 
 @dataclass(slots=True)

@@ -1,4 +1,4 @@
-"""A master and a node that we start, drive and listen to: the bench on which a foreign node is tried."""
+"""A master and a node that we start, drive and listen to: the bench on which a foreign node is tested."""
 
 import os
 import queue
@@ -8,13 +8,12 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from mavfi.errors import BadInputError, MavfiError
-from mavfi.hosts.node.master import URI_VARIABLE, Master
+from mavfi.hosts.node.config import NodeConfig
+from mavfi.hosts.node.master import URI_VARIABLE, Master, absolute
 from mavfi.hosts.node.message import Composer
-from mavfi.hosts.node.names import absolute
 from mavfi.hosts.node.station import Station
 from mavfi.hosts.node.tcpros import Source
 from mavfi.hosts.ros1 import finder
@@ -25,22 +24,16 @@ DRIVER = "/mavfi_driver"
 _POLL_S = 0.01
 _SLICE_S = 0.05
 _LAST_WORDS_S = 2.0
+_START_PATIENCE_S = 60.0
+"""How long programs may take to start (s)."""
 
 
 class Bench:
-    """A master in the network of this process, which should be a private one, and programs beside it.
+    """A master in the (private) network of this process, and programs of ROS in it; logs go to `folder`."""
 
-    Args:
-        folder: For logs.
-        patience_s: How long programs may take to start (s).
-
-    Raises:
-        BadInputError: ROS is not installed.
-    """
-
-    def __init__(self, folder: Path, patience_s: float = 60.0) -> None:
+    def __init__(self, folder: Path) -> None:
         finder.require()
-        self._folder, self._patience = folder, patience_s
+        self._folder = folder
         self._processes: list[subprocess.Popen[bytes]] = []
         self._stations: list[Station] = []
 
@@ -49,13 +42,11 @@ class Bench:
             self.start(["/usr/bin/rosmaster", "--core", "-p", str(PORT)])
             self.master = self._wait_for_master()
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for station in self._stations:
             station.close()
         for process in reversed(self._processes):
@@ -63,43 +54,33 @@ class Bench:
             process.wait(_LAST_WORDS_S)
 
     def _wait_for_master(self) -> Master:
-        end = time.monotonic() + self._patience
+        end = time.monotonic() + _START_PATIENCE_S
         while True:
             try:
                 return Master(MASTER_URI)
             except BadInputError:
                 if time.monotonic() > end:
-                    raise MavfiError(f"rosmaster: is not there after {self._patience:g} s") from None
+                    raise MavfiError(f"rosmaster: is not there after {_START_PATIENCE_S:g} s") from None
                 time.sleep(_POLL_S)
 
     def start(self, command: list[str], extra: Mapping[str, str] | None = None) -> "subprocess.Popen[bytes]":
-        """Start a program of ROS; it ends with the bench.
-
-        Args:
-            command: The program and its arguments.
-            extra: Environment variables beside the usual ones.
-
-        Raises:
-            BadInputError: There is no such program.
-        """
+        """Start a program, which ends with the bench; `extra` are additional environment variables."""
         variables = {
             **os.environ, **finder.environment(), URI_VARIABLE: MASTER_URI, "ROS_IP": "127.0.0.1",
             "ROS_HOME": str(self._folder), "ROS_LOG_DIR": str(self._folder), "OMP_NUM_THREADS": "1",
             **(extra or {}),
         }  # fmt: skip
-        log = self._folder / f"{len(self._processes)}-{Path(command[0]).name}.log"
+        name = command[0]
+        program = str(finder.find_file(name.lstrip("/"))) if name.startswith("/usr/") else name
+        log = self._folder / f"{len(self._processes)}-{Path(name).name}.log"
         try:
             with log.open("wb") as output:
                 process = subprocess.Popen(
-                    [_program(command[0]), *command[1:]],
-                    env=variables,
-                    stdout=output,
-                    stderr=output,
-                    stdin=subprocess.DEVNULL,
-                    cwd=self._folder,
-                )
+                    [program, *command[1:]], env=variables, stdout=output, stderr=output,
+                    stdin=subprocess.DEVNULL, cwd=self._folder,
+                )  # fmt: skip
         except OSError as error:
-            raise BadInputError(f"{command[0]}: cannot be started ({error.strerror})") from None
+            raise BadInputError(f"{name}: cannot be started ({error.strerror})") from None
         self._processes.append(process)
         return process
 
@@ -109,12 +90,8 @@ class Bench:
         return self._stations[-1]
 
     def wait_for_node(self, name: str, process: "subprocess.Popen[bytes]") -> None:
-        """Until a node is registered, and answers.
-
-        Raises:
-            MavfiError: Its process ends first, or it does not come.
-        """
-        end = time.monotonic() + self._patience
+        """Wait until a node is registered and answers; `MavfiError` if its process ends first, or it does not come."""
+        end = time.monotonic() + _START_PATIENCE_S
         while time.monotonic() < end:
             if process.poll() is not None:
                 raise MavfiError(f"node {name}: ended with exit code {process.returncode} before it was tried")
@@ -123,38 +100,20 @@ class Bench:
                 return
             except MavfiError:
                 time.sleep(_POLL_S)
-        raise MavfiError(f"node {name}: is not there after {self._patience:g} s")
-
-
-def _program(name: str) -> str:
-    """The program, wherever the packages of ROS lie."""
-    return str(finder.find_file(name.lstrip("/"))) if name.startswith("/usr/") else name
+        raise MavfiError(f"node {name}: is not there after {_START_PATIENCE_S:g} s")
 
 
 class Drive:
-    """Sends a node one input after the other, and waits for what it answers to each.
+    """Sends a node its inputs one at a time, and waits for the output of each; `definition` is that of its outputs."""
 
-    Args:
-        bench: Where the node runs.
-        node: Its name.
-        inputs: Topic, type, and messages as plain data.
-        output: Topic.
-        ignored: Members of the output that do not count, see `Definition.without`.
-        patience_s: Longest wait for an answer, and for connections (s).
-    """
-
-    def __init__(  # noqa: PLR0913 - what is sent, what comes back
-        self, bench: Bench, node: str, inputs: tuple[str, str, tuple[dict[str, Any], ...]], output: str,
-        ignored: tuple[str, ...], patience_s: float,
-    ) -> None:  # fmt: skip
-        topic, kind, self.messages = inputs
-        self._composer = Composer(kind)
-        self._outlet = bench.station().advertise(absolute(topic), self._composer.header)
-        self._ignored, self._patience = ignored, patience_s
+    def __init__(self, bench: Bench, node: NodeConfig) -> None:
+        self._node, self._patience = node, node.patience_s
+        self._composer = Composer(node.inputs.type)
+        self._outlet = bench.station().advertise(absolute(node.inputs.topic), self._composer.header)
         self._sent = 0
         self._answers: queue.Queue[bytes] = queue.Queue()
         self._is_over = threading.Event()
-        self._source = self._connect(bench.master, absolute(node), absolute(output))
+        self._source = self._connect(bench.master, absolute(node.name), absolute(node.outputs.topic))
         self.definition = self._source.definition()
         threading.Thread(target=self._listen, daemon=True).start()
 
@@ -179,25 +138,23 @@ class Drive:
         self._is_over.set()
 
     def ask(self, number: int, is_held: Callable[[], bool] = bool) -> bytes | None:
-        """Send an input, and answer the output without what does not count; None = none came in time.
+        """Send the input of a number; returns the output without its ignored members, None = none came in time.
 
-        Args:
-            number: Of the input.
-            is_held: Says whether the node is just being held up by us: that time does not count.
+        While we hold the node, as `is_held` says, time does not count.
         """
         while not self._answers.empty():
             self._answers.get_nowait()
-        self._outlet.send(self._composer.pack(self._stamped(self.messages[number])))
+        self._outlet.send(self._composer.pack(self._stamped(self._node.inputs.messages[number])))
         end = time.monotonic() + self._patience
         while time.monotonic() < end and not self._is_over.is_set():
             if is_held():
                 end = time.monotonic() + self._patience
             with suppress(queue.Empty):
-                return self.definition.without(self._answers.get(timeout=_SLICE_S), self._ignored)
+                return self.definition.without(self._answers.get(timeout=_SLICE_S), self._node.outputs.ignore)
         return None
 
     def _stamped(self, fields: dict[str, Any]) -> dict[str, Any]:
-        """The message with the time of now, if it has a header."""
+        """The message with the present time, if it has a header."""
         self._sent += 1
         if "std_msgs/Header header" not in self._composer.header["message_definition"].partition("=====")[0]:
             return fields

@@ -1,7 +1,7 @@
-"""Puts the graph back as it was when mavfi lets go of it, also when mavfi is killed.
+"""Restores the graph when mavfi lets go of it, also when mavfi is killed.
 
 It is a process of its own, out of reach of the keyboard: it waits for the end of its input, and then undoes what the
-last line of it says.  A `Guardian` is the other end of that pipe.
+last line of it lists.  A `Guardian` is the other end of that pipe.
 """
 
 import json
@@ -22,14 +22,7 @@ _POLL_S = 0.005
 
 @dataclass(frozen=True, slots=True)
 class Turned:
-    """A reader of a topic that was turned to us.
-
-    Attributes:
-        topic: The topic.
-        node: Name of the reader.
-        uri: Where it listens.
-        publishers: Where those listened that it read from before.
-    """
+    """A reader of a topic that was turned to us: its name and address, and those of its publishers before."""
 
     topic: str
     node: str
@@ -39,14 +32,7 @@ class Turned:
 
 @dataclass(frozen=True, slots=True)
 class Registered:
-    """A publisher or reader that we registered.
-
-    Attributes:
-        topic: The topic.
-        node: As which node.
-        uri: Where it listened.
-        role: "Publisher" or "Subscriber".
-    """
+    """A publisher or reader (`role`) that we registered, as which node and at which address."""
 
     topic: str
     node: str
@@ -55,11 +41,7 @@ class Registered:
 
 
 class Guardian:
-    """Starts the process, and tells it what is to be undone.
-
-    Args:
-        master: Where the master listens.
-    """
+    """Starts the process, and sends it what is to be undone; `master` is the address of the master."""
 
     def __init__(self, master: str) -> None:
         self._master = master
@@ -70,7 +52,7 @@ class Guardian:
         )
 
     def remember(self, what: Turned | Registered) -> None:
-        """From now on this is undone, too; say so before it is done."""
+        """Add something to be undone, before it is done."""
         if isinstance(what, Turned):
             self._turned[what.topic, what.uri] = what
         else:
@@ -85,11 +67,7 @@ class Guardian:
         self._process.stdin.flush()
 
     def undo(self) -> None:
-        """Undo all, and wait until it is done.
-
-        Raises:
-            MavfiError: It takes too long.
-        """
+        """Undo everything, and wait for the end; `MavfiError` if it takes too long."""
         assert self._process.stdin is not None
         self._process.stdin.close()
         try:
@@ -99,7 +77,7 @@ class Guardian:
 
 
 def publishers_of(master: str, topic: str) -> list[str]:
-    """Where the publishers of a topic listen, by the master; those that the master has lost are left out."""
+    """Addresses of the publishers of a topic, by the master; those that the master has lost are left out."""
     found = []
     for name, nodes in call(master, "getSystemState", CALLER)[0]:
         for node in nodes if name == topic else ():
@@ -109,7 +87,7 @@ def publishers_of(master: str, topic: str) -> list[str]:
 
 
 def undo(task: dict) -> None:
-    """Undo what a line says; nodes that are gone need nothing."""
+    """Undo what a line lists; nodes that are gone need nothing."""
     for registered in task["registered"]:
         with suppress(MavfiError):
             method = f"unregister{registered['role']}"
@@ -124,7 +102,7 @@ def undo(task: dict) -> None:
 
 
 def _wait_until_back(turned: dict, publishers: int) -> None:
-    """Until a reader has its connections again; it makes them after it has answered."""
+    """Wait until a reader has its connections again; it makes them after it has answered."""
     end = time.monotonic() + _BACK_S
     while time.monotonic() < end:
         rows = call(turned["uri"], "getBusInfo", CALLER)
@@ -134,7 +112,7 @@ def _wait_until_back(turned: dict, publishers: int) -> None:
 
 
 def main() -> None:
-    """Wait for the end of the input, and undo what its last line says."""
+    """Wait for the end of the input, and undo what its last line lists."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE):
         signal.signal(number, signal.SIG_IGN)
     last = ""

@@ -1,8 +1,7 @@
 """The host `node`: a foreign ROS node under test.  A flight is a trial: start the node, drive it, compare its outputs.
 
 A mission is error-free trials whose outputs must agree, then trials with a fault.  The instant of an injection is the
-machine's, not the seed's, so a trial cannot be repeated bit for bit; `masked` says that all outputs were
-the golden ones.
+machine's, not the seed's, so a trial cannot be repeated bit for bit; `masked` means that all outputs were golden.
 """
 
 import hashlib
@@ -17,9 +16,9 @@ from mavfi.flight_log import Injection, KernelEffect
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Recorded
 from mavfi.hosts.node.config import NodeConfig
-from mavfi.hosts.node.private import private_network
 from mavfi.hosts.node.trial import Trial, run_trial
 from mavfi.hosts.ros1 import finder
+from mavfi.hosts.ros1.supervisor import private_network
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import DUE, Effect
 
@@ -27,11 +26,7 @@ _DIED = tuple(effect.label for effect in DUE)
 
 
 class NodeHost:
-    """Trials on a foreign node.
-
-    Args:
-        node: The node under test.
-    """
+    """Trials on a foreign node, the node under test."""
 
     name = "node"
     levels = frozenset({"register"})
@@ -44,22 +39,15 @@ class NodeHost:
         self._node = node
 
     def resolve(self, spec: MissionSpec) -> NodeConfig:
-        """What stands for a scenario; a node has no world."""
-        del spec
+        """The node, which has no world, instead of a scenario."""
         return self._node
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "NodeMission":
         """The trials of a mission; there is one arm, and nothing to fast-forward."""
-        del arms, fast_forward
         return NodeMission(self._node)
 
     def check(self) -> None:
-        """Refuse a node that cannot be tried.
-
-        Raises:
-            BadInputError: ROS is not installed, there can be no private network, or golden outputs differ.
-            MavfiError: The node does not come up, or gives no output.
-        """
+        """See `Host.check`; includes golden trials, see `golden_trial`."""
         finder.require()
         private_network()
         golden_trial(self._node)
@@ -67,12 +55,7 @@ class NodeHost:
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """What a trial leaves.
-
-    Attributes:
-        kept: What a ledger keeps of it.
-        profile: A node has none.
-    """
+    """The record of a trial, as a `Recorded`; a node has no profile."""
 
     kept: FlightRecord
     profile: None = None
@@ -83,24 +66,14 @@ class TrialResult:
 
 
 class NodeMission:
-    """The trials of one mission.
-
-    Args:
-        node: The node under test.
-    """
+    """The trials of one mission."""
 
     def __init__(self, node: NodeConfig) -> None:
         self._node = node
         self._outputs: tuple[str, ...] = ()
 
     def golden(self, arm: str, *, profile: bool = False) -> TrialResult:
-        """The error-free trials.
-
-        Raises:
-            BadInputError: Their outputs differ.
-            MavfiError: The node does not come up, or gives no output.
-        """
-        del arm, profile
+        """The error-free trials; see `golden_trial`."""
         trial = golden_trial(self._node)
         self._outputs = tuple(trial.outputs)
         return TrialResult(record_of_trial(trial))
@@ -109,7 +82,7 @@ class NodeMission:
         """See `MissionFlights.know`; nothing is flown elsewhere."""
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, TrialResult | Exception]]:
-        """Trials with a fault, in turn; what makes every trial impossible is raised."""
+        """Trials with a fault, in turn; a `BadInputError`, which would end every trial, is raised."""
         for place, (_, fault) in enumerate(runs):
             try:
                 trial = run_trial(self._node, self._outputs, cast(RegisterFault, fault))
@@ -138,7 +111,7 @@ def golden_trial(node: NodeConfig) -> Trial:
 
 
 def record_of_trial(trial: Trial) -> FlightRecord:
-    """What is kept of a trial; its digest is that of the outputs, so that equal outputs count as masked."""
+    """The record of a trial; its digest is that of the outputs, so that equal outputs count as masked."""
     extra = {
         "outputs": trial.outputs, "asked": trial.asked, "differing": len(trial.differing),
         "differences": trial.differences, "reason": trial.reason,

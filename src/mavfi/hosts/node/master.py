@@ -4,19 +4,19 @@ import http.client
 import os
 import socket
 import xmlrpc.client
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 from urllib.parse import urlparse
 
-from mavfi.errors import BadInputError, MavfiError
-from mavfi.hosts.node.names import absolute, check_known
+from mavfi.errors import BadInputError, MavfiError, allowed
 
 URI_VARIABLE = "ROS_MASTER_URI"
-DEFAULT_URI = "http://127.0.0.1:11311"
+_DEFAULT_URI = "http://127.0.0.1:11311"
 CALLER = "/mavfi"
 MASTER_CALLER = "/master"
-"""As whom the master tells nodes who publishes."""
+"""Name of the master when it informs nodes about publishers."""
 PATIENCE_S = 3.0
 _DONE = 1
 
@@ -26,7 +26,7 @@ class SilentError(MavfiError):
 
 
 class _Transport(xmlrpc.client.Transport):
-    """HTTP that gives up."""
+    """HTTP with a time-out."""
 
     def make_connection(self, host: Any) -> http.client.HTTPConnection:
         connection = super().make_connection(host)
@@ -34,16 +34,21 @@ class _Transport(xmlrpc.client.Transport):
         return connection
 
 
+def absolute(name: str) -> str:
+    """The name with its leading slash."""
+    return name if name.startswith("/") else f"/{name}"
+
+
+def check_known(what: str, name: str, names: Collection[str]) -> str:
+    """The absolute name; `BadInputError` with the known ones if it is not among them."""
+    wanted = absolute(name)
+    if wanted not in names:
+        raise BadInputError(f"{what} {wanted}: not in the graph; allowed: {allowed(names, wanted)}")
+    return wanted
+
+
 def call(uri: str, method: str, *arguments: Any) -> Any:
-    """Call the interface of a master or node.
-
-    Args:
-        uri: Where it listens.
-        method: Name.
-        arguments: The caller's name first.
-
-    Returns:
-        The value of the answer.
+    """Call the interface of a master or node, as the node that the first argument names.
 
     Raises:
         SilentError: No answer within PATIENCE_S.
@@ -63,14 +68,7 @@ def call(uri: str, method: str, *arguments: Any) -> Any:
 
 @dataclass(frozen=True)
 class Graph:
-    """Who publishes, reads and serves what, by topic or service.
-
-    Attributes:
-        publishers: Nodes by topic.
-        subscribers: Nodes by topic.
-        services: Nodes by service.
-        types: Type by topic; "*" if only readers of any type are there.
-    """
+    """Publishers, subscribers and types by topic, services by service; the type "*" = only readers of any type."""
 
     publishers: dict[str, list[str]]
     subscribers: dict[str, list[str]]
@@ -90,17 +88,14 @@ class Graph:
 
 
 class Master:
-    """A running ROS master.
-
-    Args:
-        uri: Where it listens; None = environment variable ROS_MASTER_URI, then port 11311 of this machine.
+    """A running ROS master; without an address that of the variable ROS_MASTER_URI, then port 11311 of this machine.
 
     Raises:
         BadInputError: None is there.
     """
 
     def __init__(self, uri: str | None = None) -> None:
-        self.uri = uri or os.environ.get(URI_VARIABLE) or DEFAULT_URI
+        self.uri = uri or os.environ.get(URI_VARIABLE) or _DEFAULT_URI
         try:
             self.call("getPid")
         except MavfiError:
@@ -118,11 +113,7 @@ class Master:
         return Graph(publishers, subscribers, services, dict(self.call("getTopicTypes")))
 
     def node_uri(self, name: str) -> str:
-        """Where a node listens.
-
-        Raises:
-            BadInputError: It is not registered.
-        """
+        """Address of a node; `BadInputError` if it is not registered."""
         try:
             found: str = self.call("lookupNode", absolute(name))
         except SilentError:
@@ -133,11 +124,7 @@ class Master:
         return found
 
     def node_pid(self, name: str) -> int:
-        """Process of a node of this machine.
-
-        Raises:
-            BadInputError: It is not registered, has died, or runs on another machine.
-        """
+        """Process of a node of this machine; `BadInputError` if it is not registered, has died, or runs elsewhere."""
         node = absolute(name)
         uri = self.node_uri(node)
         try:
@@ -158,10 +145,7 @@ def is_here(uri: str) -> bool:
     if host in ("localhost", socket.gethostname(), os.environ.get("ROS_IP"), os.environ.get("ROS_HOSTNAME")):
         return True
     try:
-        return socket.gethostbyname(host) in {
-            "127.0.0.1",
-            "127.0.1.1",
-            *socket.gethostbyname_ex(socket.gethostname())[2],
-        }
+        address = socket.gethostbyname(host)
+        return address in {"127.0.0.1", "127.0.1.1", *socket.gethostbyname_ex(socket.gethostname())[2]}
     except OSError:
         return False

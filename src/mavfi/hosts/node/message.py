@@ -22,10 +22,7 @@ def _store() -> Any:
 
 
 class Composer:
-    """Makes messages of one type.
-
-    Args:
-        kind: Its name, e.g. "sensor_msgs/JointState".
+    """Makes messages of one type, e.g. "sensor_msgs/JointState".
 
     Raises:
         BadInputError: The type is not a standard one.
@@ -42,10 +39,7 @@ class Composer:
         self._kind = kind
 
     def pack(self, fields: dict[str, Any]) -> bytes:
-        """A message as on the wire; what is not given is zero or empty.
-
-        Args:
-            fields: Plain data by name.
+        """A serialized message of plain data by name; missing fields are zero or empty.
 
         Raises:
             BadInputError: A name that the type does not have, or a value that does not fit.

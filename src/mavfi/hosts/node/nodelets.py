@@ -28,11 +28,7 @@ _PACKAGE = """<package format="2"><name>depth_image_proc</name><version>1.17.0</
 
 
 def require() -> None:
-    """Refuse where it is not installed.
-
-    Raises:
-        BadInputError: One line that says what to do.
-    """
+    """Check that it is installed; the `BadInputError` says what to do."""
     for name in (NODELET, _LIBRARY):
         if not find_file(name).exists():
             raise BadInputError(
@@ -41,14 +37,9 @@ def require() -> None:
 
 
 def point_cloud_xyz(folder: Path, remappings: Mapping[str, str]) -> tuple[list[str], dict[str, str]]:
-    """Command and environment variables that run the nodelet.
+    """Command and environment variables that run the nodelet; its `pluginlib` files are written into a folder.
 
-    Args:
-        folder: Where the files are written by which it is found.
-        remappings: Of its topics `image_rect`, `camera_info` and `points`, and of `__name`.
-
-    Raises:
-        BadInputError: It is not installed.
+    `remappings` are those of its topics `image_rect`, `camera_info` and `points`, and of `__name`.
     """
     require()
     share = folder / "share" / "depth_image_proc"

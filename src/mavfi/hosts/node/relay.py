@@ -1,8 +1,8 @@
 """Puts mavfi between the publishers of a topic and its readers, while they run.
 
-Two ways.  Turned: every reader is told, as the master would tell it, that we are the only publisher; afterwards it is
-told the truth again.  Remapped: we publish under another name, which the target was started with.  Messages pass as
-bytes; only the ones that are to be changed are looked into.
+Two ways.  Turned: every reader is informed, as by the master, that we are the only publisher; afterwards its publishers
+are restored.  Remapped: we publish under another name, which the target was started with.  Messages pass as bytes;
+only those that are to be changed are decoded.
 """
 
 import os
@@ -10,27 +10,25 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from types import TracebackType
 
 from mavfi.errors import BadInputError, MavfiError, allowed
 from mavfi.faults.message.definition import Definition
 from mavfi.hosts.node.guardian import Guardian, Registered, Turned
-from mavfi.hosts.node.master import MASTER_CALLER, Graph, Master, call
-from mavfi.hosts.node.names import absolute, check_known
+from mavfi.hosts.node.master import MASTER_CALLER, Graph, Master, absolute, call, check_known
 from mavfi.hosts.node.station import Reader, Station
 from mavfi.hosts.node.tcpros import Source
 
 TURN_PATIENCE_S = 2.0
 _WATCH_S = 0.1
 _LOOK_EVERY = 10
-"""In how many rounds of the watch the graph is looked at anew."""
+"""Rounds of the watch between two looks at the graph."""
 _POLL_S = 0.001
 Change = Callable[[bytes, "Relay"], bytes]
-"""Takes a message, and answers what readers get instead."""
+"""Takes a message, and returns its replacement."""
 
 
 def sources_of(master: Master, graph: Graph, topic: str, skipped: Sequence[str] = ()) -> list[Source]:
-    """A connection to every publisher of a topic that lives.
+    """A connection to every living publisher of a topic.
 
     Raises:
         BadInputError: The topic is not known, or nobody publishes it.
@@ -52,35 +50,29 @@ def sources_of(master: Master, graph: Graph, topic: str, skipped: Sequence[str] 
 
 
 class Relay:
-    """Stands in the way of a topic from `__enter__` to `__exit__`.
+    """Relays the messages of a topic from `__enter__` to `__exit__`.
 
     Args:
         master: The graph.
-        topic: What passes through.
-        change: What becomes of each message.
-        accepts: Looks at the definition of the messages, and refuses what does not fit.
+        topic: The topic.
+        change: Replaces each message.
+        accepts: Checks the definition of the messages, and raises if it does not fit.
         reader: Only this reader is turned; None = all.
         to: Publish under this name instead of turning readers.
 
     Attributes:
-        definition: Of the messages.
-        passed: How many messages readers were given.
+        passed: Number of messages given to readers.
         failures: Why readers could not be turned.
-        error: What went wrong while messages passed.
+        error: Failure while messages passed.
 
     Raises:
         BadInputError: Topic or reader is not known; nobody publishes or reads; the new name is taken.
     """
 
-    def __init__(  # noqa: PLR0913 - where, what, and whom
-        self,
-        master: Master,
-        topic: str,
-        change: Change,
-        accepts: Callable[[Definition], object],
-        reader: str | None = None,
-        to: str | None = None,
-    ) -> None:
+    def __init__(
+        self, master: Master, topic: str, change: Change, accepts: Callable[[Definition], object],
+        reader: str | None = None, to: str | None = None,
+    ) -> None:  # fmt: skip
         self.master, self._change = master, change
         graph = master.graph()
         self.topic = check_known("topic", topic, graph.topics)
@@ -120,7 +112,7 @@ class Relay:
         try:
             self._begin()
         except BaseException:
-            self.__exit__(None, None, None)
+            self.__exit__()
             raise
         return self
 
@@ -141,9 +133,7 @@ class Relay:
             self._pump(self._sources)
         threading.Thread(target=self._watch, daemon=True).start()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._ended.set()
         with self._lock:  # no reader is turned any more from here on
             self._guardian.undo()
@@ -171,16 +161,12 @@ class Relay:
             self.error = error
 
     def send(self, message: bytes) -> int:
-        """Give a message to the readers, and answer how many got it."""
+        """Send a message to the readers; returns their number."""
         return self._outlet.send(message)
 
     # ---- readers ----------------------------------------------------------------------------------------------------
     def _turn_all(self, graph: Graph) -> None:
-        """Turn the readers that are not turned.
-
-        Raises:
-            MavfiError: None could be turned.
-        """
+        """Turn the readers that are not turned yet; `MavfiError` if there is none in the end."""
         readers = [self._only] if self._only else graph.subscribers.get(self.topic, [])
         failures: list[str] = []
         for node in readers:
@@ -195,7 +181,7 @@ class Relay:
             raise MavfiError(failures[0])
 
     def _turn(self, node: str, graph: Graph) -> None:
-        """Connect a reader with us beside its publishers, then take those away: nothing is lost while it connects."""
+        """Connect a reader to us besides its publishers, then remove those: nothing is lost while it connects."""
         uri = self.master.node_uri(node)
         publishers = []
         for name in graph.publishers.get(self.topic, ()):
@@ -220,7 +206,7 @@ class Relay:
         raise MavfiError(f"node {node}: does not connect to mavfi within {TURN_PATIENCE_S:g} s; is it on this machine?")
 
     def _watch(self) -> None:
-        """The master tells readers of new publishers: they turn away from us, and are turned again."""
+        """Turn readers again that the master has informed of new publishers."""
         rounds = 0
         while not self._ended.wait(_WATCH_S):
             rounds += 1
@@ -232,7 +218,7 @@ class Relay:
                         self._turn_all(graph)
 
     def _read_new(self, graph: Graph) -> None:
-        """Read publishers that have come since."""
+        """Read publishers that have joined."""
         known = {source.uri for source in self._sources}
         for node in graph.publishers.get(self.topic, ()):
             uri = self.master.node_uri(node)

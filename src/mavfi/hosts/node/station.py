@@ -1,6 +1,6 @@
 """Our end of the graph: the interface that every ROS node has, and topics that others can read from us.
 
-Nothing is registered with the master unless `advertise` is called.
+The master is informed only by `advertise` and `subscribe`.
 """
 
 import os
@@ -28,13 +28,7 @@ class _Server(ThreadingMixIn, SimpleXMLRPCServer):
 
 @dataclass(slots=True, eq=False)
 class Reader:
-    """A node that reads from us.
-
-    Attributes:
-        node: Its name.
-        connection: To it.
-        active: Whether it is sent what is published.
-    """
+    """A node that reads from us; only an active one is sent what is published."""
 
     node: str
     connection: socket.socket
@@ -43,14 +37,9 @@ class Reader:
 
 @dataclass(slots=True, eq=False)
 class Outlet:
-    """A topic that others can read from us.
+    """A topic that others can read from us; `header` is sent to its readers, which are `active` at once or later.
 
-    Attributes:
-        topic: Its name.
-        header: Type, md5sum, message_definition and latching, as sent to readers.
-        active: Whether new readers are active at once.
-        readers: Those that are connected.
-        last: For a latched topic: what is sent to new readers.
+    A latched topic keeps its `last` message for new readers.
     """
 
     topic: str
@@ -61,7 +50,7 @@ class Outlet:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def send(self, data: bytes) -> int:
-        """Send a message to all active readers, and answer how many there were."""
+        """Send a message to all active readers; returns their number."""
         whole = frame(data)
         with self.lock:
             if self.header.get("latching") == "1":
@@ -97,17 +86,7 @@ class Outlet:
 
 
 class Inlet:
-    """A topic that we read.
-
-    Args:
-        topic: Its name.
-        arrived: Called with each message.
-        caller: As which node.
-
-    Attributes:
-        sources: Connections by the publisher's address.
-        failures: Why publishers could not be read, the last ones.
-    """
+    """A topic that we read as node `caller`; `failures` are those of connections to publishers."""
 
     def __init__(self, topic: str, arrived: Callable[[bytes], None], caller: str) -> None:
         self.topic, self._arrived, self._caller = topic, arrived, caller
@@ -139,12 +118,7 @@ class Inlet:
 
 
 class Station:
-    """A participant of the graph.
-
-    Args:
-        master: The graph.
-        name: As which node.
-    """
+    """A participant of the graph, of this name."""
 
     def __init__(self, master: Master, name: str) -> None:
         self.master, self.name = master, name
@@ -153,13 +127,10 @@ class Station:
         self._listener = socket.create_server((LOOPBACK, 0))
         self._server = _Server((LOOPBACK, 0), logRequests=False, allow_none=True)
         self.uri = f"http://{LOOPBACK}:{self._server.server_address[1]}/"
-        for method in _METHODS:
-            self._server.register_function(getattr(self, f"_{method}"), method)
-        for work in (self._serve, self._accept):
-            threading.Thread(target=work, daemon=True).start()
-
-    def _serve(self) -> None:
-        self._server.serve_forever(0.05)
+        for method, function in self._interface().items():
+            self._server.register_function(function, method)
+        threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
+        threading.Thread(target=self._accept, daemon=True).start()
 
     def close(self) -> None:
         """Stop listening, and close every connection."""
@@ -177,13 +148,7 @@ class Station:
                 outlet.leave(reader)
 
     def offer(self, topic: str, header: Mapping[str, str], active: bool = True) -> Outlet:
-        """Offer a topic to nodes that are told of us; the master is not.
-
-        Args:
-            topic: Its name.
-            header: Type, md5sum, message_definition and latching.
-            active: Whether readers are sent messages from the beginning.
-        """
+        """Offer a topic to nodes that are informed of us, without the master; see `Outlet`."""
         kept = {name: header[name] for name in ("type", "md5sum", "message_definition", "latching") if name in header}
         self._outlets[topic] = Outlet(topic, {"callerid": self.name, **kept}, active)
         return self._outlets[topic]
@@ -194,13 +159,8 @@ class Station:
         self.master.call("registerPublisher", topic, header["type"], self.uri, caller=self.name)
         return outlet
 
-    def subscribe(self, topic: str, arrived: Callable[[bytes], None]) -> "Inlet":
-        """Read a topic like any other node: the master tells us who publishes it.
-
-        Args:
-            topic: Its name.
-            arrived: Called with each message, in the thread of its publisher.
-        """
+    def subscribe(self, topic: str, arrived: Callable[[bytes], None]) -> Inlet:
+        """Read a topic as any node: `arrived` gets each message, in the thread of its publisher."""
         self._inlets[topic] = Inlet(topic, arrived, self.name)
         publishers = self.master.call("registerSubscriber", topic, "*", self.uri, caller=self.name)
         self._inlets[topic].connect(publishers)
@@ -216,7 +176,7 @@ class Station:
             threading.Thread(target=self._greet, args=(connection,), daemon=True).start()
 
     def _greet(self, connection: socket.socket) -> None:
-        """Answer the header of a reader, and wait until it goes."""
+        """Answer the header of a reader, and wait until it leaves."""
         stream = connection.makefile("rb")
         try:
             told = decode_header(read_frame(stream, LARGEST_HEADER))
@@ -242,55 +202,39 @@ class Station:
             connection.close()
 
     # ---- the interface of a node ------------------------------------------------------------------------------------
-    def _getPid(self, caller: str) -> list[Any]:  # noqa: N802 - names of ROS
-        return [1, "", os.getpid()]
+    def _interface(self) -> dict[str, Callable[..., list[Any]]]:
+        """Methods of http://wiki.ros.org/ROS/Slave_API; their first argument is the caller's name."""
+        return {
+            "getPid": lambda _: [1, "", os.getpid()],
+            "getMasterUri": lambda _: [1, "", self.master.uri],
+            "getBusStats": lambda _: [1, "", [[], [], []]],
+            "getBusInfo": lambda _: [1, "", self._connections()],
+            "getSubscriptions": lambda _: [1, "", [[topic, "*"] for topic in self._inlets]],
+            "getPublications": lambda _: [1, "", [[out.topic, out.header["type"]] for out in self._outlets.values()]],
+            "requestTopic": self._request_topic,
+            "publisherUpdate": self._update_publishers,
+            "paramUpdate": lambda *_: [1, "", 0],
+            "shutdown": lambda *_: [0, "is ended by its user alone", 0],
+        }
 
-    def _getMasterUri(self, caller: str) -> list[Any]:  # noqa: N802
-        return [1, "", self.master.uri]
-
-    def _getBusStats(self, caller: str) -> list[Any]:  # noqa: N802
-        return [1, "", [[], [], []]]
-
-    def _getBusInfo(self, caller: str) -> list[Any]:  # noqa: N802
-        rows = [
-            [number, reader.node, "o", "TCPROS", topic, True, "TCPROS connection"]
-            for topic, outlet in self._outlets.items()
-            for number, reader in enumerate(list(outlet.readers))
+    def _connections(self) -> list[list[Any]]:
+        ends = [(out.topic, "o", [reader.node for reader in list(out.readers)]) for out in self._outlets.values()]
+        ends += [(inlet.topic, "i", list(inlet.sources)) for inlet in self._inlets.values()]
+        return [
+            [number, name, direction, "TCPROS", topic, True, "TCPROS connection"]
+            for topic, direction, names in ends
+            for number, name in enumerate(names)
         ]
-        rows += [
-            [number, uri, "i", "TCPROS", topic, True, "TCPROS connection"]
-            for topic, inlet in self._inlets.items()
-            for number, uri in enumerate(list(inlet.sources))
-        ]
-        return [1, "", rows]
 
-    def _getSubscriptions(self, caller: str) -> list[Any]:  # noqa: N802
-        return [1, "", [[topic, "*"] for topic in self._inlets]]
-
-    def _getPublications(self, caller: str) -> list[Any]:  # noqa: N802
-        return [1, "", [[topic, outlet.header["type"]] for topic, outlet in self._outlets.items()]]
-
-    def _requestTopic(self, caller: str, topic: str, protocols: list[Any]) -> list[Any]:  # noqa: N802
+    def _request_topic(self, caller: str, topic: str, protocols: list[Any]) -> list[Any]:
         if topic not in self._outlets or not any(protocol[:1] == ["TCPROS"] for protocol in protocols):
             return [0, "no such topic here", []]
         return [1, "ready", ["TCPROS", LOOPBACK, self._listener.getsockname()[1]]]
 
-    def _publisherUpdate(self, caller: str, topic: str, uris: list[str]) -> list[Any]:  # noqa: N802
+    def _update_publishers(self, caller: str, topic: str, uris: list[str]) -> list[Any]:
         if topic in self._inlets:
             threading.Thread(target=self._inlets[topic].connect, args=(uris,), daemon=True).start()
         return [1, "", 0]
-
-    def _paramUpdate(self, caller: str, key: str, value: Any) -> list[Any]:  # noqa: N802
-        return [1, "", 0]
-
-    def _shutdown(self, caller: str, reason: str = "") -> list[Any]:
-        return [0, "is ended by its user alone", 0]
-
-
-_METHODS = (
-    "getPid", "getMasterUri", "getBusStats", "getBusInfo", "getSubscriptions", "getPublications", "requestTopic",
-    "publisherUpdate", "paramUpdate", "shutdown",
-)  # fmt: skip
 
 
 def _mismatch(told: Mapping[str, str], header: Mapping[str, str]) -> str:

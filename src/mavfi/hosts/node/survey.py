@@ -1,4 +1,4 @@
-"""What runs in a ROS graph: nodes with their processes, topics with their types and rates."""
+"""The nodes of a ROS graph with their processes, and its topics with their types and rates."""
 
 import os
 import threading
@@ -12,21 +12,10 @@ from mavfi.errors import MavfiError
 from mavfi.hosts.node.master import CALLER, Graph, Master, call, is_here
 from mavfi.hosts.node.tcpros import Source
 
-UNKNOWN_TYPE = "*"
-
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A node.
-
-    Attributes:
-        name: Its name.
-        uri: Where it listens.
-        pid: Its process; None = it does not answer: only its registration is left.
-        executable: Program that the process runs; "" if it cannot be told.
-        publishes: Topics.
-        reads: Topics.
-    """
+    """A node; `pid` is None where only its registration is left, `executable` "" where it cannot be found."""
 
     name: str
     uri: str
@@ -43,15 +32,7 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic.
-
-    Attributes:
-        name: Its name.
-        kind: Message type; "*" = nobody has said.
-        publishers: Nodes.
-        readers: Nodes.
-        rate: Messages per second while it was listened to; None = nobody to listen to.
-    """
+    """A topic; its type (`kind`) is "*" if not known, its rate (1/s) None if not measured."""
 
     name: str
     kind: str
@@ -62,7 +43,7 @@ class Topic:
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """All of it."""
+    """Nodes and topics of a graph, and the address of its master."""
 
     master: str
     nodes: tuple[Node, ...]
@@ -74,18 +55,13 @@ class Survey:
 
 
 def survey(master: Master, seconds: float = 1.0) -> Survey:
-    """Look at the graph, and listen to every topic for a while.
-
-    Args:
-        master: The graph.
-        seconds: For how long (s); 0 = rates are not measured.
-    """
+    """Look at the graph, and listen to every topic for so long (s); 0 = rates are not measured."""
     graph = master.graph()
     nodes = tuple(_node(master, graph, name) for name in graph.nodes)
     rates = _rates(graph, {node.name: node.uri for node in nodes if node.is_alive}, seconds) if seconds > 0 else {}
     topics = tuple(
         Topic(
-            name, graph.types.get(name, UNKNOWN_TYPE), tuple(graph.publishers.get(name, ())),
+            name, graph.types.get(name, "*"), tuple(graph.publishers.get(name, ())),
             tuple(graph.subscribers.get(name, ())), rates.get(name),
         )
         for name in graph.topics
@@ -108,7 +84,7 @@ def _node(master: Master, graph: Graph, name: str) -> Node:
 
 
 def _rates(graph: Graph, uris: dict[str, str], seconds: float) -> dict[str, float]:
-    """Messages per second of each topic that has a living publisher; latched messages from before do not count."""
+    """Messages per second of each topic with a living publisher; old latched messages do not count."""
     sources: list[Source] = []
     for topic, nodes in graph.publishers.items():
         for node in nodes:

@@ -33,15 +33,7 @@ def decode_header(body: bytes) -> dict[str, str]:
 
 
 def read_frame(stream: Any, largest: int = 0) -> bytes:
-    """One length and as many bytes.
-
-    Args:
-        stream: File of a socket.
-        largest: Longest that is believed; 0 = any.
-
-    Raises:
-        EOFError: The other side has closed.
-    """
+    """One frame without its length (at most `largest`, 0 = any); `EOFError` if the other side has closed."""
     head = stream.read(4)
     if len(head) < 4:
         raise EOFError
@@ -60,13 +52,7 @@ def frame(data: bytes) -> bytes:
 
 
 class Source:
-    """A connection to one publisher of a topic; nothing is registered anywhere.
-
-    Args:
-        node: Name of the publisher.
-        uri: Where it listens.
-        topic: What is read.
-        caller: As which node.
+    """A connection to one publisher of a topic, as node `caller`; nothing is registered anywhere.
 
     Raises:
         MavfiError: It does not answer, or does not publish the topic.
@@ -106,7 +92,7 @@ class Source:
         return self.header.get("latching") == "1"
 
     def definition(self) -> Definition:
-        """What its messages hold."""
+        """Definition of its messages."""
         return Definition(self.header["type"], self.header["message_definition"])
 
     def messages(self) -> Iterator[bytes]:

@@ -1,4 +1,4 @@
-"""One trial on a foreign node: start it, drive it, inject a register, and say what became of its output.
+"""One trial on a foreign node: start it, drive it, inject a register, and compare its outputs.
 
 `run_trial` starts a process in a private network, which runs this module; nothing of a trial outlives it.
 """
@@ -26,9 +26,8 @@ from mavfi.faults.register import inject
 from mavfi.flight_log import Injection
 from mavfi.hosts.node.bench import Bench, Drive
 from mavfi.hosts.node.config import NodeConfig
-from mavfi.hosts.node.private import private_network
 from mavfi.hosts.ros1.folder import own_path
-from mavfi.hosts.ros1.supervisor import end_all, loopback_up
+from mavfi.hosts.ros1.supervisor import end_all, loopback_up, private_network
 from mavfi.outcomes import Effect
 
 _PARENT_DIED, _SUBREAPER = 1, 36  # PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER of <linux/prctl.h>
@@ -43,17 +42,16 @@ _LONGEST_LIST = 16
 
 @dataclass
 class Trial:
-    """What became of a node.
+    """The result of a trial.
 
     Attributes:
         effect: Label of an `Effect`: "masked" = no output differs, "sdc" = some do, "crash" = the process ended,
-            "hang" = it gave no output, "unknown" = it could not be judged.
-        reason: Why it could not be judged, or how the process ended.
+            "hang" = it gave no output, "unknown" = it could not be judged; `reason` is for the last three.
         outputs: Hash of the output to each input, before the injection.
-        asked: Inputs from the injection on.
+        asked: Number of inputs since the injection.
         differing: Hashes of their outputs that differ.
         differences: Some numbers that differ: path, before, after.
-        injection: What the register injector did, as plain data.
+        injection: The injection, as plain data.
     """
 
     effect: str = Effect.MASKED.label
@@ -66,12 +64,7 @@ class Trial:
 
 
 def run_trial(node: NodeConfig, golden: tuple[str, ...] = (), fault: RegisterFault | None = None) -> Trial:
-    """Run a trial in a private network.
-
-    Args:
-        node: The node under test.
-        golden: Hash of the output to each input; empty = not known yet.
-        fault: What to inject; None = nothing.
+    """Run a trial in a private network; `golden`: hash of the output to each input, empty = not known yet.
 
     Raises:
         BadInputError: ROS is not installed, no private network, a program or type is not known, ptrace is refused.
@@ -103,12 +96,11 @@ class _Session:
         self._node, self._known, self._trial = node, golden, Trial()
         self._process = bench.start(list(node.command))
         bench.wait_for_node(node.name, self._process)
-        inputs = (node.inputs.topic, node.inputs.type, node.inputs.messages)
-        self._drive = Drive(bench, node.name, inputs, node.outputs.topic, node.outputs.ignore, node.patience_s)
+        self._drive = Drive(bench, node)
         self._golden: list[bytes] = []
 
     def run(self, fault: RegisterFault | None) -> Trial:
-        """All of it."""
+        """Run the whole trial."""
         trial = self._trial
         if not self._learn() or fault is None:
             return trial
@@ -129,13 +121,13 @@ class _Session:
         return trial if done[0].activated else self._unknown("the register was not injected")
 
     def _unknown(self, reason: str) -> Trial:
-        """It cannot be judged, unless something has been seen."""
+        """It cannot be judged, unless an effect has been seen."""
         if self._trial.effect == Effect.MASKED.label:
             self._trial.effect, self._trial.reason = Effect.UNKNOWN.label, reason
         return self._trial
 
     def _learn(self) -> bool:
-        """The outputs of the node as it should be; False if they are not what they were in other trials."""
+        """Collect the golden outputs; False if they are not those of other trials."""
         for number in range(len(self._node.inputs.messages)):
             output = self._drive.ask(number)
             if output is None:
@@ -157,7 +149,7 @@ class _Session:
             done.append(error)
 
     def _ask_all(self, is_held: Callable[[], bool] = bool) -> bool:
-        """Send every input once, and compare; False when the node is no more."""
+        """Send every input once, and compare; False when the node has ended or hangs."""
         trial = self._trial
         for number, golden in enumerate(self._golden):
             output = self._drive.ask(number, is_held)
@@ -203,7 +195,7 @@ def differences(definition: Definition, golden: bytes, output: bytes) -> list[di
 
 
 def main() -> None:
-    """Read what is wanted from stdin, write the result to stdout."""
+    """Read the order from stdin, write the result to stdout."""
     libc = ctypes.CDLL(None)
     libc.prctl(_PARENT_DIED, signal.SIGTERM)
     libc.prctl(_SUBREAPER, 1)

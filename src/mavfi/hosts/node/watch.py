@@ -1,6 +1,6 @@
-"""Watches numbers of any application's topics with GAD or AAD, trained from a bag or from what comes first.
+"""Watches numbers of any application's topics with GAD or AAD, trained from a bag or from the first messages.
 
-The detectors are observers: they hold nothing back, and say on a topic what they find.
+The detectors are observers: they hold nothing back, and publish their alarms on a topic.
 """
 
 import json
@@ -11,7 +11,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from types import TracebackType
 from typing import Any
 
 from mavfi.detectors.detector import Detector
@@ -20,16 +19,15 @@ from mavfi.errors import BadInputError, MavfiError, allowed
 from mavfi.faults.message.definition import AbsentError, Definition
 from mavfi.flight_logs import Layout
 from mavfi.hosts.node.guardian import Guardian, Registered
-from mavfi.hosts.node.master import Master
+from mavfi.hosts.node.master import Master, absolute
 from mavfi.hosts.node.message import Composer
-from mavfi.hosts.node.names import absolute
 from mavfi.hosts.node.relay import sources_of
 from mavfi.hosts.node.station import Outlet, Station
 from mavfi.states import State, StateSpec
 
 ALARM_TYPE = "std_msgs/String"
 FIRST_PATIENCE_S = 10.0
-"""How long the first message of a topic may take, which says what there is to watch (s)."""
+"""How long the first message of a topic may take (s); it shows what can be watched."""
 MOST_FIELDS = 64
 LONGEST_LIST = 16
 _POLL_S = 0.1
@@ -37,16 +35,13 @@ _POLL_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ForeignAlarm:
-    """What a detector says of one message.
+    """An alarm about one message.
 
     Attributes:
         time_s: When, by this machine's clock (s since 1970).
-        topic: Of the message.
-        message: Its number among those judged, counted from 1.
-        detector: "gaussian" or "autoencoder".
+        message: Its number among the judged ones of its topic, counted from 1.
         score: How anomalous; > 1 is an alarm.
-        fields: Which numbers stand out.
-        values: Their values, as text.
+        fields: The numbers that stand out; `values` as text.
     """
 
     time_s: float
@@ -64,13 +59,7 @@ class ForeignAlarm:
 
 @dataclass(frozen=True)
 class Probe:
-    """Takes the watched numbers out of messages of a topic.
-
-    Attributes:
-        topic: The topic.
-        definition: Of its messages.
-        spec: The watched numbers as a state.
-    """
+    """Reads the watched numbers, as a state of `spec`, from messages of a topic."""
 
     topic: str
     definition: Layout
@@ -86,7 +75,7 @@ class Probe:
 
 
 def make_probes(first: Mapping[str, tuple[Layout, bytes]], wanted: Sequence[str]) -> dict[str, Probe]:
-    """What is watched of each topic.
+    """The probe of each topic.
 
     Args:
         first: Definition and a message by topic.
@@ -109,7 +98,7 @@ def make_probes(first: Mapping[str, tuple[Layout, bytes]], wanted: Sequence[str]
 
 
 def _assign(name: str, first: Mapping[str, tuple[Layout, bytes]], fields: dict[str, list[str]]) -> None:
-    """Give a wanted field to its topics."""
+    """Assign a wanted field to its topics."""
     topic, colon, path = name.rpartition(":")
     if colon and absolute(topic) not in first:
         raise BadInputError(f"field {name}: topic {topic}: not watched; allowed: {allowed(first)}")
@@ -129,10 +118,6 @@ def _assign(name: str, first: Mapping[str, tuple[Layout, bytes]], fields: dict[s
 
 class Listener:
     """Reads topics of a running graph into one queue, as a node of it, from `__enter__` to `__exit__`.
-
-    Args:
-        master: The graph.
-        topics: Which.
 
     Raises:
         BadInputError: A topic is not known, or nobody publishes it.
@@ -158,9 +143,7 @@ class Listener:
             self._station.subscribe(topic, partial(self._arrived, topic))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._guardian.undo()
         self._station.close()
 
@@ -183,11 +166,7 @@ class Listener:
                 continue
 
     def first(self) -> dict[str, tuple[Definition, bytes]]:
-        """A message of each topic.
-
-        Raises:
-            MavfiError: One of them is silent.
-        """
+        """Definition and a message of each topic; `MavfiError` if one of them is silent."""
         found: dict[str, tuple[Definition, bytes]] = {}
         for topic, message in self.take(FIRST_PATIENCE_S):
             found.setdefault(topic, (self.definitions[topic], message))
@@ -198,18 +177,12 @@ class Listener:
 
 
 class Watch:
-    """Judges messages, and publishes alarms.
-
-    Args:
-        listener: The graph; it must be open.
-        probes: What is watched.
-        detector: A trained detector.
-        alarm_topic: Where alarms are published, as JSON in a `std_msgs/String`.
+    """Judges messages of an open listener, and publishes alarms on a topic, as JSON in a `std_msgs/String`.
 
     Attributes:
-        alarms: What was found.
-        judged: Messages by topic.
-        skipped: Messages that do not hold all of the watched numbers, by topic.
+        alarms: All so far.
+        judged: Number of messages by topic.
+        skipped: Number of messages without all of the watched numbers, by topic.
     """
 
     def __init__(self, listener: Listener, probes: dict[str, Probe], detector: Detector, alarm_topic: str) -> None:
@@ -223,7 +196,7 @@ class Watch:
         self._outlet, self._composer = listener.speak(absolute(alarm_topic), ALARM_TYPE)
 
     def judge(self, topic: str, message: bytes) -> ForeignAlarm | None:
-        """Look at a message; an alarm is published, kept and answered."""
+        """Judge a message; an alarm is published, kept and returned."""
         state = self._probes[topic].read(message) if topic in self._probes else None
         if state is None:
             self.skipped[topic] += 1
@@ -248,14 +221,7 @@ def train(
     kind: str, profile: str, probes: dict[str, Probe], messages: Iterator[tuple[str, bytes]],
     told: Callable[[int], None] | None = None,
 ) -> Detector:  # fmt: skip
-    """A detector for what these messages show.
-
-    Args:
-        kind: "gaussian" or "autoencoder".
-        profile: "paper" or "tuned".
-        probes: What is watched.
-        messages: Topic and bytes of normal messages, in their order.
-        told: Called with how many were used.
+    """A detector trained on normal messages (topic and bytes, in order); `told` is called with their number.
 
     Raises:
         BadInputError: See `learn`.

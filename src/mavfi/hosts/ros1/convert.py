@@ -26,14 +26,7 @@ def from_stamp(stamp: Any) -> int:
 
 
 def to_msg(state: State, number: int, time_us: int, kind: Any) -> Any:
-    """A message with the same bits.
-
-    Args:
-        state: What is published.
-        number: Identifies the publication.
-        time_us: When it counts.
-        kind: Message class of the state (see `generate.state_types`).
-    """
+    """A message (of a class of `generate.state_types`) with the same bits; `time_us`: when the value counts."""
     message = kind()
     to_stamp(message.header.stamp, time_us)
     message.header.frame_id = MAP
@@ -47,12 +40,7 @@ def to_msg(state: State, number: int, time_us: int, kind: Any) -> Any:
 
 
 def from_msg(message: Any, spec: StateSpec) -> State:
-    """The state that a message carries; lists of unequal length, which no node of ours sends, are cut.
-
-    Args:
-        message: Of the state's type.
-        spec: Row of the table.
-    """
+    """The state of a message; lists of unequal length, which no node of ours sends, are cut."""
     header, slots = _SLOTS[spec.name]
     state_header = np.zeros(1, spec.header_dtype)
     state_header[0] = tuple(getattr(message, slot) for slot in header)

@@ -11,7 +11,7 @@ from mavfi.states import STATES, StateSpec
 PACKAGE = "mavfi_msgs"
 _TYPES = {"f8": "float64", "f4": "float32", "i4": "int32", "?": "bool"}
 
-_SERVICES = {
+SERVICES = {
     "Drive": """# Lock-step: what a node's kernels do next, and what came of the last operation.
 mavfi_msgs/Operation[] operations
 ---
@@ -20,7 +20,7 @@ string[] states
 uint64[] numbers
 """,
 }
-
+"""Text of every service of the package by its name."""
 _OTHERS = {
     "Operation": """# One operation of one kernel; publish_us: stamp of what is published at once, -1 = it is held.
 uint8 RECEIVE = 0
@@ -91,8 +91,3 @@ def message_text(spec: StateSpec) -> str:
 def messages() -> dict[str, str]:
     """Text of every message of the package by its name."""
     return {type_name(spec): message_text(spec) for spec in STATES.values()} | _OTHERS
-
-
-def services() -> dict[str, str]:
-    """Text of every service of the package by its name."""
-    return dict(_SERVICES)

@@ -1,4 +1,4 @@
-"""Makes Debian's ROS modules importable without letting anything else of Debian's Python packages in.
+"""Makes Debian's ROS modules importable, but no other Python packages of Debian.
 
 `PYTHONPATH=/usr/lib/python3/dist-packages` would put Debian's numpy before this project's.  So an import finder stands
 at the end of `sys.meta_path`, after everything that is installed here, and knows only the names on its list.
@@ -39,15 +39,9 @@ _LIBRARIES = ("usr/lib/x86_64-linux-gnu", "usr/lib", "lib/x86_64-linux-gnu")
 
 
 class Finder(MetaPathFinder):
-    """Finds the modules on the list, and no others."""
+    """Finds the modules on the list in Debian's folders, and generated message packages in theirs."""
 
     def __init__(self, dist_packages: Sequence[Path], generated: Path | None = None) -> None:
-        """Look there.
-
-        Args:
-            dist_packages: Folders of Debian's modules.
-            generated: Folder of generated message packages.
-        """
         self.dist_packages = [str(folder) for folder in dist_packages]
         self.generated = generated
 
@@ -55,7 +49,6 @@ class Finder(MetaPathFinder):
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """The module, if it is a top-level one on the list."""
-        del target
         if path is not None:
             return None
         if fullname in GENERATED and self.generated is not None:
@@ -73,22 +66,18 @@ def own_root() -> Path:
 
 
 def roots() -> list[Path]:
-    """Folders under which Debian's packages may lie, the first one first."""
+    """Folders under which Debian's packages may lie, the preferred one first."""
     own = own_root()
     return [own, _SYSTEM] if (own / "usr").is_dir() else [_SYSTEM]
 
 
 def find_file(name: str) -> Path:
-    """A file of ROS, e.g. "usr/bin/roslaunch"; where it is nowhere, its path in the system."""
+    """A file of ROS, e.g. "usr/bin/roslaunch"; a missing one as if it were in the system."""
     return next((path for root in roots() if (path := root / name).exists()), _SYSTEM / name)
 
 
 def enable(generated: Path | None = None) -> None:
-    """From now on ROS can be imported in this process.
-
-    Args:
-        generated: Folder of generated message packages.
-    """
+    """Make ROS importable in this process, with a folder of generated message packages."""
     here = [finder for finder in sys.meta_path if isinstance(finder, Finder)]
     if here:
         here[0].generated = generated or here[0].generated
@@ -98,17 +87,17 @@ def enable(generated: Path | None = None) -> None:
 
 
 def missing() -> list[str]:
-    """What of ROS is not there; nothing is imported."""
+    """Missing parts of ROS; nothing is imported."""
     finder = Finder([root / DIST_PACKAGES for root in roots()])
     modules = [name for name in NEEDED_MODULES if PathFinder.find_spec(name) is None and finder.find_spec(name) is None]
     return modules + [name for name in NEEDED_FILES if not find_file(name).is_file()]
 
 
 def require() -> None:
-    """Refuse where ROS is not installed.
+    """Check that ROS is installed.
 
     Raises:
-        BadInputError: One line that says what to do.
+        BadInputError: It is not; the line says what to do.
     """
     absent = missing()
     if absent:
@@ -119,7 +108,7 @@ def require() -> None:
 
 
 def environment() -> dict[str, str]:
-    """Variables that ROS programs need beside those of this process."""
+    """Additional environment variables of ROS programs."""
     folders = roots()
     variables = {"ROS_PACKAGE_PATH": _path(root / "usr/share" for root in folders)}
     if len(folders) > 1:

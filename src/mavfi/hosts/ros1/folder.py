@@ -24,19 +24,19 @@ def flight_folder() -> Path:
 
 
 def write_file(name: str, content: bytes) -> None:
-    """Write a file of the flight's folder, at once and whole for those who read it."""
+    """Write a file of the flight's folder atomically."""
     part = flight_folder() / f"part-{name}"
     part.write_bytes(content)
     part.rename(flight_folder() / name)
 
 
 def write_injections(injections: list[Injection]) -> None:
-    """Note what the injector did; it is a node that may die, and what it has injected it must not inject again."""
+    """Note the injections so far: the injector is a node that may die, and must not inject again."""
     write_file(INJECTIONS, json.dumps([injection.to_json() for injection in injections]).encode())
 
 
 def read_injections() -> list[Injection]:
-    """What the injector has done so far."""
+    """The injections so far."""
     path = flight_folder() / INJECTIONS
     return [Injection.from_json(done) for done in json.loads(path.read_text())] if path.exists() else []
 
@@ -60,11 +60,7 @@ def own_path() -> str:
 
 
 def environment(folder: Path) -> dict[str, str]:
-    """Environment of everything of ROS that runs in a flight.
-
-    Args:
-        folder: Of the flight.
-    """
+    """Environment of all ROS programs of a flight."""
     given = finder.environment()
     paths = [str(folder / MESSAGES), *([given["PYTHONPATH"]] if "PYTHONPATH" in given else [])]
     return {
@@ -78,13 +74,7 @@ def environment(folder: Path) -> dict[str, str]:
 
 
 def write_join(folder: Path, isolated: bool, own_users: bool) -> None:
-    """Write the script `join`, which runs a command among the nodes of the flight.
-
-    Args:
-        folder: Of the flight.
-        isolated: Whether the flight has a network of its own.
-        own_users: Whether it has a user namespace of its own, too.
-    """
+    """Write the script `join`, which enters the namespaces of network and users that the flight has of its own."""
     enter = "--user --preserve-credentials --net" if own_users else "--net"
     prefix = f"nsenter --target \"$(cat '{folder / PID}')\" {enter} " if isolated else ""
     variables = environment(folder)

@@ -8,14 +8,13 @@ from typing import Any
 
 from mavfi.flight_log import AlarmRecord, Injection
 from mavfi.hosts.loop.assemble import new_loop
-from mavfi.hosts.ros1.foreign import ask_foreign, cause
 from mavfi.hosts.ros1.graph import ALARM, WORLD
+from mavfi.hosts.ros1.mirrors import Senses
 from mavfi.hosts.ros1.passage import state_injections
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Ports, world_listens
 from mavfi.hosts.ros1.register_injector import PLANNED, RegisterInjector
-from mavfi.hosts.ros1.roll_call import ask_ours, is_alive, wait_for
-from mavfi.hosts.ros1.senses import Senses
+from mavfi.hosts.ros1.roll_call import asks, cause, is_alive, wait_for_all
 from mavfi.hosts.ros1.world import CAMERA_PATIENCE_US
 from mavfi.states import PERIODIC, State
 
@@ -23,20 +22,14 @@ _POLL_US = 4_000
 
 
 class FreeWorld:
-    """Simulates as time passes, obeys the commands that come, and keeps the record.
+    """Simulates in real time, obeys the commands that come, and keeps the record.
 
-    Attributes:
-        loop: The flight, which has not begun; it has no kernels, and what its sensors measure leaves by a tap.
+    It waits until every node is connected; its `loop` has no kernels, and publishes sensor values by a tap.
     """
 
     spent = False
 
     def __init__(self, plan: Plan) -> None:
-        """Wait until every node is there and connected.
-
-        Args:
-            plan: The flight.
-        """
         self.plan = plan
         self.loop = loop = new_loop(plan.scenario, make_kernels=lambda config: {})
         loop.busy = dict.fromkeys(PERIODIC)  # they are stepped by their own nodes
@@ -51,7 +44,6 @@ class FreeWorld:
         self._came: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._number = 0
         self._checked = False
-        self._pids: dict[str, int] = {}
         self._connect()
         self._start = time.monotonic()
 
@@ -65,20 +57,19 @@ class FreeWorld:
         if plan.detector is not None:
             ports.listen(ALARM, "Verdict", self._came.put)
         self._senses = Senses(loop.plant, loop.sensors.estimating)
-        self._pids.update({node: wait_for(node, plan.patience_s) for node in plan.nodes})
-        self._pids.update({node: wait_for(node, plan.patience_s, ask=ask_foreign) for node in plan.foreign})
+        self._pids = wait_for_all(plan)
         self._registers = RegisterInjector(plan.register_faults, lambda node: self._pids[node], hold=False)
         ports.wait_until_connected()
 
     # ---- the first tap ----------------------------------------------------------------------------------------------
     def __call__(self, state: State, time_us: int) -> None:
-        """Publish what sensors measure; nobody waits until it has been seen, and the injector is a node of its own."""
+        """Publish sensor values; nobody waits for readers, and the injector is a node of its own."""
         self.loop.record.publications.note(state, time_us)
         self._number += 1
         self._sensors[state.spec.name].publish(state, self._number, time_us)
 
     def finish(self) -> list[Injection]:
-        """What was injected into the state, as its node has noted, and into registers."""
+        """The injections into the state, as noted by its node, and into registers."""
         return state_injections(self.plan) + self._registers.injections
 
     # ---- time -------------------------------------------------------------------------------------------------------
@@ -87,7 +78,7 @@ class FreeWorld:
         self.loop.capture(now)
 
     def _publish(self, state: State, now: int) -> None:
-        """Of the map and its check, which come on ways of their own, either may be the first to arrive."""
+        """Publish a value; a map and its check, which come on different topics, may arrive in either order."""
         loop, name = self.loop, state.spec.name
         if name == "perception.collision_status" and not loop.mapped:
             self._checked = True
@@ -97,7 +88,7 @@ class FreeWorld:
             loop.at(max(now, loop.captured_us + loop.scenario.camera.period_us), "capture")
 
     def _poll(self, now: int) -> None:
-        """Wait until it is that late on the wall, and obey what comes meanwhile."""
+        """Wait for the instant on the wall clock, and obey what comes meanwhile."""
         self._wait(now)
         self.loop.at(now + _POLL_US, "poll")
 
@@ -134,7 +125,7 @@ class FreeWorld:
 
     # ---- nodes that die ---------------------------------------------------------------------------------------------
     def _watch_nodes(self, now: int) -> None:
-        """Kill those that are to be killed, and see whether they are back."""
+        """Kill nodes as planned, and note who is back."""
         while self._kills and self._kills[0][1] <= now:
             node = self._kills.pop(0)[0]
             self._note("node_lost", {"node": node, "pid": self._pids[node], "why": PLANNED})
@@ -144,14 +135,14 @@ class FreeWorld:
         self._registers(now)
         for node, since in list(self._gone.items()):
             if (now - since) % 200_000 == 0:
-                answer = (ask_foreign if node in self.plan.foreign else ask_ours)(node)
+                answer = asks(self.plan)[node](node)
                 if answer is not None and answer != self._pids[node]:
                     self._pids[node] = answer
                     self._note("node_back", {"node": node, "pid": answer})
                     del self._gone[node]
 
     def _watch_foreign(self, now: int) -> None:
-        """Foreign nodes may end at any time; whoever works with them ends them if they hang."""
+        """Note the end of foreign nodes, which may come at any time, also because they hung."""
         for node in self.plan.foreign:
             if node not in self._gone and not is_alive(self._pids[node]):
                 self._note("node_lost", {"node": node, "pid": self._pids[node], "why": cause(self._pids[node])})

@@ -16,20 +16,17 @@ _SEARCHED = ("std_msgs", "geometry_msgs", "actionlib_msgs")
 
 
 def generate(folder: Path) -> None:
-    """Write definitions and classes of `mavfi_msgs` and `nav_msgs`.
-
-    Args:
-        folder: Where; gets one folder for each package, with the `.msg` and `.srv` files beside the classes.
+    """Write definitions and classes of `mavfi_msgs` and `nav_msgs`, one folder for each package.
 
     Raises:
         MavfiError: The generator fails.
     """
     sources = folder / definitions.PACKAGE
-    for ending, texts in (("msg", definitions.messages()), ("srv", definitions.services())):
+    for ending, texts in (("msg", definitions.messages()), ("srv", definitions.SERVICES)):
         (sources / ending).mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             (sources / ending / f"{name}.{ending}").write_text(text)
-    (sources / "package.xml").write_text(_package_xml(definitions.PACKAGE))
+    (sources / "package.xml").write_text(package_xml(definitions.PACKAGE))
     search = {package: [str(find_file(f"usr/share/{package}/msg"))] for package in (*_SEARCHED, "nav_msgs")}
     search[definitions.PACKAGE] = [str(sources / "msg")]
     _generate(definitions.PACKAGE, sources, sources, search)
@@ -37,23 +34,20 @@ def generate(folder: Path) -> None:
 
 
 def name_definitions(folder: Path) -> None:
-    """Give Debian's message packages the `package.xml` by which rosmsg finds them; it is in their development packages.
-
-    Args:
-        folder: Where; gets one folder for each package, with links to its definitions.
-    """
+    """Link Debian's message packages, each with the `package.xml` by which rosmsg finds it (missing in Debian's)."""
     for root in reversed(finder.roots()):
         for place in sorted((root / "usr/share").glob("*/msg")):
             if not (place.parent / "package.xml").exists():
                 package = folder / place.parent.name
                 package.mkdir(parents=True, exist_ok=True)
-                (package / "package.xml").write_text(_package_xml(package.name))
+                (package / "package.xml").write_text(package_xml(package.name))
                 for kind in ("msg", "srv"):
                     (package / kind).unlink(missing_ok=True)
                     (package / kind).symlink_to(place.parent / kind)
 
 
-def _package_xml(name: str) -> str:
+def package_xml(name: str) -> str:
+    """Description of a generated package."""
     return (
         f'<package format="2"><name>{name}</name><version>1.0.0</version><description>Generated.</description>'
         '<maintainer email="mavfi@localhost">mavfi</maintainer><license>Apache-2.0</license></package>\n'
@@ -89,6 +83,7 @@ def state_types() -> dict[str, Any]:
     return {name: numpy_msg(getattr(module, definitions.type_name(spec))) for name, spec in STATES.items()}
 
 
+@cache
 def message_type(name: str) -> Any:
     """Another class of ours, e.g. "Verdict"."""
     return getattr(importlib.import_module(f"{definitions.PACKAGE}.msg"), name)

@@ -1,8 +1,8 @@
-"""The ROS graph of a flight: which node runs which kernels, which topics there are, who publishes and reads them.
+"""The ROS graph of a flight: which node runs which kernels, and who publishes and reads which topics.
 
 Derived from the kernels' own `reads` and `writes`.  A value goes from its kernel to its consumers over one topic,
-`/mavfi/<stage>/<state>`; an injector or a detector that acts as a gate is put into that way: the kernel then publishes
-on `.../raw`, the injector on `.../injected`, and whoever is last on the topic itself.
+`/mavfi/<stage>/<state>`; with an injector or a detector as a gate in between, the kernel publishes on `.../raw`, the
+injector on `.../injected`, and the last one on the topic itself.
 """
 
 from collections.abc import Mapping
@@ -14,6 +14,8 @@ from mavfi.states import KERNELS, ODOMETRY, PERIODIC, STATES, Stage
 WORLD, INJECTOR, DETECTOR = "world", "injector", "detector"
 NODELET = "point_cloud_xyz"
 """Debian's C++ node that computes the point cloud, where it is to; the node `point_cloud` then hands images to it."""
+IMAGE, INFO, POINTS = (f"/{NODELET}/{name}" for name in ("image_rect", "camera_info", "points"))
+"""Topics of the nodelet."""
 PREFIX = "/mavfi"
 VERDICT, ALARM = f"{PREFIX}/verdict", f"{PREFIX}/alarm"
 RECOMPUTE, INJECTION = f"{PREFIX}/recompute", f"{PREFIX}/injection"
@@ -27,15 +29,7 @@ writes down what happened."""
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """How the values of one state get to their consumers.
-
-    Attributes:
-        state: Name of the state.
-        writer: Node that publishes it first.
-        readers: Nodes that have kernels which read it.
-        injected: Whether the injector is in the way.
-        gated: Whether the detector is in the way.
-    """
+    """How the values of a state get from the node that publishes them first to those with kernels that read them."""
 
     state: str
     writer: str
@@ -73,11 +67,6 @@ class Way:
         """Nodes in the way."""
         return (INJECTOR,) * self.injected + (DETECTOR,) * self.gated
 
-    @property
-    def last(self) -> str:
-        """Node that publishes what consumers read."""
-        return (self.writer, *self.taps)[-1]
-
 
 @dataclass(frozen=True, slots=True)
 class Face:
@@ -98,22 +87,9 @@ def face_of(kernel: Kernel) -> Face:
 
 
 class Graph:
-    """Nodes and topics of one flight.
-
-    Attributes:
-        faces: Of the kernels, by name.
-        nodes: Kernels of each node, as the table of kernels says.
-        ways: By the name of the state.
-    """
+    """Nodes and topics of a flight; `injected`: state of the injector (None = none), `gate`: the detector is a gate."""
 
     def __init__(self, kernels: Mapping[str, Kernel], injected: str | None = None, gate: bool = False) -> None:
-        """Derive it.
-
-        Args:
-            kernels: All of the flight.
-            injected: State at which the injector sits; None = there is no injector.
-            gate: Whether the detector is a gate.
-        """
         self.faces = {name: face_of(kernel) for name, kernel in kernels.items()}
         self.nodes: dict[str, tuple[str, ...]] = {}
         for name in kernels:

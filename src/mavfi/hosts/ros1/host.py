@@ -2,10 +2,9 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, StateFault
-from mavfi.hosts.host import ArmSetup, Flight
+from mavfi.hosts.host import ArmFlights, ArmSetup, Flight
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.ros1 import finder
 from mavfi.hosts.ros1.kernels import load_compiled
@@ -14,7 +13,7 @@ from mavfi.hosts.ros1.session import configure, fly, isolation
 from mavfi.mission import MissionSpec, Scenario
 
 PATIENCE_S = 300.0
-"""How long a node may take to answer (s, wall clock); much longer than on an idle machine, since a node that is taken
+"""Time limit for the answer of a node (s, wall clock); much longer than on an idle machine, since a node that is taken
 for hung is ended, and its flight becomes another one."""
 
 
@@ -41,31 +40,14 @@ class Ros1Host:
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "Ros1Flights":
         """See `Host.mission`; every flight is flown from its beginning."""
-        del fast_forward
         return Ros1Flights(arms)
 
 
-class Ros1Flights:
+class Ros1Flights(ArmFlights):
     """The flights of one mission; see `MissionFlights`."""
 
-    def __init__(self, arms: Mapping[str, ArmSetup]) -> None:
-        self._arms = arms
-        self._detectors: dict[str, Detector | None] = {}
-        self._golden: dict[str, Flight] = {}
-
-    def golden(self, arm: str, *, profile: bool = False) -> Flight:
-        """See `MissionFlights.golden`."""
-        known = self._golden.get(arm)
-        if known is None or (profile and known.profile is None):
-            self._golden[arm] = known = self._fly(arm, None, profile=profile)
-        return known
-
-    def know(self, arm: str, flight: Flight) -> None:
-        """See `MissionFlights.know`."""
-        self._golden[arm] = flight
-
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
-        """See `MissionFlights.injected`; one flight after the other."""
+        """See `MissionFlights.injected`; flown in turn."""
         for place, (arm, fault) in enumerate(runs):
             try:
                 if not isinstance(fault, StateFault):
@@ -76,12 +58,9 @@ class Ros1Flights:
 
     def _fly(self, arm: str, fault: StateFault | None, *, profile: bool = False) -> Flight:
         setup, first = self._arms[arm], arm not in self._detectors
-        if first:
-            self._detectors[arm] = None if setup.make_detector is None else setup.make_detector()
-        scenario = setup.scenario
         plan = Plan(
-            scenario, configure(scenario), fault, self._detectors[arm], setup.coupling, patience_s=PATIENCE_S,
-            profile=profile,
+            setup.scenario, configure(setup.scenario), fault, self._detector(arm), setup.coupling,
+            patience_s=PATIENCE_S, profile=profile,
         )  # fmt: skip
         if first:
             load_compiled(plan)  # a node that compiles must not look like one that hangs

@@ -18,17 +18,12 @@ _DEFINITIONS = (
     "std-msgs", "geometry-msgs", "sensor-msgs", "trajectory-msgs", "visualization-msgs", "diagnostic-msgs", "tf2-msgs",
     "rosgraph-msgs", "nav-msgs", "map-msgs", "actionlib-msgs", "robot-state-publisher",
 )  # fmt: skip
-PACKAGES = (
-    "rosout",
-    "topic-tools",
-    *(f"python3-{name}" for name in _PYTHON),
-    *(f"ros-{name}" for name in _DEFINITIONS),
-)
+PACKAGES = ("rosout", "topic-tools", *map("python3-{}".format, _PYTHON), *map("ros-{}".format, _DEFINITIONS))
 """Without `python3-nav-msgs` (144 MB) and `python3-tf2-ros` (200 MB), which pull in development files."""
 
 
 def main() -> int:
-    """Install what is missing, and say so in one line."""
+    """Install missing packages, and report in one line."""
     try:
         before = finder.missing()
         if before:
@@ -43,12 +38,7 @@ def main() -> int:
 
 
 def install() -> None:
-    """Install with the rights that this user has.
-
-    Raises:
-        BadInputError: There is no apt.
-        MavfiError: apt fails.
-    """
+    """Install with the rights of this user; `MavfiError`: there is no apt, or it fails."""
     if os.geteuid() == 0:
         variables = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
         _run(["apt-get", "update", "-qq"], environment=variables)
@@ -58,18 +48,9 @@ def install() -> None:
 
 
 def unpack(folder: Path, status: Path = Path("/var/lib/dpkg/status")) -> int:
-    """Download the packages that are not installed, and unpack them; no rights are needed.
+    """Download missing packages, and unpack them into a folder, without rights; returns their number.
 
-    Args:
-        folder: Where.
-        status: What is installed, in dpkg's form.
-
-    Returns:
-        How many packages.
-
-    Raises:
-        BadInputError: There is no apt.
-        MavfiError: apt fails.
+    `status` lists the installed packages, in dpkg's form.
     """
     state, cache = folder / "apt" / "state", folder / "apt" / "cache"
     for place in (state / "lists" / "partial", cache / "archives" / "partial"):
@@ -92,7 +73,7 @@ def unpack(folder: Path, status: Path = Path("/var/lib/dpkg/status")) -> int:
 
 
 def version() -> str:
-    """Version of rospy, as Debian says."""
+    """Version of rospy in Debian."""
     folders = [root / finder.DIST_PACKAGES for root in finder.roots()]
     found = [path.name.split("-")[1] for folder in folders for path in folder.glob("rospy-*.egg-info")]
     return found[0].removesuffix(".egg") if found else ""

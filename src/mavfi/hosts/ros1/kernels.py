@@ -11,15 +11,15 @@ import numpy as np
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.recovery import SCANNING
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
-from mavfi.hosts.ros1.ending import fatal
+from mavfi.hosts.ros1.convert import MAP
 from mavfi.hosts.ros1.generate import message_type
 from mavfi.hosts.ros1.graph import RECOMPUTE
-from mavfi.hosts.ros1.inbox import Inbox
+from mavfi.hosts.ros1.mirrors import ros_type
 from mavfi.hosts.ros1.nodelet_cloud import NodeletCloud
 from mavfi.hosts.ros1.plan import Plan
-from mavfi.hosts.ros1.planning_service import offer_planning
-from mavfi.hosts.ros1.ports import Ports
-from mavfi.pipeline.kernel import Kernel
+from mavfi.hosts.ros1.ports import Inbox, Ports, fatal
+from mavfi.pipeline.kernel import Kernel, PipelineConfig
+from mavfi.pipeline.planning import MotionPlanner
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.platforms.compute import latency
 from mavfi.states import PERIODIC, State
@@ -29,20 +29,9 @@ _LOADING_FLIGHT_US = 3_000_000
 
 
 class KernelNode:
-    """What both ways of running have in common.
-
-    Attributes:
-        kernels: By name.
-        ports: Its topics.
-    """
+    """Builds the kernels of a node, and advertises their results."""
 
     def __init__(self, name: str, plan: Plan) -> None:
-        """Build the kernels and advertise what they write.
-
-        Args:
-            name: Name of the node.
-            plan: The flight.
-        """
         built = build_pipeline(plan.config)
         self.kernels = {kernel: built[kernel] for kernel in plan.graph.nodes[name]}
         self.ports = Ports(name, plan)
@@ -68,10 +57,9 @@ class KernelNode:
 
 
 class LockStepNode(KernelNode):
-    """Does what the world asks for, in its order, on what came over the topics."""
+    """Executes the orders of the world in their sequence, on values that came over the topics."""
 
     def __init__(self, name: str, plan: Plan) -> None:
-        """Build it; see `KernelNode`."""
         super().__init__(name, plan)
         self._inbox = Inbox()
         self._taken: dict[int, tuple[State, int]] = {}
@@ -101,21 +89,18 @@ class LockStepNode(KernelNode):
         rospy.spin()
 
     def _drive(self, request: Any) -> Any:
-        with self.lock, np.errstate(all="ignore"):
-            return self._obey(request)
-
-    def _obey(self, request: Any) -> Any:
         from mavfi_msgs.srv import DriveResponse
 
         response = DriveResponse()
-        for order in request.operations:
-            answer = self._actions[order.action](self.kernels[order.kernel], order)
-            if order.action in self._giving:
-                response.numbers = list(range(order.number, order.number + len(answer)))
-                response.states = [state.spec.name for state in answer]
-                self._keep(answer, response.numbers, order.publish_us)
-            elif answer:
-                response.due = True
+        with self.lock, np.errstate(all="ignore"):
+            for order in request.operations:
+                answer = self._actions[order.action](self.kernels[order.kernel], order)
+                if order.action in self._giving:
+                    response.numbers = list(range(order.number, order.number + len(answer)))
+                    response.states = [state.spec.name for state in answer]
+                    self._keep(answer, response.numbers, order.publish_us)
+                elif answer:
+                    response.due = True
         return response
 
     def _keep(self, states: list[State], numbers: list[int], publish_us: int) -> None:
@@ -146,16 +131,14 @@ class LockStepNode(KernelNode):
         return state
 
     def _publish(self, kernel: Kernel, order: Any) -> None:
-        del kernel
         state = self._results.pop(order.number)
         self._outlets[state.spec.name].publish(state, order.number, order.time_us)
 
 
 class FreeNode(KernelNode):
-    """Computes on what comes, when it comes, and publishes when the latency of the modelled platform has passed."""
+    """Computes as values arrive, and publishes when the latency of the modelled platform has passed."""
 
     def __init__(self, name: str, plan: Plan) -> None:
-        """Build it; see `KernelNode`."""
         super().__init__(name, plan)
         self._latency_us = {kernel: latency(plan.scenario.platform, kernel) for kernel in self.kernels}
         self._queue: queue.SimpleQueue[tuple[State | None, int, Any]] = queue.SimpleQueue()
@@ -189,7 +172,7 @@ class FreeNode(KernelNode):
                 self._step(kernel, now)
 
     def _begins_period(self, state: State, now: int) -> bool:
-        """Whether a value says that a control period begins: a position that is known then, not between."""
+        """Whether a value begins a control period: a position known at its start, not in between."""
         return state.spec.name == self.ports.plan.config.odometry and now % CONTROL_PERIOD_US == 0
 
     def _step(self, kernel: Kernel, now: int) -> None:
@@ -208,7 +191,7 @@ class FreeNode(KernelNode):
             self._outlets[state.spec.name].publish(state, self._number, now + latency_us)
 
     def _recompute(self, request: Any, now: int) -> None:
-        """A detector's request, as far as it is for these kernels."""
+        """A detector's request, as far as it concerns these kernels."""
         for name in request.restores:
             if name in self.kernels:
                 self.kernels[name].rollback()
@@ -222,8 +205,56 @@ class FreeNode(KernelNode):
 
 
 def load_compiled(plan: Plan) -> None:
-    """Fly the first seconds in this process: functions are compiled and loaded at their first use, which takes time."""
+    """Fly the first seconds in this process: functions are compiled and loaded at their first use."""
     loop = new_loop(plan.scenario)
     watch(loop, None if plan.free_running else plan.detector, plan.coupling)
     loop.judge.limit_us = _LOADING_FLIGHT_US
     loop.fly()
+
+
+def find_path(planner: MotionPlanner, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
+    """A path on the present map (m), shape (n, 3), empty = none; the flight is not affected: randomness is restored.
+
+    It is found with the planner's radius or, if that fails, the checker's.
+    """
+    routes = planner.routes
+    before = routes.search.random.copy()
+    found = None
+    if np.isfinite(start).all() and np.isfinite(goal).all():
+        for counter in (routes.room.wide, routes.room.narrow):
+            found = found if found is not None else routes.between(start, counter, goal)
+    routes.search.random[:] = before
+    if found is None:
+        return np.zeros((0, 3))
+    return found if np.array_equal(found[0], start) else np.vstack([start, found])
+
+
+def offer_planning(planner: Kernel, config: PipelineConfig, lock: threading.Lock) -> None:
+    """Offer the service `/plan` of type `nav_msgs/GetPlan`, answered on the present map of the planner.
+
+    The goal of the mission replaces (0, 0, 0) in a request; `lock` is held while the planner computes.
+    """
+    import rospy
+    from nav_msgs.srv import GetPlan, GetPlanResponse
+
+    assert isinstance(planner, MotionPlanner)
+
+    def answer(request: Any) -> Any:
+        start, goal = (_position(pose) for pose in (request.start, request.goal))
+        with lock, np.errstate(all="ignore"):
+            path = find_path(planner, start, goal if goal.any() else config.goal)
+        response = GetPlanResponse()
+        response.plan.header.frame_id = MAP
+        for vertex in path:
+            pose = ros_type("geometry_msgs/PoseStamped")(header=response.plan.header)
+            pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = map(float, vertex)
+            pose.pose.orientation.w = 1.0
+            response.plan.poses.append(pose)
+        return response
+
+    rospy.Service("/plan", GetPlan, answer)
+
+
+def _position(pose: Any) -> np.ndarray:
+    position = pose.pose.position
+    return np.array([position.x, position.y, position.z])

@@ -1,4 +1,4 @@
-"""The values of the loop once more in ROS standard types, for rviz, bags, and other people's nodes.
+"""The values of the loop in ROS standard types, for rviz, bags, and other people's nodes.
 
 Frames after REP-103 and REP-105: `map` is the world (ENU, z up), `base_link` the vehicle (x forward, y left, z up),
 `camera_optical` the camera (z forward, x right, y down).  A mirror costs nothing while nobody listens to it.
@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.config import CameraConfig
+from mavfi.hosts.loop.plant import Plant
 from mavfi.hosts.ros1.convert import MAP, to_stamp
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.kernels.planning.trajectory import POINT_WIDTH
@@ -33,15 +34,7 @@ def ros_type(name: str) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Standard:
-    """One mirror: its topic, its type, and how a state becomes a message.
-
-    Attributes:
-        state: Name of the state.
-        topic: Where.
-        kind: ROS type.
-        frame: Frame of the header.
-        fill: Fills in a message, given the state and the camera.
-    """
+    """One mirror of a state: topic, ROS type, frame of the header, and what fills a message from state and camera."""
 
     state: str
     topic: str
@@ -52,17 +45,17 @@ class Standard:
     def message(self, state: State, time_us: int, camera: CameraConfig) -> Any:
         """The message of one publication."""
         message = ros_type(self.kind)()
-        to_stamp((message if hasattr(message, "header") else _first(message)).header.stamp, time_us)
-        if hasattr(message, "header"):
-            message.header.frame_id = self.frame
+        stamped = message if hasattr(message, "header") else _first(message)
+        to_stamp(stamped.header.stamp, time_us)
+        stamped.header.frame_id = self.frame
         self.fill(message, state, camera)
         return message
 
 
 def _first(transforms: Any) -> Any:
-    """A TFMessage has its header in the transform."""
+    """The transform of a TFMessage, which has the header."""
     transform = ros_type("geometry_msgs/TransformStamped")()
-    transform.header.frame_id, transform.child_frame_id = MAP, VEHICLE
+    transform.child_frame_id = VEHICLE
     transforms.transforms = [transform]
     return transform
 
@@ -71,20 +64,11 @@ class Mirror:
     """Publishes one standard message for each value, while somebody listens."""
 
     def __init__(self, standard: Standard, camera: CameraConfig) -> None:
-        """Advertise.
-
-        Args:
-            standard: What.
-            camera: Geometry of the depth image.
-        """
-        import rospy
-
-        self._standard = standard
-        self._camera = camera
-        self._publisher = rospy.Publisher(standard.topic, ros_type(standard.kind), queue_size=10, tcp_nodelay=True)
+        self._standard, self._camera = standard, camera
+        self._publisher = _publisher(standard.topic, standard.kind)
 
     def publish(self, state: State, time_us: int) -> None:
-        """Publish it, if somebody listens."""
+        """Publish a value, if somebody listens."""
         if self._publisher.get_num_connections() > 0:
             self._publisher.publish(self._standard.message(state, time_us, self._camera))
 
@@ -104,7 +88,6 @@ def _turn(target: Any, wxyz: np.ndarray | tuple[float, ...]) -> None:
 
 
 def _odometry(message: Any, state: State, camera: CameraConfig) -> None:
-    del camera
     values = floats(state.header, 13)
     to_map = np.empty((3, 3))
     rotation_matrix(values[6:10], to_map)
@@ -116,7 +99,6 @@ def _odometry(message: Any, state: State, camera: CameraConfig) -> None:
 
 
 def _transform(message: Any, state: State, camera: CameraConfig) -> None:
-    del camera
     values = floats(state.header, 13)
     transform = message.transforms[0].transform
     _xyz(transform.translation, values[:3])
@@ -134,7 +116,7 @@ def _image(message: Any, state: State, camera: CameraConfig) -> None:
 
 
 def cosines(camera: CameraConfig) -> np.ndarray:
-    """Depth along the optical axis over distance along the ray, of each pixel. Shape (height * width,)."""
+    """Ratio of depth along the optical axis to distance along the ray, of each pixel. Shape (height * width,)."""
     focal = focal_length(camera)
     across = (np.arange(camera.width) + 0.5 - 0.5 * camera.width) / focal
     down = (np.arange(camera.height) + 0.5 - 0.5 * camera.height) / focal
@@ -147,13 +129,8 @@ def focal_length(camera: CameraConfig) -> float:
     return 0.5 * camera.width / math.tan(0.5 * camera.field_of_view)
 
 
-def _camera_info(message: Any, state: State, camera: CameraConfig) -> None:
-    del state
-    fill_camera_info(message, camera)
-
-
 def fill_camera_info(message: Any, camera: CameraConfig) -> None:
-    """Fill in a `sensor_msgs/CameraInfo`, but for its header: a pinhole without distortion."""
+    """Fill in a `sensor_msgs/CameraInfo`, except its header: a pinhole without distortion."""
     focal, cx, cy = focal_length(camera), 0.5 * camera.width - 0.5, 0.5 * camera.height - 0.5
     message.height, message.width, message.distortion_model = camera.height, camera.width, "plumb_bob"
     message.D = [0.0] * 5
@@ -163,7 +140,6 @@ def fill_camera_info(message: Any, camera: CameraConfig) -> None:
 
 
 def _point_cloud(message: Any, state: State, camera: CameraConfig) -> None:
-    del camera
     kind = ros_type("sensor_msgs/PointField")
     message.fields = [kind(axis, 4 * place, _FLOAT32, 1) for place, axis in enumerate("xyz")]
     message.height, message.width = 1, len(state.elements)
@@ -172,7 +148,6 @@ def _point_cloud(message: Any, state: State, camera: CameraConfig) -> None:
 
 
 def _path(message: Any, state: State, camera: CameraConfig) -> None:
-    del camera
     kind = ros_type("geometry_msgs/PoseStamped")
     for vertex in floats(state.elements, 3).reshape(-1, 3):
         pose = kind(header=message.header)
@@ -182,7 +157,6 @@ def _path(message: Any, state: State, camera: CameraConfig) -> None:
 
 
 def _trajectory(message: Any, state: State, camera: CameraConfig) -> None:
-    del camera
     message.joint_names = [VEHICLE]
     start = 0.0
     for point in floats(state.elements, POINT_WIDTH).reshape(-1, POINT_WIDTH):
@@ -191,7 +165,6 @@ def _trajectory(message: Any, state: State, camera: CameraConfig) -> None:
 
 
 def _waypoint(message: Any, state: State, camera: CameraConfig) -> None:
-    del camera
     message.joint_names = [VEHICLE]
     message.points = [_point(floats(state.header, POINT_WIDTH), 0.0)]
 
@@ -214,26 +187,23 @@ def _point(values: np.ndarray, start: float) -> Any:
 
 
 def to_duration(duration: Any, seconds: float) -> None:
-    """Set a `genpy.Duration`; what is no time, or none that it can hold, becomes 0."""
+    """Set a `genpy.Duration`; seconds that it cannot hold become 0."""
     if abs(seconds) < 2**31:
         duration.secs = math.floor(seconds)
         duration.nsecs = min(999_999_999, int(1e9 * (seconds - duration.secs)))
 
 
 def _command(message: Any, state: State, camera: CameraConfig) -> None:
-    del camera
     values = floats(state.header, 4)
     _xyz(message.twist.linear, values[:3])
     message.twist.angular.z = float(values[3])
 
 
 def _imu(message: Any, state: State, camera: CameraConfig) -> None:
-    del camera
-    _measured(message, floats(state.header, 6))
+    _fill_imu(message, floats(state.header, 6))
 
 
-def _measured(message: Any, values: np.ndarray) -> None:
-    """Specific force and rates; orientation is not measured."""
+def _fill_imu(message: Any, values: np.ndarray) -> None:
     message.orientation_covariance[0] = -1.0
     _xyz(message.linear_acceleration, values[:3])
     _xyz(message.angular_velocity, values[3:])
@@ -241,7 +211,10 @@ def _measured(message: Any, values: np.ndarray) -> None:
 
 STANDARDS = (
     Standard("sensor.depth", "/camera/depth/image_rect", "sensor_msgs/Image", OPTICAL, _image),
-    Standard("sensor.depth", "/camera/depth/camera_info", "sensor_msgs/CameraInfo", OPTICAL, _camera_info),
+    Standard(
+        "sensor.depth", "/camera/depth/camera_info", "sensor_msgs/CameraInfo", OPTICAL,
+        lambda message, _, camera: fill_camera_info(message, camera),
+    ),
     Standard("sensor.odometry", "/odometry", "nav_msgs/Odometry", MAP, _odometry),
     Standard("sensor.odometry", "/tf", "tf2_msgs/TFMessage", MAP, _transform),
     Standard("perception.odometry", "/odometry", "nav_msgs/Odometry", MAP, _odometry),
@@ -249,9 +222,7 @@ STANDARDS = (
     Standard("sensor.imu", "/imu/data", "sensor_msgs/Imu", VEHICLE, _imu),
     Standard("perception.point_cloud", "/points", "sensor_msgs/PointCloud2", MAP, _point_cloud),
     Standard("planning.path", "/path", "nav_msgs/Path", MAP, _path),
-    Standard(
-        "planning.trajectory", "/trajectory", "trajectory_msgs/MultiDOFJointTrajectory", MAP, _trajectory
-    ),
+    Standard("planning.trajectory", "/trajectory", "trajectory_msgs/MultiDOFJointTrajectory", MAP, _trajectory),
     Standard("planning.waypoint", "/reference", "trajectory_msgs/MultiDOFJointTrajectory", MAP, _waypoint),
     Standard("control.command", "/command", "geometry_msgs/TwistStamped", MAP, _command),
 )  # fmt: skip
@@ -259,7 +230,7 @@ STANDARDS = (
 
 
 def camera_transform() -> Any:
-    """Where the camera is on the vehicle, for `/tf_static`."""
+    """Pose of the camera on the vehicle, for `/tf_static`."""
     message = ros_type("tf2_msgs/TFMessage")()
     transform = ros_type("geometry_msgs/TransformStamped")()
     transform.header.frame_id, transform.child_frame_id = VEHICLE, OPTICAL
@@ -269,14 +240,38 @@ def camera_transform() -> Any:
 
 
 def imu_message(values: np.ndarray, time_us: int) -> Any:
-    """A `sensor_msgs/Imu`; orientation is not measured.
-
-    Args:
-        values: Specific force (m/s^2) and rates (rad/s), body frame. Shape (6,).
-        time_us: Instant.
-    """
+    """A `sensor_msgs/Imu` without orientation: specific force (m/s^2), rates (rad/s), body frame. Shape (6,)."""
     message = ros_type("sensor_msgs/Imu")()
     to_stamp(message.header.stamp, time_us)
     message.header.frame_id = VEHICLE
-    _measured(message, values)
+    _fill_imu(message, values)
     return message
+
+
+class Senses:
+    """Publishes the clock, the IMU, and the pose of the camera on the vehicle, at each control period.
+
+    With an estimator (`estimating`) the IMU is one of the loop's sensors: its samples are drawn by the loop alone, and
+    published as the mirror of `sensor.imu`.
+    """
+
+    def __init__(self, plant: Plant, estimating: bool) -> None:
+        self._plant = plant
+        self._clock = _publisher("/clock", "rosgraph_msgs/Clock")
+        self._imu = None if estimating else _publisher("/imu/data", "sensor_msgs/Imu")
+        self._static = _publisher("/tf_static", "tf2_msgs/TFMessage", latch=True)
+        self._static.publish(camera_transform())
+
+    def publish(self, time_us: int) -> None:
+        """Publish for one instant; the IMU is sampled only while somebody listens."""
+        clock = ros_type("rosgraph_msgs/Clock")()
+        to_stamp(clock.clock, time_us)
+        self._clock.publish(clock)
+        if self._imu is not None and self._imu.get_num_connections() > 0:
+            self._imu.publish(imu_message(self._plant.imu(), time_us))
+
+
+def _publisher(topic: str, kind: str, *, latch: bool = False) -> Any:
+    import rospy
+
+    return rospy.Publisher(topic, ros_type(kind), queue_size=10, tcp_nodelay=True, latch=latch)

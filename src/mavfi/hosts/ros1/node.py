@@ -1,4 +1,4 @@
-"""What roslaunch starts: `python -m mavfi.hosts.ros1.node NAME`, one node of a flight."""
+"""The program of a node: `python -m mavfi.hosts.ros1.node NAME`, started by roslaunch."""
 
 import ctypes
 import signal
@@ -6,10 +6,11 @@ import sys
 import traceback
 import warnings
 
-from mavfi.hosts.ros1 import ending, finder
+from mavfi.hosts.ros1 import finder
 from mavfi.hosts.ros1.folder import FAILURE, MESSAGES, flight_folder
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD
 from mavfi.hosts.ros1.plan import Plan, load_plan
+from mavfi.hosts.ros1.ports import die
 
 _PARENT_DIED = 1  # PR_SET_PDEATHSIG of <linux/prctl.h>
 
@@ -28,13 +29,13 @@ def main() -> None:
         run(name, plan)
     except BaseException:
         if name != WORLD:
-            ending.die()
+            die()
         (flight_folder() / FAILURE).write_text(traceback.format_exc())
     signal.pause()  # the supervisor takes everything down at once
 
 
 def run(name: str, plan: Plan) -> None:
-    """Be that node."""
+    """Run the node of that name."""
     if name == WORLD:
         from mavfi.hosts.ros1.world import fly
 

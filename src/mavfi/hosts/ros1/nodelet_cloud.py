@@ -1,8 +1,7 @@
 """The kernel `point_cloud` by Debian's C++ nodelet: our depth image goes out in standard types, and points come back.
 
-The nodelet reads images only while somebody reads its points, and after its death roslaunch starts it anew: so whether
-it is there is found out by asking it with a tiny image.  Every wait has an end; a scan that does not come back is lost,
-and the flight goes on without it.
+The nodelet reads images only while somebody reads its points, and roslaunch restarts it after its death: so a tiny
+image is sent to find out whether it is there.  Every wait has an end; a scan that does not come back is lost.
 """
 
 import os
@@ -17,14 +16,12 @@ import numpy as np
 
 from mavfi.config import CameraConfig
 from mavfi.hosts.ros1.convert import to_stamp
-from mavfi.hosts.ros1.foreign import IMAGE, INFO, POINTS, ask_foreign, note_hung
-from mavfi.hosts.ros1.graph import NODELET
-from mavfi.hosts.ros1.inbox import Inbox
+from mavfi.hosts.ros1.graph import IMAGE, INFO, NODELET, POINTS
 from mavfi.hosts.ros1.mirrors import OPTICAL, fill_camera_info, ros_type
 from mavfi.hosts.ros1.pinhole import Pinhole
 from mavfi.hosts.ros1.plan import Plan
-from mavfi.hosts.ros1.ports import Ports
-from mavfi.hosts.ros1.roll_call import is_alive, is_traced
+from mavfi.hosts.ros1.ports import Inbox, Ports
+from mavfi.hosts.ros1.roll_call import ask_foreign, is_alive, is_traced, note_hung
 from mavfi.pipeline.perception import PointCloud
 from mavfi.states import State
 
@@ -43,12 +40,6 @@ class NodeletCloud(PointCloud):
     """Kernel `point_cloud`, whose points a nodelet computes; it has no memory."""
 
     def __init__(self, plan: Plan, ports: Ports) -> None:
-        """Advertise what the nodelet reads, and read what it gives.
-
-        Args:
-            plan: The flight.
-            ports: Of the node.
-        """
         self.exchange = Exchange(plan.scenario.camera, plan.patience_s)
         ports.also(self.exchange.probe)
         pinhole = Pinhole(plan.scenario.camera, self.exchange.ask)
@@ -56,7 +47,7 @@ class NodeletCloud(PointCloud):
         super().__init__(replace(plan.config, functions=functions))
 
     def step(self, time_us: int) -> list[State]:
-        """Have the image back-projected; nothing where the nodelet gives no points: the scan is lost."""
+        """Have the image back-projected; without points from the nodelet the scan is lost."""
         self.exchange.time_us = time_us
         try:
             return super().step(time_us)
@@ -66,19 +57,12 @@ class NodeletCloud(PointCloud):
 
 
 class Exchange:
-    """Depth images to the nodelet, clouds back.
+    """Depth images to the nodelet, clouds back; `time_us`: instant of the flight, for stamps.
 
-    Attributes:
-        time_us: Instant of the flight, for stamps.
+    A tracer may hold the nodelet at one image for `patience_s` in total.
     """
 
     def __init__(self, camera: CameraConfig, patience_s: float) -> None:
-        """Advertise and subscribe.
-
-        Args:
-            camera: Geometry.
-            patience_s: For how long, all in all, a tracer may hold the nodelet at one image (s).
-        """
         import rospy
 
         self.time_us = 0
@@ -98,8 +82,7 @@ class Exchange:
     def ask(self, depth: np.ndarray) -> np.ndarray:
         """Have the points of an image computed (see `pinhole.Projection`).
 
-        Raises:
-            NoCloudError: The nodelet is away or dies, or it does not answer and is ended.
+        `NoCloudError`: the nodelet is away or dies, or it does not answer and is ended.
         """
         if not is_alive(self._pid) and not self.probe():
             raise NoCloudError(f"{NODELET} is away")
@@ -115,7 +98,7 @@ class Exchange:
         raise NoCloudError(f"{NODELET} does not answer (pid {self._pid})")
 
     def _await(self, key: int) -> Any:
-        """The cloud of an image; None if none comes in time.  While a tracer holds the nodelet, it does not hang."""
+        """The cloud of an image; None = not in time.  A nodelet that a tracer holds does not hang."""
         end = time.monotonic() + _ANSWER_S
         longest = end + self._patience_s
         while time.monotonic() < end:
@@ -141,7 +124,7 @@ class Exchange:
         return self._pid != 0
 
     def _next(self) -> int:
-        """What tells an image from others of the same instant: the nanoseconds of its stamp."""
+        """A key that distinguishes images of the same instant: the nanoseconds of the stamp."""
         self._number = (self._number + 1) % _STAMPS
         with suppress(TimeoutError):
             self._inbox.take(self._number, 0.0)  # a late answer to an image of long ago
@@ -166,12 +149,8 @@ class Exchange:
 def points_of(cloud: Any, count: int) -> np.ndarray:
     """The points of a `sensor_msgs/PointCloud2`, whatever an injected node has put into it.
 
-    Args:
-        cloud: The message.
-        count: How many there should be.
-
     Returns:
-        Coordinates (m), NaN where there are none. Shape (count, 3), float32.
+        `count` coordinates (m), NaN where there are none. Shape (count, 3), float32.
     """
     points = np.full((count, 3), np.nan, np.float32)
     step = int(cloud.point_step)

@@ -1,4 +1,4 @@
-"""How the world sends a value on its way through the topics, and learns what became of it: the taps of the loop."""
+"""How the world sends a value on its way through the topics, and gets it back: the taps of the loop."""
 
 import time
 from collections.abc import Callable
@@ -9,9 +9,8 @@ from mavfi.faults.state import StateInjector
 from mavfi.flight_log import Injection
 from mavfi.hosts.ros1.folder import read_injections
 from mavfi.hosts.ros1.graph import DETECTOR, VERDICT, WORLD
-from mavfi.hosts.ros1.inbox import Inbox
 from mavfi.hosts.ros1.plan import Plan
-from mavfi.hosts.ros1.ports import Ports, world_listens
+from mavfi.hosts.ros1.ports import Inbox, Ports, world_listens
 from mavfi.hosts.ros1.register_injector import RegisterInjector
 from mavfi.hosts.ros1.remote import PUBLISH, Counter, Link, NodeLostError, Publication
 from mavfi.hosts.ros1.roll_call import is_alive
@@ -21,7 +20,7 @@ _LOOK_S = 0.5
 
 
 class Passage:
-    """The first tap: every value that is published goes through here, and comes back as the injector left it."""
+    """The first tap: every published value passes the topics, and comes back as the injector left it."""
 
     spent = False
 
@@ -29,15 +28,6 @@ class Passage:
         self, ports: Ports, counter: Counter, links: dict[str, Link], registers: RegisterInjector,
         on_loss: Callable[[Link, str], None],
     ) -> None:  # fmt: skip
-        """Listen to what the host looks into.
-
-        Args:
-            ports: Of the world.
-            counter: Numbers of publications.
-            links: Every node of the flight.
-            registers: Injects into registers of nodes.
-            on_loss: Told of a node that has died while something was waited for.
-        """
         self.verdict: Alarm | None = None
         self._counter = counter
         self._links, self._registers = links, registers
@@ -58,7 +48,7 @@ class Passage:
         self._judging = self._plan.detector is not None
 
     def __call__(self, state: State, time_us: int) -> State | None:
-        """Publish a value; gives it as it came out of the injector, None if it got lost on its way."""
+        """Publish a value; returns the output of the injector, None if it got lost on its way."""
         if self._is_lost(state):
             return None
         try:
@@ -89,18 +79,14 @@ class Passage:
         return Publication(seen.spec, seen.header, seen.elements, number)
 
     def finish(self) -> list[Injection]:
-        """What was injected into the state, and into registers."""
+        """The injections into the state, and into registers."""
         return state_injections(self._plan) + self._registers.injections
 
     def _judges(self) -> bool:
         return self._judging and not self._links[DETECTOR].lost
 
     def _await(self, key: Any, state: State) -> Any:
-        """Wait for what a node publishes.
-
-        Raises:
-            NodeLostError: A node in the way has died: it will not come.
-        """
+        """Wait for what a node publishes; `NodeLostError` if a node in the way has died."""
         end = time.monotonic() + self._plan.patience_s
         way = self._ways[state.spec.name]
         judge = (DETECTOR,) * self._judging
@@ -118,7 +104,6 @@ class Passage:
                     raise NodeLostError(node)
 
     def _arrived(self, state: State, number: int, time_us: int) -> None:
-        del time_us
         self._inbox.put(number, state)
 
     def _judged(self, verdict: Any) -> None:
@@ -132,28 +117,23 @@ class Passage:
 
 
 def state_injections(plan: Plan) -> list[Injection]:
-    """What the injector's node did, as it has noted; or that the publication never came."""
+    """The injections of the injector's node, as it has noted; or that the publication never came."""
     if plan.fault is None:
         return []
     return read_injections() or StateInjector(plan.fault).finish()
 
 
 class LockStepDetector:
-    """The detector of the loop: hands on what the detector's node has said of the value that was just published."""
+    """The detector of the loop: returns the verdict of the detector's node on the last published value."""
 
     def __init__(self, passage: Passage) -> None:
-        """Ask there.
-
-        Args:
-            passage: Where values go.
-        """
         self._passage = passage
 
     def start(self) -> None:
         """The node begins each flight anew."""
 
     def check(self, state: State, time_us: int) -> Alarm | None:
-        """What the node said."""
+        """The verdict of the node."""
         return self._passage.verdict
 
     def accept(self, state: State, time_us: int) -> None:

@@ -1,7 +1,7 @@
-"""The point cloud by way of a pinhole camera: depth image along the optical axis, points in its frame, then the map.
+"""The point cloud by a pinhole camera: depth image along the optical axis, points in its frame, then the map.
 
-That is how ROS does it (`depth_image_proc`, `tf`), and what a foreign node can be put into.  The pipeline's own kernel
-goes from ranges to the map at once in double precision; the two differ by rounding alone.
+That is how ROS does it (`depth_image_proc`, `tf`), so that a foreign node can take its place.  The pipeline's own
+kernel goes from ranges to the map at once in double precision; the two differ by rounding alone.
 """
 
 from collections.abc import Callable
@@ -21,12 +21,9 @@ Projection = Callable[[np.ndarray], np.ndarray]
 
 
 def projection(camera: CameraConfig) -> Projection:
-    """What `depth_image_proc/point_cloud_xyz` computes, operation by operation in single precision.
+    """The computation of `depth_image_proc/point_cloud_xyz`, operation by operation in single precision.
 
     Source: `depth_image_proc/depth_conversions.h`, version 1.17.
-
-    Args:
-        camera: Geometry.
     """
     center = np.float32(0.5 * camera.width - 0.5), np.float32(0.5 * camera.height - 0.5)
     scale = np.float32(1.0 / focal_length(camera))
@@ -42,15 +39,9 @@ def projection(camera: CameraConfig) -> Projection:
 
 
 class Pinhole:
-    """Stands in for the function `back_project` of the kernel `point_cloud`."""
+    """Replaces the function `back_project` of the kernel `point_cloud`; `project` computes the points."""
 
     def __init__(self, camera: CameraConfig, project: Projection) -> None:
-        """Choose who computes the points.
-
-        Args:
-            camera: Geometry.
-            project: Computes them.
-        """
         self._shape = camera.height, camera.width
         self._cosines = cosines(camera)
         self._project = project
@@ -60,7 +51,6 @@ class Pinhole:
         points: np.ndarray,
     ) -> None:  # fmt: skip
         """Depth image -> points in the map; arguments as of `mavfi.kernels.perception.point_cloud.back_project`."""
-        del directions
         count = len(ranges)
         depth = np.full(self._cosines.size, np.nan, np.float32)
         depth[:count] = np.where(ranges > max_range, max_range * BEYOND_RANGE, ranges) * self._cosines[:count]
@@ -72,11 +62,7 @@ class Pinhole:
 
 
 def functions_of(plan: Plan) -> KernelFunctions:
-    """What the kernels call where a flight on ROS is flown in one process, with the same digest.
-
-    Args:
-        plan: The flight.
-    """
+    """What the kernels call where a flight on ROS is flown in one process, with the same digest."""
     if not plan.foreign:
         return PLAIN
     camera = plan.scenario.camera

@@ -1,4 +1,4 @@
-"""What is to be flown on ROS, as plain data that every node of the flight reads from the flight's folder."""
+"""A flight on ROS, as plain data that every node reads from the flight's folder."""
 
 import pickle
 from dataclasses import dataclass, field
@@ -23,20 +23,18 @@ class Plan:
     """A flight on ROS.
 
     Attributes:
-        scenario: The mission.
-        config: What the kernels are told of it.
+        scenario: The mission; `config` of its kernels.
         fault: What to inject into a state.
         detector: What watches, as it is before the flight.
         coupling: "inline": a gate before the consumers; "observer": a subscriber whose requests act one step later.
         free_running: Whether time passes as on the wall, instead of waiting for every node.
-        kills: Nodes that are killed, and when (microseconds).
-        restart_us: For how long a node that was lost is away, in simulated time.
+        kills: Nodes that are killed, and when (us).
+        restart_us: For how long a lost node is away, in simulated time.
         patience_s: How long to wait for a node (s, wall clock).
         cloud_node: Who computes the point cloud: the project's kernel, or Debian's nodelet.
         register_faults: Bits flipped in registers of nodes.
         profile: Whether to note when which state was published; the world then listens to all of them.
-        graph: Nodes and topics.
-        nodes: All nodes of the project but the world's.
+        nodes: All nodes of the project except the world.
     """
 
     scenario: Scenario
@@ -72,14 +70,14 @@ class Plan:
 
     @property
     def observed(self) -> bool:
-        """Whether the detector is a subscriber beside the others."""
+        """Whether the detector is a subscriber."""
         return self.detector is not None and self.coupling == "observer"
 
     def published_at_once(self) -> frozenset[str]:
-        """States whose values a node puts on their topics as soon as it has them, in lock-step.
+        """States whose values a node publishes as soon as it has them, in lock-step, which saves a call for each.
 
-        That saves a call for each.  Their stamps say when they count, and no consumer takes them before.  Where a
-        detector may have something computed again, or an injector counts what comes, the order of sending matters.
+        Their stamps say when they count, and no consumer takes them before.  Where a detector may request a
+        recomputation, or an injector counts publications, the order of sending matters.
         """
         if self.detector is not None:
             return frozenset()

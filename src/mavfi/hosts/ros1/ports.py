@@ -1,13 +1,15 @@
-"""Publishers and subscribers of the loop's topics, and the service by which a node says that it is connected."""
+"""Publishers and subscribers of the loop's topics, and the service by which a node reports that it is connected."""
 
 import os
+import sys
+import threading
 import time
-from collections.abc import Callable
-from typing import Any
+import traceback
+from collections.abc import Callable, Hashable
+from typing import Any, NoReturn, TypeVar
 
 from mavfi.errors import MavfiError
 from mavfi.hosts.ros1.convert import from_msg, from_stamp, to_msg
-from mavfi.hosts.ros1.ending import fatal
 from mavfi.hosts.ros1.generate import message_type, state_types
 from mavfi.hosts.ros1.graph import JUDGED_BY_WORLD, Way
 from mavfi.hosts.ros1.mirrors import Mirror, mirrors_of
@@ -16,22 +18,62 @@ from mavfi.states import STATES, State
 
 _BUFFER = 1 << 22
 _POLL_S = 0.005
+_Given = TypeVar("_Given")
+_Answer = TypeVar("_Answer")
 Arrived = Callable[[State, int, int], None]
 """Takes a value, its number, and its instant (microseconds)."""
 
 
+def die() -> NoReturn:
+    """End this process, with the exception that is being handled in the log: roslaunch restarts it at once.
+
+    rospy by itself catches exceptions of callbacks and services, writes a line, and continues without the value.
+    """
+    traceback.print_exc()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(1)
+
+
+def fatal(callback: Callable[[_Given], _Answer]) -> Callable[[_Given], _Answer]:
+    """The same callback, but an exception ends the process."""
+
+    def guarded(given: _Given) -> _Answer:
+        try:
+            return callback(given)
+        except Exception:  # whatever it is
+            die()
+
+    return guarded
+
+
+class Inbox:
+    """Hands values from callbacks to the thread that waits for them, by key."""
+
+    def __init__(self) -> None:
+        self._things: dict[Hashable, Any] = {}
+        self._changed = threading.Condition()
+
+    def put(self, key: Hashable, thing: Any) -> None:
+        """Add a value."""
+        with self._changed:
+            self._things[key] = thing
+            self._changed.notify_all()
+
+    def take(self, key: Hashable, patience_s: float) -> Any:
+        """Wait for a value, and take it out; `TimeoutError` if it does not come in time."""
+        end = time.monotonic() + patience_s
+        with self._changed:
+            while key not in self._things:
+                if not self._changed.wait(max(0.0, end - time.monotonic())) and key not in self._things:
+                    raise TimeoutError(f"{key} did not come within {patience_s:g} s")
+            return self._things.pop(key)
+
+
 class Outlet:
-    """Publishes the values of one state; where consumers read its topic, with mirrors in standard types."""
+    """Publishes the values of one state to `listeners` nodes of the flight, and mirrors in standard types."""
 
     def __init__(self, state: str, topic: str, listeners: int, mirrors: list[Mirror]) -> None:
-        """Advertise.
-
-        Args:
-            state: Name of the state.
-            topic: Where.
-            listeners: How many of the flight's own nodes listen.
-            mirrors: What is published beside it, while somebody listens.
-        """
         import rospy
 
         self._kind = state_types()[state]
@@ -51,15 +93,9 @@ class Outlet:
 
 
 class Ports:
-    """All that a node publishes and reads."""
+    """Publications and subscriptions of a node."""
 
     def __init__(self, node: str, plan: Plan) -> None:
-        """Nothing yet.
-
-        Args:
-            node: Name of the node.
-            plan: The flight.
-        """
         self.node = node
         self.plan = plan
         self.ways = plan.graph.ways
@@ -98,24 +134,20 @@ class Ports:
         self._others.append((publisher, awaited))
         return publisher
 
-    def listen(self, topic: str, kind: str, callback: Callable[[Any], None], awaited: bool = True) -> None:
+    def listen(self, topic: str, kind: str, callback: Callable[[Any], None]) -> None:
         """Listen to messages that are no states."""
         import rospy
 
-        subscriber = rospy.Subscriber(topic, message_type(kind), fatal(callback), queue_size=None, tcp_nodelay=True)
-        if awaited:
-            self._subscribers.append(subscriber)
+        self._subscribers.append(
+            rospy.Subscriber(topic, message_type(kind), fatal(callback), queue_size=None, tcp_nodelay=True)
+        )
 
     def also(self, condition: Callable[[], bool]) -> None:
-        """What else must hold before this node is connected."""
+        """Add a condition for this node to be connected."""
         self._conditions.append(condition)
 
     def wait_until_connected(self) -> None:
-        """Until every publisher and listener of the flight is connected with this node.
-
-        Raises:
-            MavfiError: Some are not, and patience is over.
-        """
+        """Wait for every publisher and listener of the flight to be connected with this node, or raise `MavfiError`."""
         end = time.monotonic() + self.plan.patience_s
         while not self._connected():
             if time.monotonic() > end:
@@ -136,7 +168,6 @@ class Ports:
         from std_srvs.srv import Trigger, TriggerResponse
 
         def answer(request: Any) -> Any:
-            del request
             self.wait_until_connected()
             return TriggerResponse(True, str(os.getpid()))
 
@@ -144,7 +175,7 @@ class Ports:
 
 
 def listeners(way: Way, topic: str, plan: Plan) -> int:
-    """How many of the flight's nodes listen to one of the topics of a way."""
+    """Number of the flight's nodes that listen to one of the topics of a way."""
     if topic == way.rejected:
         return 0 if plan.free_running else 1  # the world
     if topic != way.final:
@@ -155,8 +186,8 @@ def listeners(way: Way, topic: str, plan: Plan) -> int:
 def world_listens(plan: Plan, state: str) -> bool:
     """Whether the world listens to the values of a state.
 
-    In lock-step it knows itself when a map was updated, but waits for every value that a gate may hold back, and
-    for all if their profile is wanted.
+    In lock-step it knows by itself when a map was updated, but waits for every value that a gate may hold back, and for
+    all if their profile is wanted.
     """
     if plan.free_running:
         return state in JUDGED_BY_WORLD or state == "perception.map_update"

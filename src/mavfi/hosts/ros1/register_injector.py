@@ -1,4 +1,4 @@
-"""Faults in registers during a flight: the world starts the tracer, and goes on until the bit is flipped."""
+"""Faults in registers during a flight: the world starts the tracer, and continues until the bit is flipped."""
 
 import os
 import subprocess
@@ -11,9 +11,8 @@ from mavfi.errors import MavfiError
 from mavfi.faults.fault import RegisterFault
 from mavfi.faults.register import inject
 from mavfi.flight_log import Event, Injection
-from mavfi.hosts.ros1.foreign import HUNG
 from mavfi.hosts.ros1.graph import NODELET
-from mavfi.hosts.ros1.roll_call import is_traced
+from mavfi.hosts.ros1.roll_call import HUNG, is_traced
 
 PLANNED = "killed as planned"
 SILENT = ("does not answer", HUNG)
@@ -30,7 +29,7 @@ _WALK = 64
 
 
 def fault_in_node(node: str, time_us: int, registers: str = "all", seed: int = 0) -> RegisterFault:
-    """A fault in a register of a node of the flight, at the node's most interesting function if that is known."""
+    """A fault in a register of a node, at the node's most interesting function if that is known."""
     return RegisterFault(
         registers, symbol=_SYMBOLS.get(node, ""), walk=_WALKS.get(node, _WALK), timeout=_TIMEOUT_S, node=node,
         time_us=time_us, seed=seed,
@@ -38,16 +37,13 @@ def fault_in_node(node: str, time_us: int, registers: str = "all", seed: int = 0
 
 
 class RegisterInjector:
-    """The faults in registers of one flight, in order of time.
+    """The faults in registers of one flight, in order of time; `injections` are those so far, also the failed ones.
 
     Args:
         faults: All.
         pid_of: Process of a node.
-        hold: Whether the flight may stand still until the tracer is ready, so that the call which is injected is the
-            first one after the instant, whatever time it is on the wall.
-
-    Attributes:
-        injections: What was done so far; of one that could not be, `details` say why.
+        hold: Whether the flight may stand still until the tracer is ready, so that the injected call is the first one
+            after the instant, independent of wall-clock time.
     """
 
     def __init__(self, faults: Sequence[RegisterFault], pid_of: Callable[[str], int], hold: bool) -> None:
@@ -57,7 +53,7 @@ class RegisterInjector:
         self._begun: list[tuple[threading.Thread, RegisterFault, list[Injection | Exception]]] = []
 
     def __call__(self, now: int) -> None:
-        """Begin those that are due, and write down those that are done."""
+        """Start those that are due, and record those that are done."""
         while self._planned and self._planned[0].time_us <= now:
             self._begin(self._planned.pop(0))
         for thread, fault, done in list(self._begun):
@@ -66,7 +62,7 @@ class RegisterInjector:
                 self._note(fault, done, now)
 
     def finish(self, now: int) -> None:
-        """The flight is over: what still waits for its node will not come any more."""
+        """End of the flight: whatever still waits for its node will not come any more."""
         for thread, fault, done in self._begun:
             thread.join(_LAST_WORDS_S)
             self._note(fault, done, now)
@@ -106,7 +102,7 @@ def _run(pid: int, fault: RegisterFault, done: list[Injection | Exception]) -> N
 
 
 def is_armed(pid: int) -> bool:
-    """Whether a tracer holds on to all threads of a process."""
+    """Whether a tracer is attached to all threads of a process."""
     try:
         threads = os.listdir(f"/proc/{pid}/task")
     except OSError:
@@ -115,11 +111,7 @@ def is_armed(pid: int) -> bool:
 
 
 def end_of_nodes(injections: Sequence[Injection], events: Sequence[Event]) -> str | None:
-    """What became of the nodes that were injected.
-
-    Args:
-        injections: Of the flight.
-        events: Of the flight.
+    """What happened to the injected nodes, given injections and events of the flight.
 
     Returns:
         "crash": one has ended; "hang": one was ended as it did not answer; "alive": neither; None: no injection.

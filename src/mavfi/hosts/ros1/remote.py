@@ -1,7 +1,7 @@
-"""The world's side of lock-step: kernels that are elsewhere, and the way of a value through the topics.
+"""The world's side of lock-step: kernels in other processes, and the way of a value through the topics.
 
-The world owns the event queue of the in-process host, and so the order of everything.  A kernel that is elsewhere has
-the interface of one that is here: what has no answer (an input that makes nothing due, a mark) is noted and goes with
+The world owns the event queue of the in-process host, and so the order of everything.  A kernel elsewhere has the
+interface of one that is here: an operation without an answer (an input that makes nothing due, a mark) is sent with
 the next call that has one.  The values themselves travel over the topics, from node to node; an operation names them
 by their numbers, and a node waits for a value that it is to receive.
 """
@@ -32,12 +32,10 @@ class NodeLostError(Exception):
 
 @dataclass(slots=True)
 class Publication(State):
-    """A value on its way through the topics.
+    """A value on its way through the topics, identified by its number.
 
     Attributes:
-        number: Identifies it.
-        link: Node that holds it until it is to be published; None = the world has it.
-        life: Which of the node's lives it comes from.
+        link: Node that holds it until it is to be published, in its present `life`; None = the world has it.
         kernel: Its writer.
         sent: Whether it is on its topic already, stamped with the instant at which it counts.
     """
@@ -55,14 +53,9 @@ class Publication(State):
 
 
 class Watchdog:
-    """Cuts the connection of a call that takes too long, which ends the call."""
+    """Cuts the connection of a call that takes too long (s), which ends the call."""
 
     def __init__(self, patience_s: float) -> None:
-        """Watch from now on.
-
-        Args:
-            patience_s: Longest time for a call (s).
-        """
         self._patience_s = patience_s
         self._lock = threading.Lock()
         self._call: tuple[float, Any] | None = None
@@ -92,8 +85,6 @@ class Link:
     """The connection with one kernel node.
 
     Attributes:
-        node: Its name.
-        pid: Its process.
         lost: Whether it is away.
         life: How often it was lost.
         since: Number of the first publication that this life of the node can have seen.
@@ -110,7 +101,7 @@ class Link:
     _proxy: Any = None
 
     def connect(self, pid: int, since: int) -> None:
-        """The node is there (again); what was computed before `since` it has not seen."""
+        """The node is there (again); earlier publications than `since` it has not seen."""
         import rospy
         from mavfi_msgs.srv import Drive
 
@@ -119,22 +110,18 @@ class Link:
         self.pid, self.since, self.lost = pid, since, False
 
     def lose(self) -> None:
-        """The node is away, with all that it remembered."""
+        """The node is away, and its memory is lost."""
         self.lost = True
         self.life += 1
         self._pending.clear()
 
     def note(self, action: int, kernel: str, number: int, time_us: int, publish_us: int = HELD) -> None:
-        """Something to be done before the next call; arguments are the fields of `mavfi_msgs/Operation`."""
+        """Add an operation to the next call; arguments are the fields of `mavfi_msgs/Operation`."""
         if not self.lost:
-            self._pending.append(_operation(action, kernel, number, time_us, publish_us))
+            self._pending.append(message_type("Operation")(action, kernel, number, time_us, publish_us))
 
     def call(self, action: int, kernel: str, number: int, time_us: int, publish_us: int = HELD) -> Any:
-        """Have everything noted done, then this.
-
-        Returns:
-            The response; None = the node is away.
-        """
+        """Send all noted operations, then this one; returns the response, None = the node is away."""
         if self.lost:
             return None
         self.note(action, kernel, number, time_us, publish_us)
@@ -158,13 +145,13 @@ class Link:
         return response
 
 
-_OPERATION: list[Any] = []
+@dataclass(slots=True)
+class ForeignLink(Link):
+    """The world's knowledge of a foreign node, which it does not drive."""
 
-
-def _operation(*fields: object) -> Any:
-    if not _OPERATION:
-        _OPERATION.append(message_type("Operation"))
-    return _OPERATION[0](*fields)
+    def connect(self, pid: int, since: int) -> None:
+        """The node is there (again)."""
+        self.pid, self.since, self.lost = pid, since, False
 
 
 class Counter:
@@ -174,7 +161,7 @@ class Counter:
         self._next = 0
 
     def take(self, count: int = 1) -> int:
-        """The first of so many numbers that nobody has."""
+        """The first of so many unused numbers."""
         first = self._next
         self._next += count
         return first
@@ -184,14 +171,6 @@ class RemoteKernel:
     """A kernel in another process, as the host sees it."""
 
     def __init__(self, face: Face, link: Link, counter: Counter, plan: Plan) -> None:
-        """Speak for it.
-
-        Args:
-            face: What is known of it.
-            link: Its node.
-            counter: Numbers for what it publishes.
-            plan: The flight.
-        """
         self._latency_us = latency(plan.scenario.platform, face.name)
         self._at_once = plan.published_at_once()
         self.name, self.stage = face.name, face.stage
@@ -212,19 +191,19 @@ class RemoteKernel:
         return response is not None and bool(response.due)
 
     def step(self, time_us: int) -> list[State]:
-        """Compute once; gives promises of what was computed."""
+        """Compute once; returns promises of the results."""
         return self._give(STEP, time_us)
 
     def stop(self) -> list[State]:
-        """Of hand-over alone: give the trajectory up and hold."""
+        """Setpoint generator only: give the trajectory up and hold."""
         return self._give(STOP, 0)
 
     def abandon(self, time_us: int) -> list[State]:
-        """Of hand-over alone: drop the way-point in force for the next one."""
+        """Setpoint generator only: drop the way-point in force for the next one."""
         return self._give(ABANDON, time_us)
 
     def mark(self) -> None:
-        """Remember the memory as it is."""
+        """Note the present memory, for `rollback`."""
         self._link.note(MARK, self.name, 0, 0)
 
     def rollback(self) -> None:

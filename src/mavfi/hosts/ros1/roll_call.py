@@ -1,39 +1,25 @@
-"""Waits for nodes of the flight to be there and connected."""
+"""Finds out which nodes of a flight are there, connected, alive or traced.
+
+Foreign nodes, i.e. Debian's nodelet `depth_image_proc/point_cloud_xyz`, answer no roll call of ours: only the ROS
+master and `/proc` know about them.  They are expected to die: their registers can be injected.
+"""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from mavfi.errors import MavfiError
+from mavfi.hosts.ros1.folder import flight_folder
+from mavfi.hosts.ros1.plan import Plan
 
+HUNG, ENDED = "did not answer", "has ended"
 _POLL_S = 0.01
 
 
-def wait_for(
-    node: str, patience_s: float, not_pid: int = 0, ask: Callable[[str], int | None] | None = None
-) -> int:  # fmt: skip
-    """Wait until a node says that it is connected with all others.
-
-    Args:
-        node: Its name.
-        patience_s: For how long (s).
-        not_pid: Process of the node's former life, whose answer would not count.
-        ask: Gives its process id, None while it does not answer; `ask_ours` by default.
-
-    Returns:
-        Its process id.
-
-    Raises:
-        MavfiError: It does not come.
-    """
-    end = time.monotonic() + patience_s
-    while True:
-        answer = (ask or ask_ours)(node)
-        if answer is not None and answer != not_pid:
-            return answer
-        if time.monotonic() > end:
-            raise MavfiError(f"node {node}: is not there after {patience_s:g} s")
-        time.sleep(_POLL_S)
+def asks(plan: Plan) -> Mapping[str, Callable[[str], int | None]]:
+    """By node: how its process id is asked for; None = the node does not answer."""
+    return dict.fromkeys(plan.nodes, ask_ours) | dict.fromkeys(plan.foreign, ask_foreign)
 
 
 def ask_ours(node: str) -> int | None:
@@ -48,6 +34,33 @@ def ask_ours(node: str) -> int | None:
         return None
 
 
+def ask_foreign(node: str) -> int | None:
+    """Process id of a foreign node; None = it does not answer."""
+    from mavfi.hosts.node.master import Master
+
+    try:
+        return Master().node_pid(f"/{node}")
+    except (MavfiError, OSError):
+        return None
+
+
+def wait_for(node: str, patience_s: float, not_pid: int = 0, ask: Callable[[str], int | None] = ask_ours) -> int:
+    """Wait until a node answers, with another process than `not_pid`, or raise `MavfiError`; returns its process id."""
+    end = time.monotonic() + patience_s
+    while True:
+        answer = ask(node)
+        if answer is not None and answer != not_pid:
+            return answer
+        if time.monotonic() > end:
+            raise MavfiError(f"node {node}: is not there after {patience_s:g} s")
+        time.sleep(_POLL_S)
+
+
+def wait_for_all(plan: Plan) -> dict[str, int]:
+    """Wait for all nodes of a flight; returns their process ids."""
+    return {node: wait_for(node, plan.patience_s, ask=ask) for node, ask in asks(plan).items()}
+
+
 def is_alive(pid: int) -> bool:
     """Whether a process runs (a zombie does not)."""
     try:
@@ -58,9 +71,23 @@ def is_alive(pid: int) -> bool:
 
 
 def is_traced(pid: int) -> bool:
-    """Whether a tracer holds on to a process."""
+    """Whether a tracer is attached to a process."""
     try:
         with open(f"/proc/{pid}/status", encoding="ascii") as file:
             return any(line.startswith("TracerPid:") and line.split()[1] != "0" for line in file)
     except OSError:
         return False
+
+
+def cause(pid: int) -> str:
+    """Why a process is gone: it was ended because it hung, see `note_hung`, or it has ended by itself."""
+    return HUNG if _hung(pid).exists() else ENDED
+
+
+def note_hung(pid: int) -> None:
+    """Note that a process will be ended because it does not answer."""
+    _hung(pid).touch()
+
+
+def _hung(pid: int) -> Path:
+    return flight_folder() / f"hung-{pid}"

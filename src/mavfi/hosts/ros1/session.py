@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -18,83 +19,56 @@ from mavfi.hosts.host import Flight
 from mavfi.hosts.loop.compose import pipeline_config
 from mavfi.hosts.node import nodelets
 from mavfi.hosts.ros1 import finder
-from mavfi.hosts.ros1.folder import (
-    DEFINITIONS,
-    FAILURE,
-    FLIGHT,
-    FOLDER_VARIABLE,
-    LOG,
-    MESSAGES,
-    PID,
-    PROFILE,
-    TIMES,
-    free_port,
-    own_path,
-    write_join,
-)
-from mavfi.hosts.ros1.generate import generate, name_definitions
-from mavfi.hosts.ros1.launch import write_package
+from mavfi.hosts.ros1 import folder as files
+from mavfi.hosts.ros1.generate import generate, name_definitions, package_xml
+from mavfi.hosts.ros1.graph import IMAGE, INFO, POINTS, WORLD
 from mavfi.hosts.ros1.plan import Plan
+from mavfi.hosts.ros1.supervisor import private_network
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.sim.camera import pixel_directions
 from mavfi.sim.environments import build_world
 
+_PACKAGE, _EXECUTABLE = "mavfi", "node"
 _POLL_S = 0.02
 _LAST_WORDS_S = 20.0
 
 
 @dataclass(slots=True)
 class RosFlight:
-    """What a flight on ROS gives.
-
-    Attributes:
-        flight: The record, as of any host; without kernels.
-        times: Where the wall-clock time went (s): "prepare", "start" (master and nodes), "flight", "end".
-    """
+    """A flight on ROS, without kernels; `times` (s, wall clock): "prepare", "start" (of the nodes), "flight", "end"."""
 
     flight: Flight
     times: dict[str, float]
 
 
 def configure(scenario: Scenario) -> PipelineConfig:
-    """What the kernels of a mission are told."""
+    """The configuration of the kernels of a mission."""
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
     return pipeline_config(scenario, world, pixel_directions(scenario.camera))
 
 
 def isolation(allow_bind_all: bool = False) -> list[str]:
-    """Command that gives a program a private network, in which nothing outside can reach it.
-
-    Args:
-        allow_bind_all: Go without where it cannot be had: ROS's C++ nodes then listen on all interfaces.
+    """See `private_network`; without one, which is allowed on request, ROS's C++ nodes listen on all interfaces.
 
     Raises:
-        BadInputError: It cannot be had.
+        BadInputError: There can be none.
     """
-    for command in (["unshare", "-n"], ["unshare", "-Urn"]):
-        try:
-            if subprocess.run([*command, "true"], capture_output=True, check=False).returncode == 0:
-                return command
-        except OSError:
-            break
-    if allow_bind_all:
-        return []
-    raise BadInputError(
-        "no private network: neither `unshare -n` nor `unshare -Urn` works here, and ROS's C++ nodes listen on all "
-        "interfaces; allowed: as root, with user namespaces, or with --allow-bind-all"
-    )
+    try:
+        return private_network("as root, with user namespaces, or with --allow-bind-all")
+    except BadInputError:
+        if allow_bind_all:
+            return []
+        raise
 
 
-def fly(
-    plan: Plan, *, allow_bind_all: bool = False, tell: Callable[[Path], None] | None = None
-) -> RosFlight:  # fmt: skip
+def fly(plan: Plan, *, allow_bind_all: bool = False, tell: Callable[[Path], None] | None = None) -> RosFlight:
     """Fly one mission on ROS.
 
     Args:
         plan: The flight.
         allow_bind_all: See `isolation`.
-        tell: Is told the folder of the flight as soon as the script `join` in it can be run.
+        tell: Called with the folder of the flight as soon as the script `join` in it can be run.
 
     Raises:
         BadInputError: ROS is not installed; no private network.
@@ -113,7 +87,7 @@ def fly(
         flight = _result(folder, plan)
         times = _spent(folder, began, prepared)
     except MavfiError as error:
-        raise MavfiError(f"{error}; logs: {folder / LOG}") from None
+        raise MavfiError(f"{error}; logs: {folder / files.LOG}") from None
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
@@ -122,33 +96,70 @@ def fly(
 
 
 def _prepare(plan: Plan, folder: Path, command: list[str]) -> None:
-    """Everything that the flight needs, in its folder."""
-    finder.enable(folder / MESSAGES)
-    generate(folder / MESSAGES)
-    name_definitions(folder / DEFINITIONS)
+    """Write everything that the flight needs into its folder."""
+    finder.enable(folder / files.MESSAGES)
+    generate(folder / files.MESSAGES)
+    name_definitions(folder / files.DEFINITIONS)
     plan.save(folder)
-    write_package(plan, folder)
-    (folder / LOG).mkdir()
+    _write_package(plan, folder)
+    (folder / files.LOG).mkdir()
     if not command:
-        os.environ.update(free_port())
-    write_join(folder, bool(command), "-Urn" in command)
+        os.environ.update(files.free_port())
+    files.write_join(folder, bool(command), "-Urn" in command)
+
+
+def launch_text(plan: Plan) -> str:
+    """The launch file: nodes are restarted when they die; the end of the world is that of the flight."""
+    lines = ["<launch>", '  <param name="/use_sim_time" value="true"/>']
+    lines.append(f'  <node pkg="{_PACKAGE}" type="{_EXECUTABLE}" name="{WORLD}" args="{WORLD}" required="true"/>')
+    lines += [
+        f'  <node pkg="{_PACKAGE}" type="{_EXECUTABLE}" name="{node}" args="{node}" respawn="true" respawn_delay="0"/>'
+        for node in plan.nodes
+    ]
+    lines += [
+        f'  <node pkg="{_PACKAGE}" type="{node}" name="{node}" respawn="true" respawn_delay="0"/>'
+        for node in plan.foreign
+    ]
+    return "\n".join([*lines, "</launch>", ""])
+
+
+def _write_package(plan: Plan, folder: Path) -> None:
+    """Write the launch file, and the package in which roslaunch finds the nodes, into a flight's folder."""
+    package = folder / _PACKAGE
+    package.mkdir()
+    (package / "package.xml").write_text(package_xml(_PACKAGE))
+    executable = package / _EXECUTABLE
+    executable.write_text(
+        f'#!/bin/sh\nPYTHONPATH="{files.own_path()}" exec "{sys.executable}" -m mavfi.hosts.ros1.node "$@"\n'
+    )
+    executable.chmod(0o755)
+    for node in plan.foreign:
+        _write_foreign(package / node, folder)
+    (folder / files.LAUNCH_FILE).write_text(launch_text(plan))
+
+
+def _write_foreign(executable: Path, folder: Path) -> None:
+    """Write the script that runs Debian's nodelet; roslaunch adds its name to the arguments."""
+    remappings = {"image_rect": IMAGE, "camera_info": INFO, "points": POINTS}
+    command, variables = nodelets.point_cloud_xyz(folder / "nodelets", remappings)
+    settings = [f"{name}={value}" for name, value in variables.items()]
+    executable.write_text(f'#!/bin/sh\nexec env {shlex.join([*settings, *command])} "$@"\n')
+    executable.chmod(0o755)
 
 
 def _run(folder: Path, command: list[str], tell: Callable[[Path], None] | None) -> None:
-    """Start the supervisor, and wait for the flight's end and that of all its processes."""
-    variables = {**os.environ, "PYTHONPATH": own_path(), FOLDER_VARIABLE: str(folder)}
-    with (folder / LOG / "supervisor").open("wb") as log:
+    """Start the supervisor, and wait for the end of the flight and of all its processes."""
+    variables = {**os.environ, "PYTHONPATH": files.own_path(), files.FOLDER_VARIABLE: str(folder)}
+    with (folder / files.LOG / "supervisor").open("wb") as log:
         supervisor = subprocess.Popen(
             [*command, sys.executable, "-m", "mavfi.hosts.ros1.supervisor"], env=variables, stdout=log, stderr=log,
             stdin=subprocess.DEVNULL, start_new_session=True,
         )  # fmt: skip
     try:
-        told = tell is None
         while supervisor.poll() is None:
-            if not told and (folder / PID).exists():
-                told = True
-                assert tell is not None
+            if tell is not None and (folder / files.PID).exists():
                 tell(folder)
+                tell = None
             time.sleep(_POLL_S)
     finally:
         if supervisor.poll() is None:
@@ -157,25 +168,21 @@ def _run(folder: Path, command: list[str], tell: Callable[[Path], None] | None) 
 
 
 def _result(folder: Path, plan: Plan) -> Flight:
-    """The record that the world has left.
-
-    Raises:
-        MavfiError: It has left none.
-    """
-    failure = folder / FAILURE
+    """The record of the world; `MavfiError` if there is none."""
+    failure = folder / files.FAILURE
     if failure.exists():
         raise MavfiError(f"ROS: the flight failed: {failure.read_text().strip().splitlines()[-1]}")
-    if not (folder / FLIGHT).exists():
+    if not (folder / files.FLIGHT).exists():
         raise MavfiError("ROS: the flight ended without a record")
     scenario = plan.scenario
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
-    profile = Profile.from_bytes((folder / PROFILE).read_bytes()) if plan.profile else None
-    return Flight(FlightLog.load(folder / FLIGHT), profile, world)
+    profile = Profile.from_bytes((folder / files.PROFILE).read_bytes()) if plan.profile else None
+    return Flight(FlightLog.load(folder / files.FLIGHT), profile, world)
 
 
 def _spent(folder: Path, began: float, prepared: float) -> dict[str, float]:
     """Where the wall-clock time went (s)."""
-    told = json.loads((folder / TIMES).read_text())
+    told = json.loads((folder / files.TIMES).read_text())
     return {
         "prepare": prepared - began, "start": told["nodes_ready"] - prepared,
         "flight": told["flight_done"] - told["nodes_ready"], "end": time.time() - told["flight_done"],

@@ -1,6 +1,6 @@
-"""Lives with a flight in its private network: starts roslaunch, and leaves no process behind, however the flight ends.
+"""Runs a flight in its private network: starts roslaunch, and leaves no process behind, however the flight ends.
 
-Orphans become its children, so that everything the flight has started can be found and ended by its process id.
+Orphans become its children, so that every process of the flight can be found and ended by its id.
 """
 
 import ctypes
@@ -16,8 +16,9 @@ from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 
+from mavfi.errors import BadInputError
+from mavfi.hosts.ros1 import folder as files
 from mavfi.hosts.ros1.finder import find_file
-from mavfi.hosts.ros1.folder import FAILURE, FLIGHT, LAUNCH_FILE, LOG, PID, environment, flight_folder, master_port
 
 _PDEATHSIG, _SUBREAPER = 1, 36  # PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER of <linux/prctl.h>
 _GET_FLAGS, _SET_FLAGS, _UP = 0x8913, 0x8914, 0x1  # SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP of <linux/sockios.h>
@@ -26,9 +27,9 @@ _STOP = [False]
 
 
 def main() -> None:
-    """Run a flight until it is over, its parent dies, or a signal says so."""
+    """Run a flight until it is over, its parent dies, or a signal ends it."""
     parent = os.getppid()
-    folder = flight_folder()
+    folder = files.flight_folder()
     libc = ctypes.CDLL(None)
     libc.prctl(_PDEATHSIG, signal.SIGTERM)
     libc.prctl(_SUBREAPER, 1)
@@ -37,19 +38,17 @@ def main() -> None:
     with suppress(OSError):  # without a private network it is up already
         loopback_up()
     try:
-        with (folder / LOG / "roslaunch").open("wb") as log:
+        with (folder / files.LOG / "roslaunch").open("wb") as log:
             subprocess.Popen(
                 [
                     str(find_file("usr/bin/roslaunch")), "--skip-log-check", "--disable-title",
-                    "-p", master_port(), str(folder / LAUNCH_FILE),
+                    "-p", files.master_port(), str(folder / files.LAUNCH_FILE),
                 ],
-                env=environment(folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, cwd=folder,
+                env=files.environment(folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, cwd=folder,
                 preexec_fn=lambda: libc.prctl(_PDEATHSIG, signal.SIGKILL),
             )  # fmt: skip
-        part = folder / f"part-{PID}"
-        part.write_text(str(os.getpid()))
-        part.rename(folder / PID)
-        while not _STOP[0] and not any((folder / name).exists() for name in (FLIGHT, FAILURE)):
+        files.write_file(files.PID, str(os.getpid()).encode())
+        while not _STOP[0] and not any((folder / name).exists() for name in (files.FLIGHT, files.FAILURE)):
             if not reap():
                 break
             time.sleep(_POLL_S)
@@ -63,12 +62,28 @@ def _stop(number: int, frame: FrameType | None) -> None:
     _STOP[0] = True
 
 
-def loopback_up() -> None:
-    """Switch the loopback interface of the private network on.
+def private_network(allowed: str = "as root, or with user namespaces") -> list[str]:
+    """Command that runs a program in a network of its own, in which nothing outside can reach it.
+
+    ROS needs one: roscpp listens on all interfaces, whatever its settings.
 
     Raises:
-        OSError: That is not allowed here.
+        BadInputError: There can be none; the line says what is allowed instead.
     """
+    for way in (["unshare", "-n"], ["unshare", "-Urn"]):
+        try:
+            if subprocess.run([*way, "true"], capture_output=True, check=False).returncode == 0:
+                return way
+        except OSError:
+            break
+    raise BadInputError(
+        "no private network: neither `unshare -n` nor `unshare -Urn` works here, and ROS's C++ nodes listen on all "
+        f"interfaces; allowed: {allowed}"
+    )
+
+
+def loopback_up() -> None:
+    """Switch the loopback interface of the private network on; `OSError` if that is not allowed here."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         request = struct.pack("16sh14x", b"lo", 0)
         flags = struct.unpack("16sh14x", fcntl.ioctl(any_socket, _GET_FLAGS, request))[1]
@@ -76,7 +91,7 @@ def loopback_up() -> None:
 
 
 def reap() -> bool:
-    """Take leave of children that have ended; says whether there are any left."""
+    """Collect children that have ended; whether there are any left."""
     try:
         while os.waitpid(-1, os.WNOHANG)[0]:
             pass
@@ -97,7 +112,7 @@ def children(parent: int) -> list[int]:
 
 
 def end_all() -> None:
-    """Kill every process that this one has started or inherited; what they leave behind is inherited in turn."""
+    """Kill all children; orphans of theirs become children in turn."""
     while reap():
         for pid in children(os.getpid()):
             with suppress(ProcessLookupError):

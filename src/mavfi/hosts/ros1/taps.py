@@ -2,6 +2,7 @@
 
 import json
 import threading
+from contextlib import suppress
 
 import numpy as np
 
@@ -19,14 +20,9 @@ from mavfi.states import State, StateSpec
 
 
 class Injector:
-    """Sits in the way of one state, and injects one fault into it."""
+    """Injects the fault of a plan into the values of one state on their way."""
 
     def __init__(self, plan: Plan) -> None:
-        """Take its place in the graph.
-
-        Args:
-            plan: The flight; it has a fault.
-        """
         assert plan.fault is not None
         self._inject = StateInjector(plan.fault)
         self._spent = bool(read_injections())  # in a former life
@@ -60,14 +56,9 @@ class Injector:
 
 
 class Watcher:
-    """Shows every value to the detector: as a gate before consumers see it, or beside them."""
+    """Shows every value to the detector of a plan: as a gate before consumers see it, or as an observer."""
 
     def __init__(self, plan: Plan) -> None:
-        """Take its place in the graph.
-
-        Args:
-            plan: The flight; it has a detector.
-        """
         assert plan.detector is not None
         self._detector = plan.detector
         self._detector.start()
@@ -104,7 +95,7 @@ class Watcher:
                 self._tell(state.spec, alarm, action, number, time_us)
 
     def _judge(self, state: State, time_us: int) -> tuple[Alarm | None, Action | None]:
-        """The alarm, and what is done about it; what comes from a recomputation passes."""
+        """The alarm, and the response to it; the result of a recomputation passes."""
         name = state.spec.name
         if name in self._again:
             self._again.discard(name)
@@ -113,17 +104,13 @@ class Watcher:
         alarm = self._detector.check(state, time_us)
         if alarm is None or not self._gated:
             self._detector.accept(state, time_us)
-        action = None if alarm is None else self._decide(alarm, state.spec)
+        action = None
+        if alarm is not None:
+            with suppress(BadInputError):  # an unknown stage, which the world reports
+                action = decide(alarm, state.spec, self._coupling)
         if action is not None and action.awaited:
             self._again.add(action.awaited)
         return alarm, action
-
-    def _decide(self, alarm: Alarm, spec: StateSpec) -> Action | None:
-        """The action; None for a stage that there is not, which the world refuses in its turn."""
-        try:
-            return decide(alarm, spec, self._coupling)
-        except BadInputError:
-            return None
 
     def _tell(self, spec: StateSpec, alarm: Alarm | None, action: Action | None, number: int, time_us: int) -> None:
         withheld = action is not None and action.withholds

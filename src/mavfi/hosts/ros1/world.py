@@ -4,32 +4,28 @@ import json
 import os
 import signal
 import time
+from contextlib import suppress
 from typing import Any
 
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.ros1.folder import FLIGHT, PROFILE, TIMES, flight_folder, write_file
-from mavfi.hosts.ros1.foreign import ForeignLink, ask_foreign, cause
 from mavfi.hosts.ros1.graph import WORLD
+from mavfi.hosts.ros1.mirrors import Senses
 from mavfi.hosts.ros1.passage import LockStepDetector, Passage
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Ports
 from mavfi.hosts.ros1.register_injector import PLANNED, RegisterInjector
-from mavfi.hosts.ros1.remote import Counter, Link, RemoteKernel, Watchdog
-from mavfi.hosts.ros1.roll_call import is_alive, wait_for
-from mavfi.hosts.ros1.senses import Senses
+from mavfi.hosts.ros1.remote import Counter, ForeignLink, Link, RemoteKernel, Watchdog
+from mavfi.hosts.ros1.roll_call import asks, cause, is_alive, wait_for, wait_for_all
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 
 CAMERA_PATIENCE_US = 2_000_000
-"""After a node was lost: when no answer to an image comes for so long, the camera takes the next one."""
+"""After a node was lost: time without an answer to an image after which the camera takes the next one."""
 
 
 def fly(plan: Plan) -> None:
-    """Fly the mission and leave its record in the flight's folder.
-
-    Args:
-        plan: The flight.
-    """
+    """Fly the mission and leave its record in the flight's folder."""
     started = time.time()
     if plan.free_running:
         from mavfi.hosts.ros1.free import FreeWorld
@@ -51,16 +47,10 @@ def fly(plan: Plan) -> None:
 class Conductor:
     """The loop with its kernels, injector and detector in other processes, in lock-step with them.
 
-    Attributes:
-        loop: The flight, which has not begun.
+    It waits until every node is connected; its `loop` has not begun.
     """
 
     def __init__(self, plan: Plan) -> None:
-        """Wait until every node is there and connected.
-
-        Args:
-            plan: The flight.
-        """
         self.plan = plan
         self.counter = Counter()
         watchdog = Watchdog(plan.patience_s)
@@ -73,8 +63,7 @@ class Conductor:
         self.registers = RegisterInjector(plan.register_faults, lambda node: self.links[node].pid, hold=True)
         self.loop = self._compose()
         self.senses = Senses(self.loop.plant, self.loop.sensors.estimating)
-        pids = {node: wait_for(node, plan.patience_s) for node in plan.nodes}
-        pids.update({node: wait_for(node, plan.patience_s, ask=ask_foreign) for node in plan.foreign})
+        pids = wait_for_all(plan)
         self.ports.wait_until_connected()
         for node, link in self.links.items():
             link.connect(pids[node], self.counter.take(0))
@@ -93,7 +82,6 @@ class Conductor:
         return loop
 
     def _proxies(self, config: PipelineConfig) -> dict[str, Kernel]:
-        del config
         graph = self.plan.graph
         return {
             name: RemoteKernel(face, self.links[graph.node_of(name)], self.counter, self.plan)
@@ -102,9 +90,9 @@ class Conductor:
 
     # ---- the control period -----------------------------------------------------------------------------------------
     def _before_tick(self, now: int) -> None:
-        """Nodes that are killed, injected or come back; the clock."""
+        """Kill, inject and rejoin nodes; publish the clock."""
         while self.kills and self.kills[0][1] <= now:
-            self._kill(self.kills.pop(0)[0])
+            self._lost(self.links[self.kills.pop(0)[0]], PLANNED)
         self._watch_foreign()
         self.registers(now)
         for node in [node for node, then in self.back_us.items() if then <= now]:
@@ -121,13 +109,8 @@ class Conductor:
         self._watch_foreign()
 
     # ---- nodes that die ---------------------------------------------------------------------------------------------
-    def _kill(self, node: str) -> None:
-        link = self.links[node]
-        if not link.lost:
-            self._lost(link, PLANNED)
-
     def _watch_foreign(self) -> None:
-        """Foreign nodes may end at any time; whoever works with them ends them if they hang."""
+        """Note the end of foreign nodes, which may come at any time, also because they hung."""
         for link in self.foreign.values():
             if not link.lost and not is_alive(link.pid):
                 self._lost(link, cause(link.pid))
@@ -137,20 +120,18 @@ class Conductor:
         if link.lost:
             return
         self._note("node_lost", {"node": link.node, "pid": link.pid, "why": why})
-        try:
+        with suppress(ProcessLookupError):
             os.kill(link.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            pass
         link.lose()
         self.losses += 1
         self.back_us[link.node] = self.loop.now + self.plan.restart_us
 
     def _rejoin(self, node: str) -> None:
-        """The node that roslaunch has started again takes part, with nothing in its memory."""
+        """Take back a node that roslaunch has restarted, with fresh memory."""
         del self.back_us[node]
         link = self.links[node]
         try:
-            pid = wait_for(node, self.plan.patience_s, link.pid, ask_foreign if node in self.foreign else None)
+            pid = wait_for(node, self.plan.patience_s, link.pid, asks(self.plan)[node])
             if node in self.foreign:
                 wait_for("point_cloud", self.plan.patience_s)  # it is connected when the nodelet answers it
             self.ports.wait_until_connected()
