@@ -1,8 +1,7 @@
 """Everything that is written of a campaign: report.md, figures, the block of the results page, all numbers as JSON."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -12,30 +11,19 @@ from mavfi.campaign.analysis.findings import findings
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Table
 from mavfi.campaign.store import Store
-from mavfi.campaign.telling import fly_telling_run
-from mavfi.errors import BadInputError
+from mavfi.campaign.telling import Telling, fly_telling_run
+from mavfi.errors import writing
 from mavfi.flight_record import plain
-from mavfi.reports import figures, markdown, telling
+from mavfi.reports import figures, markdown
+from mavfi.reports.picture import draw_flight
+from mavfi.reports.text import differing_null_runs, signed_percent
 
 PICTURE = "flight.png"
-FIGURES = {
-    "success.png": "Success with 95 % intervals; black: the paper's figure.",
-    "flight_time.png": "Share of missions that arrived, by flight time over the golden run's; failures never arrive.",
-    "sites.png": "Share of missions that fail or take more than 5 % longer, by what was injected.",
-}
-"""What a report may draw, and what it says below it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What came out.
-
-    Attributes:
-        runs: Of the campaign.
-        tables: Of all views that apply, the leading one first.
-        findings: The headline in words.
-        files: That were written.
-    """
+    """Tables of all views that apply, the leading one first; findings in words; files that were written."""
 
     runs: Runs
     tables: tuple[Table, ...]
@@ -44,14 +32,13 @@ class Report:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data: `campaign`, `findings`, `null_runs`, `unknown` runs, and `tables` by name."""
-        null = self.runs.null
         tables = {table.name: table.to_json() for table in self.tables}
         # views that a report leaves out, because they say the same in more rows
         more = {name: view.table(self.runs) for name, view in VIEWS.items() if name not in tables}
         tables |= {name: table.to_json() for name, table in more.items() if table.rows}
         data: dict[str, Any] = plain({
             "campaign": self.runs.campaign, "findings": self.findings,
-            "null_runs": {"n": len(null), "differing": [r["run_id"] for r in null if r["effect"] != "masked"]},
+            "null_runs": {"n": len(self.runs.null), "differing": differing_null_runs(self.runs)},
             "unknown": self.runs.where(judged=False)["run_id"], "tables": tables,
         })  # fmt: skip
         return data
@@ -63,7 +50,7 @@ def report_of(runs: Runs) -> Report:
 
 
 def write_report(directory: Path, *, draw_run: bool = True) -> Report:
-    """Analyse a campaign and write its report into its folder.
+    """Analyse a campaign and write its report into the folder of its ledger.
 
     Args:
         directory: Where the ledger is.
@@ -79,8 +66,8 @@ def write_report(directory: Path, *, draw_run: bool = True) -> Report:
     today = date.today().isoformat()
     captions: dict[str, str] = {}
     if found.runs.has_missions:
-        captions |= {name: FIGURES[name] for name in figures.draw(found.runs, directory)}
-        captions |= _telling_run(directory, found.runs) if draw_run else {}
+        captions |= figures.draw(found.runs, directory)
+        captions |= _draw_telling_run(directory, found.runs) if draw_run else {}
     texts = {
         "report.md": markdown.report(found.runs, found.tables, found.findings, captions, today),
         "summary.json": json.dumps({"date": today, **found.to_json()}, indent=1, allow_nan=False) + "\n",
@@ -88,19 +75,28 @@ def write_report(directory: Path, *, draw_run: bool = True) -> Report:
     if found.tables:
         texts["readme_block.md"] = markdown.readme_block(found.runs, found.tables[0], today)
     for name, content in texts.items():
-        _write(directory / name, content)
-    return Report(found.runs, found.tables, found.findings, tuple(directory / name for name in (*texts, *captions)))
+        with writing(directory / name):
+            (directory / name).write_text(content, encoding="utf-8")
+    return replace(found, files=tuple(directory / name for name in (*texts, *captions)))
 
 
-def _telling_run(directory: Path, runs: Runs) -> Mapping[str, str]:
-    """Caption of the run that says most, drawn."""
+def _draw_telling_run(directory: Path, runs: Runs) -> dict[str, str]:
+    """Draw the run that says most, golden, with the fault and with the detector; gives its caption."""
     with Store.open(directory) as store:
         chosen = fly_telling_run(store, runs.frame)
-    return {} if chosen is None else {PICTURE: telling.draw(chosen, directory / PICTURE)}
+    if chosen is None:
+        return {}
+    detector = "" if chosen.saved is None else str(chosen.saved["arm"])
+    draw_flight(directory / PICTURE, chosen.flight, chosen.golden, chosen.recovered, detector=detector)
+    return {PICTURE: _caption(chosen)}
 
 
-def _write(path: Path, content: str) -> None:
-    try:
-        path.write_text(content, encoding="utf-8")
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
+def _caption(telling: Telling) -> str:
+    row, injection = telling.injected, telling.flight.log.injections[0]
+    change = "" if row["inflation"] is None else f" ({signed_percent(row['inflation'])} flight time)"
+    bit = "" if injection.bit is None else f", bit {injection.bit}"
+    text = f"`{row['run_id']}`: {injection.site}{bit}, at {injection.time_s:.2f} s; "
+    text += f"ends in {row['status'].replace('_', ' ')}{change}."
+    if telling.saved is not None:
+        text += f" With {telling.saved['arm']} on it reaches the goal."
+    return f"{text} See `mavfi explain`."

@@ -4,8 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Table
-from mavfi.reports.header import header, null_line, unknown_line, versions
-from mavfi.reports.text import shown
+from mavfi.reports.text import checks, header, null_line, shown, versions
 
 REMARKS = (
     "Rates are conditional on one fault per mission.",
@@ -17,50 +16,35 @@ REMARKS = (
 def report(
     runs: Runs, tables: Sequence[Table], findings: Sequence[str], figures: Mapping[str, str], date: str
 ) -> str:  # fmt: skip
-    """The whole report.
-
-    Args:
-        runs: Of the campaign.
-        tables: In the order in which they are shown.
-        findings: The headline in words.
-        figures: Captions by the name of the file that was drawn.
-        date: Of the report.
-    """
+    """The whole report; `figures` holds the caption of each file that was drawn."""
     first, *rest = header(runs.campaign)
-    checks = [line for line in (null_line(runs), unknown_line(runs)) if line]
     parts = [
         f"# {first[0].upper()}{first[1:]}", _list([*rest, f"report of {date}"]),
         *(["## Findings", _list(findings)] if findings else []),
         *(f"![{name}]({name})\n\n{caption}" for name, caption in figures.items()), *map(markdown_table, tables),
-        "## Checks", *checks, "## Remarks", _list(REMARKS),
+        "## Checks", *checks(runs), "## Remarks", _list(REMARKS),
     ]  # fmt: skip
     return "\n\n".join(parts) + "\n"
 
 
 def readme_block(runs: Runs, table: Table, date: str) -> str:
-    """A table with what one must know to read it.
-
-    Args:
-        runs: Of the campaign.
-        table: The table that leads its report.
-        date: Of the report.
-    """
+    """The table that leads a report, with what one must know to read it."""
     c = runs.campaign
     own, *others = versions(c)
     head = (
         f"Generated on {date} by {own} ({', '.join(others)}): {'; '.join([c['title'], *c['lines']])}; "
         f"{c['done']} runs, digest `{c['digest'][:16]}`."
     )
-    parts = [f"**{table.title}**", head, grid(table), _list(table.notes)]
+    parts = [f"**{table.title}**", head, _grid(table), _list(table.notes)]
     return "\n\n".join(parts + ([null_line(runs)] if len(runs.null) else [])) + "\n"
 
 
 def markdown_table(table: Table) -> str:
     """One table with its notes."""
-    return "\n\n".join(part for part in (f"## {table.title}", grid(table), _list(table.notes)) if part)
+    return "\n\n".join(part for part in (f"## {table.title}", _grid(table), _list(table.notes)) if part)
 
 
-def grid(table: Table) -> str:
+def _grid(table: Table) -> str:
     """The cells; in a row the first cell is empty where it is that of the row above."""
     columns, rows = shown(table)
     left = max(2, table.keys)
