@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mavfi.cli.console import JSON_HELP, console, write_json
+from mavfi.cli import options
+from mavfi.cli.console import console, write_json
 from mavfi.cli.stopping import stoppable
 
 if TYPE_CHECKING:
@@ -17,8 +18,6 @@ app = typer.Typer(
     "Example: [bold]mavfi campaign run smoke --out out/smoke[/bold]",
     no_args_is_help=False,
 )
-
-DEFAULT_WORKERS = 2
 
 
 @app.command("run")
@@ -32,7 +31,7 @@ def run(
             help="Folder of the ledger; made if absent, resumed if it holds this campaign.  out/<name> by default."
         ),
     ] = None,
-    workers: Annotated[int, typer.Option(help="Processes; the result does not depend on them.")] = DEFAULT_WORKERS,
+    workers: options.Workers = 2,
     scale: Annotated[str, typer.Option(help="quick, or another size that the campaign names, e.g. paper.")] = "quick",
     models: Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")] = None,
     fast_forward: Annotated[
@@ -97,8 +96,8 @@ def _what(campaign: "Campaign", ledger: Path) -> list[str]:
 
 @app.command("status")
 def status(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    directory: options.Ledger,
+    as_json: options.AsJson = False,
 ) -> None:
     """Print how far a campaign is, and how many missions succeeded in each setting.
 
@@ -109,10 +108,8 @@ def status(
 
     found = status_of(directory)
     if as_json:
-        settings = {
-            name: dict(zip(("planned", "flown", "succeeded"), counts, strict=True))
-            for name, counts in found.settings.items()
-        }
+        keys = ("planned", "flown", "succeeded")
+        settings = {name: dict(zip(keys, counts, strict=True)) for name, counts in found.settings.items()}
         write_json({**asdict(found), "complete": found.complete, "settings": settings})
         return
     out = console()
@@ -122,8 +119,8 @@ def status(
 
 @app.command("digest")
 def digest(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    directory: options.Ledger,
+    as_json: options.AsJson = False,
 ) -> None:
     """Print the hash of plan and records: the same for any number of workers, and after any stop.
 
@@ -138,12 +135,10 @@ def digest(
         found = store.digest()
     progress = status_of(directory)
     if as_json:
-        write_json({
-            "digest": found, "partial": not progress.complete, "done": progress.done, "total": progress.total
-        })  # fmt: skip
+        partial = not progress.complete
+        write_json({"digest": found, "partial": partial, "done": progress.done, "total": progress.total})
         return
     typer.echo(found)
     if not progress.complete:
-        console(error=True).print(
-            f"partial: {progress.done} of {progress.total} runs are flown; the rest will change this digest"
-        )
+        text = f"partial: {progress.done} of {progress.total} runs are flown; the rest will change this digest"
+        console(error=True).print(text)

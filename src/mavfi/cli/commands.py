@@ -66,13 +66,9 @@ def _mavfi(
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command.
+    """Run a command, given as the words after `mavfi` (none = help); gives its exit code.
 
-    Args:
-        arguments: What stands after `mavfi` on the command line; nothing = help.
-
-    Returns:
-        Exit code.  Bad input and our own known failures are one line on stderr; an unknown failure is raised.
+    Bad input and our own known failures are one line on stderr; an unknown failure is raised.
     """
     command = typer.main.get_command(app)
     try:

@@ -12,7 +12,8 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from mavfi.cli.console import JSON_HELP, check_number, check_seed, console, write_json
+from mavfi.cli import options
+from mavfi.cli.console import check_name, check_number, check_seed, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
 
@@ -30,16 +31,9 @@ _AFTERWARDS_S = 0.2
 _POLL_S = 0.01
 
 
-def add_verbs(app: typer.Typer) -> None:
-    """Add the verbs to `mavfi ros`."""
-    app.command("list")(list_graph)
-    app.command("corrupt")(corrupt)
-    app.command("watch")(watch)
-
-
 def list_graph(
     seconds: Annotated[float, typer.Option(help="How long to listen for rates, s; 0 = not at all.")] = 1.0,
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Print nodes, processes, executables, topics, types and rates of the running ROS graph.
 
@@ -91,7 +85,7 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
     ] = None,
     duration: Annotated[float | None, typer.Option(help="Let go after so long, s.")] = None,
     seed: Annotated[int, typer.Option(help="Draws messages and bits.")] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     r"""Flip bits of a number in the messages of any topic, without restarting anybody.
 
@@ -164,7 +158,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     learn_s: Annotated[float, typer.Option("--learn", help="How long to learn online, s.")] = 10.0,
     alarm_topic: Annotated[str, typer.Option(help="Where alarms are published, as JSON text.")] = "/mavfi/alarm",
     duration: Annotated[float | None, typer.Option(help="Watch for so long, s; until Ctrl-C by default.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     r"""Watch numbers of any topics with one of the paper's detectors; alarms are printed and published.
 
@@ -172,8 +166,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     """
     check_number("--learn", learn_s, 0.1, _LONGEST_S)
     check_number("--duration", duration, 0.0, _LONGEST_S)
-    if profile not in ("paper", "tuned"):
-        raise BadInputError(f"--profile: {profile!r}: allowed: paper, tuned")
+    check_name("--profile", profile, ("paper", "tuned"))
     from mavfi.hosts.node.master import Master
     from mavfi.hosts.node.watch import Listener, Watch
 
@@ -216,8 +209,7 @@ def _trained(
     from mavfi.flight_logs import open_flight_log
     from mavfi.hosts.node.watch import make_probes, train
 
-    if chosen[0] not in trainable():
-        raise BadInputError(f"--detector: {chosen[0]!r}: allowed: {', '.join(trainable())}")
+    check_name("--detector", chosen[0], trainable())
     used: list[int] = []
     if source == "online":
         probes = make_probes(listener.first(), fields)

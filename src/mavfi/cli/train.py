@@ -12,7 +12,7 @@ from rich import box
 from rich.table import Table
 
 from mavfi.cli import options
-from mavfi.cli.console import JSON_HELP, check_folder, check_number, console, write_json
+from mavfi.cli.console import check_folder, check_number, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.mission import MissionSpec
 
@@ -30,7 +30,7 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder of the models; made if absent.")] = Path("out/models"),
     workers: Annotated[int, typer.Option(help="Processes; the models do not depend on them.")] = 2,
     check: Annotated[int, typer.Option(help="Flights of other seeds on which false alarms are counted.")] = 10,
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Fly error-free missions in randomised worlds (none of the evaluation's), and fit every detector to them.
 
