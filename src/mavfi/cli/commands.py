@@ -33,19 +33,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-app.command("fly")(fly.fly)
-app.command("export")(export.export)
-app.command("inject")(inject.inject)
-app.command("states")(states.states)
-app.command("train")(train.train)
+for verb in (
+    fly.fly, export.export, inject.inject, states.states, train.train, report.report, runs.runs, replay.replay,
+    explain.explain, vulnerability.vulnerability, reproduce.reproduce,
+):  # fmt: skip
+    app.command(verb.__name__)(verb)
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(ros.app, name="ros")
-app.command("report")(report.report)
-app.command("runs")(runs.runs)
-app.command("replay")(replay.replay)
-app.command("explain")(explain.explain)
-app.command("vulnerability")(vulnerability.vulnerability)
-app.command("reproduce")(reproduce.reproduce)
 
 
 def _tell_version(wanted: bool) -> None:

@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from rich import box
 from rich.console import Console
+from rich.table import Table
 
 from mavfi.errors import BadInputError, writing
 from mavfi.mission import LARGEST_SEED
@@ -24,6 +26,11 @@ def console(*, error: bool = False) -> Console:
     stream = sys.stderr if error else sys.stdout
     width = None if stream.isatty() or "COLUMNS" in os.environ else WIDE
     return Console(stderr=error, highlight=False, width=width)
+
+
+def titled_table(title: str, **more: Any) -> Table:
+    """An empty table with a title, in the look of all verbs."""
+    return Table(title=title, title_style="bold", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, **more)
 
 
 def complain(text: str, code: int) -> int:

@@ -53,7 +53,10 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
         for campaign in watched:
             if not _trained(campaign, out / MODELS, chosen.training_flights):
-                _train(campaign, out / MODELS, chosen.training_flights, workers)
+                from mavfi.campaign.training import train
+
+                with Bar("training flights") as bar:
+                    train(out / MODELS, chosen.training_flights, _mission(campaign), workers=workers, progress=bar.show)
         for folder, campaign in campaigns.items():
             with Bar(f"{campaign.name}, {campaign.missions} missions per environment", "runs") as bar:
                 show = bar.show_campaign
@@ -81,14 +84,6 @@ def _check_ledger(campaign: "Campaign", folder: Path) -> None:
         raise BadInputError(
             f"{folder}: holds another campaign (differs in: {', '.join(differing)}); choose another directory"
         )
-
-
-def _train(campaign: "Campaign", folder: Path, flights: int, workers: int) -> None:
-    from mavfi.campaign.training import train
-    from mavfi.cli.progress import Bar
-
-    with Bar("training flights") as bar:
-        train(folder, flights, _mission(campaign), workers=workers, progress=bar.show)
 
 
 def _mission(campaign: "Campaign") -> "MissionSpec":

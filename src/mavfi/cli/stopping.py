@@ -21,11 +21,7 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def stoppable(told: str) -> Iterator[None]:
-    """Work of which something is kept: Ctrl-C ends it cleanly, says what is kept, and exits with code 130.
-
-    Args:
-        told: Line for stderr.
-    """
+    """Work of which something is kept: Ctrl-C ends it cleanly, prints `told` on stderr, and exits with code 130."""
     import typer
 
     from mavfi.cli.console import console

@@ -1,4 +1,7 @@
-"""Writes a flight as a ROS 1 bag or a ROS 2 mcap file (with the library `rosbags`; no ROS is needed), or as CSV."""
+"""Writes a flight as a ROS 1 bag or a ROS 2 mcap file (with the library `rosbags`; no ROS is needed), or as CSV.
+
+A file of the same name is replaced; where that is not possible, a `BadInputError` is raised.
+"""
 
 import csv
 import tempfile
@@ -66,14 +69,7 @@ class _Maker:
 
 
 def write_bag(messages: Iterable[Message], path: Path) -> int:
-    """Write a ROS 1 bag, for `rosbag info`, `rosbag play` and rqt; a file of that name is replaced.
-
-    Returns:
-        How many messages were written.
-
-    Raises:
-        BadInputError: The file cannot be written.
-    """
+    """Write a ROS 1 bag, for `rosbag info`, `rosbag play` and rqt; gives the number of messages."""
     with _beside(path) as folder:
         part = folder / "flight.bag"
         with rosbag1.Writer(part) as writer:
@@ -83,10 +79,7 @@ def write_bag(messages: Iterable[Message], path: Path) -> int:
 
 
 def write_mcap(messages: Iterable[Message], path: Path) -> int:
-    """Write a ROS 2 mcap file with its message definitions, for Foxglove, PlotJuggler and `ros2 bag`.
-
-    Returns and errors are those of `write_bag`.
-    """
+    """Write a ROS 2 mcap file, for Foxglove, PlotJuggler and `ros2 bag`; gives the number of messages."""
     with _beside(path) as folder:
         part = folder / "flight"
         with rosbag2.Writer(part, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
@@ -96,14 +89,7 @@ def write_mcap(messages: Iterable[Message], path: Path) -> int:
 
 
 def write_csv(log: FlightLog, path: Path) -> int:
-    """Write one row per control tick; numbers are written so that reading gives the same bits.
-
-    Returns:
-        How many rows were written.
-
-    Raises:
-        BadInputError: The file cannot be written.
-    """
+    """Write one row per control tick, numbers so that reading gives the same bits; gives the number of rows."""
     with writing(path), path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
