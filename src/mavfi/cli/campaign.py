@@ -95,10 +95,7 @@ def _what(campaign: "Campaign", ledger: Path) -> list[str]:
 
 
 @app.command("status")
-def status(
-    directory: options.Ledger,
-    as_json: options.AsJson = False,
-) -> None:
+def status(directory: options.Ledger, as_json: options.AsJson = False) -> None:
     """Print how far a campaign is, and how many missions succeeded in each setting.
 
     Example: [bold]mavfi campaign status out/states[/bold]
@@ -118,10 +115,7 @@ def status(
 
 
 @app.command("digest")
-def digest(
-    directory: options.Ledger,
-    as_json: options.AsJson = False,
-) -> None:
+def digest(directory: options.Ledger, as_json: options.AsJson = False) -> None:
     """Print the hash of plan and records: the same for any number of workers, and after any stop.
 
     Of a campaign that is not complete it is that of the runs so far; stderr says so.

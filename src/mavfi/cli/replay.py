@@ -6,11 +6,7 @@ from mavfi.cli import options
 from mavfi.cli.console import console, write_json
 
 
-def replay(
-    directory: options.Ledger,
-    run_id: options.RunId,
-    as_json: options.AsJson = False,
-) -> None:
+def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.AsJson = False) -> None:
     """Fly a run again from its spec, and say whether the digest is the same.
 
     Example: [bold]mavfi replay out/reproduce sparse-10003-golden-[/bold]
