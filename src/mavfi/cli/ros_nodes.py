@@ -106,15 +106,13 @@ def without_registers(plan: Plan, with_fault: bool) -> Flight:
 def effect(plan: Plan, log: FlightLog) -> str | None:
     """Effect of the faults in registers; None where nothing was injected.
 
-    Returns:
-        "crash" or "hang": an injected node ended, or was ended as it did not answer; "masked": the flight is bit for
-        bit that without the injection; "sdc": it is not; "unknown": there is no flight to compare it with
-        (free-running, or nodes were killed besides).
+    "crash" or "hang": an injected node ended, or was ended as it did not answer; "masked" or "sdc": the flight is bit
+    for bit that without the injection, or is not; "unknown": no flight to compare with (free-running, or nodes killed).
     """
     from mavfi.hosts.ros1.register_injector import end_of_nodes
 
     end = end_of_nodes(log.injections, log.events)
-    if end is None or end != "alive":
+    if end != "alive":
         return end
     if plan.free_running or plan.kills:
         return "unknown"

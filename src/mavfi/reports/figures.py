@@ -9,7 +9,7 @@ import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.measures import FAILS_OR_SLOWER, POPULATIONS, leading, population_names, populations
@@ -83,7 +83,7 @@ def success(runs: Runs) -> Figure | None:
     for place in range(1, len(environments)):
         axes.axvline(place - 0.5, color=style.PALE, linewidth=0.8)
     axes.tick_params(axis="x", length=0)
-    axes.yaxis.set_major_formatter(_percent)
+    axes.yaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     axes.grid(axis="y")
     axes.set_ylabel("missions that succeed")
     bits = f"faults in {POPULATIONS.get(names[0], names[0])}; " if names else ""
@@ -129,10 +129,6 @@ def _handle(setting: str, look: Mapping[str, Any], size: float) -> Line2D:
     return Line2D([], [], label=style.setting_label(setting), linestyle="", markersize=size, **look)
 
 
-def _percent(share: float, _: float) -> str:
-    return f"{100 * share:.0f} %"
-
-
 def _points(axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, Any], *, vertical: bool) -> None:
     """Rates with intervals, upright or along the x axis."""
     values = np.array([rate.rate or 0.0 for rate in rates])
@@ -176,7 +172,7 @@ def flight_time(runs: Runs) -> Figure | None:
         axes.grid(True)
         axes.set_xlabel("flight time against the golden run's")
     panels[0].set_ylim(max(0.0, np.floor(10 * lowest) / 10 - 0.1), 1.005)
-    panels[0].yaxis.set_major_formatter(_percent)
+    panels[0].yaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     panels[0].set_ylabel("missions that arrived")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", **_LEGEND)
@@ -223,7 +219,7 @@ def sites(runs: Runs) -> Figure | None:
     axes.set_yticks(range(len(names)), [f"{name}  (n = {count})" for name, count in zip(names, counts, strict=True)])
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlim(0, None)
-    axes.xaxis.set_major_formatter(_percent)
+    axes.xaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     axes.grid(axis="x")
     axes.tick_params(axis="y", length=0)
     bits = ", ".join(dict.fromkeys(POPULATIONS.get(population, population) for population, _ in shown.values()))

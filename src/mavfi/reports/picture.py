@@ -10,6 +10,7 @@ import matplotlib.patheffects as effects
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
@@ -155,16 +156,14 @@ def _draw_world(views: Views, world: World, course: np.ndarray) -> None:
     if world.is_voxels:
         _draw_scan(views, world, course)
         return
-    (above, _), (side, _) = views
-    boxes = [Rectangle((x, y), u - x, v - y) for (x, y, _), (u, v, _) in zip(world.lower, world.upper, strict=True)]
-    near = _near(world, course)
-    fronts = [
-        Rectangle((low[0], low[2]), high[0] - low[0], high[2] - low[2])
-        for low, high in zip(world.lower[near], world.upper[near], strict=True)
-    ]
-    for axes, patches in ((above, boxes), (side, fronts)):
-        axes.add_collection(PatchCollection(patches, facecolor=_SOLID, edgecolor=_EDGE, linewidth=0.5, zorder=1))
-    side.axhline(0.0, color=_EDGE, linewidth=0.8, zorder=1)
+    every = np.ones(len(world.lower), bool)
+    for (axes, index), kept in zip(views, (every, _near(world, course)), strict=True):
+        boxes = [
+            Rectangle((low[0], low[index]), high[0] - low[0], high[index] - low[index])
+            for low, high in zip(world.lower[kept], world.upper[kept], strict=True)
+        ]
+        axes.add_collection(PatchCollection(boxes, facecolor=_SOLID, edgecolor=_EDGE, linewidth=0.5, zorder=1))
+    views[1][0].axhline(0.0, color=_EDGE, linewidth=0.8, zorder=1)
 
 
 def _near(world: World, course: np.ndarray) -> np.ndarray:
@@ -199,7 +198,7 @@ def _shade(
 ) -> None:  # fmt: skip
     """Colour the cells that are set; shape (columns, rows)."""
     image = np.zeros((cells.shape[1], cells.shape[0], 4))
-    image[..., :3] = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    image[..., :3] = to_rgb(colour)
     image[..., 3] = alpha * cells.T
     axes.imshow(image, origin="lower", extent=extent, interpolation="nearest", aspect="auto", zorder=order)
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import binary_erosion
 
 from mavfi.flight_log import FlightLog
 from mavfi.numerics.rotations import rotation_matrix
@@ -125,11 +126,7 @@ def _boxes(world: World, header: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 def _voxels(world: World, header: dict[str, Any]) -> dict[str, Any]:
     """All solid voxels that have a free neighbour, as one marker: those inside of walls are not seen."""
-    solid = np.pad(world.occupied, 1, constant_values=True)
-    inner = solid[1:-1, 1:-1, 1:-1].copy()
-    for axis in range(3):
-        for shift in (-1, 1):
-            inner &= np.roll(solid, shift, axis)[1:-1, 1:-1, 1:-1]
+    inner = binary_erosion(world.occupied, border_value=1)
     centres = world.origin + (np.argwhere(world.occupied & ~inner) + 0.5) * world.resolution
     edge = world.resolution
     return {
