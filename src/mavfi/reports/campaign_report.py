@@ -1,6 +1,7 @@
 """Everything that is written of a campaign: report.md, figures, the block of the results page, all numbers as JSON."""
 
 import json
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
@@ -14,11 +15,16 @@ from mavfi.campaign.store import Store
 from mavfi.campaign.telling import Telling, fly_telling_run
 from mavfi.errors import writing
 from mavfi.flight_record import plain
-from mavfi.reports import figures, markdown
+from mavfi.reports import figures
 from mavfi.reports.picture import draw_flight
-from mavfi.reports.text import differing_null_runs, signed_percent
+from mavfi.reports.text import checks, differing_null_runs, header, null_line, shown, signed_percent, versions
 
 PICTURE = "flight.png"
+REMARKS = (
+    "Rates are conditional on one fault per mission.",
+    "Recomputation is charged in the platform's modelled time; nothing was measured on that hardware.",
+    "Faults without a site and faults that were not activated are kept in every rate (intention to treat).",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,11 +75,11 @@ def write_report(directory: Path, *, draw_run: bool = True) -> Report:
         captions |= figures.draw(found.runs, directory)
         captions |= _draw_telling_run(directory, found.runs) if draw_run else {}
     texts = {
-        "report.md": markdown.report(found.runs, found.tables, found.findings, captions, today),
+        "report.md": _markdown(found, captions, today),
         "summary.json": json.dumps({"date": today, **found.to_json()}, indent=1, allow_nan=False) + "\n",
     }
     if found.tables:
-        texts["readme_block.md"] = markdown.readme_block(found.runs, found.tables[0], today)
+        texts["readme_block.md"] = _readme_block(found.runs, found.tables[0], today)
     for name, content in texts.items():
         with writing(directory / name):
             (directory / name).write_text(content, encoding="utf-8")
@@ -100,3 +106,53 @@ def _caption(telling: Telling) -> str:
     if telling.saved is not None:
         text += f" With {telling.saved['arm']} on it reaches the goal."
     return f"{text} See `mavfi explain`."
+
+
+def _markdown(found: Report, captions: Mapping[str, str], today: str) -> str:
+    """The whole report, with the pictures that were drawn and their captions."""
+    first, *rest = header(found.runs.campaign)
+    parts = [
+        f"# {first[0].upper()}{first[1:]}", _list([*rest, f"report of {today}"]),
+        *(["## Findings", _list(found.findings)] if found.findings else []),
+        *(f"![{name}]({name})\n\n{caption}" for name, caption in captions.items()),
+        *map(markdown_table, found.tables),
+        "## Checks", *checks(found.runs), "## Remarks", _list(REMARKS),
+    ]  # fmt: skip
+    return "\n\n".join(parts) + "\n"
+
+
+def _readme_block(runs: Runs, table: Table, today: str) -> str:
+    """The table that leads a report, with what one must know to read it."""
+    c = runs.campaign
+    own, *others = versions(c)
+    head = (
+        f"Generated on {today} by {own} ({', '.join(others)}): {'; '.join([c['title'], *c['lines']])}; "
+        f"{c['done']} runs, digest `{c['digest'][:16]}`."
+    )
+    parts = [f"**{table.title}**", head, _grid(table), _list(table.notes)]
+    return "\n\n".join(parts + ([null_line(runs)] if len(runs.null) else [])) + "\n"
+
+
+def markdown_table(table: Table) -> str:
+    """One table with its notes."""
+    return "\n\n".join(part for part in (f"## {table.title}", _grid(table), _list(table.notes)) if part)
+
+
+def _grid(table: Table) -> str:
+    """The cells; in a row the first cell is empty where it is that of the row above."""
+    columns, rows = shown(table)
+    left = max(2, table.keys)
+    lines = [_row([column.heading for column in columns]), _row(["---"] * left + ["---:"] * (len(columns) - left))]
+    before = ""
+    for row in rows:
+        lines.append(_row(["" if row[0] == before else row[0], *row[1:]]))
+        before = row[0]
+    return "\n".join(lines)
+
+
+def _row(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def _list(lines: Iterable[str]) -> str:
+    return "\n".join(f"- {line}" for line in lines)

@@ -26,8 +26,8 @@ def _small_percent(share: float) -> str:
     return f"{100 * share:.3g} %"
 
 
-def _interval(low: float | None, high: float | None) -> str:
-    return "" if low is None or high is None else f"[{100 * low:.1f}, {100 * high:.1f}]"
+def _interval(found: Rate) -> str:
+    return "" if found.low is None or found.high is None else f"[{100 * found.low:.1f}, {100 * found.high:.1f}]"
 
 
 def rate(found: Rate | float | None) -> str:
@@ -37,39 +37,30 @@ def rate(found: Rate | float | None) -> str:
     if found.rate is None:
         return ABSENT
     count = f"n={found.n}" if found.successes is None else f"{found.successes}/{found.n}"
-    return f"{100 * found.rate:.1f} {_interval(found.low, found.high)} {count}"
+    return f"{100 * found.rate:.1f} {_interval(found)} {count}"
 
 
-def number(value: float | None, digits: int = 1, unit: str = "") -> str:
-    """A figure with a unit."""
-    return ABSENT if value is None else f"{value:.{digits}f}{unit and ' ' + unit}"
+def number(value: float | None, digits: int = 1) -> str:
+    """A figure without a unit."""
+    return ABSENT if value is None else f"{value:.{digits}f}"
 
 
-def _share(value: Rate | float) -> str:
-    return percent(value.rate if isinstance(value, Rate) else value)
-
-
-def _with_interval(value: Rate) -> str:
-    return f"{percent(value.rate)} {_interval(value.low, value.high)}"
-
-
-def _points(value: Rate) -> str:
-    return f"{100 * (value.rate or 0.0):+.1f} {_interval(value.low, value.high)}"
-
-
-def _per_hour(value: EventRate) -> str:
-    return ABSENT if value.per_hour is None else f"{value.per_hour:.1f} [{value.low:.1f}, {value.high:.1f}]"
-
-
-def _small_percents(values: Mapping[str, float]) -> str:
-    return " / ".join(map(_small_percent, values.values()))
+def _per_hour(found: EventRate) -> str:
+    return ABSENT if found.per_hour is None else f"{found.per_hour:.1f} [{found.low:.1f}, {found.high:.1f}]"
 
 
 FORMS: dict[str, Callable[[Any], str]] = {
-    RATE: rate, PERCENT: _share, "percent 2": lambda share: percent(share, 2), SIGNED: signed_percent,
-    SMALL: _small_percent, "small percents": _small_percents, "percent with interval": _with_interval,
-    POINTS: _points, PER_HOUR: _per_hour, "number .1f kJ": lambda joule: number(joule / 1000, 1, "kJ"),
-}  # fmt: skip
+    RATE: rate,
+    PERCENT: lambda share: percent(share.rate if isinstance(share, Rate) else share),
+    "percent 2": lambda share: percent(share, 2),
+    "percent with interval": lambda found: f"{percent(found.rate)} {_interval(found)}",
+    POINTS: lambda found: f"{100 * (found.rate or 0.0):+.1f} {_interval(found)}",
+    SIGNED: signed_percent,
+    SMALL: _small_percent,
+    "small percents": lambda shares: " / ".join(map(_small_percent, shares.values())),
+    PER_HOUR: _per_hour,
+    "number .1f kJ": lambda joule: f"{joule / 1000:.1f} kJ",
+}
 """How a cell of a form is written; other forms are "number", digits as of Python's formats, unit."""
 
 
