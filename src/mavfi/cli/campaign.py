@@ -70,7 +70,7 @@ def run(
 
 
 def _what(campaign: "Campaign", ledger: Path) -> list[str]:
-    """What a campaign would fly, in lines; names are checked, nothing is written."""
+    """Lines about what a campaign would fly; names are checked, nothing is written."""
     from mavfi.campaign.mission import plan_of, scenarios_of
     from mavfi.campaign.plan import arms_of
     from mavfi.campaign.run import model_hashes

@@ -1,4 +1,4 @@
-"""The verbs in one application, and what becomes of errors; heavy parts are imported when a verb needs them."""
+"""The verbs in one application, and the handling of errors; verbs import heavy parts when they need them."""
 
 from collections.abc import Sequence
 from typing import Annotated

@@ -59,7 +59,7 @@ def inject(  # noqa: PLR0913 - one parameter per option
 
 
 def _process(pid: int | None, ros_node: str | None) -> int:
-    """The process that is meant."""
+    """Process id from the one option of both that is given."""
     if (pid is None) == (ros_node is None):
         raise BadInputError("--pid, --ros-node: allowed: one of them")
     if pid is not None:

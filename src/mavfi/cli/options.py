@@ -99,7 +99,7 @@ def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
 
 
 def _allowed(name: str) -> str:
-    """What a field may be, in words."""
+    """Allowed values of a field, in words."""
     field = MissionSpec.model_fields[name]
     if name == "seed":
         return f"0 to {LARGEST_SEED}"

@@ -43,7 +43,7 @@ class Bar:
         self._live.stop()
 
     def show(self, done: int, total: int) -> None:
-        """Show how much is done; what the first call finds done was so before, and is no part of the rate."""
+        """Show how much is done; work that was done before the first call does not count for the rate."""
         if self._held is None:
             self._held, self._begun = done, time.perf_counter()
         seconds = time.perf_counter() - self._begun

@@ -114,7 +114,7 @@ def _trained(campaign: "Campaign", folder: Path, flights: int) -> bool:
 
 
 def _report(campaigns: dict[Path, "Campaign"], show_all: bool, as_json: bool) -> None:
-    """Write the report of each campaign, and print the headline of each; as JSON by name of the campaign."""
+    """Write the report of each campaign, and print its headline, or its JSON by name of the campaign."""
     from mavfi.cli.report import show_report
     from mavfi.reports.campaign_report import write_report
 

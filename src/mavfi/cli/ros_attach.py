@@ -117,7 +117,7 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
 
 
 def _run(relay: Relay, injector: MessageInjector, duration: float | None) -> None:
-    """Until the fault has been injected, or time is over."""
+    """Relay messages until the fault has been injected, or the time is over."""
     for failure in relay.failures:
         console(error=True).print(f"not turned: {failure}", markup=False)
     end = time.monotonic() + (_LONGEST_S if duration is None else duration)
@@ -193,7 +193,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
 
 
 def _list(text: str, option: str = "") -> list[str]:
-    """The parts of a list with commas."""
+    """Parts of a comma-separated list."""
     parts = [part.strip() for part in text.split(",") if part.strip()]
     if option and not parts:
         raise BadInputError(f"{option}: {text!r}: allowed: names, with commas between")
@@ -203,7 +203,7 @@ def _list(text: str, option: str = "") -> list[str]:
 def _trained(
     listener: Listener, chosen: tuple[str, str], fields: list[str], source: str, seconds: float
 ) -> tuple[dict[str, Probe], Detector, int]:
-    """What is watched, the detector, and how many messages it has learned from."""
+    """Watched numbers, trained detector, and number of messages that it has learned from."""
     from mavfi.detectors.registry import trainable
     from mavfi.flight_logs import open_flight_log
     from mavfi.hosts.node.watch import make_probes, train

@@ -47,7 +47,7 @@ def renamed(name: str, value: _Value | None, old_name: str, old_value: _Value | 
 
 
 def cloud_node(text: str) -> CloudNode:
-    """Who computes the point cloud; raises `BadInputError` for another name."""
+    """Node that computes the point cloud; raises `BadInputError` for another name."""
     from mavfi.hosts.ros1.plan import CloudNode
 
     check_name("--point-cloud-node", text, get_args(CloudNode))
@@ -120,12 +120,12 @@ def effect(plan: Plan, log: FlightLog) -> str | None:
 
 
 def to_json(plan: Plan, log: FlightLog) -> dict[str, Any]:
-    """What `--json` says of all this; the injections stand beside the others of the flight."""
+    """Keys of `--json` about nodes; injections into registers are among those of the flight."""
     return {"point_cloud_node": plan.cloud_node, "register_effect": effect(plan, log)}
 
 
 def lines(plan: Plan, log: FlightLog) -> list[str]:
-    """The same for people."""
+    """Injections into registers and their effect, as lines of text."""
     told = [_line(one) for one in log.injections if one.level == "register"]
     found = effect(plan, log)
     return told if found is None else [*told, f"           effect: {found}"]

@@ -11,7 +11,7 @@ EXIT_STOPPED = 130
 
 
 def leave_on_ctrl_c() -> None:
-    """From now on Ctrl-C ends the process without a word; an exception in the middle of an import would tell of it."""
+    """From now on Ctrl-C ends the process silently, also during imports, where an exception would print a traceback."""
     signal.signal(signal.SIGINT, _leave)
 
 

@@ -1,4 +1,4 @@
-"""Everything that is written of a campaign: report.md, figures, the block of the results page, all numbers as JSON."""
+"""The report of a campaign: report.md, figures, the block of the results page, all numbers as JSON."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -56,14 +56,9 @@ def report_of(runs: Runs) -> Report:
 
 
 def write_report(directory: Path, *, draw_run: bool = True) -> Report:
-    """Analyse a campaign and write its report into the folder of its ledger.
+    """Analyse a campaign, and write report.md, readme_block.md, summary.json and PNG figures beside its ledger.
 
-    Args:
-        directory: Where the ledger is.
-        draw_run: Whether a telling run is flown again for a picture.
-
-    Returns:
-        With the files: report.md, readme_block.md, summary.json and PNG figures.
+    With `draw_run` a telling run is flown again for one more picture.
 
     Raises:
         BadInputError: There is no campaign, or the folder cannot be written.

@@ -121,7 +121,7 @@ def _positions(flight: Flight, times: list[float] | None = None) -> np.ndarray:
 
 
 def _limits(world: World, courses: list[_Drawn]) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of what is shown: the arena, or, in a scan, what surrounds the paths."""
+    """Corners of the shown volume: the arena, or, in a scan, the surroundings of the paths."""
     points = np.concatenate([course.points for course in courses] + [world.start[None], world.goal[None]])
     points = np.clip(points, world.arena_lower - FLY_AWAY_MARGIN, world.arena_upper + FLY_AWAY_MARGIN)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -167,7 +167,7 @@ def _draw_world(views: Views, world: World, course: np.ndarray) -> None:
 
 
 def _near(world: World, course: np.ndarray) -> np.ndarray:
-    """Which boxes stand about within `NEAR` of the path, seen from above. Shape (boxes,), bool."""
+    """Mask of the boxes within about `NEAR` of the path, seen from above. Shape (boxes,), bool."""
     points = course[:: max(1, len(course) // 500), :2]
     below = world.lower[:, None, :2] - points[None]
     beyond = points[None] - world.upper[:, None, :2]
@@ -204,7 +204,7 @@ def _shade(
 
 
 def _draw_map(views: Views, flight: Flight, limits: tuple[np.ndarray, np.ndarray]) -> bool:
-    """Voxels that the planner's map held for occupied in the end; whether there are any."""
+    """Draw the occupied voxels of the planner's final map; gives whether there are any."""
     room: Any = getattr(flight.pipeline.get("planner"), "room", None)
     if room is None:
         return False

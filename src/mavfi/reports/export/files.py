@@ -99,7 +99,7 @@ def write_csv(log: FlightLog, path: Path) -> int:
 
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
-    """A folder next to the file: what is half written never bears its name."""
+    """A temporary folder next to the file, so that a half-written file never bears its name."""
     with writing(path):
         folder = tempfile.TemporaryDirectory(prefix=".mavfi-", dir=path.absolute().parent)
     with folder as name:

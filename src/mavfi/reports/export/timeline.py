@@ -1,4 +1,4 @@
-"""A flight as messages in ROS standard types: what was flown, where, and what happened.
+"""A flight as messages in ROS standard types: trajectory, scenery and events.
 
 Frames after REP-103 and REP-105: `map` is the world (ENU, z up), `base_link` the vehicle (x forward, y left, z up).
 """
