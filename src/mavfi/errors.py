@@ -1,7 +1,9 @@
 """Errors that a user of mavfi can meet.  The command line turns each into one line and an exit code."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
+from pathlib import Path
 
 _MOST_SHOWN = 12
 
@@ -24,3 +26,12 @@ def allowed(names: Collection[str], wanted: str = "") -> str:
     ordered = [*likely, *sorted(set(names) - set(likely))]
     more = f", and {len(ordered) - _MOST_SHOWN} more" if len(ordered) > _MOST_SHOWN else ""
     return (", ".join(ordered[:_MOST_SHOWN]) + more) if ordered else "none, there are none"
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn an error of the operating system while a file or folder is written into a `BadInputError` that names it."""
+    try:
+        yield
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None

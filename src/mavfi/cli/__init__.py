@@ -1,6 +1,6 @@
 """The command line: one file per verb.
 
-Nothing is imported here but what catches Ctrl-C: from then on no moment of a start ends in a traceback.
+Only the handler of Ctrl-C is imported here, so that Ctrl-C during start-up never ends in a traceback.
 """
 
 import sys

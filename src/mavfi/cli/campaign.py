@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mavfi.cli.console import JSON_HELP, console, write_json
+from mavfi.cli import options
+from mavfi.cli.console import console, write_json
 from mavfi.cli.stopping import stoppable
 
 if TYPE_CHECKING:
@@ -17,8 +18,6 @@ app = typer.Typer(
     "Example: [bold]mavfi campaign run smoke --out out/smoke[/bold]",
     no_args_is_help=False,
 )
-
-DEFAULT_WORKERS = 2
 
 
 @app.command("run")
@@ -32,7 +31,7 @@ def run(
             help="Folder of the ledger; made if absent, resumed if it holds this campaign.  out/<name> by default."
         ),
     ] = None,
-    workers: Annotated[int, typer.Option(help="Processes; the result does not depend on them.")] = DEFAULT_WORKERS,
+    workers: options.Workers = 2,
     scale: Annotated[str, typer.Option(help="quick, or another size that the campaign names, e.g. paper.")] = "quick",
     models: Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")] = None,
     fast_forward: Annotated[
@@ -71,7 +70,7 @@ def run(
 
 
 def _what(campaign: "Campaign", ledger: Path) -> list[str]:
-    """What a campaign would fly, in lines; names are checked, nothing is written."""
+    """Lines about what a campaign would fly; names are checked, nothing is written."""
     from mavfi.campaign.mission import plan_of, scenarios_of
     from mavfi.campaign.plan import arms_of
     from mavfi.campaign.run import model_hashes
@@ -96,10 +95,7 @@ def _what(campaign: "Campaign", ledger: Path) -> list[str]:
 
 
 @app.command("status")
-def status(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
-) -> None:
+def status(directory: options.Ledger, as_json: options.AsJson = False) -> None:
     """Print how far a campaign is, and how many missions succeeded in each setting.
 
     Example: [bold]mavfi campaign status out/states[/bold]
@@ -109,10 +105,8 @@ def status(
 
     found = status_of(directory)
     if as_json:
-        settings = {
-            name: dict(zip(("planned", "flown", "succeeded"), counts, strict=True))
-            for name, counts in found.settings.items()
-        }
+        keys = ("planned", "flown", "succeeded")
+        settings = {name: dict(zip(keys, counts, strict=True)) for name, counts in found.settings.items()}
         write_json({**asdict(found), "complete": found.complete, "settings": settings})
         return
     out = console()
@@ -121,10 +115,7 @@ def status(
 
 
 @app.command("digest")
-def digest(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
-) -> None:
+def digest(directory: options.Ledger, as_json: options.AsJson = False) -> None:
     """Print the hash of plan and records: the same for any number of workers, and after any stop.
 
     Of a campaign that is not complete it is that of the runs so far; stderr says so.
@@ -138,12 +129,10 @@ def digest(
         found = store.digest()
     progress = status_of(directory)
     if as_json:
-        write_json({
-            "digest": found, "partial": not progress.complete, "done": progress.done, "total": progress.total
-        })  # fmt: skip
+        partial = not progress.complete
+        write_json({"digest": found, "partial": partial, "done": progress.done, "total": progress.total})
         return
     typer.echo(found)
     if not progress.complete:
-        console(error=True).print(
-            f"partial: {progress.done} of {progress.total} runs are flown; the rest will change this digest"
-        )
+        text = f"partial: {progress.done} of {progress.total} runs are flown; the rest will change this digest"
+        console(error=True).print(text)

@@ -1,4 +1,4 @@
-"""The verbs in one application, and what becomes of errors; heavy parts are imported when a verb needs them."""
+"""The verbs in one application, and the handling of errors; verbs import heavy parts when they need them."""
 
 from collections.abc import Sequence
 from typing import Annotated
@@ -33,19 +33,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-app.command("fly")(fly.fly)
-app.command("export")(export.export)
-app.command("inject")(inject.inject)
-app.command("states")(states.states)
-app.command("train")(train.train)
+for verb in (
+    fly.fly, export.export, inject.inject, states.states, train.train, report.report, runs.runs, replay.replay,
+    explain.explain, vulnerability.vulnerability, reproduce.reproduce,
+):  # fmt: skip
+    app.command(verb.__name__)(verb)
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(ros.app, name="ros")
-app.command("report")(report.report)
-app.command("runs")(runs.runs)
-app.command("replay")(replay.replay)
-app.command("explain")(explain.explain)
-app.command("vulnerability")(vulnerability.vulnerability)
-app.command("reproduce")(reproduce.reproduce)
 
 
 def _tell_version(wanted: bool) -> None:
@@ -66,13 +60,9 @@ def _mavfi(
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command.
+    """Run a command, given as the words after `mavfi` (none = help); gives its exit code.
 
-    Args:
-        arguments: What stands after `mavfi` on the command line; nothing = help.
-
-    Returns:
-        Exit code.  Bad input and our own known failures are one line on stderr; an unknown failure is raised.
+    Bad input and our own known failures are one line on stderr; an unknown failure is raised.
     """
     command = typer.main.get_command(app)
     try:

@@ -1,21 +1,24 @@
-"""What all verbs share: where text goes, how numbers look, what is checked before anything is flown."""
+"""What all verbs share: where text goes, and what is checked before anything is flown (`BadInputError`, one line)."""
 
 import json
 import os
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import typer
+from rich import box
 from rich.console import Console
+from rich.table import Table
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, writing
 from mavfi.mission import LARGEST_SEED
 
 WIDE = 140
 """Columns where the output is no terminal: tables in a file are not folded."""
-PICTURES = (".png", ".svg", ".pdf")
-JSON_HELP = "One JSON object instead of text."
+FLIGHTS, PICTURES = (".npz",), (".png", ".svg", ".pdf")
+"""Endings of files."""
 
 
 def console(*, error: bool = False) -> Console:
@@ -23,6 +26,11 @@ def console(*, error: bool = False) -> Console:
     stream = sys.stderr if error else sys.stdout
     width = None if stream.isatty() or "COLUMNS" in os.environ else WIDE
     return Console(stderr=error, highlight=False, width=width)
+
+
+def titled_table(title: str, **more: Any) -> Table:
+    """An empty table with a title, in the look of all verbs."""
+    return Table(title=title, title_style="bold", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, **more)
 
 
 def complain(text: str, code: int) -> int:
@@ -38,65 +46,47 @@ def write_json(data: Any) -> None:
     typer.echo(json.dumps(plain(data), indent=2, allow_nan=False))
 
 
-def check_number(name: str, value: float | None, low: float, high: float) -> None:
-    """Refuse a number outside of its range, or one that is not finite; None passes.
-
-    Raises:
-        BadInputError: One line that names option, value and range.
-    """
+def check_number(option: str, value: float | None, low: float, high: float) -> None:
+    """Refuse a number outside of its range, or one that is not finite; None passes."""
     if value is not None and not low <= value <= high:
-        raise BadInputError(f"{name}: {value}: allowed: {low:g} to {high:g}")
+        raise BadInputError(f"{option}: {value}: allowed: {low:g} to {high:g}")
 
 
-def check_seed(name: str, value: int) -> None:
-    """Refuse a seed that no random stream takes.
-
-    Raises:
-        BadInputError: It is negative or too large.
-    """
+def check_seed(option: str, value: int) -> None:
+    """Refuse a seed that no random stream takes."""
     if not 0 <= value <= LARGEST_SEED:
-        raise BadInputError(f"{name}: {value}: allowed: 0 to {LARGEST_SEED}")
+        raise BadInputError(f"{option}: {value}: allowed: 0 to {LARGEST_SEED}")
 
 
-def check_writable(path: Path | None) -> None:
-    """Refuse a file that could not be written, before anything is flown; what is there stays as it is.
-
-    Raises:
-        BadInputError: One line with the reason.
-    """
-    if path is None:
-        return
-    there = path.exists()
-    try:
-        with path.open("ab"):
-            pass
-        if not there:
-            path.unlink()
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
+def check_name(option: str, value: str, names: Iterable[str]) -> None:
+    """Refuse a name that is none of these."""
+    if value not in (allowed := tuple(names)):
+        raise BadInputError(f"{option}: {value!r}: allowed: {', '.join(allowed)}")
 
 
-def check_picture(path: Path | None) -> None:
-    """Refuse a picture of an unknown format, or one that could not be written.
-
-    Raises:
-        BadInputError: One line that names the file.
-    """
-    if path is not None and path.suffix.lower() not in PICTURES:
-        raise BadInputError(f"--picture: {path}: allowed endings: {', '.join(PICTURES)}")
+def check_file(option: str, path: Path | None, endings: Sequence[str]) -> None:
+    """Refuse a file with another ending, or one that could not be written; None passes."""
+    if path is not None and path.suffix.lower() not in endings:
+        several = "s" if len(endings) > 1 else ""
+        raise BadInputError(f"{option}: {path}: allowed ending{several}: {', '.join(endings)}")
     check_writable(path)
 
 
-def check_folder(folder: Path) -> None:
-    """Make a folder and refuse one that cannot be written into.
+def check_writable(path: Path | None) -> None:
+    """Refuse a file that could not be written, before anything is flown; what is there stays as it is."""
+    if path is None:
+        return
+    there = path.exists()
+    with writing(path):
+        path.open("ab").close()
+        if not there:
+            path.unlink()
 
-    Raises:
-        BadInputError: One line with the reason.
-    """
-    try:
+
+def check_folder(folder: Path) -> None:
+    """Make a folder, and refuse one that cannot be written into."""
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / ".mavfi-probe"
         probe.touch()
         probe.unlink()
-    except OSError as error:
-        raise BadInputError(f"{folder}: cannot be written ({error.strerror})") from None

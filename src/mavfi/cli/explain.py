@@ -5,22 +5,23 @@ from typing import Annotated
 
 import typer
 
-from mavfi.cli.console import JSON_HELP, check_picture, console, write_json
+from mavfi.cli import options
+from mavfi.cli.console import PICTURES, check_file, console, write_json
 
 
 def explain(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
-    run_id: Annotated[str, typer.Argument(metavar="RUN_ID", help="The run, or an unambiguous beginning of its id.")],
+    directory: options.Ledger,
+    run_id: options.RunId,
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Draw both flights: injection, alarms, where they part.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Fly a run and its golden run again, and explain what the fault did: to values, to the path, to the mission.
 
     Example: [bold]mavfi explain out/reproduce dense-10000-fi-planning-0[/bold]
     """
-    check_picture(picture)
+    check_file("--picture", picture, PICTURES)
     from mavfi.campaign.replay import explain as fly_both
     from mavfi.cli.flight_text import story_table
     from mavfi.reports.explain import detector_name, lines, to_json

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mavfi.cli.console import JSON_HELP, check_writable, console, write_json
+from mavfi.cli import options
+from mavfi.cli.console import check_writable, console, write_json
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def export(
             "per run.",
         ),
     ] = Path("flight.mcap"),
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Write a flight, or the runs of a campaign, for other people's tools; no ROS is needed.
 
@@ -55,12 +56,11 @@ def export(
         raise BadInputError(f"{flight}: is not the folder of a campaign, so there is no run {run_id!r}")
     check_writable(to)
     log = _log(flight, run_id)
-    count = _write(log, to)
+    count, unit = _write(log, to), "rows" if to.suffix == ".csv" else "messages"
     if as_json:
-        write_json({"file": str(to), "written": count, "unit": "rows" if to.suffix == ".csv" else "messages"})
+        write_json({"file": str(to), "written": count, "unit": unit})
         return
-    what = "rows" if to.suffix == ".csv" else "messages"
-    text = f"{to}: {count} {what}, {float(log.column('time')[-1]):.1f} s of flight, {log.status.label}"
+    text = f"{to}: {count} {unit}, {float(log.column('time')[-1]):.1f} s of flight, {log.status.label}"
     console().print(text, markup=False, soft_wrap=True)
 
 
@@ -91,13 +91,12 @@ def _log(flight: Path, run_id: str) -> FlightLog:
 
 
 def _write(log: FlightLog, to: Path) -> int:
-    if to.suffix == ".csv":
-        from mavfi.reports.export.table import write_csv
+    from mavfi.reports.export.files import write_bag, write_csv, write_mcap
 
+    if to.suffix == ".csv":
         return write_csv(log, to)
     from mavfi.config import parse
     from mavfi.mission import Scenario
-    from mavfi.reports.export.bags import write_bag, write_mcap
     from mavfi.reports.export.timeline import timeline
     from mavfi.sim.environments import build_world
 

@@ -37,10 +37,8 @@ def panel(result: FlightResult) -> Panel:
     scenario, success = result.scenario, result.status is MissionStatus.SUCCESS
     colour = "green" if success else "red"
     watched = f" · detector {result.detector}" if result.detector else ""
-    title = Text.assemble(
-        (scenario.environment.name, "bold"), f" · seed {scenario.seed} · autopilot ", (scenario.stack.name, "bold"),
-        watched,
-    )  # fmt: skip
+    seed = f" · seed {scenario.seed} · autopilot "
+    title = Text.assemble((scenario.environment.name, "bold"), seed, (scenario.stack.name, "bold"), watched)
     below = f"{scenario.platform.name} · {scenario.planner.name} · {scenario.v_max:g} m/s"
     parts: list[RenderableType] = [
         title, Text(below, style="dim"), Text(),

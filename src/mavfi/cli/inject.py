@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.text import Text
 
-from mavfi.cli.console import JSON_HELP, check_seed, console, write_json
+from mavfi.cli import options
+from mavfi.cli.console import check_seed, console, write_json
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import DEFAULT_WALK
 
@@ -36,7 +37,7 @@ def inject(  # noqa: PLR0913 - one parameter per option
     timeout: Annotated[float, typer.Option(help="Longest wait for an injection, s.")] = 10.0,
     seed: Annotated[int, typer.Option(help="Draws length of walk, register and bit.")] = 0,
     null: Annotated[bool, typer.Option("--null", help="Do everything but flip the bit.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Flip one bit in one register of a running process (x86-64 Linux), and say which.
 
@@ -58,7 +59,7 @@ def inject(  # noqa: PLR0913 - one parameter per option
 
 
 def _process(pid: int | None, ros_node: str | None) -> int:
-    """The process that is meant."""
+    """Process id from the one option of both that is given."""
     if (pid is None) == (ros_node is None):
         raise BadInputError("--pid, --ros-node: allowed: one of them")
     if pid is not None:

@@ -11,7 +11,6 @@ import typer
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 
-from mavfi.cli.console import JSON_HELP
 from mavfi.config import Vector
 from mavfi.errors import BadInputError
 from mavfi.mission import LARGEST_SEED, MissionSpec
@@ -34,20 +33,19 @@ FaultSeed = Annotated[
 Detector = Annotated[str, typer.Option(help="gaussian, autoencoder, another entry point, or package:Class.")]
 Profile = Annotated[str | None, typer.Option(help="Of the detector: paper (the default) or tuned.")]
 Models = Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")]
-AsJson = Annotated[bool, typer.Option("--json", help=JSON_HELP)]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object instead of text.")]
 Save = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Write the whole record of the flight.")]
 Picture = Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the flight from above and from the side.")]
+Ledger = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")]
+RunId = Annotated[str, typer.Argument(metavar="RUN_ID", help="The run, or an unambiguous beginning of its id.")]
+AllTables = Annotated[bool, typer.Option("--all", help="Print all tables, not only the headline.")]
+Workers = Annotated[int, typer.Option(help="Processes; the result does not depend on them.")]
 
 
 def with_mission_options(verb: Callable[..., None], without: Collection[str] = ()) -> Callable[..., None]:
-    """Give a verb one option for each field of `MissionSpec`.
+    """Give a verb, whose first parameter is a `MissionSpec`, one option for each of its fields but those `without`.
 
-    Args:
-        verb: Its first parameter is the `MissionSpec`; the others are options of its own.
-        without: Fields that the verb decides itself: they have no option.
-
-    Returns:
-        The verb as typer takes it.  A value that is not allowed raises `BadInputError`, one line that names the option.
+    A value that is not allowed raises `BadInputError`.
     """
     fields = {name: field for name, field in MissionSpec.model_fields.items() if name not in without}
 
@@ -67,10 +65,7 @@ def with_mission_options(verb: Callable[..., None], without: Collection[str] = (
 
 
 def mission_of(given: Mapping[str, Any]) -> MissionSpec:
-    """The mission that options ask for.
-
-    Args:
-        given: Values by name of the field.
+    """The mission that options ask for, given by name of the field.
 
     Raises:
         BadInputError: A value is not allowed; the line names option, value and what is.
@@ -85,7 +80,8 @@ def mission_of(given: Mapping[str, Any]) -> MissionSpec:
         found = error.errors()[0]
         name = str(found["loc"][0])
         name = "autopilot" if name == "stack" else name
-        raise BadInputError(f"{option_name(name)}: {_shown(found['input'])}: allowed: {_allowed(name)}") from None
+        given_text = repr(found["input"]) if isinstance(found["input"], str) else str(found["input"])
+        raise BadInputError(f"{option_name(name)}: {given_text}: allowed: {_allowed(name)}") from None
 
 
 def option_name(field: str) -> str:
@@ -98,18 +94,12 @@ def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
     kind = str if get_origin(kind) is Literal else kind
     metavar = "X Y Z" if kind == Vector | None else None
     option = typer.Option(option_name(name), *_ALIASES.get(name, ()), help=field.description, metavar=metavar)
-    return inspect.Parameter(
-        name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=Annotated[kind, option]
-    )
-
-
-def _shown(value: object) -> str:
-    """A value as the user wrote it; text in quotes."""
-    return repr(value) if isinstance(value, str) else str(value)
+    annotation = Annotated[kind, option]
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=annotation)
 
 
 def _allowed(name: str) -> str:
-    """What a field may be, in words."""
+    """Allowed values of a field, in words."""
     field = MissionSpec.model_fields[name]
     if name == "seed":
         return f"0 to {LARGEST_SEED}"

@@ -5,7 +5,6 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from types import TracebackType
 
 from rich.console import Group
 from rich.live import Live
@@ -21,12 +20,7 @@ _LINE_EVERY = 15.0
 
 
 class Bar:
-    """Shows how far some work is, on stderr; use as a context manager.
-
-    Args:
-        label: What is being done.
-        unit: What is counted.
-    """
+    """Shows on stderr how far some work is, counted in units; use as a context manager."""
 
     def __init__(self, label: str, unit: str = "flights") -> None:
         self._label, self._unit = label, unit
@@ -36,53 +30,43 @@ class Bar:
             TextColumn("{task.fields[pace]}"), console=self._console,
         )  # fmt: skip
         self._task = self._bar.add_task(label, total=None, pace="")
-        self._live = Live(console=self._console, refresh_per_second=5, transient=False)
-        self._begun = time.perf_counter()
-        self._told = self._begun
+        self._live = Live(self._bar, console=self._console, refresh_per_second=5)
+        self._begun = self._told = time.perf_counter()
         self._held: int | None = None
 
     def __enter__(self) -> "Bar":
         if self._console.is_terminal:
             self._live.start()
-            self._live.update(self._bar)
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, *_: BaseException | TracebackType | None) -> None:
-        if self._console.is_terminal:
-            self._live.stop()
+    def __exit__(self, *_: object) -> None:
+        self._live.stop()
 
     def show(self, done: int, total: int) -> None:
-        """Show how much is done; what the first call finds done was so before, and is no part of the rate."""
+        """Show how much is done; work that was done before the first call does not count for the rate."""
         if self._held is None:
             self._held, self._begun = done, time.perf_counter()
         seconds = time.perf_counter() - self._begun
         rate = (done - self._held) / seconds if seconds > 0 else 0.0
-        self._tell(done, total, rate, (total - done) / rate if rate > 0 else math.inf, None)
+        self._tell(done, total, rate, (total - done) / rate if rate > 0 else math.inf)
 
     def show_campaign(self, progress: CampaignProgress) -> None:
         """Show how far a campaign is, and how many missions succeeded in each setting."""
         if progress.compiling and not progress.flown:
-            self._say("compiling kernels and flying the first mission ...")
-            return
-        left = progress.remaining_s
-        self._tell(progress.done, progress.total, progress.rate, left, progress.settings or None)
-
-    def _say(self, text: str) -> None:
-        """What is done before the first flight counts."""
-        if self._console.is_terminal:
+            text = "compiling kernels and flying the first mission ..."
             self._bar.update(self._task, pace=text)
-            self._live.update(self._bar)
-        else:
-            self._console.print(f"{self._label}: {text}")
+            if not self._console.is_terminal:
+                self._console.print(f"{self._label}: {text}")
+            return
+        if progress.settings:
+            self._live.update(Group(self._bar, success_counts(progress.settings)))
+        self._tell(progress.done, progress.total, progress.rate, progress.remaining_s)
 
-    def _tell(
-        self, done: int, total: int, rate: float, left: float, settings: Mapping[str, tuple[int, int, int]] | None
-    ) -> None:
+    def _tell(self, done: int, total: int, rate: float, left: float) -> None:
         known = rate > 0 and math.isfinite(left)
         pace = f"{rate:.1f} {self._unit}/s · {duration(left)} left" if done < total and known else ""
         if self._console.is_terminal:
             self._bar.update(self._task, completed=done, total=total, pace=pace)
-            self._live.update(Group(self._bar, success_counts(settings)) if settings else self._bar)
             return
         now = time.perf_counter()
         if now - self._told >= _LINE_EVERY or done == total:
@@ -92,11 +76,7 @@ class Bar:
 
 @contextmanager
 def compiling(*, instrumented: bool = False) -> Iterator[None]:
-    """Say on stderr that kernels are being compiled, where they are: the first flight on a machine is silent otherwise.
-
-    Args:
-        instrumented: Whether instrumented variants are compiled too.
-    """
+    """Say on stderr that kernels (also instrumented ones) are being compiled, as before a machine's first flight."""
     from mavfi.numerics.jit import code_folder
 
     folder = code_folder()
@@ -104,10 +84,7 @@ def compiling(*, instrumented: bool = False) -> Iterator[None]:
     def count() -> int:
         return sum(1 for path in folder.rglob("*") if path.suffix in (".nbc", ".bin"))
 
-    def ready() -> bool:
-        return any(folder.rglob("*.nbc")) and (not instrumented or any(folder.rglob("*.bin")))
-
-    if ready():
+    if any(folder.rglob("*.nbc")) and (not instrumented or any(folder.rglob("*.bin"))):
         yield
         return
     out = console(error=True)

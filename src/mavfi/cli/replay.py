@@ -1,19 +1,12 @@
 """`mavfi replay`: fly a stored run again, and say whether the same flight came out."""
 
-from pathlib import Path
-from typing import Annotated
-
-import typer
 from rich.text import Text
 
-from mavfi.cli.console import JSON_HELP, console, write_json
+from mavfi.cli import options
+from mavfi.cli.console import console, write_json
 
 
-def replay(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
-    run_id: Annotated[str, typer.Argument(metavar="RUN_ID", help="The run, or an unambiguous beginning of its id.")],
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
-) -> None:
+def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.AsJson = False) -> None:
     """Fly a run again from its spec, and say whether the digest is the same.
 
     Example: [bold]mavfi replay out/reproduce sparse-10003-golden-[/bold]

@@ -4,8 +4,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.text import Text
 
-from mavfi.cli.console import JSON_HELP, check_folder, console, write_json
+from mavfi.cli import options
+from mavfi.cli.console import check_folder, console, write_json
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -13,13 +15,13 @@ if TYPE_CHECKING:
 
 
 def report(  # noqa: PLR0913 - one parameter per option
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
+    directory: options.Ledger,
     view: Annotated[
         str, typer.Option(metavar="NAME", help="Print this table only, and write nothing; `list` names all of them.")
     ] = "",
-    show_all: Annotated[bool, typer.Option("--all", help="Print all tables, not only the headline.")] = False,
+    show_all: options.AllTables = False,
     as_csv: Annotated[bool, typer.Option("--csv", help="The table as comma-separated values (with --view).")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    as_json: options.AsJson = False,
     draw_run: Annotated[bool, typer.Option(help="Fly a telling run again and draw it.")] = True,
 ) -> None:
     """Print the headline of a campaign, and write report.md, its figures and summary.json into its folder.
@@ -34,8 +36,10 @@ def report(  # noqa: PLR0913 - one parameter per option
     if view:
         _show_view(directory, view, as_csv=as_csv, as_json=as_json)
         return
+    from mavfi.reports.campaign_report import write_report
+
     check_folder(directory)
-    written = write_reports(directory, draw_run=draw_run)
+    written = write_report(directory, draw_run=draw_run)
     if as_json:
         write_json(written.to_json())
         return
@@ -44,29 +48,17 @@ def report(  # noqa: PLR0913 - one parameter per option
     console().print(f"[dim]wrote[/dim] {names} [dim]in[/dim] {directory}", soft_wrap=True)
 
 
-def write_reports(directory: Path, *, draw_run: bool = True) -> "Report":
-    """Write the report of a campaign into its folder; see `campaign_report.write_report`."""
-    from mavfi.reports.campaign_report import write_report
-
-    return write_report(directory, draw_run=draw_run)
-
-
 def show_report(found: "Report", show_all: bool) -> None:
-    """Print a report: campaign, leading table (or all tables), findings in sentences.
-
-    Args:
-        found: The report.
-        show_all: Whether all tables are printed.
-    """
-    from mavfi.reports.header import header, null_line, unknown_line
-    from mavfi.reports.terminal import show_header, show_lines, show_table
+    """Print a report: campaign, leading table (or all tables), findings in sentences."""
+    from mavfi.reports.terminal import show_header, show_table
+    from mavfi.reports.text import checks, header
 
     out = console()
     show_header(header(found.runs.campaign), out)
     for table in found.tables if show_all else found.tables[:1]:
         show_table(table, out)
-    checks = (line for line in (null_line(found.runs), unknown_line(found.runs)) if line)
-    show_lines([*(f"· {line}" for line in found.findings), *checks], out)
+    for line in (*(f"· {line}" for line in found.findings), *checks(found.runs)):
+        out.print(Text(line))
 
 
 def _show_view(directory: Path, name: str, *, as_csv: bool, as_json: bool) -> None:

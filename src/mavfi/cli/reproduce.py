@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mavfi.cli.console import JSON_HELP, check_folder, console, write_json
+from mavfi.cli import options
+from mavfi.cli.console import check_folder, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
+    from mavfi.mission import MissionSpec
 
 MODELS = "models"
 """Folder of the trained models, in the folder of the study."""
@@ -23,9 +25,9 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
         str, typer.Option(help="quick: 30 missions per environment (instruction level: 13); paper: 100.")
     ] = "quick",
     out: Annotated[Path, typer.Option(help="Folder of everything that is written.")] = Path("out/reproduce"),
-    workers: Annotated[int, typer.Option(help="Processes; the result does not depend on them.")] = 2,
-    show_all: Annotated[bool, typer.Option("--all", help="Print all tables, not only the headline.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    workers: options.Workers = 2,
+    show_all: options.AllTables = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Train the detectors, fly the paper's success table at both levels, write the reports.
 
@@ -51,12 +53,14 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
         for campaign in watched:
             if not _trained(campaign, out / MODELS, chosen.training_flights):
-                _train(campaign, out / MODELS, chosen.training_flights, workers)
+                from mavfi.campaign.training import train
+
+                with Bar("training flights") as bar:
+                    train(out / MODELS, chosen.training_flights, _mission(campaign), workers=workers, progress=bar.show)
         for folder, campaign in campaigns.items():
             with Bar(f"{campaign.name}, {campaign.missions} missions per environment", "runs") as bar:
-                run_campaign(
-                    campaign, folder, executor=executor, models_dir=out / MODELS, progress=bar.show_campaign
-                )  # fmt: skip
+                show = bar.show_campaign
+                run_campaign(campaign, folder, executor=executor, models_dir=out / MODELS, progress=show)
     _report(campaigns, show_all, as_json)
     if not as_json:
         where = f"The models are in {out / MODELS}. It took {duration(time.perf_counter() - begun)}."
@@ -64,11 +68,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
 
 
 def _check_ledger(campaign: "Campaign", folder: Path) -> None:
-    """Refuse a folder with another campaign before anything is trained or written there.
-
-    Raises:
-        BadInputError: It holds another campaign, or what is no ledger.
-    """
+    """Refuse a folder with another campaign before anything is trained or written there."""
     from mavfi.campaign.mission import scenarios_of
     from mavfi.campaign.plan import arms_of
     from mavfi.campaign.run import identity_of
@@ -86,15 +86,9 @@ def _check_ledger(campaign: "Campaign", folder: Path) -> None:
         )
 
 
-def _train(campaign: "Campaign", folder: Path, flights: int, workers: int) -> None:
-    from mavfi.campaign.training import train
-    from mavfi.cli.progress import Bar
-
-    with Bar("training flights") as bar:
-        train(
-            folder, flights, campaign.spec(campaign.environments[0], campaign.first_seed), workers=workers,
-            progress=bar.show,
-        )  # fmt: skip
+def _mission(campaign: "Campaign") -> "MissionSpec":
+    """The mission that detectors are trained for."""
+    return campaign.spec(campaign.environments[0], campaign.first_seed)
 
 
 def _trained(campaign: "Campaign", folder: Path, flights: int) -> bool:
@@ -102,7 +96,7 @@ def _trained(campaign: "Campaign", folder: Path, flights: int) -> bool:
     from mavfi.campaign.run import versions
     from mavfi.detectors.model import Model
 
-    here, mission = versions(), campaign.spec(campaign.environments[0], campaign.first_seed)
+    here, mission = versions(), _mission(campaign)
     wanted = {
         "stack": mission.autopilot, "platform": mission.platform, "planner": mission.planner, "flights": flights,
     }  # fmt: skip
@@ -120,18 +114,16 @@ def _trained(campaign: "Campaign", folder: Path, flights: int) -> bool:
 
 
 def _report(campaigns: dict[Path, "Campaign"], show_all: bool, as_json: bool) -> None:
-    """Write the report of each campaign, and print the headline of each; as JSON by name of the campaign."""
-    from mavfi.cli.report import show_report, write_reports
+    """Write the report of each campaign, and print its headline, or its JSON by name of the campaign."""
+    from mavfi.cli.report import show_report
+    from mavfi.reports.campaign_report import write_report
 
-    written = {folder: write_reports(folder) for folder in campaigns}
+    written = {folder: write_report(folder) for folder in campaigns}
     if as_json:
         write_json({campaigns[folder].name: report.to_json() for folder, report in written.items()})
         return
     for report in written.values():
         show_report(report, show_all)
-    text = console()
     for folder, report in written.items():
-        text.print(
-            f"[bold]{folder}[/bold] holds the ledger, and: {', '.join(path.name for path in report.files)}",
-            soft_wrap=True,
-        )
+        names = ", ".join(path.name for path in report.files)
+        console().print(f"[bold]{folder}[/bold] holds the ledger, and: {names}", soft_wrap=True)

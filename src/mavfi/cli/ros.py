@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mavfi.cli import options, ros_attach, ros_nodes
-from mavfi.cli.console import check_writable, console, write_json
+from mavfi.cli.console import FLIGHTS, check_file, console, write_json
 from mavfi.cli.fly import check_company, load_watcher
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
@@ -22,13 +22,12 @@ if TYPE_CHECKING:
     from mavfi.mission import Scenario
     from mavfi.reports.flight_result import FlightResult
 
-_NODE_EVENTS = ("node_lost", "node_back", "node_absent")
+_NODE_EVENTS = {"node_lost": "lost", "node_back": "back", "node_absent": "still away"}
 
-app = typer.Typer(
-    help="The pipeline as real ROS 1 nodes (Debian's packages: `make ros`), and tools for any ROS application.",
-    no_args_is_help=True,
-)
-ros_attach.add_verbs(app)
+app = typer.Typer(no_args_is_help=True)
+app.command("list")(ros_attach.list_graph)
+app.command("corrupt")(ros_attach.corrupt)
+app.command("watch")(ros_attach.watch)
 
 
 @app.callback()
@@ -70,22 +69,19 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi ros fly --environment sparse --seed 7 --kill octomap@20[/bold]
     """
-    coupling = None if mission.coupling == "inline" else mission.coupling
-    check_company(fault, fault_seed, detector, {"--profile": profile, "--models": models, "--coupling": coupling})
-    _check_save(save)
+    check_company(mission, fault, fault_seed, detector, profile, models)
+    check_file("--save", save, FLIGHTS)
     request = _request(fault, mission.localization)
     kills = tuple(ros_nodes.instant("--kill", text) for text in kill or ())
     cloud = ros_nodes.cloud_node(point_cloud_node)
     faults = ros_nodes.register_faults(
-        ros_nodes.renamed(("--register-fault", register_fault), ("--strike", strike)),
-        ros_nodes.renamed(("--registers", registers), ("--strike-registers", strike_registers)),
-        ros_nodes.renamed(("--register-seed", register_seed), ("--strike-seed", strike_seed)),
+        ros_nodes.renamed("--register-fault", register_fault, "--strike", strike),
+        ros_nodes.renamed("--registers", registers, "--strike-registers", strike_registers),
+        ros_nodes.renamed("--register-seed", register_seed, "--strike-seed", strike_seed),
     )
-
     from mavfi.hosts.ros1 import finder
 
     finder.require()
-
     from mavfi.hosts.loop.compose import resolve
     from mavfi.hosts.ros1.plan import Plan
     from mavfi.hosts.ros1.session import configure
@@ -98,21 +94,11 @@ def fly(  # noqa: PLR0913 - one parameter per option
         register_faults=faults,
     )  # fmt: skip
     ros_nodes.check(plan)
-    _fly_and_show(plan, label, allow_bind_all, as_json, save)
-
-
-def _fly_and_show(plan: Plan, label: str, allow_bind_all: bool, as_json: bool, save: Path | None) -> None:
     with stoppable("Stopped; every process of the flight has ended."):
         result, flight = _fly(plan, label, allow_bind_all, quiet=as_json)
     if save is not None:
         flight.flight.log.save(save)
     _show(plan, result, flight, as_json, save)
-
-
-def _check_save(path: Path | None) -> None:
-    if path is not None and path.suffix.lower() != ".npz":
-        raise BadInputError(f"--save: {path}: allowed ending: .npz")
-    check_writable(path)
 
 
 def _request(text: str | None, localization: str) -> StateRequest | None:
@@ -172,16 +158,15 @@ def _show(plan: Plan, result: FlightResult, flight: RosFlight, as_json: bool, wr
     out = console()
     out.print(panel(result))
     for event in nodes:
-        what = {"node_lost": "lost", "node_back": "back", "node_absent": "still away"}[event.kind]
+        node, what = event.data["node"], _NODE_EVENTS[event.kind]
         detail = event.data.get("why") or f"pid {event.data['pid']}"
-        out.print(f"{1e-6 * event.time_us:8.3f} s  node [bold]{event.data['node']}[/bold] {what} [dim]({detail})[/dim]")
+        out.print(f"{1e-6 * event.time_us:8.3f} s  node [bold]{node}[/bold] {what} [dim]({detail})[/dim]")
     for line in ros_nodes.lines(plan, log):
         out.print(line, markup=False)
-    if plan.free_running:
-        for one in log.injections:
-            if one.level == "state":
-                text = f"fault in {one.site} bit {one.bit}: {one.before} → {one.after}"
-                out.print(f"{one.time_s:8.3f} s  {text}", markup=False)
+    for one in log.injections:
+        if plan.free_running and one.level == "state":
+            text = f"fault in {one.site} bit {one.bit}: {one.before} → {one.after}"
+            out.print(f"{one.time_s:8.3f} s  {text}", markup=False)
     spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in flight.times.items())
     out.print(f"[dim]{1 + len(plan.nodes) + len(plan.foreign)} nodes · wall clock: {spent}[/dim]")
     if written is not None:

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from mavfi.cli.console import JSON_HELP, check_number, check_seed, console, write_json
+from mavfi.cli import options
+from mavfi.cli.console import check_name, check_number, check_seed, console, titled_table, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, MavfiError
 
@@ -30,16 +30,9 @@ _AFTERWARDS_S = 0.2
 _POLL_S = 0.01
 
 
-def add_verbs(app: typer.Typer) -> None:
-    """Add the verbs to `mavfi ros`."""
-    app.command("list")(list_graph)
-    app.command("corrupt")(corrupt)
-    app.command("watch")(watch)
-
-
 def list_graph(
     seconds: Annotated[float, typer.Option(help="How long to listen for rates, s; 0 = not at all.")] = 1.0,
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Print nodes, processes, executables, topics, types and rates of the running ROS graph.
 
@@ -59,7 +52,7 @@ def list_graph(
 
 
 def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_style="bold", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = titled_table(title)
     for column in columns:
         table.add_column(column, justify="right" if column in ("pid", "Hz") else "left", overflow="fold")
     return table
@@ -91,7 +84,7 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
     ] = None,
     duration: Annotated[float | None, typer.Option(help="Let go after so long, s.")] = None,
     seed: Annotated[int, typer.Option(help="Draws messages and bits.")] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     r"""Flip bits of a number in the messages of any topic, without restarting anybody.
 
@@ -124,7 +117,7 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
 
 
 def _run(relay: Relay, injector: MessageInjector, duration: float | None) -> None:
-    """Until the fault has been injected, or time is over."""
+    """Relay messages until the fault has been injected, or the time is over."""
     for failure in relay.failures:
         console(error=True).print(f"not turned: {failure}", markup=False)
     end = time.monotonic() + (_LONGEST_S if duration is None else duration)
@@ -164,7 +157,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     learn_s: Annotated[float, typer.Option("--learn", help="How long to learn online, s.")] = 10.0,
     alarm_topic: Annotated[str, typer.Option(help="Where alarms are published, as JSON text.")] = "/mavfi/alarm",
     duration: Annotated[float | None, typer.Option(help="Watch for so long, s; until Ctrl-C by default.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     r"""Watch numbers of any topics with one of the paper's detectors; alarms are printed and published.
 
@@ -172,8 +165,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     """
     check_number("--learn", learn_s, 0.1, _LONGEST_S)
     check_number("--duration", duration, 0.0, _LONGEST_S)
-    if profile not in ("paper", "tuned"):
-        raise BadInputError(f"--profile: {profile!r}: allowed: paper, tuned")
+    check_name("--profile", profile, ("paper", "tuned"))
     from mavfi.hosts.node.master import Master
     from mavfi.hosts.node.watch import Listener, Watch
 
@@ -201,7 +193,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
 
 
 def _list(text: str, option: str = "") -> list[str]:
-    """The parts of a list with commas."""
+    """Parts of a comma-separated list."""
     parts = [part.strip() for part in text.split(",") if part.strip()]
     if option and not parts:
         raise BadInputError(f"{option}: {text!r}: allowed: names, with commas between")
@@ -211,13 +203,12 @@ def _list(text: str, option: str = "") -> list[str]:
 def _trained(
     listener: Listener, chosen: tuple[str, str], fields: list[str], source: str, seconds: float
 ) -> tuple[dict[str, Probe], Detector, int]:
-    """What is watched, the detector, and how many messages it has learned from."""
+    """Watched numbers, trained detector, and number of messages that it has learned from."""
     from mavfi.detectors.registry import trainable
     from mavfi.flight_logs import open_flight_log
     from mavfi.hosts.node.watch import make_probes, train
 
-    if chosen[0] not in trainable():
-        raise BadInputError(f"--detector: {chosen[0]!r}: allowed: {', '.join(trainable())}")
+    check_name("--detector", chosen[0], trainable())
     used: list[int] = []
     if source == "online":
         probes = make_probes(listener.first(), fields)

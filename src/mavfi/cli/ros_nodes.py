@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, cast, get_args
 
 import typer
 
-from mavfi.cli.console import check_seed, console
+from mavfi.cli.console import check_name, check_seed, console
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
@@ -39,38 +39,23 @@ OldRegistersOption = Annotated[str | None, typer.Option("--strike-registers", hi
 OldSeedOption = Annotated[int | None, typer.Option("--strike-seed", hidden=True)]
 
 
-def renamed(new: tuple[str, _Value | None], old: tuple[str, _Value | None]) -> _Value | None:
-    """The value of an option that has another name now; the older name still works, and says so.
-
-    Args:
-        new: Name and value.
-        old: Same.
-    """
-    if old[1] is not None:
-        console(error=True).print(f"mavfi: {old[0]}: deprecated, is now {new[0]}", markup=False)
-    return old[1] if new[1] is None else new[1]
+def renamed(name: str, value: _Value | None, old_name: str, old_value: _Value | None) -> _Value | None:
+    """The value of an option that has another name now; the older name still works, with a warning."""
+    if old_value is not None:
+        console(error=True).print(f"mavfi: {old_name}: deprecated, is now {name}", markup=False)
+    return old_value if value is None else value
 
 
 def cloud_node(text: str) -> CloudNode:
-    """Who computes the point cloud.
-
-    Raises:
-        BadInputError: It is not known.
-    """
+    """Node that computes the point cloud; raises `BadInputError` for another name."""
     from mavfi.hosts.ros1.plan import CloudNode
 
-    allowed = get_args(CloudNode)
-    if text not in allowed:
-        raise BadInputError(f"--point-cloud-node: {text!r}: allowed: {', '.join(allowed)}")
+    check_name("--point-cloud-node", text, get_args(CloudNode))
     return cast("CloudNode", text)
 
 
 def instant(option: str, text: str) -> tuple[str, int]:
-    """Node and instant (microseconds) of "octomap@20".
-
-    Raises:
-        BadInputError: It is something else.
-    """
+    """Node and instant (microseconds) of "octomap@20"; raises `BadInputError` for another form."""
     node, separator, seconds = text.partition("@")
     try:
         time_s = float(seconds)
@@ -82,37 +67,22 @@ def instant(option: str, text: str) -> tuple[str, int]:
 
 
 def register_faults(texts: list[str] | None, registers: str | None, seed: int | None) -> tuple[RegisterFault, ...]:
-    """Faults in registers of nodes.
-
-    Args:
-        texts: "NODE@SECONDS" each.
-        registers: Which; None = all.
-        seed: Of the first one; each has the next; None = 0.
-
-    Raises:
-        BadInputError: Something is not allowed.
-    """
+    """Faults in registers of nodes, each "NODE@SECONDS"; the first one has the seed, each further one the next."""
     from mavfi.faults.fault import REGISTERS
     from mavfi.hosts.ros1.register_injector import fault_in_node
 
     for option, value in (("--registers", registers), ("--register-seed", seed)):
         if value is not None and not texts:
             raise BadInputError(f"{option}: {value}: allowed: with --register-fault only")
-    if registers is not None and registers not in REGISTERS:
-        raise BadInputError(f"--registers: {registers!r}: allowed: {', '.join(REGISTERS)}")
-    check_seed("--register-seed", seed or 0)
+    registers, seed = "all" if registers is None else registers, seed or 0
+    check_name("--registers", registers, REGISTERS)
+    check_seed("--register-seed", seed)
     named = (instant("--register-fault", text) for text in texts or ())
-    return tuple(
-        fault_in_node(*each, registers or "all", (seed or 0) + place) for place, each in enumerate(named)
-    )  # fmt: skip
+    return tuple(fault_in_node(*each, registers, seed + place) for place, each in enumerate(named))
 
 
 def check(plan: Plan) -> None:
-    """Refuse nodes that are not in the flight.
-
-    Raises:
-        BadInputError: Names those that are.
-    """
+    """Refuse nodes that are not in the flight."""
     allowed = (*plan.nodes, *plan.foreign)
     named = [("--kill", node) for node, _ in plan.kills]
     named += [("--register-fault", fault.node) for fault in plan.register_faults]
@@ -122,11 +92,9 @@ def check(plan: Plan) -> None:
 
 
 def without_registers(plan: Plan, with_fault: bool) -> Flight:
-    """The flight without faults in registers, in this process; in lock-step its digest is the same.
+    """The flight in this process, without faults in registers, with or without the fault in a state.
 
-    Args:
-        plan: The flight.
-        with_fault: Whether the fault in a state is injected.
+    In lock-step its digest is that of the flight on ROS.
     """
     from mavfi.hosts.local import fly
     from mavfi.hosts.ros1.pinhole import functions_of
@@ -138,15 +106,13 @@ def without_registers(plan: Plan, with_fault: bool) -> Flight:
 def effect(plan: Plan, log: FlightLog) -> str | None:
     """Effect of the faults in registers; None where nothing was injected.
 
-    Returns:
-        "crash" or "hang": an injected node ended, or was ended as it did not answer; "masked": the flight is bit for
-        bit that without the injection; "sdc": it is not; "unknown": there is no flight to compare it with
-        (free-running, or nodes were killed besides).
+    "crash" or "hang": an injected node ended, or was ended as it did not answer; "masked" or "sdc": the flight is bit
+    for bit that without the injection, or is not; "unknown": no flight to compare with (free-running, or nodes killed).
     """
     from mavfi.hosts.ros1.register_injector import end_of_nodes
 
     end = end_of_nodes(log.injections, log.events)
-    if end is None or end != "alive":
+    if end != "alive":
         return end
     if plan.free_running or plan.kills:
         return "unknown"
@@ -154,18 +120,18 @@ def effect(plan: Plan, log: FlightLog) -> str | None:
 
 
 def to_json(plan: Plan, log: FlightLog) -> dict[str, Any]:
-    """What `--json` says of all this; the injections stand beside the others of the flight."""
+    """Keys of `--json` about nodes; injections into registers are among those of the flight."""
     return {"point_cloud_node": plan.cloud_node, "register_effect": effect(plan, log)}
 
 
 def lines(plan: Plan, log: FlightLog) -> list[str]:
-    """The same for people."""
-    told = [line_of(one) for one in log.injections if one.level == "register"]
+    """Injections into registers and their effect, as lines of text."""
+    told = [_line(one) for one in log.injections if one.level == "register"]
     found = effect(plan, log)
     return told if found is None else [*told, f"           effect: {found}"]
 
 
-def line_of(injection: Injection) -> str:
+def _line(injection: Injection) -> str:
     """One injection into a register in one line, or why there is none."""
     details = injection.details
     what = details.get("why") or (

@@ -1,22 +1,22 @@
 """`mavfi runs`: the runs of a campaign, one line each."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from mavfi.cli.console import JSON_HELP, console, write_json
+from mavfi.cli import options
+from mavfi.cli.console import console, write_json
 
 
 def runs(
-    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")],
+    directory: options.Ledger,
     failed: Annotated[bool, typer.Option("--failed", help="Only missions that did not succeed.")] = False,
     where: Annotated[
         list[str] | None,
         typer.Option(metavar="COLUMN=VALUE", help="Only these, e.g. stage=planning; may be given several times."),
     ] = None,
     as_csv: Annotated[bool, typer.Option("--csv", help="All columns as comma-separated values.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """List the runs of a campaign: what was injected, what it did, how the mission ended.
 

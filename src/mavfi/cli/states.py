@@ -9,8 +9,8 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from mavfi.cli.console import JSON_HELP, console, write_json
-from mavfi.errors import BadInputError
+from mavfi.cli import options
+from mavfi.cli.console import check_name, console, write_json
 from mavfi.states import MONITORED_SETS, ODOMETRY, STACKS, Field, StateSpec, states_with
 
 _DEFAULT_SET = "paper-13"
@@ -20,25 +20,21 @@ _VEHICLE = "flight controller"
 
 def states(
     autopilot: Annotated[
-        str,
-        typer.Option("--autopilot", "--stack", help="Profile whose dead fields are marked: published or hardened."),
+        str, typer.Option("--autopilot", "--stack", help="Profile whose dead fields are marked: published or hardened.")
     ] = "published",
     monitored: Annotated[
         str, typer.Option(help="Set of fields that detectors watch: paper-13 or published-19.")
     ] = _DEFAULT_SET,
     localization: Annotated[str, typer.Option(help="Whose states are shown: truth or estimator.")] = "truth",
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Print every value that one kernel hands to another: who writes and reads it, what can be injected and watched.
 
     Example: [bold]mavfi states --autopilot hardened[/bold]
     """
-    if autopilot not in STACKS:
-        raise BadInputError(f"--autopilot: {autopilot!r}: allowed: {', '.join(STACKS)}")
-    if monitored not in MONITORED_SETS:
-        raise BadInputError(f"--monitored: {monitored!r}: allowed: {', '.join(MONITORED_SETS)}")
-    if localization not in ODOMETRY:
-        raise BadInputError(f"--localization: {localization!r}: allowed: {', '.join(ODOMETRY)}")
+    check_name("--autopilot", autopilot, STACKS)
+    check_name("--monitored", monitored, MONITORED_SETS)
+    check_name("--localization", localization, ODOMETRY)
     readers = _readers(autopilot, localization)
     rows = [_state(spec, autopilot, monitored, readers) for spec in states_with(localization).values()]
     if as_json:

@@ -11,7 +11,7 @@ EXIT_STOPPED = 130
 
 
 def leave_on_ctrl_c() -> None:
-    """From now on Ctrl-C ends the process without a word; an exception in the middle of an import would tell of it."""
+    """From now on Ctrl-C ends the process silently, also during imports, where an exception would print a traceback."""
     signal.signal(signal.SIGINT, _leave)
 
 
@@ -21,11 +21,7 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def stoppable(told: str) -> Iterator[None]:
-    """Work of which something is kept: Ctrl-C ends it cleanly, says what is kept, and exits with code 130.
-
-    Args:
-        told: Line for stderr.
-    """
+    """Work of which something is kept: Ctrl-C ends it cleanly, prints `told` on stderr, and exits with code 130."""
     import typer
 
     from mavfi.cli.console import console

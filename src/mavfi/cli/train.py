@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich import box
 from rich.table import Table
 
 from mavfi.cli import options
-from mavfi.cli.console import JSON_HELP, check_folder, check_number, console, write_json
+from mavfi.cli.console import check_folder, check_number, console, titled_table, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.mission import MissionSpec
 
@@ -30,7 +29,7 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder of the models; made if absent.")] = Path("out/models"),
     workers: Annotated[int, typer.Option(help="Processes; the models do not depend on them.")] = 2,
     check: Annotated[int, typer.Option(help="Flights of other seeds on which false alarms are counted.")] = 10,
-    as_json: Annotated[bool, typer.Option("--json", help=JSON_HELP)] = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Fly error-free missions in randomised worlds (none of the evaluation's), and fit every detector to them.
 
@@ -59,32 +58,30 @@ def train(
         alarms = count_false_alarms(models, out, check, mission, workers, bar.show)
     if as_json:
         rows = zip(files, models, alarms, strict=True)
-        write_json({"models": [{"file": str(f), **told(m), "false_alarms": asdict(a)} for f, m, a in rows]})
+        write_json({"models": [{"file": str(f), **_told(m), "false_alarms": asdict(a)} for f, m, a in rows]})
         return
-    console().print(table(models, alarms, out))
+    console().print(_table(models, alarms, out))
 
 
-def told(model: Model) -> dict[str, Any]:
+def _told(model: Model) -> dict[str, Any]:
     """What is printed of a model: where it comes from, and where its alarm begins."""
-    parameters = model.parameters
-    limits = {key: parameters[key] for key in ("sigmas", "limit") if key in parameters}
+    limits = {key: model.parameters[key] for key in ("sigmas", "limit") if key in model.parameters}
     return {
         "kind": model.kind, "profile": model.profile, "monitored": model.monitored, "sha256": model.sha256,
         "thresholds": limits, "provenance": model.provenance,
     }  # fmt: skip
 
 
-def table(models: list[Model], alarms: list[EventRate], folder: Path) -> Table:
-    """The models for people."""
+def _table(models: list[Model], alarms: list[EventRate], folder: Path) -> Table:
     origin = models[0].provenance
     seeds = origin["seeds"]
-    shown = Table(
-        title=f"Trained on {origin['flights']} error-free flights · stack {origin['stack']} · {origin['platform']} · "
-        f"{origin['planner']} · {origin['v_max']:g} m/s", title_style="bold", title_justify="left", box=box.SIMPLE_HEAD,
-        pad_edge=False, caption=f"worlds: {origin['environment']}, seeds {min(seeds)} to {max(seeds)}; false alarms: "
-        f"per flight hour, on {alarms[0].hours:.2f} h of error-free flight in other such worlds; files: {folder}",
+    shown = titled_table(
+        f"Trained on {origin['flights']} error-free flights · stack {origin['stack']} · {origin['platform']} · "
+        f"{origin['planner']} · {origin['v_max']:g} m/s",
+        caption=f"worlds: {origin['environment']}, seeds {min(seeds)} to {max(seeds)}; false alarms: per flight hour, "
+        f"on {alarms[0].hours:.2f} h of error-free flight in other such worlds; files: {folder}",
         caption_justify="left",
-    )  # fmt: skip
+    )
     for heading in ("detector", "profile", "alarm above", "false alarms", "sha256"):
         shown.add_column(heading, overflow="fold")
     for model, rate in zip(models, alarms, strict=True):
@@ -102,9 +99,7 @@ def _threshold(model: Model) -> str:
     parameters = model.parameters
     if "sigmas" in parameters:
         return f"{parameters['sigmas']:g} deviations, {len(parameters['statistics'])} fields"
-    limits = parameters["limit"]
-    count = sum(len(row) for row in limits)
-    if count == 1:
-        return f"mean squared error {limits[0][0]:.4g}"
-    flat = [value for row in limits for value in row]
-    return f"{count} limits, {min(flat):.3g} to {max(flat):.3g}"
+    limits = [value for row in parameters["limit"] for value in row]
+    if len(limits) == 1:
+        return f"mean squared error {limits[0]:.4g}"
+    return f"{len(limits)} limits, {min(limits):.3g} to {max(limits):.3g}"

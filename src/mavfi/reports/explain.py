@@ -13,8 +13,7 @@ from mavfi.flight_log import AlarmRecord, FlightLog, Injection, KernelEffect
 from mavfi.flight_record import AFTERMATH, INSTANT
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect
-from mavfi.reports.change import change
-from mavfi.reports.text import signed_percent
+from mavfi.reports.text import change, signed_percent
 from mavfi.states import STATES
 
 MOST_ALARMS = 8
@@ -27,15 +26,12 @@ _EFFECTS = {
     Effect.UNKNOWN: "unknown: the flight or its golden run has no record",
 }
 _KERNEL_EFFECTS = {
-    "masked": "masked: its output and memory are bit for bit the golden ones",
-    "sdc": "silent data corruption",
-    "crash": "crashed",
-    "hang": "hung",
-    "exception": "raised an exception",
+    "masked": "masked: its output and memory are bit for bit the golden ones", "sdc": "silent data corruption",
+    "crash": "crashed", "hang": "hung", "exception": "raised an exception",
     "not_activated": "not reached by the fault",
-}
+}  # fmt: skip
 Lines = list[tuple[str, str]]
-"""Heading and sentence, by turns."""
+"""Pairs of a heading and a sentence."""
 
 
 def lines(found: Explanation) -> Lines:
@@ -70,14 +66,14 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
 
 
 def _mission(log: FlightLog, golden: FlightLog) -> str:
-    ends = log.status, golden.status
+    end, golden_end = log.status, golden.status
     now, before = _duration(log), _duration(golden)
-    if MissionStatus.SUCCESS not in ends:
-        return f"the mission fails without the fault, too ({ends[1].label}; with it {ends[0].label})"
-    if ends[0] is not MissionStatus.SUCCESS:
-        return f"the mission is lost: {ends[0].label} after {now:.2f} s (golden run: success after {before:.2f} s)"
-    if ends[1] is not MissionStatus.SUCCESS:
-        return f"the mission succeeds after {now:.2f} s, which the golden run does not ({ends[1].label})"
+    if MissionStatus.SUCCESS not in (end, golden_end):
+        return f"the mission fails without the fault, too ({golden_end.label}; with it {end.label})"
+    if end is not MissionStatus.SUCCESS:
+        return f"the mission is lost: {end.label} after {now:.2f} s (golden run: success after {before:.2f} s)"
+    if golden_end is not MissionStatus.SUCCESS:
+        return f"the mission succeeds after {now:.2f} s, which the golden run does not ({golden_end.label})"
     if now == before:
         return f"the mission succeeds after {now:.2f} s, as without the fault"
     return f"the mission succeeds after {now:.2f} s ({signed_percent(now / before - 1)} against the golden run)"

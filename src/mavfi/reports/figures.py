@@ -9,7 +9,7 @@ import polars as pl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.measures import FAILS_OR_SLOWER, POPULATIONS, leading, population_names, populations
@@ -21,30 +21,31 @@ from mavfi.reports import style
 _LEGEND: dict[str, Any] = {"ncols": 6, "columnspacing": 1.2, "fontsize": 8.5, "handlelength": 1.8}
 
 
-def draw(runs: Runs, directory: Path) -> list[str]:
+def draw(runs: Runs, directory: Path) -> dict[str, str]:
     """Draw every figure for which there is something to show.
 
-    Args:
-        runs: Of a campaign.
-        directory: Where the files are written.
-
     Returns:
-        Names of the files in the directory.
+        Captions by the name of the file in the directory.
 
     Raises:
         BadInputError: The directory cannot be written.
     """
-    makers: dict[str, Callable[[Runs], Figure | None]] = {
-        "success.png": success, "flight_time.png": flight_time, "sites.png": sites,
-    }  # fmt: skip
-    written = []
+    figures: dict[str, tuple[Callable[[Runs], Figure | None], str]] = {
+        "success.png": (success, "Success with 95 % intervals; black: the paper's figure."),
+        "flight_time.png": (
+            flight_time,
+            "Share of missions that arrived, by flight time over the golden run's; failures never arrive.",
+        ),
+        "sites.png": (sites, "Share of missions that fail or take more than 5 % longer, by what was injected."),
+    }
+    captions = {}
     with style.house_style():
-        for name, maker in makers.items():
+        for name, (maker, caption) in figures.items():
             figure = maker(runs)
             if figure is not None:
                 style.write(figure, directory / name)
-                written.append(name)
-    return written
+                captions[name] = caption
+    return captions
 
 
 # ---- success -----------------------------------------------------------------------------------------------------
@@ -65,7 +66,7 @@ def success(runs: Runs) -> Figure | None:
         rates = list(found.values())
         look = looks[setting]
         _points(axes, at, rates, look, vertical=True)
-        handles.append(Line2D([], [], label=style.setting_label(setting), linestyle="", markersize=7, **look))
+        handles.append(_handle(setting, look, 7))
         lowest = min([lowest, *(rate.low for rate in rates if rate.low is not None)])
         for x, (environment, rate) in zip(at, found.items(), strict=True):
             if rate.low is not None:
@@ -82,7 +83,7 @@ def success(runs: Runs) -> Figure | None:
     for place in range(1, len(environments)):
         axes.axvline(place - 0.5, color=style.PALE, linewidth=0.8)
     axes.tick_params(axis="x", length=0)
-    axes.yaxis.set_major_formatter(_percent)
+    axes.yaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     axes.grid(axis="y")
     axes.set_ylabel("missions that succeed")
     bits = f"faults in {POPULATIONS.get(names[0], names[0])}; " if names else ""
@@ -123,8 +124,9 @@ def _paper(runs: Runs, environment: str, setting: str) -> float | None:
     return paper.success(environment, setting)
 
 
-def _percent(share: float, _: float) -> str:
-    return f"{100 * share:.0f} %"
+def _handle(setting: str, look: Mapping[str, Any], size: float) -> Line2D:
+    """Entry of a legend."""
+    return Line2D([], [], label=style.setting_label(setting), linestyle="", markersize=size, **look)
 
 
 def _points(axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, Any], *, vertical: bool) -> None:
@@ -132,15 +134,8 @@ def _points(axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, An
     values = np.array([rate.rate or 0.0 for rate in rates])
     bounds = np.array([[rate.low or 0.0, rate.high or 0.0] for rate in rates]).reshape(-1, 2)
     errors = np.abs(bounds.T - values)
-    common: dict[str, Any] = {
-        "fmt": "",
-        "linestyle": "",
-        "markersize": 6,
-        "elinewidth": 1.8,
-        "clip_on": False,
-        "zorder": 4,
-        **look,
-    }
+    common: dict[str, Any] = {"fmt": "", "linestyle": "", "markersize": 6, "elinewidth": 1.8, "clip_on": False}
+    common |= {"zorder": 4, **look}
     if vertical:
         axes.errorbar(at, values, yerr=errors, **common)
     else:
@@ -177,7 +172,7 @@ def flight_time(runs: Runs) -> Figure | None:
         axes.grid(True)
         axes.set_xlabel("flight time against the golden run's")
     panels[0].set_ylim(max(0.0, np.floor(10 * lowest) / 10 - 0.1), 1.005)
-    panels[0].yaxis.set_major_formatter(_percent)
+    panels[0].yaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     panels[0].set_ylabel("missions that arrived")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper left", **_LEGEND)
@@ -220,12 +215,11 @@ def sites(runs: Runs) -> Figure | None:
         offset = 0.7 * (place - (len(settings) - 1) / 2) / len(settings)
         _points(axes, np.array([names.index(name) for name in own]) + offset, list(own.values()), looks[setting],
                 vertical=False)  # fmt: skip
-        label = style.setting_label(setting)
-        handles.append(Line2D([], [], label=label, linestyle="", markersize=6, **looks[setting]))
+        handles.append(_handle(setting, looks[setting], 6))
     axes.set_yticks(range(len(names)), [f"{name}  (n = {count})" for name, count in zip(names, counts, strict=True)])
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.set_xlim(0, None)
-    axes.xaxis.set_major_formatter(_percent)
+    axes.xaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     axes.grid(axis="x")
     axes.tick_params(axis="y", length=0)
     bits = ", ".join(dict.fromkeys(POPULATIONS.get(population, population) for population, _ in shown.values()))

@@ -1,4 +1,4 @@
-"""One flight that was asked for, beside its golden run, and its figures as plain data."""
+"""A requested flight beside its golden run, and its figures as plain data."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FlightResult:
-    """A flight, and what it is compared with.
+    """A flight, and the golden run that it is compared with.
 
     Attributes:
         scenario: The mission.
-        flight: The flight that was asked for.
+        flight: The requested flight.
         golden: Its golden run with the same detector; None where the flight is golden itself.
         fault: What was injected; None = nothing.
         detector: Name and profile, e.g. "gaussian (paper)"; "" = none watched.

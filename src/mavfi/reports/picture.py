@@ -10,6 +10,7 @@ import matplotlib.patheffects as effects
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import PatchCollection
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
@@ -19,8 +20,8 @@ from scipy.spatial import cKDTree
 from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import FLY_AWAY_MARGIN, MissionStatus
 from mavfi.reports import style
-from mavfi.reports.change import change
 from mavfi.reports.explain import around
+from mavfi.reports.text import change
 
 if TYPE_CHECKING:
     from mavfi.hosts.host import Flight
@@ -40,79 +41,87 @@ _DARK_EDGE: dict[str, Any] = {"markeredgecolor": style.INK, "markeredgewidth": 0
 _HALO = [effects.withStroke(linewidth=5.0, foreground="white")]
 
 
+Views = tuple[tuple[Axes, int], tuple[Axes, int]]
+"""From above and from the side: axes, and the coordinate that they show upwards."""
+
+
 @dataclass(frozen=True, slots=True)
-class _Course:
-    """A path to draw. `points`: shape (n, 3), finite."""
+class _Drawn:
+    """A path, or marks of one kind.
+
+    `points`: shape (n, 3), finite; `look`: keywords of `Axes.plot`; `lift`: how far above the points marks stand
+    (points of typography).
+    """
 
     label: str
     points: np.ndarray
-    line: dict[str, Any]
+    look: dict[str, Any]
+    lift: float = 0.0
 
 
 def draw_flight(
     path: Path, flight: Flight, golden: Flight | None = None, recovered: Flight | None = None, *, detector: str = ""
 ) -> Path:
-    """Draw a flight; beside it, if given, its golden run, and the same fault with a detector on.
+    """Draw a flight and its map; beside it, if given, its golden run, and the same fault with a detector on.
 
     Args:
         path: File to write: .png, .svg or .pdf.
-        flight: The flight; its map is drawn too.
+        flight: The flight.
         golden: The golden run.
         recovered: The flight with the same fault, watched by a detector.
         detector: Name of what watches `recovered`, or, where there is none, `flight`; "" = nothing.
 
-    Returns:
-        The file.
-
     Raises:
-        BadInputError: The place cannot be written.
+        BadInputError: The file cannot be written.
     """
     courses = _courses(flight, golden, recovered, detector)
     with style.house_style():
         lower, upper = _limits(flight.world, courses)
         marks = [*_alarm_marks(recovered or flight), *_marks(flight)]
         rows = _legend_rows([*(course.label for course in courses), *(mark.label for mark in marks)])
-        figure, above, side = _axes(lower, upper, rows)
-        _draw_world(above, side, flight.world, courses[-1 if recovered is None else -2].points)
-        known = _draw_map(above, side, flight, (lower, upper))
-        for axes, index in ((above, 1), (side, 2)):
+        figure, views = _axes(lower, upper, rows)
+        _draw_world(views, flight.world, courses[-1 if recovered is None else -2].points)
+        known = _draw_map(views, flight, (lower, upper))
+        for axes, index in views:
             for course in courses:
-                axes.plot(course.points[:, 0], course.points[:, index], **course.line)
-        handles = [*map(_line, courses), *_draw_marks(figure, (above, side), marks)]
-        _label(figure, above, side, flight, golden)
+                axes.plot(course.points[:, 0], course.points[:, index], **course.look)
+        handles = [*map(_line, courses), *_draw_marks(figure, views, marks)]
+        _label(figure, views, flight, golden)
         _legend(figure, handles, rows, known, flight.world)
-        for axes, index in ((above, 1), (side, 2)):
+        for axes, index in views:
             axes.set_xlim(lower[0], upper[0])
             axes.set_ylim(lower[index], upper[index])
         return style.write(figure, path)
 
 
-def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None, detector: str) -> list[_Course]:
+def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None, detector: str) -> list[_Drawn]:
     courses = []
     if golden is not None:
-        line = {"color": style.BLUE, "linewidth": 1.2, "zorder": 6}
-        courses.append(_Course("golden run", _positions(golden), line))
+        look = {"color": style.BLUE, "linewidth": 1.2, "zorder": 6}
+        courses.append(_Drawn("golden run", _positions(golden), look))
     injected = bool(flight.log.injections)
     watched = "" if recovered is not None or not detector else f"detector {detector}"
     label = " and ".join(part for part in ("with the fault" if injected else "", watched) if part) or "flight"
     look = {"color": style.ORANGE, "linewidth": 3.6} if injected else {"color": style.BLUE, "linewidth": 2.6}
-    courses.append(_Course(label, _positions(flight), look | {"zorder": 5, "path_effects": _HALO}))
+    courses.append(_Drawn(label, _positions(flight), look | {"zorder": 5, "path_effects": _HALO}))
     if recovered is not None:
-        line = {"color": style.GREEN, "linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 7}
-        name = f"detector {detector}" if detector else "detector"
-        courses.append(_Course(f"with the fault and {name}", _positions(recovered), line))
+        look = {"color": style.GREEN, "linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 7}
+        label = f"with the fault and detector {detector}".rstrip()
+        courses.append(_Drawn(label, _positions(recovered), look))
     return courses
 
 
-def _positions(flight: Flight) -> np.ndarray:
-    """Flown points that can be drawn. Shape (n, 3)."""
+def _positions(flight: Flight, times: list[float] | None = None) -> np.ndarray:
+    """Where the vehicle was, at all or some instants, without points that are not finite. Shape (n, 3)."""
     points = flight.log.columns("x", "y", "z")
+    if times is not None:
+        points = points[np.minimum(np.searchsorted(flight.log.column("time"), times), len(points) - 1)]
     kept: np.ndarray = points[np.isfinite(points).all(axis=1)]
     return kept
 
 
-def _limits(world: World, courses: list[_Course]) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of what is shown: the arena, or, in a scan, what surrounds the paths."""
+def _limits(world: World, courses: list[_Drawn]) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of the shown volume: the arena, or, in a scan, the surroundings of the paths."""
     points = np.concatenate([course.points for course in courses] + [world.start[None], world.goal[None]])
     points = np.clip(points, world.arena_lower - FLY_AWAY_MARGIN, world.arena_upper + FLY_AWAY_MARGIN)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -129,7 +138,7 @@ def _legend_rows(labels: list[str]) -> int:
     return 1 if inches < _WIDTH - 0.8 else 2
 
 
-def _axes(lower: np.ndarray, upper: np.ndarray, rows: int) -> tuple[Figure, Axes, Axes]:
+def _axes(lower: np.ndarray, upper: np.ndarray, rows: int) -> tuple[Figure, Views]:
     """One figure whose two views share the x axis and its scale, below a legend of some rows."""
     left, right, top, between, bottom = 0.6, 0.15, 1.17 + _ROW * (rows - 1), 0.62, 0.5
     extent = upper - lower
@@ -140,26 +149,25 @@ def _axes(lower: np.ndarray, upper: np.ndarray, rows: int) -> tuple[Figure, Axes
     width = (_WIDTH - left - right) / _WIDTH
     side = figure.add_axes((left / _WIDTH, bottom / height, width, elevation / height))
     above = figure.add_axes((left / _WIDTH, (bottom + elevation + between) / height, width, plan / height))
-    return figure, above, side
+    return figure, ((above, 1), (side, 2))
 
 
-def _draw_world(above: Axes, side: Axes, world: World, course: np.ndarray) -> None:
+def _draw_world(views: Views, world: World, course: np.ndarray) -> None:
     if world.is_voxels:
-        _draw_scan(above, side, world, course)
+        _draw_scan(views, world, course)
         return
-    boxes = [Rectangle((x, y), u - x, v - y) for (x, y, _), (u, v, _) in zip(world.lower, world.upper, strict=True)]
-    near = _near(world, course)
-    fronts = [
-        Rectangle((low[0], low[2]), high[0] - low[0], high[2] - low[2])
-        for low, high in zip(world.lower[near], world.upper[near], strict=True)
-    ]
-    for axes, patches in ((above, boxes), (side, fronts)):
-        axes.add_collection(PatchCollection(patches, facecolor=_SOLID, edgecolor=_EDGE, linewidth=0.5, zorder=1))
-    side.axhline(0.0, color=_EDGE, linewidth=0.8, zorder=1)
+    every = np.ones(len(world.lower), bool)
+    for (axes, index), kept in zip(views, (every, _near(world, course)), strict=True):
+        boxes = [
+            Rectangle((low[0], low[index]), high[0] - low[0], high[index] - low[index])
+            for low, high in zip(world.lower[kept], world.upper[kept], strict=True)
+        ]
+        axes.add_collection(PatchCollection(boxes, facecolor=_SOLID, edgecolor=_EDGE, linewidth=0.5, zorder=1))
+    views[1][0].axhline(0.0, color=_EDGE, linewidth=0.8, zorder=1)
 
 
 def _near(world: World, course: np.ndarray) -> np.ndarray:
-    """Which boxes stand about within `NEAR` of the path, seen from above. Shape (boxes,), bool."""
+    """Mask of the boxes within about `NEAR` of the path, seen from above. Shape (boxes,), bool."""
     points = course[:: max(1, len(course) // 500), :2]
     below = world.lower[:, None, :2] - points[None]
     beyond = points[None] - world.upper[:, None, :2]
@@ -168,7 +176,7 @@ def _near(world: World, course: np.ndarray) -> np.ndarray:
     return near
 
 
-def _draw_scan(above: Axes, side: Axes, world: World, course: np.ndarray) -> None:
+def _draw_scan(views: Views, world: World, course: np.ndarray) -> None:
     """Solid voxels at the heights that were flown, and, from the side, along the path."""
     shape = np.array(world.occupied.shape)
     end = world.origin + shape * world.resolution
@@ -179,7 +187,7 @@ def _draw_scan(above: Axes, side: Axes, world: World, course: np.ndarray) -> Non
     order = np.argsort(cells[:, 0], kind="stable")
     rows = np.interp(columns, cells[order, 0], cells[order, 1]).round().astype(int)
     elevation: np.ndarray = world.occupied[columns, rows, :]
-    for axes, solid, index in ((above, plan, 1), (side, elevation, 2)):
+    for (axes, index), solid in zip(views, (plan, elevation), strict=True):
         extent = (world.origin[0], end[0], world.origin[index], end[index])
         _shade(axes, solid, extent, _SOLID, 1)
 
@@ -190,13 +198,13 @@ def _shade(
 ) -> None:  # fmt: skip
     """Colour the cells that are set; shape (columns, rows)."""
     image = np.zeros((cells.shape[1], cells.shape[0], 4))
-    image[..., :3] = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    image[..., :3] = to_rgb(colour)
     image[..., 3] = alpha * cells.T
     axes.imshow(image, origin="lower", extent=extent, interpolation="nearest", aspect="auto", zorder=order)
 
 
-def _draw_map(above: Axes, side: Axes, flight: Flight, limits: tuple[np.ndarray, np.ndarray]) -> bool:
-    """Voxels that the planner's map held for occupied in the end; whether there are any."""
+def _draw_map(views: Views, flight: Flight, limits: tuple[np.ndarray, np.ndarray]) -> bool:
+    """Draw the occupied voxels of the planner's final map; gives whether there are any."""
     room: Any = getattr(flight.pipeline.get("planner"), "room", None)
     if room is None:
         return False
@@ -214,7 +222,7 @@ def _draw_map(above: Axes, side: Axes, flight: Flight, limits: tuple[np.ndarray,
         from_above = centres[centres[:, 2] > grid.resolution]  # so would the ground
         from_side = from_above[_distance(from_above, course) < NEAR]
     end = corner + shape * grid.resolution
-    for axes, points, index in ((above, from_above, 1), (side, from_side, 2)):
+    for (axes, index), points in zip(views, (from_above, from_side), strict=True):
         seen = np.zeros((shape[0], shape[index]), bool)
         cells = ((points - corner) * grid.inverse).astype(int)
         seen[cells[:, 0], cells[:, index]] = True
@@ -230,62 +238,49 @@ def _distance(points: np.ndarray, course: np.ndarray) -> np.ndarray:
     return found
 
 
-@dataclass(frozen=True, slots=True)
-class _Mark:
-    """Points of one kind. `points`: shape (n, 3), finite; `lift`: how far above them the mark stands (points)."""
-
-    label: str
-    points: np.ndarray
-    look: dict[str, Any]
-    lift: float = 0.0
-
-
-def _marks(flight: Flight) -> list[_Mark]:
+def _marks(flight: Flight) -> list[_Drawn]:
     """Start, goal, injections, and where a failed flight ended."""
     log, world = flight.log, flight.world
     marks = [
-        _Mark("start", world.start[None], {"marker": "o", "markersize": 9, "color": style.INK}),
-        _Mark("goal", world.goal[None], {"marker": "s", "markersize": 9, "color": style.INK}),
+        _Drawn("start", world.start[None], {"marker": "o", "markersize": 9, "color": style.INK}),
+        _Drawn("goal", world.goal[None], {"marker": "s", "markersize": 9, "color": style.INK}),
     ]
     times = [injection.time_s for injection in log.injections if injection.activated]
     if times:
         look = {"marker": "*", "markersize": 17, "color": style.AMBER, **_DARK_EDGE}
-        marks.append(_Mark("injection", _places(flight, times), look))
+        marks.append(_Drawn("injection", _positions(flight, times), look))
     if log.status is not MissionStatus.SUCCESS:
         look = {"marker": "X", "markersize": 11, "color": style.ORANGE}
-        marks.append(_Mark(log.status.label.replace("_", " "), _positions(flight)[-1:], look))
+        marks.append(_Drawn(log.status.label.replace("_", " "), _positions(flight)[-1:], look))
     return marks
 
 
-def _alarm_marks(flight: Flight) -> list[_Mark]:
+def _alarm_marks(flight: Flight) -> list[_Drawn]:
     """Alarms: filled within a second of the injection, hollow elsewhere."""
     near, others = ([alarm.time_s for alarm in alarms] for alarms in around(flight.log))
     kinds = (("other alarm" if near else "alarm", others, "white"), ("alarm at the injection", near, style.PURPLE))
     look: dict[str, Any] = {"marker": "v", "markersize": 9, **_DARK_EDGE}
-    return [_Mark(label, _places(flight, times), look | {"color": fill}, 14.0) for label, times, fill in kinds if times]
+    return [
+        _Drawn(label, _positions(flight, times), look | {"color": fill}, lift=14.0)
+        for label, times, fill in kinds
+        if times
+    ]
 
 
-def _places(flight: Flight, times: list[float]) -> np.ndarray:
-    """Where the vehicle was. Shape (n, 3), finite."""
-    rows = np.minimum(np.searchsorted(flight.log.column("time"), times), len(flight.log.rows) - 1)
-    points = flight.log.columns("x", "y", "z")[rows]
-    kept: np.ndarray = points[np.isfinite(points).all(axis=1)]
-    return kept
-
-
-def _draw_marks(figure: Figure, views: tuple[Axes, Axes], marks: list[_Mark]) -> list[Line2D]:
-    """Draw marks in both views; answers what the legend says of them."""
+def _draw_marks(figure: Figure, views: Views, marks: list[_Drawn]) -> list[Line2D]:
+    """Draw marks in both views; gives their entries in the legend."""
     handles = []
     for mark in marks:
         look: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white", "markeredgewidth": 1.0} | mark.look
-        for axes, index in zip(views, (1, 2), strict=True):
+        for axes, index in views:
             lifted = offset_copy(axes.transData, figure, y=mark.lift, units="points")
             axes.plot(mark.points[:, 0], mark.points[:, index], zorder=9, clip_on=False, transform=lifted, **look)
         handles.append(Line2D([], [], label=mark.label, **{**look, "markersize": 0.7 * look["markersize"] + 1.5}))
     return handles
 
 
-def _label(figure: Figure, above: Axes, side: Axes, flight: Flight, golden: Flight | None) -> None:
+def _label(figure: Figure, views: Views, flight: Flight, golden: Flight | None) -> None:
+    (above, _), (side, _) = views
     scenario = flight.log.meta["scenario"]
     height = figure.get_figheight()
     title = f"{scenario['environment']['name']} · seed {scenario['seed']} · autopilot {scenario['stack']['name']}"
@@ -308,9 +303,9 @@ def _label(figure: Figure, above: Axes, side: Axes, flight: Flight, golden: Flig
     side.text(0, 1.02, heights, transform=side.transAxes, color=style.GREY, va="bottom")
 
 
-def _line(course: _Course) -> Line2D:
-    """What the legend shows of a path."""
-    look = {key: course.line[key] for key in ("color", "linewidth", "linestyle") if key in course.line}
+def _line(course: _Drawn) -> Line2D:
+    """Entry of a path in the legend."""
+    look = {key: course.look[key] for key in ("color", "linewidth", "linestyle") if key in course.look}
     return Line2D([], [], label=course.label, **look)
 
 

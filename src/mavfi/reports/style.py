@@ -1,14 +1,14 @@
 """How figures look: one palette that the colour-blind can tell apart, one typography."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from mavfi.errors import BadInputError
+from mavfi.errors import writing
 
 BLUE, ORANGE, GREEN, PURPLE, SKY, AMBER = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"
 """Of Okabe and Ito's palette."""
@@ -42,22 +42,16 @@ _ARMS = ((GREEN, "^", "--"), (PURPLE, "D", "-."), (AMBER, "v", ":"), (SKY, "P", 
 """Colour, marker and dashes of each detector's arm: they differ in grey, too."""
 
 
-@contextmanager
-def house_style() -> Iterator[None]:
+def house_style() -> AbstractContextManager[None]:
     """Figures made inside look alike; settings of a caller's own figures are left alone."""
-    with rc_context(_SETTINGS):
-        yield
+    return rc_context(_SETTINGS)
 
 
 def setting_looks(settings: list[str]) -> dict[str, dict[str, Any]]:
     """Colour and marker of each setting: golden runs blue discs, faults orange squares, then one for each arm."""
-    arms = [setting for setting in settings if setting not in ("golden", "fi")]
-    looks: dict[str, dict[str, Any]] = {
-        "golden": {"color": BLUE, "marker": "o"},
-        "fi": {"color": ORANGE, "marker": "s"},
-    }
-    for place, setting in enumerate(arms):
-        colour, marker, _ = _ARMS[place % len(_ARMS)]
+    looks = {"golden": {"color": BLUE, "marker": "o"}, "fi": {"color": ORANGE, "marker": "s"}}
+    arms = [setting for setting in settings if setting not in looks]
+    for setting, (colour, marker, _) in zip(arms, cycle(_ARMS), strict=False):
         looks[setting] = {"color": colour, "marker": marker}
     return {setting: looks[setting] for setting in settings}
 
@@ -76,13 +70,7 @@ def setting_label(setting: str) -> str:
 
 
 def write(figure: Figure, path: Path) -> Path:
-    """Write a figure in the format that the ending of the file says.
-
-    Raises:
-        BadInputError: The place cannot be written.
-    """
-    try:
+    """Write a figure in the format of the file's ending; raises `BadInputError` where that cannot be done."""
+    with writing(path):
         figure.savefig(path, dpi=DOTS_PER_INCH)
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
     return path

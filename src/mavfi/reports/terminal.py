@@ -1,9 +1,9 @@
 """A report in the terminal."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from rich import box
-from rich.console import Console, Group
+from rich.console import Console, Group, JustifyMethod
 from rich.markup import escape
 from rich.panel import Panel
 from rich.table import Table as RichTable
@@ -15,21 +15,13 @@ from mavfi.reports.text import shown
 _BETWEEN = 2
 """Characters between two columns."""
 _NUMBER = Column("number", "#")
-Block = list[int]
-"""Places of columns that are printed side by side."""
 
 
 def show_header(lines: Sequence[str], console: Console) -> None:
-    """Print what was flown.
-
-    Args:
-        lines: As of `header.header`.
-        console: Where to.
-    """
+    """Print what was flown, as lines of `text.header`, in a frame."""
     first, *rest = lines
-    inside = Group(*(Text(line, style="dim") for line in rest))
-    console.print(Panel(inside, title=f"[bold]{escape(first)}[/bold]", title_align="left", box=box.ROUNDED,
-                        expand=False))  # fmt: skip
+    inside, title = Group(*(Text(line, style="dim") for line in rest)), f"[bold]{escape(first)}[/bold]"
+    console.print(Panel(inside, title=title, title_align="left", box=box.ROUNDED, expand=False))
 
 
 def show_table(table: Table, console: Console) -> None:
@@ -40,20 +32,10 @@ def show_table(table: Table, console: Console) -> None:
     console.print()
 
 
-def show_lines(lines: Iterable[str], console: Console) -> None:
-    """Print lines; names in them stay whole."""
-    for line in lines:
-        console.print(Text(line))
-
-
 def rendered(table: Table, width: int) -> Group:
-    """One table; rows that begin with the same cell are grouped.
+    """A table for lines of `width` characters; rows that begin with the same cell are grouped.
 
     No word is broken: columns that do not fit side by side stand below, after the first columns again.
-
-    Args:
-        table: Of a report.
-        width: Characters of a line.
     """
     columns, rows = shown(table)
     keys = list(range(min(table.keys, len(columns))))
@@ -78,17 +60,13 @@ def _sizes(columns: Sequence[Column], rows: Sequence[Sequence[str]]) -> tuple[li
         cells = [column.heading, *(row[place] for row in rows)]
         whole.append(max(map(len, cells)))
         words = max(len(word) for cell in cells for word in cell.split() or [""])
-        least.append(whole[-1] if _is_name(column.form, cells[1:]) else words)
+        is_name = column.form == TEXT and not any(" " in cell for cell in cells[1:])
+        least.append(whole[-1] if is_name else words)
     return least, whole
 
 
-def _is_name(form: str, cells: Sequence[str]) -> bool:
-    """Whether a column is of single words: they can be copied."""
-    return form == TEXT and not any(" " in cell for cell in cells)
-
-
-def _blocks(least: Sequence[int], keys: Block, width: int) -> list[Block]:
-    """Columns side by side, as many as fit; each block begins with the keys, as far as these leave room."""
+def _blocks(least: Sequence[int], keys: Sequence[int], width: int) -> list[list[int]]:
+    """Places of columns side by side, as many as fit; each block begins with the keys, as far as these leave room."""
     blocks, own = [], list(keys)
     for place in range(len(keys), len(least)):
         if len(own) > len(keys) and _room([least[p] for p in (*own, place)]) > width:
@@ -113,13 +91,15 @@ def _widths(least: Sequence[int], whole: Sequence[int], width: int) -> list[int]
     return given
 
 
-def _grid(title: str | None, headings: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[int],
-          keys: int) -> RichTable:  # fmt: skip
-    grid = RichTable(title=title, title_style="bold", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False,
-                     padding=(0, 1, 0, 0))  # fmt: skip
+def _grid(
+    title: str | None, headings: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[int], keys: int
+) -> RichTable:
+    grid = RichTable(
+        title=title, title_style="bold", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
+    )
     for place, (heading, wide) in enumerate(zip(headings, widths, strict=True)):
-        grid.add_column(escape(heading), justify="left" if place < max(2, keys) else "right", overflow="fold",
-                        width=wide)  # fmt: skip
+        justify: JustifyMethod = "left" if place < max(2, keys) else "right"
+        grid.add_column(escape(heading), justify=justify, overflow="fold", width=wide)
     grouped = len({row[0] for row in rows}) < len(rows)
     before = None
     for row in rows:

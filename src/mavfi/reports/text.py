@@ -1,8 +1,10 @@
-"""Numbers as text for people: the same everywhere in a report."""
+"""Numbers and sentences for people: the same everywhere in a report."""
 
+import struct
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import EventRate, Rate
 from mavfi.campaign.analysis.table import PER_HOUR, PERCENT, POINTS, RATE, SIGNED, SMALL, Cell, Column, Table
 
@@ -19,14 +21,13 @@ def signed_percent(share: float | None) -> str:
     return ABSENT if share is None else f"{100 * share:+.1f} %"
 
 
-def small_percent(share: float | None) -> str:
-    """A small share as per cent, with as many digits as it needs."""
-    return ABSENT if share is None else f"{100 * share:.3g} %"
+def _small_percent(share: float) -> str:
+    """With as many digits as it needs."""
+    return f"{100 * share:.3g} %"
 
 
-def interval(low: float | None, high: float | None) -> str:
-    """Bounds of a share, in per cent."""
-    return "" if low is None or high is None else f"[{100 * low:.1f}, {100 * high:.1f}]"
+def _interval(found: Rate) -> str:
+    return "" if found.low is None or found.high is None else f"[{100 * found.low:.1f}, {100 * found.high:.1f}]"
 
 
 def rate(found: Rate | float | None) -> str:
@@ -36,49 +37,35 @@ def rate(found: Rate | float | None) -> str:
     if found.rate is None:
         return ABSENT
     count = f"n={found.n}" if found.successes is None else f"{found.successes}/{found.n}"
-    return f"{100 * found.rate:.1f} {interval(found.low, found.high)} {count}"
+    return f"{100 * found.rate:.1f} {_interval(found)} {count}"
 
 
-def number(value: float | None, digits: int = 1, unit: str = "") -> str:
-    """A figure with a unit."""
-    return ABSENT if value is None else f"{value:.{digits}f}{unit and ' ' + unit}"
+def number(value: float | None, digits: int = 1) -> str:
+    """A figure without a unit."""
+    return ABSENT if value is None else f"{value:.{digits}f}"
 
 
-def _share(value: Rate | float) -> str:
-    return percent(value.rate if isinstance(value, Rate) else value)
-
-
-def _with_interval(value: Rate) -> str:
-    return f"{percent(value.rate)} {interval(value.low, value.high)}"
-
-
-def _points(value: Rate) -> str:
-    return f"{100 * (value.rate or 0.0):+.1f} {interval(value.low, value.high)}"
-
-
-def _per_hour(value: EventRate) -> str:
-    return ABSENT if value.per_hour is None else f"{value.per_hour:.1f} [{value.low:.1f}, {value.high:.1f}]"
-
-
-def _small_percents(values: Mapping[str, float]) -> str:
-    return " / ".join(map(small_percent, values.values()))
+def _per_hour(found: EventRate) -> str:
+    return ABSENT if found.per_hour is None else f"{found.per_hour:.1f} [{found.low:.1f}, {found.high:.1f}]"
 
 
 FORMS: dict[str, Callable[[Any], str]] = {
-    RATE: rate, PERCENT: _share, "percent 2": lambda share: percent(share, 2), SIGNED: signed_percent,
-    SMALL: small_percent, "small percents": _small_percents, "percent with interval": _with_interval,
-    POINTS: _points, PER_HOUR: _per_hour, "number .1f kJ": lambda joule: number(joule / 1000, 1, "kJ"),
-}  # fmt: skip
+    RATE: rate,
+    PERCENT: lambda share: percent(share.rate if isinstance(share, Rate) else share),
+    "percent 2": lambda share: percent(share, 2),
+    "percent with interval": lambda found: f"{percent(found.rate)} {_interval(found)}",
+    POINTS: lambda found: f"{100 * (found.rate or 0.0):+.1f} {_interval(found)}",
+    SIGNED: signed_percent,
+    SMALL: _small_percent,
+    "small percents": lambda shares: " / ".join(map(_small_percent, shares.values())),
+    PER_HOUR: _per_hour,
+    "number .1f kJ": lambda joule: f"{joule / 1000:.1f} kJ",
+}
 """How a cell of a form is written; other forms are "number", digits as of Python's formats, unit."""
 
 
 def cell(value: Cell, form: str) -> str:
-    """One cell as text; words stand for themselves.
-
-    Args:
-        value: As a measure gave it.
-        form: Of its column.
-    """
+    """The value of a measure in the form of its column; words stand for themselves."""
     if value is None:
         return ABSENT
     if isinstance(value, str):
@@ -91,7 +78,64 @@ def cell(value: Cell, form: str) -> str:
 
 
 def shown(table: Table) -> tuple[list[Column], list[list[str]]]:
-    """Columns and cells of a table for people."""
+    """The visible columns of a table, and its cells as text."""
     places = [place for place, column in enumerate(table.columns) if not column.hidden]
     columns = [table.columns[place] for place in places]
     return columns, [[cell(row[place], table.columns[place].form) for place in places] for row in table.rows]
+
+
+def change(before: object, after: object, digits: int = 6) -> tuple[str, str]:
+    """Two values as text: `digits` digits if these show the difference, else all digits, else also the bits."""
+    pairs = list(zip(_forms(before, digits), _forms(after, digits), strict=True))
+    return next((pair for pair in pairs if pair[0] != pair[1]), pairs[0])
+
+
+def _forms(value: object, digits: int) -> tuple[str, str, str]:
+    """A value in short, in full, and with its bits: NaNs differ by these alone."""
+    if isinstance(value, float):
+        return f"{value:.{digits}g}", repr(value), f"{value} (0x{struct.pack('>d', value).hex()})"
+    return str(value), str(value), str(value)
+
+
+def header(campaign: Mapping[str, Any]) -> list[str]:
+    """The lines above a report: what was flown (as of `analysis.about.describe`), how much of it, by which versions."""
+    lines = [
+        campaign["title"], *campaign["lines"],
+        f"{campaign['done']} of {campaign['total']} runs done · digest {campaign['digest'][:16]}…",
+        " · ".join(versions(campaign)),
+    ]  # fmt: skip
+    if campaign["on_design_seeds"]:
+        lines.append("Flown on design seeds: no figure for publication.")
+    if campaign["done"] < campaign["total"]:
+        lines.append("Not complete: what follows is of the runs that are done.")
+    return lines
+
+
+def versions(campaign: Mapping[str, Any]) -> list[str]:
+    """Versions that decide the bits of a flight, ours first."""
+    ordered = sorted(campaign["versions"].items(), key=lambda item: item[0] != "mavfi")
+    return [f"{name} {version}" for name, version in ordered]
+
+
+def differing_null_runs(runs: Runs) -> list[str]:
+    """Ids of the runs with an empty mask that differ from their golden runs."""
+    return [row["run_id"] for row in runs.null if row["effect"] != "masked"]
+
+
+def null_line(runs: Runs) -> str:
+    """Whether the runs with an empty mask equal their golden runs."""
+    count, differing = len(runs.null), differing_null_runs(runs)
+    if not count:
+        return "Null runs: none flown."
+    if not differing:
+        return f"Null runs: all {count} with an empty mask have the digest of their golden runs."
+    return f"Null runs: {len(differing)} of {count} DIFFER from their golden runs: {', '.join(differing)}"
+
+
+def checks(runs: Runs) -> list[str]:
+    """Lines on the null runs, and on runs that could not be judged, which is a defect, if there are any."""
+    unknown = runs.where(judged=False)["run_id"]
+    lines = [null_line(runs)]
+    if unknown:
+        lines.append(f"Unknown: {len(unknown)} runs could not be judged: {', '.join(unknown[:5])}")
+    return lines

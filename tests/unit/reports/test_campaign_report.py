@@ -7,8 +7,7 @@ from rich.console import Console
 from mavfi.campaign.analysis.table import Table
 from mavfi.cli import report as cli
 from mavfi.errors import BadInputError
-from mavfi.reports import markdown
-from mavfi.reports.campaign_report import report_of, write_report
+from mavfi.reports.campaign_report import markdown_table, report_of, write_report
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -105,4 +104,4 @@ def test_no_campaign_no_report(tmp_path):
 
 def test_bars_in_cells_do_not_end_them():
     table = Table.of_text("T", ("a", "b"), [("x|y", "1"), ("x|y", "2")], ("note",))
-    assert markdown.markdown_table(table) == "## T\n\n| a | b |\n| --- | --- |\n| x\\|y | 1 |\n|  | 2 |\n\n- note"
+    assert markdown_table(table) == "## T\n\n| a | b |\n| --- | --- |\n| x\\|y | 1 |\n|  | 2 |\n\n- note"

@@ -1,8 +1,12 @@
+import math
+import struct
+
 import pytest
 
 from mavfi.campaign.analysis.statistics import EventRate, Rate
 from mavfi.campaign.analysis.table import Column, Table
 from mavfi.reports import text
+from tests.unit.campaign.analysis.handmade import ABOUT, GOLDEN, UNKNOWN, flown, golden, injected, null, runs
 
 
 def test_rate_with_count():
@@ -43,3 +47,57 @@ def test_hidden_columns_are_for_files():
     table = Table("t", "T", (Column("a", "A"), Column("b", "B", hidden=True)), [("x", "y")])
     columns, rows = text.shown(table)
     assert ([column.key for column in columns], rows) == (["a"], [["x"]])
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "told"),
+    [
+        (2.5, 1e300, ("2.5", "1e+300")),
+        (2.7495712345, 2.7495712346, ("2.7495712345", "2.7495712346")),
+        (0.0, -0.0, ("0", "-0")),
+        (3, 4, ("3", "4")),
+        (1.5, "inf", ("1.5", "inf")),
+        (False, True, ("False", "True")),
+        (2.5, 2.5, ("2.5", "2.5")),
+    ],
+)
+def test_as_short_as_shows_the_difference(before, after, told):
+    assert text.change(before, after) == told
+
+
+def test_digits_are_given_by_the_caller():
+    assert text.change(51.30162, 9.463487e20, digits=4) == ("51.3", "9.463e+20")
+    assert text.change(51.30162, 51.30163, digits=4) == ("51.30162", "51.30163")
+
+
+def test_nans_are_told_by_their_bits():
+    (other,) = struct.unpack(">d", bytes.fromhex("7ff8000000000001"))
+    assert text.change(math.nan, other) == ("nan (0x7ff8000000000000)", "nan (0x7ff8000000000001)")
+
+
+def test_null_runs_are_reported_either_way():
+    assert text.null_line(runs(golden(1))) == "Null runs: none flown."
+    assert text.null_line(runs(golden(1), null(1, GOLDEN))).startswith("Null runs: all 1 with an empty mask")
+    broken = runs(golden(1), golden(2), null(1, flown()), null(2, GOLDEN))
+    assert "1 of 2 DIFFER" in text.null_line(broken)
+    assert broken.null["run_id"][0] in text.null_line(broken)
+
+
+def test_runs_that_could_not_be_judged_are_named():
+    assert text.checks(runs(golden(1))) == ["Null runs: none flown."]
+    own = runs(golden(1), injected(1, UNKNOWN))
+    told = f"Unknown: 1 runs could not be judged: {own.injected['run_id'][0]}"
+    assert text.checks(own) == ["Null runs: none flown.", told]
+
+
+def test_a_campaign_that_is_not_complete_or_on_design_seeds_says_so():
+    assert not any("Not complete" in line or "design seeds" in line for line in text.header(ABOUT))
+    lines = text.header({**ABOUT, "done": 1, "on_design_seeds": True})
+    assert any("Not complete" in line for line in lines)
+    assert any("design seeds" in line for line in lines)
+
+
+def test_what_was_flown_comes_first_and_our_version_before_others():
+    assert text.header(ABOUT) == [
+        "campaign handmade", "9 missions", "9 of 9 runs done · digest dddddddddddddddd…", "mavfi 1 · numba 2"
+    ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""A flight as messages in ROS standard types: what was flown, where, and what happened.
+"""A flight as messages in ROS standard types: trajectory, scenery and events.
 
 Frames after REP-103 and REP-105: `map` is the world (ENU, z up), `base_link` the vehicle (x forward, y left, z up).
 """
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import binary_erosion
 
 from mavfi.flight_log import FlightLog
 from mavfi.numerics.rotations import rotation_matrix
@@ -28,13 +29,9 @@ _POSES = 1000
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message, not yet of any ROS version.
+    """One message, not yet of any ROS version; fields that are left out are zero or empty.
 
-    Attributes:
-        topic: Its topic.
-        kind: ROS type, "package/Name"; "Log" = the version's own type for log lines.
-        time_ns: When (ns).
-        fields: Its fields by name; those left out are zero or empty.
+    `kind` is a ROS type, "package/Name", or "Log": the version's own type for log lines.
     """
 
     topic: str
@@ -48,8 +45,9 @@ def stamp_ns(time_s: float) -> int:
     return max(FIRST_STAMP_NS, 1000 * round(1e6 * time_s))
 
 
-def _header(time_ns: int, frame: str) -> dict[str, Any]:
-    return {"stamp": _time(time_ns), "frame_id": frame}
+def _in_map(time_ns: int) -> dict[str, Any]:
+    """Header of a message."""
+    return {"stamp": _time(time_ns), "frame_id": MAP}
 
 
 def _time(time_ns: int) -> dict[str, int]:
@@ -68,10 +66,6 @@ def _orientation(wxyz: np.ndarray) -> dict[str, float]:
 def timeline(log: FlightLog, world: World) -> Iterator[Message]:
     """All messages of a flight, in order of time.
 
-    Args:
-        log: The flight.
-        world: Its world: obstacles become markers.
-
     Yields:
         `/tf`, `/odometry`, `/command` and `/reference` at each control tick; `/obstacles`, `/goal` and `/flown` once;
         `/log` with events, alarms, injections, and the mission's end.
@@ -86,7 +80,7 @@ def _tick(row: np.ndarray) -> Iterator[Message]:
     position, orientation = _xyz(row[1:4]), _orientation(row[7:11])
     to_map = np.empty((3, 3))
     rotation_matrix(row[7:11], to_map)
-    in_map = _header(time_ns, MAP)
+    in_map = _in_map(time_ns)
     transform = {"translation": position, "rotation": orientation}
     yield Message("/tf", "tf2_msgs/TFMessage", time_ns, {
         "transforms": [{"header": in_map, "child_frame_id": VEHICLE, "transform": transform}],
@@ -104,8 +98,8 @@ def _tick(row: np.ndarray) -> Iterator[Message]:
 
 def _scenery(log: FlightLog, world: World) -> Iterator[Message]:
     time_ns = FIRST_STAMP_NS
-    in_map = _header(time_ns, MAP)
-    markers = list(_boxes(world, in_map)) if not world.is_voxels else [_voxels(world, in_map)]
+    in_map = _in_map(time_ns)
+    markers = [_voxels(world, in_map)] if world.is_voxels else list(_boxes(world, in_map))
     yield Message("/obstacles", "visualization_msgs/MarkerArray", time_ns, {"markers": markers})
     yield Message("/goal", "visualization_msgs/Marker", time_ns, {
         "header": in_map, "ns": "goal", "type": _SPHERE, "pose": _at(world.goal), "color": _GOAL,
@@ -132,11 +126,7 @@ def _boxes(world: World, header: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 def _voxels(world: World, header: dict[str, Any]) -> dict[str, Any]:
     """All solid voxels that have a free neighbour, as one marker: those inside of walls are not seen."""
-    solid = np.pad(world.occupied, 1, constant_values=True)
-    inner = solid[1:-1, 1:-1, 1:-1].copy()
-    for axis in range(3):
-        for shift in (-1, 1):
-            inner &= np.roll(solid, shift, axis)[1:-1, 1:-1, 1:-1]
+    inner = binary_erosion(world.occupied, border_value=1)
     centres = world.origin + (np.argwhere(world.occupied & ~inner) + 0.5) * world.resolution
     edge = world.resolution
     return {

@@ -12,8 +12,7 @@ from mavfi.flight_log import COLUMNS, FlightLog
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
-from mavfi.reports.export.bags import write_bag, write_mcap
-from mavfi.reports.export.table import write_csv
+from mavfi.reports.export.files import write_bag, write_csv, write_mcap
 from mavfi.reports.export.timeline import FIRST_STAMP_NS, timeline
 
 pytestmark = pytest.mark.slow
