@@ -14,6 +14,7 @@ import re
 import select
 import subprocess
 import sys
+import time
 from collections import OrderedDict
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,8 @@ ENDED = b"e"
 """What a template says when a flight's process is gone."""
 READY, AGAIN = b"ready", b"again"
 """What a template says when it is warm; `AGAIN` if it had to compile for that: the next one will not, and differs."""
-_STARTS = 4
+_PATIENCE_S = 300.0
+"""Other processes may compile at the same time; a template waits until the cache of compiled code stays as it is."""
 
 
 class Template:
@@ -53,7 +55,8 @@ class Template:
 
     def __init__(self, kind: str) -> None:
         command = [sys.executable, "-P", "-m", _SERVER, kind]
-        for _ in range(_STARTS):
+        begun = time.monotonic()
+        while time.monotonic() - begun < _PATIENCE_S:
             self._process = with_fixed_addresses(
                 lambda: subprocess.Popen(
                     command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
