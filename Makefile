@@ -108,6 +108,7 @@ pictures: setup  ## draw the pictures of the documentation from flights and kern
 
 docs: setup  ## write the pages and tables that are derived from the code
 	@$(BIN)/python -m tools.build_pages
+	@$(BIN)/python -m tools.build_notebook
 
 wheel: setup  ## build the wheel, install it in an empty environment, run it
 	@rm -rf dist build/wheel-venv

@@ -18,7 +18,7 @@ def main(folder: str = "out/waypoint_study") -> None:
             "environments": ["sparse"],
             "missions": 2,
             "null_runs": 0,
-            "faults": 4,
+            "faults": 12,
             "sampling": {
                 "scheme": "groups",
                 "groups": [{"name": "way-point", "sites": ["planning.waypoint.x", "planning.waypoint.y"]}],
@@ -29,7 +29,9 @@ def main(folder: str = "out/waypoint_study") -> None:
     runs = mavfi.run(campaign, folder)
     judged = runs.injected.frame.group_by("setting", "effect").agg(pl.len(), pl.col("success").mean())
     print(judged.sort("setting", "effect"))
-    print(mavfi.table(runs, "success").frame)
+    success = mavfi.table(runs, "success").frame
+    print(success.select("environment", "setting", "success", "success_low", "success_high", "success_n"))
+    mavfi.figure(runs, "success").savefig(f"{folder}/success.png")
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from mavfi.version import __version__
 
 _PUBLIC = {
     "fly": "mavfi.api", "draw": "mavfi.api", "run": "mavfi.api", "load": "mavfi.api", "table": "mavfi.api",
+    "figure": "mavfi.api",
     "MissionSpec": "mavfi.mission", "Scenario": "mavfi.mission", "MissionStatus": "mavfi.mission",
     "StateFault": "mavfi.faults.fault", "InstructionFault": "mavfi.faults.fault", "MessageFault": "mavfi.faults.fault",
     "RegisterFault": "mavfi.faults.fault", "FaultSite": "mavfi.faults.fault", "Fault": "mavfi.faults.fault",
@@ -24,6 +25,7 @@ __all__ = ["__version__", *_PUBLIC]
 
 if TYPE_CHECKING:
     from mavfi.api import draw as draw
+    from mavfi.api import figure as figure
     from mavfi.api import fly as fly
     from mavfi.api import load as load
     from mavfi.api import run as run

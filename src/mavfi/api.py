@@ -35,6 +35,8 @@ from mavfi.mission import MissionSpec, Scenario
 from mavfi.reports.flight_result import FlightResult
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from mavfi.campaign.analysis.table import Table
 
 
@@ -129,6 +131,21 @@ def table(runs: Runs, view: str) -> "Table":
     from mavfi.campaign.analysis.views import table as table_of
 
     return table_of(runs, view)
+
+
+def figure(runs: Runs, name: str) -> "Figure":
+    """One of the figures of a report, as a matplotlib figure; a notebook shows it, `savefig` writes it.
+
+    Args:
+        runs: See `load`.
+        name: "success", "flight_time" or "sites".
+
+    Raises:
+        BadInputError: There is no such figure, or nothing to show in it.
+    """
+    from mavfi.reports.figures import figure as figure_of
+
+    return figure_of(runs, name)
 
 
 def fly_request(

@@ -1,27 +1,48 @@
-"""The page of the Python API: its blocks run, one after the other."""
+"""The page of the Python API, its notebook, and the study in `examples`: all of them run."""
 
+import json
 import re
-from pathlib import Path
+import runpy
 
 import pytest
 
 import mavfi
+from tools.build_notebook import NOTEBOOK, PAGE, executed
+from tools.markers import ROOT
 
-PAGE = Path(__file__).parents[2] / "docs" / "python-api.md"
-BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+def said(cells):
+    """Sources of the cells, and what each answers as text."""
+    return [
+        (cell["cell_type"], cell["source"], [output["data"].get("text/plain") for output in cell.get("outputs", ())])
+        for cell in cells
+    ]
 
 
 @pytest.mark.slow
-def test_the_blocks_of_the_page_run(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    names = {}
-    for block in BLOCK.findall(PAGE.read_text(encoding="utf-8")):
-        exec(compile(block, PAGE.name, "exec"), names)
-    assert names["golden"].status is mavfi.MissionStatus.SUCCESS
-    assert names["injected"].golden is not None and names["injected"].effect is not None
-    assert len(names["runs"]) == names["runs"].frame.height > 8
+def test_the_notebook_is_the_page_with_what_its_blocks_answer():
+    written = json.loads(NOTEBOOK.read_text(encoding="utf-8"))["cells"]
+    assert said(executed(PAGE.read_text(encoding="utf-8"))) == said(written), "run `make docs`"
 
 
 def test_names_of_the_page_are_public():
     named = set(re.findall(r"\bmavfi\.(\w+)", PAGE.read_text(encoding="utf-8")))
     assert named <= set(dir(mavfi))
+
+
+@pytest.mark.slow
+def test_the_study_prints_its_table_and_draws_its_figure(tmp_path, capsys):
+    study = runpy.run_path(str(ROOT / "examples" / "waypoint_study.py"))
+    study["main"](str(tmp_path / "study"))
+    shown = capsys.readouterr().out
+    assert "dr_gaussian" in shown and "success_low" in shown
+    assert (tmp_path / "study" / "success.png").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_a_figure_that_is_not_there_is_refused(tmp_path):
+    runs = mavfi.run(mavfi.Campaign(name="one", environments=("sparse",), missions=1, faults=1, null_runs=0), tmp_path)
+    with pytest.raises(mavfi.BadInputError, match="figure 'success': these runs have nothing to show"):
+        mavfi.figure(runs.where(setting="golden"), "success")
+    with pytest.raises(mavfi.BadInputError, match="figure 'map': not known; allowed: success, flight_time, sites"):
+        mavfi.figure(runs, "map")

@@ -16,9 +16,29 @@ from mavfi.campaign.analysis.measures import FAILS_OR_SLOWER, POPULATIONS, leadi
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.plan import FI, GOLDEN
+from mavfi.errors import BadInputError
 from mavfi.reports import style
 
 _LEGEND: dict[str, Any] = {"ncols": 6, "columnspacing": 1.2, "fontsize": 8.5, "handlelength": 1.8}
+
+
+def figure(runs: Runs, name: str) -> Figure:
+    """One figure of a report.
+
+    Args:
+        runs: Of a campaign.
+        name: A key of `FIGURES`.
+
+    Raises:
+        BadInputError: There is no such figure, or these runs have nothing to show in it.
+    """
+    if name not in FIGURES:
+        raise BadInputError(f"figure {name!r}: not known; allowed: {', '.join(FIGURES)}")
+    with style.house_style():
+        made = FIGURES[name][0](runs)
+    if made is None:
+        raise BadInputError(f"figure {name!r}: these runs have nothing to show in it; needed: runs with a fault")
+    return made
 
 
 def draw(runs: Runs, directory: Path) -> dict[str, str]:
@@ -30,21 +50,13 @@ def draw(runs: Runs, directory: Path) -> dict[str, str]:
     Raises:
         BadInputError: The directory cannot be written.
     """
-    figures: dict[str, tuple[Callable[[Runs], Figure | None], str]] = {
-        "success.png": (success, "Success with 95 % intervals; black: the paper's figure."),
-        "flight_time.png": (
-            flight_time,
-            "Share of missions that arrived, by flight time over the golden run's; failures never arrive.",
-        ),
-        "sites.png": (sites, "Share of missions that fail or take more than 5 % longer, by what was injected."),
-    }
     captions = {}
     with style.house_style():
-        for name, (maker, caption) in figures.items():
-            figure = maker(runs)
-            if figure is not None:
-                style.write(figure, directory / name)
-                captions[name] = caption
+        for name, (maker, caption) in FIGURES.items():
+            made = maker(runs)
+            if made is not None:
+                style.write(made, directory / f"{name}.png")
+                captions[f"{name}.png"] = caption
     return captions
 
 
@@ -240,3 +252,13 @@ def _shown(judged: Runs, column: str) -> dict[tuple[str, str], tuple[str, Rate]]
         if rates[population].rate is not None:
             found[name, setting] = population, rates[population]
     return found
+
+
+FIGURES: dict[str, tuple[Callable[[Runs], Figure | None], str]] = {
+    "success": (success, "Success with 95 % intervals; black: the paper's figure."),
+    "flight_time": (
+        flight_time, "Share of missions that arrived, by flight time over the golden run's; failures never arrive."
+    ),
+    "sites": (sites, "Share of missions that fail or take more than 5 % longer, by what was injected."),
+}  # fmt: skip
+"""What draws each figure, and its caption."""

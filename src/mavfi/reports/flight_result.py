@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mavfi.mission import MissionStatus, Scenario
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FlightResult:
     """A flight, and the golden run that it is compared with.
 
@@ -37,6 +37,11 @@ class FlightResult:
     golden: Flight | None = None
     fault: Fault | None = None
     detector: str = ""
+
+    def __repr__(self) -> str:
+        mission = f"{self.scenario.environment.name}, seed {self.scenario.seed}"
+        fault = f"{self.effect.label} by a fault in {self.fault.site}" if self.fault and self.effect else "golden"
+        return f"<FlightResult: {mission}, {fault}, {self.status.name} after {self.quality.flight_time_s:.2f} s>"
 
     @property
     def log(self) -> FlightLog:

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, is_dataclass
 from typing import Any
 
+import polars as pl
+
 from mavfi.flight_record import plain
 
 RATE, PERCENT, SIGNED, SMALL, PER_HOUR, POINTS, NUMBER, TEXT = (
@@ -65,8 +67,13 @@ class Table:
         data: dict[str, Any] = plain({"name": self.name, "title": self.title, "rows": rows, "notes": self.notes})
         return data
 
+    @property
+    def frame(self) -> pl.DataFrame:
+        """The rows as a data frame; a `Rate` becomes columns of its own, e.g. success, success_low, success_n."""
+        return pl.DataFrame([_flat(entry) for entry in self.entries()], infer_schema_length=None, strict=False)
+
     def to_csv(self) -> str:
-        """Comma-separated values with a heading; a `Rate` becomes columns of its own, e.g. success, success_low."""
+        """Comma-separated values with a heading, and the columns of `frame`."""
         flat = [_flat(entry) for entry in self.entries()]
         keys = list(dict.fromkeys(key for entry in flat for key in entry)) or [column.key for column in self.columns]
         buffer = io.StringIO()
