@@ -163,10 +163,6 @@ def _show(plan: Plan, result: FlightResult, flight: RosFlight, as_json: bool, wr
         out.print(f"{1e-6 * event.time_us:8.3f} s  node [bold]{node}[/bold] {what} [dim]({detail})[/dim]")
     for line in ros_nodes.lines(plan, log):
         out.print(line, markup=False)
-    for one in log.injections:
-        if plan.free_running and one.level == "state":
-            text = f"fault in {one.site} bit {one.bit}: {one.before} → {one.after}"
-            out.print(f"{one.time_s:8.3f} s  {text}", markup=False)
     spent = ", ".join(f"{name} {seconds:.1f} s" for name, seconds in flight.times.items())
     out.print(f"[dim]{1 + len(plan.nodes) + len(plan.foreign)} nodes · wall clock: {spent}[/dim]")
     if written is not None:

@@ -125,16 +125,19 @@ def to_json(plan: Plan, log: FlightLog) -> dict[str, Any]:
 
 
 def lines(plan: Plan, log: FlightLog) -> list[str]:
-    """Injections into registers and their effect, as lines of text."""
-    told = [_line(one) for one in log.injections if one.level == "register"]
+    """Injections as lines of text, and the effect of those into registers.
+
+    In lock-step the fault in a state is a part of the flight's own panel.
+    """
+    told = [_line(one) for one in log.injections if plan.free_running or "node" in one.details]
     found = effect(plan, log)
     return told if found is None else [*told, f"           effect: {found}"]
 
 
 def _line(injection: Injection) -> str:
-    """One injection into a register in one line, or why there is none."""
+    """One injection in one line, or why there is none."""
     details = injection.details
-    what = details.get("why") or (
-        f"{injection.site} bit {injection.bit} of {details['instruction']!r}: {injection.before} → {injection.after}"
-    )
-    return f"{injection.time_s:8.3f} s  register of {details['node']}: {what}"
+    place = f"register of {details['node']}:" if "node" in details else "fault in"
+    within = f" of {details['instruction']!r}" if "instruction" in details else ""
+    what = f"{injection.site} bit {injection.bit}{within}: {injection.before} → {injection.after}"
+    return f"{injection.time_s:8.3f} s  {place} {details.get('why') or what}"

@@ -4,10 +4,13 @@ Each has `level`, `site` (text), `stratum`, `weight`, `seed`, `bit`, `has_site` 
 any of them.
 """
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, Self, get_args
 
 from mavfi.errors import BadInputError
+from mavfi.faults import strata
+from mavfi.states import STATES
 
 NO_SITE = -1
 """`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden flight has no site."""
@@ -48,9 +51,19 @@ class _Planned:
         """Whether there is something to change, as far as is known before the run."""
         return True
 
+    @property
+    def bit_class(self) -> str:
+        """What the bit means, e.g. "exponent"; "" where that is not known."""
+        return ""
+
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
         return {"level": self.level, **asdict(self)}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
+        """Inverse of `to_json`, without the level."""
+        return cls(**data)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +97,17 @@ class StateFault(_Planned):
     def has_site(self) -> bool:
         """Whether the golden flight had a publication to change when the fault was drawn."""
         return self.time_us != NO_SITE
+
+    @property
+    def bit_class(self) -> str:
+        """Class of the bit in the field's type; "" for a null fault."""
+        field = STATES[self.where.state].find(self.where.field)
+        return "" if self.bit is None else strata.bit_class(field, self.bit)
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
+        """Inverse of `to_json`, without the level."""
+        return cls(**{**data, "where": FaultSite(**data["where"])})
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +168,11 @@ class InstructionFault(_Planned):
         return self.call != NO_SITE
 
     @property
+    def bit_class(self) -> str:
+        """What the bit means in the value."""
+        return self.stratum
+
+    @property
     def masks(self) -> tuple[int, int]:
         """Keep and flip: the value becomes (value & keep) ^ flip."""
         if self.bits:
@@ -153,6 +182,11 @@ class InstructionFault(_Planned):
     def to_json(self) -> dict[str, Any]:
         """Plain data; the value as hexadecimal text, since it may have more bits than numbers in JSON."""
         return {"level": self.level, **asdict(self), "bits": list(self.bits), "value": hex(self.value)}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any]) -> Self:
+        """Inverse of `to_json`, without the level."""
+        return cls(**{**data, "bits": tuple(data["bits"]), "value": int(data["value"], 16)})
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,8 +304,4 @@ def fault_from_json(data: dict[str, Any]) -> Fault:
     level = given.pop("level", None)
     if level not in LEVELS:
         raise BadInputError(f"fault: level {level!r}: not known; allowed: {', '.join(LEVELS)}")
-    if level == StateFault.level:
-        given["where"] = FaultSite(**given["where"])
-    if level == InstructionFault.level:
-        given |= {"bits": tuple(given["bits"]), "value": int(given["value"], 16)}
-    return LEVELS[level](**given)
+    return LEVELS[level].from_json(given)

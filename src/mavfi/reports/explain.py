@@ -7,14 +7,12 @@ from typing import Any
 from mavfi.campaign.divergence import LEFT, Departure, Difference
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import Explanation
-from mavfi.faults.fault import Fault, StateFault
-from mavfi.faults.strata import bit_class
+from mavfi.faults.fault import Fault
 from mavfi.flight_log import AlarmRecord, FlightLog, Injection, KernelEffect
 from mavfi.flight_record import AFTERMATH, INSTANT
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.reports.text import change, signed_percent
-from mavfi.states import STATES
 
 MOST_ALARMS = 8
 """Alarms that are shown one by one."""
@@ -117,9 +115,7 @@ def _fault(injection: Injection, fault: Fault | None) -> str:
 
 def _bit(bit: int, fault: Fault | None) -> str:
     """A bit and what it means, if that is known."""
-    kind = "" if fault is None else fault.stratum
-    if isinstance(fault, StateFault):
-        kind = bit_class(STATES[fault.where.state].find(fault.where.field), bit)
+    kind = "" if fault is None else fault.bit_class
     return f"bit {bit} ({kind.replace('_', ' ')})" if kind else f"bit {bit}"
 
 

@@ -8,7 +8,6 @@ import polars as pl
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.store import Run
 from mavfi.faults.fault import Fault, InstructionFault, MessageFault, RegisterFault, StateFault
-from mavfi.faults.strata import bit_class
 from mavfi.flight_log import AlarmRecord, Injection
 from mavfi.flight_record import AFTERMATH, INSTANT, End, FlightRecord
 from mavfi.mission import MissionStatus
@@ -78,12 +77,11 @@ def _site_columns(fault: Fault) -> dict[str, Any]:
             return {
                 "stage": str(spec.stage), "kernel": spec.writer, "state": where.state, "field": where.field,
                 "element": where.element, "population": fault.stratum,
-                "bit_class": "" if fault.bit is None else bit_class(spec.find(where.field), fault.bit),
             }  # fmt: skip
         case InstructionFault():
             return {
                 "stage": str(KERNEL_STAGES.get(fault.kernel, "")), "kernel": fault.kernel, "function": fault.entry,
-                "value_class": fault.value_class, "bit_class": fault.stratum,
+                "value_class": fault.value_class,
             }  # fmt: skip
         case MessageFault():
             return {"state": fault.topic, "field": fault.field}
