@@ -122,9 +122,8 @@ class FlightRecord:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; fields that have their default are left out."""
-        data = {f.name: getattr(self, f.name) for f in fields(self)}
-        left_out = {name for name, value in data.items() if value == _DEFAULTS.get(name, _NOTHING)}
-        data = {name: value for name, value in data.items() if name not in left_out}
+        every = {f.name: getattr(self, f.name) for f in fields(self)}
+        data = {name: value for name, value in every.items() if name == "end" or value != _DEFAULTS[name]}
         for name in ("energy", "kernel"):
             if name in data:
                 data[name] = asdict(data[name])
@@ -148,18 +147,12 @@ class FlightRecord:
         return FlightRecord(**given)
 
 
-_NOTHING = object()
-_DEFAULTS: dict[str, Any] = {
-    name: getattr(FlightRecord(End.FLOWN), name) for name in (f.name for f in fields(FlightRecord)) if name != "end"
-}
+_DEFAULTS: dict[str, Any] = {f.name: getattr(FlightRecord(End.FLOWN), f.name) for f in fields(FlightRecord)}
 
 
 def record_of(log: FlightLog) -> FlightRecord:
-    """What is kept of a flight.
-
-    Args:
-        log: The flight; its `meta` has course_m, time_limit_s, compute_us, recompute_us, publications and
-            rejected_commands.
+    """The record of a log whose `meta` has course_m, time_limit_s, compute_us, recompute_us, publications and
+    rejected_commands.
     """
     duration, distance, energy = _motion(log)
     meta = log.meta

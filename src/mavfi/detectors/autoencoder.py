@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.deltas import DeltaScorer
 from mavfi.detectors.features import Watch
 from mavfi.detectors.model import Model
 from mavfi.detectors.parts import ScoringDetector, Threshold, Verdict, find_policy
-from mavfi.detectors.preprocess import Preprocessor
+from mavfi.detectors.preprocess import DeltaScorer, Preprocessor
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics.jit import kernel_jit
 

@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.deltas import DeltaScorer
 from mavfi.detectors.features import Watch
 from mavfi.detectors.model import Model
 from mavfi.detectors.parts import NOT_FINITE, ScoringDetector, Threshold, Verdict
-from mavfi.detectors.preprocess import Preprocessor
+from mavfi.detectors.preprocess import DeltaScorer, Preprocessor
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics import welford
 from mavfi.numerics.jit import kernel_jit
