@@ -194,12 +194,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def parse(model: type[ConfigType], data: dict[str, Any], source: str) -> ConfigType:
-    """Validate data into a model.
-
-    Args:
-        model: Configuration class.
-        data: Keys and values.
-        source: Where they come from, for the message.
+    """Validate data from a source (a name for messages) into a model.
 
     Raises:
         BadInputError: One line that names source, key, value and what is allowed.

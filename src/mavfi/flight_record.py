@@ -18,7 +18,7 @@ from mavfi.flight_log import AlarmRecord, FlightLog, Injection, KernelEffect
 MOST_ALARMS = 20
 """Alarms of a flight with a fault that are kept one by one, beside those in the `AFTERMATH`; all are counted."""
 MOST_GOLDEN_ALARMS = 1000
-"""The same of an error-free flight: what the alarms of injected runs are compared with."""
+"""Alarms that are kept of an error-free flight: those of injected runs are compared with them."""
 INSTANT = 0.5e-6
 """Instants that differ by less are the same: times are whole microseconds (s)."""
 AFTERMATH = 1.0
@@ -151,9 +151,7 @@ _DEFAULTS: dict[str, Any] = {f.name: getattr(FlightRecord(End.FLOWN), f.name) fo
 
 
 def record_of(log: FlightLog) -> FlightRecord:
-    """The record of a log whose `meta` has course_m, time_limit_s, compute_us, recompute_us, publications and
-    rejected_commands.
-    """
+    """The record of a flight; course, time limit, latencies, publications and rejected commands are in its `meta`."""
     duration, distance, energy = _motion(log)
     meta = log.meta
     return FlightRecord(

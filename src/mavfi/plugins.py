@@ -11,12 +11,7 @@ from mavfi.errors import BadInputError, MavfiError
 
 
 def known(group: str, shipped: Mapping[str, str]) -> dict[str, str]:
-    """Every name of a group and where it is, "module:object".
-
-    Args:
-        group: Group of entry points.
-        shipped: What mavfi itself has; it works without being installed, and its names cannot be taken.
-    """
+    """Every name of a group of entry points and its place, "module:object"; shipped names cannot be taken."""
     return {point.name: point.value for point in entry_points(group=group)} | dict(shipped)
 
 

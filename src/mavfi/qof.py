@@ -57,11 +57,11 @@ def energy(terms: EnergyTerms) -> float:
 
 
 def quality_of(record: FlightRecord) -> QoF:
-    """Quality of a recorded flight: time, energy, distance, battery."""
+    """Quality of a recorded flight."""
     joule = energy(record.energy)
     return QoF(record.flight_time_s, joule, record.distance_m, joule / BATTERY_ENERGY)
 
 
 def quality_of_flight(log: FlightLog) -> QoF:
-    """The same of a flight log."""
+    """Quality of a logged flight."""
     return quality_of(record_of(log))
