@@ -246,12 +246,7 @@ def load(model: type[ConfigType], path: Path) -> ConfigType:
 
 
 def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
-    """A shipped configuration by name, or one of the user's by path.
-
-    Args:
-        kind: Folder: "environments", "stacks", "platforms" or "vehicles".
-        model: Configuration class.
-        name: Name without ".yaml", or a path to a YAML file.
+    """A shipped configuration by its name in the folder `kind`, e.g. "stacks", or one of the user's by path.
 
     Raises:
         BadInputError: There is no such file.

@@ -1,4 +1,4 @@
-"""Columnar record of one flight: what flew, what happened; save, load, digest."""
+"""Columnar log of one flight: rows of vehicle states and commands, events, injections, alarms."""
 
 import hashlib
 import io

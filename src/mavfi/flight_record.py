@@ -35,7 +35,7 @@ class End(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class EnergyTerms:
-    """Integrals over the flight from which a power model of the regression kind gives the energy (see `mavfi.qof`).
+    """Integrals over the flight from which the energy is computed (see `mavfi.qof`).
 
     Speeds are means of two rows, accelerations their differences by time; world frame.
 
