@@ -1,4 +1,4 @@
-"""Data preprocessing (MAVFI section IV-B) in two profiles: which fields are watched, and how they become deltas.
+"""Data preprocessing (MAVFI section IV-B) in two profiles: watched fields, their deltas, and the base of their scorers.
 
 `paper`: sign and exponent of a float64 as a 16-bit code, then the difference to the last code.  `tuned`: the difference
 to what was predicted first, in float64, then its code.  Integers: difference, saturated to 16 bits.
