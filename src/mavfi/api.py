@@ -152,15 +152,7 @@ def fly_request(
     scenario: Scenario, request: StateRequest | InstructionRequest | None, seed: int, detector: Detector | None,
     label: str, coupling: Coupling,
 ) -> FlightResult:  # fmt: skip
-    """Golden run first, then the draw of the fault from what happens in it, then the flight.
-
-    Args:
-        scenario: The mission.
-        request: The fault; None = a golden flight.
-        seed: Of the draw.
-        detector: What watches; None = nothing.
-        label: Its name, for people.
-        coupling: "inline" or "observer".
+    """Fly the golden run, draw the requested fault (None = only the golden run) from it, and fly that.
 
     Raises:
         BadInputError: The mission has no such site.
@@ -202,11 +194,7 @@ def _fly_fault(
 
 
 def _spec(mission: MissionSpec | None, options: dict[str, Any]) -> MissionSpec:
-    """A mission with some keys of its own.
-
-    Raises:
-        BadInputError: A key is not known, or its value is not allowed.
-    """
+    """A mission in which some options are replaced."""
     return parse_config(MissionSpec, {**({} if mission is None else mission.model_dump()), **options}, "mission")
 
 

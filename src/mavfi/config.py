@@ -194,12 +194,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def parse(model: type[ConfigType], data: dict[str, Any], source: str) -> ConfigType:
-    """Validate data into a model.
-
-    Args:
-        model: Configuration class.
-        data: Keys and values.
-        source: Where they come from, for the message.
+    """Validate data from a source (a name for messages) into a model.
 
     Raises:
         BadInputError: One line that names source, key, value and what is allowed.
@@ -251,12 +246,7 @@ def load(model: type[ConfigType], path: Path) -> ConfigType:
 
 
 def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
-    """A shipped configuration by name, or one of the user's by path.
-
-    Args:
-        kind: Folder: "environments", "stacks", "platforms" or "vehicles".
-        model: Configuration class.
-        name: Name without ".yaml", or a path to a YAML file.
+    """A shipped configuration by its name in the folder `kind`, e.g. "stacks", or one of the user's by path.
 
     Raises:
         BadInputError: There is no such file.

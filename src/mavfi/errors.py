@@ -29,7 +29,7 @@ def allowed(names: Collection[str], wanted: str = "") -> str:
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[None]:
+def writing(path: Path | str) -> Iterator[None]:
     """Turn an error of the operating system while a file or folder is written into a `BadInputError` that names it."""
     try:
         yield

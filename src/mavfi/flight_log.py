@@ -1,4 +1,4 @@
-"""Columnar record of one flight: what flew, what happened; save, load, digest."""
+"""Columnar log of one flight: rows of vehicle states and commands, events, injections, alarms."""
 
 import hashlib
 import io
@@ -13,7 +13,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, writing
 from mavfi.mission import MissionStatus
 
 COLUMNS = (
@@ -216,10 +216,8 @@ class FlightLog:
         buffer = io.BytesIO()
         columns: dict[str, Any] = dict(zip(COLUMNS, self.rows.T, strict=True))
         np.savez_compressed(buffer, **columns, record=np.array(json.dumps(data)))
-        try:
+        with writing(path):
             Path(path).write_bytes(buffer.getvalue())
-        except OSError as error:
-            raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
 
     @staticmethod
     def load(path: Path | str) -> "FlightLog":

@@ -18,7 +18,7 @@ from mavfi.flight_log import AlarmRecord, FlightLog, Injection, KernelEffect
 MOST_ALARMS = 20
 """Alarms of a flight with a fault that are kept one by one, beside those in the `AFTERMATH`; all are counted."""
 MOST_GOLDEN_ALARMS = 1000
-"""The same of an error-free flight: what the alarms of injected runs are compared with."""
+"""Alarms that are kept of an error-free flight: those of injected runs are compared with them."""
 INSTANT = 0.5e-6
 """Instants that differ by less are the same: times are whole microseconds (s)."""
 AFTERMATH = 1.0
@@ -35,7 +35,7 @@ class End(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class EnergyTerms:
-    """Integrals over the flight from which a power model of the regression kind gives the energy (see `mavfi.qof`).
+    """Integrals over the flight from which the energy is computed (see `mavfi.qof`).
 
     Speeds are means of two rows, accelerations their differences by time; world frame.
 
@@ -122,9 +122,8 @@ class FlightRecord:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; fields that have their default are left out."""
-        data = {f.name: getattr(self, f.name) for f in fields(self)}
-        left_out = {name for name, value in data.items() if value == _DEFAULTS.get(name, _NOTHING)}
-        data = {name: value for name, value in data.items() if name not in left_out}
+        every = {f.name: getattr(self, f.name) for f in fields(self)}
+        data = {name: value for name, value in every.items() if name == "end" or value != _DEFAULTS[name]}
         for name in ("energy", "kernel"):
             if name in data:
                 data[name] = asdict(data[name])
@@ -148,19 +147,11 @@ class FlightRecord:
         return FlightRecord(**given)
 
 
-_NOTHING = object()
-_DEFAULTS: dict[str, Any] = {
-    name: getattr(FlightRecord(End.FLOWN), name) for name in (f.name for f in fields(FlightRecord)) if name != "end"
-}
+_DEFAULTS: dict[str, Any] = {f.name: getattr(FlightRecord(End.FLOWN), f.name) for f in fields(FlightRecord)}
 
 
 def record_of(log: FlightLog) -> FlightRecord:
-    """What is kept of a flight.
-
-    Args:
-        log: The flight; its `meta` has course_m, time_limit_s, compute_us, recompute_us, publications and
-            rejected_commands.
-    """
+    """The record of a flight; course, time limit, latencies, publications and rejected commands are in its `meta`."""
     duration, distance, energy = _motion(log)
     meta = log.meta
     return FlightRecord(

@@ -117,11 +117,5 @@ class Scenario(Config):
 
 
 def time_limit(course: float, v_max: float, platform: PlatformConfig) -> float:
-    """Longest flight before it counts as `timeout` (s): 4.5 x course / v_max x the platform's factor.
-
-    Args:
-        course: Straight distance from start to goal (m).
-        v_max: Speed limit (m/s).
-        platform: The modelled computer.
-    """
+    """Longest flight before it counts as `timeout` (s), for a straight course (m), a speed limit (m/s), a computer."""
     return TIME_LIMIT_FACTOR * course / v_max * platform.time_limit_factor

@@ -11,12 +11,7 @@ from mavfi.errors import BadInputError, MavfiError
 
 
 def known(group: str, shipped: Mapping[str, str]) -> dict[str, str]:
-    """Every name of a group and where it is, "module:object".
-
-    Args:
-        group: Group of entry points.
-        shipped: What mavfi itself has; it works without being installed, and its names cannot be taken.
-    """
+    """Every name of a group of entry points and its place, "module:object"; shipped names cannot be taken."""
     return {point.name: point.value for point in entry_points(group=group)} | dict(shipped)
 
 
@@ -57,18 +52,10 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
 def build(
     what: str, name: str, factory: Any, *arguments: object, needs: tuple[str, ...] = (), **options: object
 ) -> Any:  # noqa: ANN401
-    """Make an object of a user's own class.
-
-    Args:
-        what: Kind of thing, for messages.
-        name: Its name, for messages.
-        factory: Class or function.
-        arguments: What it is called with.
-        needs: Methods that the object must have.
-        options: Keyword arguments of the call.
+    """Call a user's own class or function; kind (`what`) and name are for messages.
 
     Raises:
-        BadInputError: It raised, or lacks a method.
+        BadInputError: It raised, or the object lacks a method that it `needs`.
     """
     try:
         made = factory(*arguments, **options)

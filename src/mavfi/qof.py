@@ -10,12 +10,8 @@ from dataclasses import dataclass
 from mavfi.flight_log import FlightLog
 from mavfi.flight_record import EnergyTerms, FlightRecord, record_of
 
-BATTERY_VOLTAGE = 11.1
-"""V, constant over the discharge."""
-BATTERY_CAPACITY = 5.5
-"""Ah."""
-BATTERY_ENERGY = BATTERY_VOLTAGE * BATTERY_CAPACITY * 3600.0
-"""J."""
+BATTERY_ENERGY = 11.1 * 5.5 * 3600.0
+"""Of a battery of 11.1 V, constant over the discharge, and 5.5 Ah (J)."""
 
 _KMH = 3.6
 _CONSTANT = 443.9
@@ -57,11 +53,11 @@ def energy(terms: EnergyTerms) -> float:
 
 
 def quality_of(record: FlightRecord) -> QoF:
-    """Quality of a recorded flight: time, energy, distance, battery."""
+    """Quality of a recorded flight."""
     joule = energy(record.energy)
     return QoF(record.flight_time_s, joule, record.distance_m, joule / BATTERY_ENERGY)
 
 
 def quality_of_flight(log: FlightLog) -> QoF:
-    """The same of a flight log."""
+    """Quality of a logged flight."""
     return quality_of(record_of(log))

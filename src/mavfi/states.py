@@ -217,11 +217,7 @@ class State:
 
 
 def floats(header: np.ndarray, count: int) -> np.ndarray:
-    """The leading float64 fields of a header (or of each element) as a plain array that shares its memory.
-
-    Args:
-        header: Structured array, shape (n,), whose first `count` fields are float64.
-        count: How many fields.
+    """The `count` leading float64 fields of records, shape (n,), as a plain array that shares their memory.
 
     Returns:
         Shape (count,) for one record, (n, count) for more, float64.
@@ -328,10 +324,7 @@ _TABLE = (
     ),
     StateSpec(
         "control.command", "pid", Stage.CONTROL, "50 Hz",
-        header=(
-            Field("vx", "f8", "m/s"), Field("vy", "f8", "m/s"), Field("vz", "f8", "m/s"),
-            Field("yaw_rate", "f8", "rad/s"), Field("duration", "f8", "s"),
-        ),
+        header=(*_VELOCITY, Field("yaw_rate", "f8", "rad/s"), Field("duration", "f8", "s")),
     ),
     StateSpec(
         "control.tracking", "pid", Stage.CONTROL, "50 Hz", header=(Field("remaining", "f8", "s", _PUBLISHED),),
@@ -371,7 +364,6 @@ def find_state(name: str) -> StateSpec:
     Raises:
         BadInputError: There is no such state.
     """
-    try:
-        return STATES[name]
-    except KeyError:
-        raise BadInputError(f"no state {name!r}; allowed: {', '.join(STATES)}") from None
+    if name not in STATES:
+        raise BadInputError(f"no state {name!r}; allowed: {', '.join(STATES)}")
+    return STATES[name]

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.deltas import DeltaScorer
 from mavfi.detectors.features import Watch
 from mavfi.detectors.model import Model
 from mavfi.detectors.parts import ScoringDetector, Threshold, Verdict, find_policy
-from mavfi.detectors.preprocess import Preprocessor
+from mavfi.detectors.preprocess import DeltaScorer, Preprocessor
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics.jit import kernel_jit
 
@@ -45,12 +44,7 @@ class Network(NamedTuple):
 
 @kernel_jit
 def reconstruct(inputs: np.ndarray, network: Network) -> None:
-    """Run the network; its output is then in the first row of `work`.
-
-    Args:
-        inputs: Shape (n,).
-        network: The network.
-    """
+    """Run the network on inputs of shape (n,); its output is then in the first row of `work`."""
     sizes, weights = network.sizes, network.weights
     now, after = network.work[0], network.work[1]
     now[: sizes[0]] = inputs
@@ -74,7 +68,7 @@ def residuals(vector: np.ndarray, network: Network, errors: np.ndarray) -> None:
 
     Args:
         vector: Deltas. Shape (n,), int16.
-        network: The network.
+        network: A trained network.
         errors: Filled in, in units of the network's scale. Shape (n,).
     """
     inputs = network.work[2, : len(vector)]
@@ -89,19 +83,7 @@ def residuals(vector: np.ndarray, network: Network, errors: np.ndarray) -> None:
 def read_residuals(
     content: np.ndarray, slot: int, watch: Watch, network: Network, vector: np.ndarray, errors: np.ndarray
 ) -> int:
-    """Residuals of all last deltas, of which this publication renews its own.
-
-    Args:
-        content: As of `features.measure`.
-        slot: As of `features.measure`.
-        watch: As of `features.measure`.
-        network: The network.
-        vector: Last deltas; those of this publication are filled in. Shape (n,), int16.
-        errors: Filled in: residuals. Shape (n,).
-
-    Returns:
-        As of `features.measure`.
-    """
+    """Residuals of all last deltas, after `features.measure` has filled in those of this publication."""
     regime = features.measure(content, slot, watch, vector)
     residuals(vector, network, errors)
     return regime
@@ -111,10 +93,6 @@ class AutoencoderScorer(DeltaScorer):
     """Reconstruction errors of all last deltas.
 
     Every delta is judged once: one that is published in spite of an alarm is not held for the vectors that follow.
-
-    Args:
-        preprocessor: Of the fields.
-        network: Trained on their deltas.
     """
 
     adapts = True
@@ -221,14 +199,9 @@ def representative(sample: Sample, largest_class: int) -> np.ndarray:
 def train_network(
     inputs: np.ndarray, hidden_layers: Sequence[int], epochs: int, learning_rate: float
 ) -> "MLPRegressor":  # fmt: skip
-    """A network that reproduces its inputs; Adam, mean squared error, a fixed number of epochs on one thread.
+    """A network that reproduces its inputs, shape (m, n): Adam, mean squared error, fixed epochs on one thread.
 
-    Args:
-        inputs: Scaled deltas. Shape (m, n).
-        hidden_layers: Neurons of each; the paper's encoder "of size 13, 6 and 3" counts the input as a layer, and the
-            decoder mirrors it.
-        epochs: How many.
-        learning_rate: Of Adam.
+    The paper's encoder "of size 13, 6 and 3" counts the input as a layer, and the decoder mirrors it.
     """
     from sklearn.exceptions import ConvergenceWarning
     from sklearn.neural_network import MLPRegressor
@@ -258,15 +231,7 @@ def export(network: "MLPRegressor", scale: np.ndarray) -> Network:
 
 @kernel_jit
 def all_residuals(vectors: np.ndarray, network: Network) -> np.ndarray:
-    """Residuals of many vectors.
-
-    Args:
-        vectors: Shape (m, n), int16.
-        network: The network.
-
-    Returns:
-        Shape (m, n), float64.
-    """
+    """Residuals of many vectors of int16, shape (m, n). Shape (m, n), float64."""
     errors = np.zeros(vectors.shape)
     for row in range(len(vectors)):
         residuals(vectors[row], network, errors[row])

@@ -13,13 +13,8 @@ import numpy as np
 from mavfi.numerics.bits import saturated_int16, sign_exponent_code
 from mavfi.numerics.jit import kernel_jit
 
-DELTA_OF_CODES = 0
-INTEGER = 1
-CODE_OF_DELTA = 2
-CODE_OF_ANGLE = 3
-CODE_OF_INTERVAL = 4
-CODE_OF_TRAPEZOID = 5
-"""How a field becomes a delta; see `delta`."""
+DELTA_OF_CODES, INTEGER, CODE_OF_DELTA, CODE_OF_ANGLE, CODE_OF_INTERVAL, CODE_OF_TRAPEZOID = range(6)
+"""How a field becomes a delta; see `measure`."""
 
 OFFSET, RULE, THRESHOLD, VELOCITY, AXIS = range(5)
 """Columns of a field table: byte offset, rule, exponent threshold of the code, for a position the byte offset of its

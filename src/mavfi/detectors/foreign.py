@@ -26,12 +26,7 @@ _BELOW = {"paper": 3, "tuned": 1}
 
 
 def foreign_spec(name: str, fields: Sequence[str]) -> StateSpec:
-    """Numbers that are published together, as a state.
-
-    Args:
-        name: Of their source.
-        fields: Names of the numbers.
-    """
+    """Numbers that a source publishes together, as a state."""
     return StateSpec(name, "", Stage.SENSOR, "", tuple(Field(field, "f8", "-") for field in fields))
 
 
@@ -42,13 +37,7 @@ def foreign_state(spec: StateSpec, values: Sequence[float]) -> State:
 
 
 def learn(kind: str, profile: str, states: Sequence[State], specs: Mapping[str, StateSpec]) -> Detector:
-    """A detector that takes what it is shown for normal.
-
-    Args:
-        kind: One of `trainable()`.
-        profile: "paper" or "tuned".
-        states: Publications in their order.
-        specs: Their specs by name.
+    """A detector of a kind in `trainable()`, fitted to normal publications (in their order) of states with these specs.
 
     Raises:
         BadInputError: The kind is not known, a source published too little, or a number is not finite.

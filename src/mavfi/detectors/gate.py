@@ -7,7 +7,7 @@ import numpy as np
 
 from mavfi.detectors.parts import Reading, Scorer, ScoringDetector, Threshold, Verdict
 from mavfi.numerics.jit import kernel_jit
-from mavfi.states import STATES, State, StateSpec
+from mavfi.states import STATES, State, StateSpec, floats
 
 SOURCE = "physics_gate"
 SPEED_MARGIN = 1.5
@@ -23,6 +23,7 @@ UNKNOWN_ARENA = ((-1e4, -1e4, -1e4), (1e4, 1e4, 1e4))
 IMPLAUSIBLE = 2.0
 """Score of what cannot be."""
 _FINE = -1
+_WAYPOINT_FLOATS, _COMMAND_FLOATS = 11, 5
 _SPEED, _LOWER, _UPPER = 0, 1, 4
 _SEQUENCE, _TRAJECTORY = 0, 1
 
@@ -126,7 +127,7 @@ class PlausibilityScorer(Scorer):
             self._known[_SEQUENCE], self._numbers[_SEQUENCE] = True, state.header["future_collision_seq"][0]
         elif state.spec.name == "planning.waypoint":
             self._known[_TRAJECTORY], self._numbers[_TRAJECTORY] = True, state.header["trajectory_seq"][0]
-            self._position[:] = _reals(state)[:3]
+            self._position[:] = floats(state.header, 3)
 
     def _judge_status(self, state: State) -> int:
         if not (0.0 <= float(state.header["time_to_collision"][0]) <= LONGEST_TIME_TO_COLLISION):
@@ -136,10 +137,11 @@ class PlausibilityScorer(Scorer):
 
     def _judge_waypoint(self, state: State) -> int:
         same = self._known[_TRAJECTORY] and self._numbers[_TRAJECTORY] == state.header["trajectory_seq"][0]
-        return int(implausible_waypoint(_reals(state), self._position if same else self._position[:0], self._limits))
+        before = self._position if same else self._position[:0]
+        return int(implausible_waypoint(floats(state.header, _WAYPOINT_FLOATS), before, self._limits))
 
     def _judge_command(self, state: State) -> int:
-        return int(implausible_command(_reals(state), self._limits))
+        return int(implausible_command(floats(state.header, _COMMAND_FLOATS), self._limits))
 
 
 class PhysicsGate(ScoringDetector):
@@ -153,14 +155,3 @@ class PhysicsGate(ScoringDetector):
 
 def _index(spec: StateSpec, field: str) -> int:
     return [candidate.name for candidate in spec.header].index(field)
-
-
-_REAL_BYTES: dict[str, int] = {}
-
-
-def _reals(state: State) -> np.ndarray:
-    """The leading float64 fields of a header as a plain vector that shares its memory."""
-    name = state.spec.name
-    if name not in _REAL_BYTES:
-        _REAL_BYTES[name] = 8 * sum(field.dtype == "f8" for field in state.spec.header)
-    return state.header.view(np.uint8)[: _REAL_BYTES[name]].view(np.float64)

@@ -6,11 +6,10 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.deltas import DeltaScorer
 from mavfi.detectors.features import Watch
 from mavfi.detectors.model import Model
 from mavfi.detectors.parts import NOT_FINITE, ScoringDetector, Threshold, Verdict
-from mavfi.detectors.preprocess import Preprocessor
+from mavfi.detectors.preprocess import DeltaScorer, Preprocessor
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics import welford
 from mavfi.numerics.jit import kernel_jit
@@ -25,20 +24,9 @@ def deviations(
     content: np.ndarray, slot: int, watch: Watch, statistics: np.ndarray, min_count: float,
     deltas: np.ndarray, distance: np.ndarray, unit: np.ndarray,
 ) -> int:  # fmt: skip
-    """Distance of each delta from its running mean, and its standard deviation.
+    """`features.measure`, then the distance of each delta from its running mean, and its standard deviation.
 
-    Args:
-        content: As of `features.measure`.
-        slot: As of `features.measure`.
-        watch: As of `features.measure`.
-        statistics: k, M, S of each field. Shape (n, 3).
-        min_count: Samples before a field is judged.
-        deltas: Filled in for the fields of this state. Shape (n,), int16.
-        distance: Filled in: distance of each delta from its mean. Shape (n,).
-        unit: Filled in: standard deviation; 0 with too few samples. Shape (n,).
-
-    Returns:
-        As of `features.measure`.
+    `statistics` are k, M, S of each field, shape (n, 3); with fewer than `min_count` samples `unit` is 0.
     """
     regime = features.measure(content, slot, watch, deltas)
     for index in range(watch.places[slot, features.FIRST], watch.places[slot, features.LAST]):
@@ -70,11 +58,11 @@ def distances(
 
 
 class OnlineScorer(DeltaScorer):
-    """Standard deviations from means that go on from the trained ones; a value is judged before it is learned.
+    """Distances from running means that start at the trained ones; a value is judged before it is learned.
 
     Args:
         preprocessor: Of the fields.
-        statistics: Trained k, M, S of each field. Shape (n, 3).
+        statistics: As trained, see `deviations`.
         min_count: Samples before a field is judged.
     """
 
@@ -146,13 +134,9 @@ class GaussianDetector(ScoringDetector):
 
 
 def fit_online(sample: Sample, preprocessor: Preprocessor, sigmas: float, min_count: float) -> dict[str, Any]:
-    """Statistics from which the `paper` GAD goes on: k, M, S of each field.
+    """Statistics with which the `paper` GAD starts: k, M, S of each field of error-free flights.
 
-    Args:
-        sample: Error-free flights.
-        preprocessor: Of the fields.
-        sigmas: The paper's n.
-        min_count: Samples before a field is judged.
+    `sigmas` is the paper's n, `min_count` the number of samples before a field is judged.
     """
     statistics = []
     for index in range(len(preprocessor.fields)):
@@ -166,11 +150,7 @@ def fit_frozen(
 ) -> dict[str, Any]:  # fmt: skip
     """Centre and limit of the `tuned` GAD, of each field and regime; a distance of one code is always allowed.
 
-    Args:
-        sample: Error-free flights.
-        preprocessor: Of the fields.
-        margin: Limit / largest distance in training.
-        smallest_regime: Samples below which a regime takes the largest limit of its field's regimes.
+    `margin` and `smallest_regime` are those of `regime_limits`.
     """
     shape = len(preprocessor.fields), features.REGIMES
     centre, limit, counts = np.zeros(shape), np.ones(shape), np.zeros(shape, np.int64)

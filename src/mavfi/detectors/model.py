@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.errors import BadInputError, SpecMismatchError, writing
 
 FORMAT = 1
 FITTED_TO = ("stack", "platform", "v_max", "planner")
@@ -51,11 +51,7 @@ class Model:
 
     @staticmethod
     def from_json(data: Mapping[str, Any], source: str = "model") -> "Model":
-        """Inverse of `to_json`.
-
-        Args:
-            data: Plain data.
-            source: Where it comes from, for messages.
+        """Inverse of `to_json`; `source` names the data in messages.
 
         Raises:
             BadInputError: Another format, something is absent, or the content is not what was hashed.
@@ -81,11 +77,9 @@ class Model:
             BadInputError: The place cannot be written.
         """
         path = folder / f"{self.name}.json"
-        try:
+        with writing(path):
             folder.mkdir(parents=True, exist_ok=True)
             path.write_text(json.dumps(self.to_json(), indent=1) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
         return path
 
     @staticmethod
@@ -112,14 +106,7 @@ def model_name(stack: str, platform: str, kind: str, profile: str) -> str:
 
 
 def check_fits(model: Model, stack: str, platform: str, v_max: float, planner: str) -> None:
-    """Refuse a model that was trained for something else.
-
-    Args:
-        model: The model.
-        stack: Name of the stack that it is to watch.
-        platform: Name of the modelled computer.
-        v_max: Speed limit (m/s).
-        planner: Name of the planner.
+    """Refuse a model that was trained for another stack, platform, speed limit (m/s) or planner.
 
     Raises:
         SpecMismatchError: One line that names what differs.

@@ -75,11 +75,9 @@ class Scorer(ABC):
 
     @abstractmethod
     def accept(self, state: State, verdict: Verdict | None) -> None:
-        """Take note of a value that was published.
+        """Take note of a published value of any state.
 
-        Args:
-            state: The value, of any state.
-            verdict: On it, if it is watched and the scorer adapts; `read` was called with it last.
+        The verdict on it is given if it is watched and the scorer adapts; `read` was called with it last.
         """
 
     def not_finite(self, state: State) -> np.ndarray:
@@ -192,11 +190,7 @@ POLICIES: dict[str, Policy] = {"paper": abandon_waypoint, "keyed": keyed}
 
 
 def find_policy(name: str) -> Policy:
-    """A recovery policy by name.
-
-    Raises:
-        BadInputError: The name is not known.
-    """
+    """A recovery policy by name; `BadInputError` if it is not known."""
     if name not in POLICIES:
         raise BadInputError(f"recovery policy {name!r}: not known; allowed: {', '.join(POLICIES)}")
     return POLICIES[name]

@@ -1,14 +1,16 @@
-"""Data preprocessing (MAVFI section IV-B) in two profiles: which fields are watched, and how they become deltas.
+"""Data preprocessing (MAVFI section IV-B) in two profiles: watched fields, their deltas, and the base of their scorers.
 
 `paper`: sign and exponent of a float64 as a 16-bit code, then the difference to the last code.  `tuned`: the difference
 to what was predicted first, in float64, then its code.  Integers: difference, saturated to 16 bits.
 """
 
+from abc import abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
 from mavfi.detectors import features
+from mavfi.detectors.parts import Reading, Scorer, Verdict
 from mavfi.errors import BadInputError
 from mavfi.states import MONITORED_SETS, ODOMETRY, STATES, State, StateSpec
 
@@ -107,6 +109,49 @@ class Preprocessor:
     def slot_of(self, index: int) -> int:
         """Number of the state of the field at an index of the vector."""
         return int(np.searchsorted(self.watch.places[:, features.LAST], index, side="right"))
+
+
+class DeltaScorer(Scorer):
+    """A scorer of the deltas of a preprocessor, which has the fields that the model was trained on."""
+
+    def __init__(self, preprocessor: Preprocessor) -> None:
+        self.features, self.kept = preprocessor, preprocessor.kept
+        self.fields, self.stages = preprocessor.fields, preprocessor.stages
+        size = len(self.fields)
+        self._deltas = np.zeros(size, np.int16)
+        self._distance, self._unit = np.zeros(size), np.ones(size)
+
+    @abstractmethod
+    def measure(self, content: np.ndarray, slot: int) -> int:
+        """Fill in `_deltas`, `_distance` and, where they are no plain numbers, `_unit`; see `features.measure`."""
+
+    def read(self, state: State) -> Reading | None:
+        """Measure a publication."""
+        slot = self.features.slots.get(state.spec.name)
+        if slot is None:
+            return None
+        regime = self.measure(state.header.view(np.uint8), slot)
+        return Reading(self._distance, self._unit, *self.features.range_of(slot), regime)
+
+    def accept(self, state: State, verdict: Verdict | None) -> None:
+        """Take note of a value that was published."""
+        slot = self.features.slots.get(state.spec.name)
+        if slot is None:
+            self.features.note(state)
+            return
+        content = state.header.view(np.uint8)
+        if verdict is not None and self.adapts:
+            self.learn(content, slot, verdict)
+        features.commit(content, slot, self.features.watch)
+
+    def learn(self, content: np.ndarray, slot: int, verdict: Verdict) -> None:  # noqa: B027 - few learn
+        """Adapt to a value that was published, before it becomes the last one; `_deltas` are its own."""
+
+    def not_finite(self, state: State) -> np.ndarray:
+        """Indices of the watched fields of a publication that are not finite."""
+        first, last = self.features.range_of(self.features.slots[state.spec.name])
+        found = features.not_finite(state.header.view(np.uint8), self.features.watch.table[first:last])
+        return first + np.flatnonzero(found)
 
 
 def _known(name: str, allowed: Collection[str], what: str) -> str:

@@ -35,14 +35,7 @@ class Recording:
         return np.cumsum(np.array(sizes, np.int64)[self.kinds])
 
     def headers(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Publications of one watched state.
-
-        Args:
-            name: Its name.
-
-        Returns:
-            Instants (us), shape (k,), and headers, shape (k,), structured.
-        """
+        """Publications of one watched state: instants (us), shape (k,), and headers, shape (k,), structured."""
         spec = STATES[name]
         chosen = np.flatnonzero(self.kinds == WATCHED.index(name))
         size = spec.header_dtype.itemsize
@@ -54,7 +47,6 @@ class Recorder:
     """A detector that never raises an alarm, and keeps what was published."""
 
     def __init__(self) -> None:
-        """An empty record."""
         self.start()
 
     def start(self) -> None:

@@ -29,12 +29,7 @@ class Sample:
 
 
 def sample_of(events: features.Events, preprocessor: Preprocessor) -> Sample:
-    """The vectors of one flight, odometry included.
-
-    Args:
-        events: Everything that was published, in its order.
-        preprocessor: Makes the deltas; it is as at the start of a flight afterwards.
-    """
+    """The vectors of one flight, odometry included; the preprocessor is reset before and after."""
     count = len(events.slots)
     vectors, regimes = np.zeros((count, len(preprocessor.fields)), np.int16), np.zeros(count, np.int64)
     preprocessor.start()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors.model import FITTED_TO, Model
-from mavfi.detectors.preprocess import PROFILES, Preprocessor
+from mavfi.detectors.preprocess import PREDICTIONS, PROFILES, Preprocessor
 from mavfi.detectors.recorder import Recording
 from mavfi.detectors.registry import settings_of, trainable
 from mavfi.detectors.samples import collect
@@ -60,11 +60,7 @@ def save(models: Mapping[str, Model], folder: Path) -> list[Path]:
 
 
 def innovations(recording: Recording) -> dict[str, np.ndarray]:
-    """How far way-points lie from where the ones before them on the same trajectory predict them.
-
-    Returns:
-        By prediction (see `preprocess.PREDICTIONS`), error per axis (m). Shape (k, 3).
-    """
+    """By prediction, errors (m) of way-points predicted from the one before on the same trajectory. Shape (k, 3)."""
     _, headers = recording.headers("planning.waypoint")
     position, velocity = (np.stack([headers[name] for name in names], 1) for names in (("x", "y", "z"), _VELOCITY))
     same = headers["trajectory_seq"][1:] == headers["trajectory_seq"][:-1]
@@ -75,17 +71,10 @@ def innovations(recording: Recording) -> dict[str, np.ndarray]:
 
 
 def best_prediction(recordings: Sequence[Recording]) -> tuple[str, dict[str, dict[str, float]]]:
-    """The prediction that fits these flights best.
-
-    Args:
-        recordings: Error-free flights.
-
-    Returns:
-        Key of `preprocess.PREDICTIONS`; by prediction, the 99 % quantile and the largest error (m).
-    """
+    """Key of `preprocess.PREDICTIONS` that fits best; by prediction, the 99 % quantile and the largest error (m)."""
     found = [innovations(recording) for recording in recordings]
     told = {}
-    for name in ("interval", "trapezoid"):
+    for name in PREDICTIONS:
         errors = np.abs(np.concatenate([part[name].ravel() for part in found] or [np.zeros(0)]))
         if len(errors) == 0:
             raise BadInputError("training: the recordings hold no trajectory of two way-points")

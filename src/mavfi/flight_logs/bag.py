@@ -11,21 +11,13 @@ from mavfi.flight_logs.reader import LoggedMessage
 
 
 class BagReader:
-    """Reads a ROS 1 bag; see `FlightLogReader`.
-
-    Args:
-        path: The file.
-    """
+    """Reads a ROS 1 bag; see `FlightLogReader`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
 
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
-        """The messages of some topics, in their order.
-
-        Raises:
-            BadInputError: The file cannot be read, or lacks a topic.
-        """
+        """See `FlightLogReader`."""
         path = self._path
         try:
             with Reader(path) as reader:

@@ -6,11 +6,7 @@ from mavfi.states import KERNELS, STAGE_KERNELS, Stage
 
 
 def latency(platform: PlatformConfig, kernel: str) -> int:
-    """Latency of a kernel (microseconds).
-
-    Raises:
-        BadInputError: The platform does not say.
-    """
+    """Latency of a kernel (us); `BadInputError` if the platform does not say."""
     if KERNELS[kernel].on_flight_controller:
         return 0
     try:
