@@ -35,12 +35,7 @@ class KernelFunctions:
     track: Compiled = pid.track
 
     def instrumented(self, names: tuple[str, ...], make: Callable[[str, Compiled], Compiled]) -> "KernelFunctions":
-        """A table in which some functions are instrumented.
-
-        Args:
-            names: Attributes.
-            make: Gives what takes the place of a function, from its name and itself.
-        """
+        """A table in which `make` gives what takes the place of the named functions, from the name and the function."""
         return replace(self, **{name: make(name, getattr(self, name)) for name in names})
 
     def __reduce__(self) -> tuple[Any, ...]:

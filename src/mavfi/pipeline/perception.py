@@ -227,10 +227,6 @@ class CollisionCheck(Remembers):
             self.memory.escaping = int(state.header["trajectory_seq"][0])
         return self._every_map
 
-    def _inputs(self) -> _Inputs:
-        """Inputs of a step other than the map."""
-        return (*self._in_force(), self.memory.position, self.memory.remaining)
-
     def _in_force(self) -> tuple[State | None, int, int]:
         """Trajectory in force, index of its point, and its sequence number."""
         if self._every_map and self.memory.trajectories:
@@ -258,7 +254,7 @@ class CollisionCheck(Remembers):
         if self.memory.again:
             self.memory.again = self.memory.rolled_back = False  # a recomputation works on the inputs of the first time
         else:
-            self.memory.used = self._inputs()
+            self.memory.used = (*self._in_force(), self.memory.position, self.memory.remaining)
         assert self.memory.used is not None  # only what was done is done again
         trajectory, index, epoch, position, remaining = self.memory.used
         if trajectory is None or index < 0 or index >= len(trajectory.elements):

@@ -20,6 +20,10 @@ _SHORTCUT_ROOM = 2
 _STAR_NODE_LIMIT = 200_001
 
 
+_Problem = tuple[np.ndarray, Grid, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""Arguments of `PathSearch.search`."""
+
+
 class PathSearch(Protocol):
     """Finds paths on a clearance map."""
 
@@ -60,9 +64,7 @@ class SamplingSearch(ABC):
         self._buffer = np.zeros_like(self._path)
 
     @abstractmethod
-    def _run(
-        self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
-    ) -> int:
+    def _run(self, problem: _Problem) -> int:
         """Put a path into `_path`; returns its number of vertices, 0 = none found."""
 
     def search(
@@ -72,7 +74,7 @@ class SamplingSearch(ABC):
         best = np.zeros((0, 3))
         shortest = np.inf
         for attempt in range(min(self._runs, self._config.restarts)):  # memory that a fault can change is not trusted
-            count = self._run(counter, grid, start, goal, lower, upper)
+            count = self._run((counter, grid, start, goal, lower, upper))
             if count == 0:
                 if attempt > 0 and len(best) == 0:
                     break  # two failures in a row: there is hardly a way
@@ -99,12 +101,10 @@ class Rrt(SamplingSearch):
         super().__init__(config, seed, config.restarts, config.iterations + 1)
         self._tree = rrt.new_tree(config.iterations + 1)
 
-    def _run(
-        self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
-    ) -> int:
+    def _run(self, problem: _Problem) -> int:
         config = self._config
         return cast(int, self.functions.plan_rrt(
-            counter, grid, start, goal, lower, upper, config.range, config.goal_bias, config.iterations, self.random,
+            *problem, config.range, config.goal_bias, config.iterations, self.random,
             self._tree, self._path,
         ))  # fmt: skip
 
@@ -116,11 +116,9 @@ class RrtConnect(SamplingSearch):
         super().__init__(config, seed, config.restarts, 2 * rrt_connect.NODE_LIMIT)
         self._trees = rrt_connect.new_trees()
 
-    def _run(
-        self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
-    ) -> int:
+    def _run(self, problem: _Problem) -> int:
         return cast(int, self.functions.plan_rrt_connect(
-            counter, grid, start, goal, lower, upper, self._config.range, self._config.iterations, self.random,
+            *problem, self._config.range, self._config.iterations, self.random,
             self._trees, self._path,
         ))  # fmt: skip
 
@@ -138,12 +136,10 @@ class RrtStar(SamplingSearch):
         super().__init__(config, seed, 1, nodes)
         self._tree = rrt_star.new_tree(nodes)
 
-    def _run(
-        self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
-    ) -> int:
+    def _run(self, problem: _Problem) -> int:
         config = self._config
         return cast(int, self.functions.plan_rrt_star(
-            counter, grid, start, goal, lower, upper, config.range, config.goal_bias, config.iterations,
+            *problem, config.range, config.goal_bias, config.iterations,
             min(self._longest, config.iterations * config.restarts), self.random, self._tree, self._path,
         ))  # fmt: skip
 

@@ -117,9 +117,7 @@ class Routes:
     def fastest(self, start: np.ndarray, velocity: np.ndarray) -> np.ndarray | None:
         """The quickest path that a number of searches find, through narrow places only if it must.
 
-        Args:
-            start: World frame (m). Shape (3,).
-            velocity: There (m/s). Shape (3,).
+        Position (m) and velocity (m/s) of the start are in the world frame.
         """
         straight = np.array([start, self._config.goal])
         enough = _GOOD_ENOUGH * paths.path_length(straight, 2) / self._config.v_max
