@@ -19,15 +19,13 @@ from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import Progress, run_campaign
-from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.campaign.samplers.request import draw_request
 from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector
-from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, InstructionFault, StateFault
+from mavfi.faults.fault import Fault
 from mavfi.faults.spec import InstructionRequest, StateRequest, parse
-from mavfi.hosts.host import Flight
-from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.local import fly as fly_locally
+from mavfi.hosts.host import ArmSetup, Flight
+from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.recovery import Coupling
 from mavfi.hosts.watching import detector_for
@@ -82,7 +80,7 @@ def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **opt
         BadInputError: The text is not understood, or the mission has no such site.
     """
     spec = _spec(mission, options)
-    return _draw(resolve(spec), parse(fault, spec.localization), seed)[0]
+    return draw_request(resolve(spec), parse(fault, spec.localization), seed)[0]
 
 
 def run(
@@ -157,40 +155,25 @@ def fly_request(
     Raises:
         BadInputError: The mission has no such site.
     """
-    fault, golden = (None, None) if request is None else _draw(scenario, request, seed)
+    fault, golden = (None, None) if request is None else draw_request(scenario, request, seed)
     return _fly_fault(scenario, fault, detector, label, coupling, golden if detector is None else None)
-
-
-def _draw(
-    scenario: Scenario, request: StateRequest | InstructionRequest, seed: int
-) -> tuple[StateFault | InstructionFault, Flight | None]:
-    """A fault, and the golden flight if one was flown for that: as campaigns draw, nothing watches it."""
-    if isinstance(request, InstructionRequest):
-        drawn = draw_instruction_faults(scenario, request, seed=seed)
-        fault = drawn.faults[request.kernel][0]
-        if not fault.has_site:
-            raise BadInputError(
-                f"fault instruction:{request.kernel}: this mission executes no instruction {request.which!r} there; "
-                "allowed: a class that it executes"
-            )
-        return fault, drawn.golden
-    golden = fly_locally(scenario, profile=True) if request.needs_profile else None
-    return request.resolve(seed, scenario.stack.name, None if golden is None else golden.profile), golden
 
 
 def _fly_fault(
     scenario: Scenario, fault: Fault | None, detector: Detector | None, label: str, coupling: Coupling,
     golden: Flight | None = None,
 ) -> FlightResult:  # fmt: skip
-    if isinstance(fault, InstructionFault):
-        found = fly_instruction_faults(scenario, [fault], detector, golden, coupling)
-        return FlightResult(scenario, found.flights[0], found.golden, fault, label)
-    if fault is not None and not isinstance(fault, StateFault):
-        raise BadInputError(f"fault of level {fault.level!r}: a local flight takes: state, instruction")
-    golden = golden or fly_locally(scenario, None, detector, coupling=coupling)
+    setup = ArmSetup(scenario, None if detector is None else lambda: detector, coupling)
+    flights = LocalHost().mission({label: setup}, fast_forward=False)
+    if golden is not None:
+        flights.know(label, golden)
+    golden = flights.golden(label)
     if fault is None:
-        return FlightResult(scenario, golden, None, None, label)
-    return FlightResult(scenario, fly_locally(scenario, fault, detector, coupling=coupling), golden, fault, label)
+        return FlightResult(scenario, golden, detector=label)
+    ((_, flight),) = flights.injected([(label, fault)])
+    if isinstance(flight, Exception):
+        raise flight
+    return FlightResult(scenario, flight, golden, fault, label)
 
 
 def _spec(mission: MissionSpec | None, options: dict[str, Any]) -> MissionSpec:

@@ -11,15 +11,11 @@ from mavfi.cli import options, ros_attach, ros_nodes
 from mavfi.cli.console import FLIGHTS, check_file, console, write_json
 from mavfi.cli.fly import check_company, load_watcher
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import BadInputError
 from mavfi.mission import MissionSpec
 
 if TYPE_CHECKING:
-    from mavfi.faults.fault import StateFault
-    from mavfi.faults.spec import StateRequest
     from mavfi.hosts.ros1.plan import Plan
     from mavfi.hosts.ros1.session import RosFlight
-    from mavfi.mission import Scenario
     from mavfi.reports.flight_result import FlightResult
 
 _NODE_EVENTS = {"node_lost": "lost", "node_back": "back", "node_absent": "still away"}
@@ -71,7 +67,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     """
     check_company(mission, fault, fault_seed, detector, profile, models)
     check_file("--save", save, FLIGHTS)
-    request = _request(fault, mission.localization)
+    from mavfi.faults.spec import parse_state
+
+    request = None if fault is None else parse_state(fault, mission.localization)
     kills = tuple(ros_nodes.instant("--kill", text) for text in kill or ())
     cloud = ros_nodes.cloud_node(point_cloud_node)
     faults = ros_nodes.register_faults(
@@ -82,13 +80,14 @@ def fly(  # noqa: PLR0913 - one parameter per option
     from mavfi.hosts.ros1 import finder
 
     finder.require()
+    from mavfi.campaign.samplers.request import draw_state
     from mavfi.hosts.loop.compose import resolve
     from mavfi.hosts.ros1.plan import Plan
     from mavfi.hosts.ros1.session import configure
 
     scenario = resolve(mission)
     watching, label = load_watcher(detector, profile, models, scenario)
-    drawn = _draw(scenario, request, fault_seed or 0)
+    drawn = None if request is None else draw_state(scenario, request, fault_seed or 0)[0]
     plan = Plan(
         scenario, configure(scenario), drawn, watching, mission.coupling, free_running, kills, cloud_node=cloud,
         register_faults=faults,
@@ -99,27 +98,6 @@ def fly(  # noqa: PLR0913 - one parameter per option
     if save is not None:
         flight.flight.log.save(save)
     _show(plan, result, flight, as_json, save)
-
-
-def _request(text: str | None, localization: str) -> StateRequest | None:
-    if text is None:
-        return None
-    from mavfi.faults.spec import StateRequest, parse
-
-    request = parse(text, localization)
-    if not isinstance(request, StateRequest):
-        raise BadInputError(f"--fault: {text!r}: on ROS faults are injected into states: null, or state:STATE...")
-    return request
-
-
-def _draw(scenario: Scenario, request: StateRequest | None, seed: int) -> StateFault | None:
-    """The fault, drawn from the golden run as every host draws it."""
-    from mavfi.hosts.local import fly as fly_here
-
-    if request is None:
-        return None
-    profile = fly_here(scenario, profile=True).profile if request.needs_profile else None
-    return request.resolve(seed, scenario.stack.name, profile)
 
 
 def _fly(plan: Plan, label: str, allow_bind_all: bool, *, quiet: bool) -> tuple[FlightResult, RosFlight]:

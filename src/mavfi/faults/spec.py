@@ -119,6 +119,20 @@ def parse(text: str, localization: str = "truth") -> StateRequest | InstructionR
     return _PARSERS.get(level, _not_understood)(text, rest, localization)
 
 
+def parse_state(text: str, localization: str = "truth") -> StateRequest:
+    """Read a fault in a state, the only level that nodes of ROS take; see `parse`.
+
+    Raises:
+        BadInputError: It is of another level, or names nothing that exists.
+    """
+    level, _, rest = text.partition(":")
+    return _STATE_PARSERS.get(level, _only_states)(text, rest, localization)
+
+
+def _only_states(text: str, _rest: str, _localization: str) -> NoReturn:
+    raise BadInputError(f"fault {text!r}: on ROS faults are injected into states; allowed: null, state:STATE...")
+
+
 def _not_understood(text: str, _rest: str, _localization: str) -> NoReturn:
     raise BadInputError(f"fault {text!r}: not understood; allowed: {FORM}")
 
@@ -185,9 +199,9 @@ def _find(text: str, path: str, localization: str) -> tuple[StateSpec, str | Non
         raise BadInputError(f"fault {text!r}: {error}") from None
 
 
+_STATE_PARSERS: dict[str, Callable[[str, str, str], StateRequest]] = {"null": _parse_null, "state": _parse_state}
 _PARSERS: dict[str, Callable[[str, str, str], StateRequest | InstructionRequest]] = {
-    "null": _parse_null,
-    "state": _parse_state,
+    **_STATE_PARSERS,
     "instruction": _parse_instruction,
     "register": _refuse_register,
 }
