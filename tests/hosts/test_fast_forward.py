@@ -67,16 +67,20 @@ def every_fault(stack, arm, forward, detector, faults=FAULTS):
 
 
 IN_THE_FAST_SUITE = [("published", "gaussian"), ("hardened", "")]
+REPEATED = [("published", ""), ("hardened", "gaussian")]
+"""Part of what arms with a detector show; that arm on the other profile."""
 
 
-@pytest.mark.parametrize(
-    ("stack", "arm"),
-    [
-        pytest.param(stack, arm, marks=() if (stack, arm) in IN_THE_FAST_SUITE else pytest.mark.slow)
-        for stack in STACKS
-        for arm in ARMS[stack]
-    ],
-)
+def marked(stack, arm):
+    marks = (
+        ()
+        if (stack, arm) in IN_THE_FAST_SUITE
+        else (pytest.mark.slow, *[pytest.mark.long] * ((stack, arm) in REPEATED))
+    )
+    return pytest.param(stack, arm, marks=marks)
+
+
+@pytest.mark.parametrize(("stack", "arm"), [marked(stack, arm) for stack in STACKS for arm in ARMS[stack]])
 def test_fast_forwarded_flights_are_the_flights(stack, arm):
     forward = FastForward(mission(stack))
     assert every_fault(stack, arm, forward, ARMS[stack][arm]()) == []
@@ -166,8 +170,11 @@ def table1(stack):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("environment", "stack"),
-    [("dense", "published"), ("factory", "hardened")]
-    + [pytest.param(name, "published", marks=pytest.mark.long) for name in ("factory", "farm", "sparse")],
+    [
+        ("dense", "published"),
+        pytest.param("factory", "hardened", marks=pytest.mark.long),
+        *(pytest.param(name, "published", marks=pytest.mark.long) for name in ("factory", "farm", "sparse")),
+    ],
 )
 def test_a_mission_of_the_table_leaves_the_same_records(environment, stack):
     """All arms, all stages, both strata and a null fault; `benchmarks/fast_forward.py` compares hundreds of runs."""

@@ -6,6 +6,7 @@ from tests.robustness import nojit
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_kernels_pass_their_tests_as_plain_python():
     assert nojit.main() >= nojit.LEAST
 

@@ -41,6 +41,7 @@ def test_corrupted_numbers_give_the_same_result_twice(name):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_corrupted_numbers_never_lead_out_of_bounds(request):
     cache = request.config.cache.mkdir("numba_boundscheck")
     path = os.pathsep.join((str(ROOT / "src"), str(ROOT)))

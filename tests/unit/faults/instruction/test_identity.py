@@ -143,7 +143,11 @@ def test_a_counted_flight_is_the_golden_one():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("planner", "stack", "map_kind"),
-    [("rrt_connect", "hardened", "octree"), ("rrt", "published", "dense"), ("rrt_star", "hardened", "dense")],
+    [
+        ("rrt_connect", "hardened", "octree"),
+        pytest.param("rrt", "published", "dense", marks=pytest.mark.long),
+        pytest.param("rrt_star", "hardened", "dense", marks=pytest.mark.long),
+    ],
 )
 def test_every_kernel_counted_in_a_flight_changes_nothing(planner, stack, map_kind):
     scenario = short(planner, stack, map_kind)
