@@ -27,6 +27,6 @@ def digest(stack: str, machine: dict[str, str]) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stack", ["published", "hardened"])
+@pytest.mark.parametrize("stack", ["hardened", pytest.param("published", marks=pytest.mark.long)])
 def test_a_flight_has_the_same_bits_for_every_cpu_that_the_libraries_tell_apart(stack):
     assert len({digest(stack, machine) for machine in MACHINES.values()}) == 1

@@ -13,7 +13,7 @@ CASES = [
     ("rrt", "dense", 0, planners.Search(4.0, 10_000), 600),
     pytest.param("rrt", "factory", 0, planners.Search(4.0, 10_000), 1600, marks=pytest.mark.long),
     ("rrt_connect", "dense", 0, planners.Search(4.0, 4000), 600),
-    ("rrt_connect", "factory", 0, planners.Search(4.0, 4000), 1600),
+    pytest.param("rrt_connect", "factory", 0, planners.Search(4.0, 4000), 1600, marks=pytest.mark.long),
     ("rrt_star", "dense", 0, planners.Search(8.0, 1500), 100),
     pytest.param("rrt_star", "factory", 0, planners.Search(8.0, 2500), 80, marks=pytest.mark.long),
 ]

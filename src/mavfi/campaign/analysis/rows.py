@@ -55,7 +55,7 @@ def row_of(
     spec, fault = run.spec, run.spec.fault
     planned = {} if fault is None else {
         "level": fault.level, "site": fault.site, "bit": fault.bit, "stratum": fault.stratum, "weight": fault.weight,
-        "has_site": fault.has_site, "population": ALL_BITS, **_site_columns(fault),
+        "bit_class": fault.bit_class, "has_site": fault.has_site, "population": ALL_BITS, **_site_columns(fault),
     }  # fmt: skip
     planned["monitored"] = (planned.get("state", ""), planned.get("field", "")) in monitored
     return {

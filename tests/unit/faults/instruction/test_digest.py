@@ -31,7 +31,7 @@ for name in sys.argv[1:]:
     digests[name] = prepare(case.function, signature)[0].ir_sha256
 print(json.dumps(digests))
 """
-SLOW = ("rrt_connect", "track", "time_to_collision")
+SLOW = ("track", "time_to_collision")
 
 
 @kernel_jit
