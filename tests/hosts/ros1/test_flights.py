@@ -77,7 +77,7 @@ def test_a_flight_with_a_state_fault():
     assert log.digest() != golden("hardened").log.digest()
 
 
-@pytest.mark.parametrize("name", ["gaussian", "autoencoder"])
+@pytest.mark.parametrize("name", ["gaussian", pytest.param("autoencoder", marks=pytest.mark.long)])
 def test_a_flight_with_a_fault_and_a_detector_as_a_gate(name):
     scenario = mission()
     wrong = fault("planning.waypoint", "x", 4.0, 62)
@@ -109,7 +109,7 @@ def test_a_flight_with_the_state_estimator():
     assert log.meta["publications"]["perception.odometry"] > 1000
 
 
-@pytest.mark.parametrize("coupling", ["inline", "observer"])
+@pytest.mark.parametrize("coupling", ["observer", pytest.param("inline", marks=pytest.mark.long)])
 def test_an_injected_estimate_and_a_detector_that_wants_it_again(coupling):
     scenario = short(localization="estimator")
     wrong = fault("perception.odometry", "x", 3.0, 56)

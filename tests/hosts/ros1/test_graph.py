@@ -60,8 +60,8 @@ def test_a_gate_comes_after_the_injector():
     injected, other = found["planning.waypoint"], found["control.command"]
     assert injected.taps == (INJECTOR, DETECTOR)
     assert injected.after_injector == injected.before_gate == f"{injected.final}/injected"
-    assert (other.first, other.before_gate, other.last) == (f"{other.final}/raw", f"{other.final}/raw", DETECTOR)
-    assert found["sensor.depth"].writer == WORLD and found["sensor.depth"].last == DETECTOR
+    assert (other.first, other.before_gate, other.taps) == (f"{other.final}/raw", f"{other.final}/raw", (DETECTOR,))
+    assert found["sensor.depth"].writer == WORLD and found["sensor.depth"].taps == (DETECTOR,)
 
 
 @pytest.mark.parametrize("stack", STACKS)
