@@ -33,6 +33,7 @@ class Bar:
         self._live = Live(self._bar, console=self._console, refresh_per_second=5)
         self._begun = self._told = time.perf_counter()
         self._held: int | None = None
+        self._waits = True
 
     def __enter__(self) -> "Bar":
         if self._console.is_terminal:
@@ -43,8 +44,9 @@ class Bar:
         self._live.stop()
 
     def show(self, done: int, total: int) -> None:
-        """Show how much is done; work that was done before the first call does not count for the rate."""
-        if self._held is None:
+        """Show how much is done; the rate counts from the first unit on, which compiles and loads for all."""
+        if self._held is None or (self._waits and done > self._held):
+            self._waits = self._held is None
             self._held, self._begun = done, time.perf_counter()
         seconds = time.perf_counter() - self._begun
         rate = (done - self._held) / seconds if seconds > 0 else 0.0

@@ -86,14 +86,18 @@ def test_ctrl_c_stops_work_and_leaves_everything_else():
         signal.signal(signal.SIGINT, before)
 
 
-def test_the_rate_of_a_bar_counts_from_what_was_done_before(monkeypatch, capsys):
+def test_the_rate_of_a_bar_counts_from_the_first_unit_that_is_done_now(monkeypatch, capsys):
+    """59 were done before; the first one compiled for 100 s, which says nothing about the others."""
     clock = [0.0]
     monkeypatch.setattr("mavfi.cli.progress.time.perf_counter", lambda: clock[0])
     bar = Bar("training flights")
     bar.show(59, 100)
-    clock[0] = 20.0
+    clock[0] = 100.0
+    bar.show(60, 100)
+    assert capsys.readouterr().err == "training flights 60/100 flights\n"
+    clock[0] = 120.0
     bar.show(99, 100)
-    assert "99/100 flights  2.0 flights/s · 0 s left" in capsys.readouterr().err
+    assert "99/100 flights  1.9 flights/s · 1 s left" in capsys.readouterr().err
 
 
 def test_help_loads_nothing_heavy():
