@@ -14,6 +14,7 @@ from pydantic.fields import FieldInfo
 from mavfi.config import Vector
 from mavfi.errors import BadInputError
 from mavfi.mission import LARGEST_SEED, MissionSpec
+from mavfi.plugins import known
 
 _ALIASES = {"autopilot": ("--stack",)}
 """Older names that still work."""
@@ -30,7 +31,9 @@ FaultSeed = Annotated[
     int | None,
     typer.Option(help="Draws what the fault does not name: instant, element, instruction, bit; 0 by default."),
 ]
-Detector = Annotated[str, typer.Option(help="gaussian, autoencoder, another entry point, or package:Class.")]
+DETECTORS = ", ".join(sorted(known("mavfi.detectors", {})))
+"""Entry points; the registry, which loads them, is too heavy for `--help`."""
+Detector = Annotated[str, typer.Option(help=f"{DETECTORS}, or package:Class.")]
 Profile = Annotated[str | None, typer.Option(help="Of the detector: paper (the default) or tuned.")]
 Models = Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object instead of text.")]

@@ -147,7 +147,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     fields: Annotated[
         str, typer.Option(metavar="FIELD,...", help="Numbers, e.g. position\\[0], or TOPIC:FIELD; all by default.")
     ] = "",
-    detector: Annotated[str, typer.Option(help="gaussian or autoencoder.")] = "gaussian",
+    detector: Annotated[str, typer.Option(help=f"{options.DETECTORS}, or package:Class.")] = "gaussian",
     profile: Annotated[
         str, typer.Option(help="paper (signs and exponents of values) or tuned (of changes).")
     ] = "tuned",

@@ -99,7 +99,9 @@ def _threshold(model: Model) -> str:
     parameters = model.parameters
     if "sigmas" in parameters:
         return f"{parameters['sigmas']:g} deviations, {len(parameters['statistics'])} fields"
-    limits = [value for row in parameters["limit"] for value in row]
+    limits = [value for row in parameters.get("limit", ()) for value in row]
+    if not limits:  # a detector of somebody else's, with parameters of its own
+        return ", ".join(parameters)
     if len(limits) == 1:
         return f"mean squared error {limits[0]:.4g}"
     return f"{len(limits)} limits, {min(limits):.3g} to {max(limits):.3g}"
