@@ -22,8 +22,13 @@ def pytest_addoption(parser):
     parser.addoption("--update-goldens", action="store_true", help="store the digests of the golden flights anew")
 
 
-_ALONE = ("tests/hosts/ros1", "tests/hosts/node", "tests/unit/faults/register")
-"""Other processes take part in these tests, and want the processors for themselves."""
+_ALONE = (
+    "tests/hosts/ros1/test_page.py",
+    "tests/hosts/ros1/test_processes.py",
+    "tests/hosts/node",
+    "tests/unit/faults/register",
+)
+"""Other processes take part in these tests, and keep the time of the wall: they want the processors for themselves."""
 
 
 def pytest_collection_modifyitems(config, items):

@@ -67,8 +67,8 @@ def every_fault(stack, arm, forward, detector, faults=FAULTS):
 
 
 IN_THE_FAST_SUITE = [("published", "gaussian"), ("hardened", "")]
-REPEATED = [("published", ""), ("hardened", "gaussian")]
-"""Part of what arms with a detector show; that arm on the other profile."""
+REPEATED = [("published", ""), ("published", "autoencoder"), ("hardened", "gaussian"), ("hardened", "silent")]
+"""Part of what arms with a detector show; such an arm on the other profile, or with another detector."""
 
 
 def marked(stack, arm):

@@ -66,7 +66,7 @@ def runs_of(directory, *settings):
 
 
 # ---- faults in data -------------------------------------------------------------------------------------------------
-DATA = {"kernels": ["pid", "rrt"], "which": "data"}
+DATA = {"kernels": ["pid", "point_cloud"], "which": "data"}
 
 
 @pytest.fixture(scope="module")
@@ -83,13 +83,13 @@ def test_workers_and_stops_do_not_matter(in_data, tmp_path):
 
 def test_kernels_have_equal_numbers_and_golden_runs_count_what_they_execute(in_data):
     injected = runs_of(in_data, "fi")
-    assert Counter(one.spec.fault.kernel for one in injected) == {"pid": 3, "rrt": 3}
+    assert Counter(one.spec.fault.kernel for one in injected) == {"pid": 3, "point_cloud": 3}
     golden = {one.record.digest for one in runs_of(in_data) if one.spec.kind == "golden"}
     for one in injected:
         assert one.record.kernel.effect in ("masked", "sdc", "exception"), "data neither crash nor hang"
         assert one.record.kernel.effect != "masked" or one.record.digest in golden
     counts = [one.record.counts for one in runs_of(in_data) if one.spec.kind == "golden" and one.record.counts]
-    for kernel in ("pid", "rrt"):
+    for kernel in ("pid", "point_cloud"):
         own = [counted[kernel] for counted in counts if kernel in counted]
         assert len(own) == 2, "one for each mission"
         assert all(sum(number for *_, number in counted["lines"]) == counted["instructions"] > 0 for counted in own)
@@ -160,7 +160,9 @@ def test_workers_and_stops_do_not_matter_to_addresses(in_addresses, tmp_path):
     assert digest(tmp_path) == digest(in_addresses)
 
 
-@pytest.mark.parametrize("effect", ["crash", "sdc", "masked"])
+@pytest.mark.parametrize(
+    "effect", ["crash", *(pytest.param(name, marks=pytest.mark.long) for name in ("sdc", "masked"))]
+)
 def test_the_command_gives_the_same_bytes_in_a_fresh_process(in_addresses, effect):
     chosen = next((one for one in runs_of(in_addresses, "fi") if one.record.kernel.effect == effect), None)
     if chosen is None:
@@ -200,6 +202,7 @@ def test_a_command_of_the_page_gives_the_same_flight(in_addresses, tmp_path, cap
         assert json.loads(capsys.readouterr().out)["same"]
 
 
+@pytest.mark.long
 def test_where_addresses_cannot_be_fixed_the_records_say_so(tmp_path, monkeypatch):
     template.close_templates()
     monkeypatch.setattr(launch, "_personality", lambda wanted=0: -1)

@@ -177,6 +177,7 @@ class Hanging(Scripted):
             time.sleep(3600)
 
 
+@pytest.mark.alone
 def test_a_hung_node_is_ended_and_restarted():
     fly_here(short())  # what is compiled at its first use must not look like hanging
     log = there(short(), None, Hanging(), patience_s=8.0)
@@ -184,6 +185,7 @@ def test_a_hung_node_is_ended_and_restarted():
     assert events == [("node_lost", "detector"), ("node_back", "detector")]
 
 
+@pytest.mark.alone
 def test_time_passes_as_on_the_wall_if_wanted():
     scenario = short()
     alarming = Scripted("control.command", n=150)
@@ -248,6 +250,7 @@ def test_when_the_world_fails_so_does_the_flight(tmp_path, monkeypatch):
         there(short(), None, Scripted("control.command", n=10, stage="propulsion"))
 
 
+@pytest.mark.alone
 def test_debians_tools_see_the_flight(tmp_path):
     """As the page docs/ros.md shows them."""
     told = {}

@@ -62,7 +62,8 @@ def test_numbers_of_any_size_can_be_learned(profile):
     spec = foreign_spec("/x", ["a", "b", "c"])
     rows = np.random.default_rng(0).normal(size=(200, 3)) * [1e307, 1e-320, 0.0]
     states = [foreign_state(spec, row) for row in rows]
-    assert watch(learn("gaussian", profile, states, {"/x": spec}), states) is not None
+    detector = learn("gaussian", profile, states, {"/x": spec})
+    assert watch(detector, [*states, foreign_state(spec, [np.nan, 0.0, 0.0])])[len(states)] == ("/x.a",)
 
 
 @pytest.mark.parametrize(
