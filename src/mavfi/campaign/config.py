@@ -242,13 +242,12 @@ class Campaign(Config):
 
 
 class Study(Config):
-    """A set of campaigns, and the views that they feed."""
+    """A set of campaigns that are flown and reported together."""
 
     name: str
     title: str = ""
     training_flights: int = Field(100, ge=0, description="error-free flights that the detectors are trained on")
     campaigns: dict[str, str] = Field(min_length=1, description="name or path of a campaign, by folder of its ledger")
-    views: tuple[str, ...] = Field((), description="views of the headline, `folder:view`")
 
 
 def _node_keys(data: Mapping[str, Any]) -> dict[str, Any]:

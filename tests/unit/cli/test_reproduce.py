@@ -36,6 +36,7 @@ def test_it_trains_flies_prints_and_writes_and_resumes_where_it_stopped(capsys, 
     files = {"campaign.sqlite", "report.md", "readme_block.md", "summary.json"}
     assert files | {"models", "instructions"} <= {path.name for path in out.iterdir()}
     assert files <= {path.name for path in (out / "instructions").iterdir()}
+    assert "Injection run" in (out / "instructions" / "readme_block.md").read_text(encoding="utf-8"), "not its headline"
 
     def never(*_, **__):
         raise AssertionError("trained again")

@@ -94,7 +94,7 @@ register(
             "latency is 0 by construction",
             "detected downstream: within 1 s, an alarm of a state and instant that the golden flight with the same "
             "detector has not; false alarms that the fault has shifted are among them",
-        ), detail=True, applies=lambda runs: of_states(runs) and watched(runs),
+        ), applies=lambda runs: of_states(runs) and watched(runs),
     ),
     View(
         "overheads", "Overhead of recomputation", SETTING,

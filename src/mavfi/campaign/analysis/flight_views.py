@@ -99,7 +99,7 @@ register(
         notes=lambda runs: (
             paper.STATE_LEVEL, ONE_FAULT, "per cent, [95 % interval: Wilson, n reduced by the design effect of "
             "worlds], successes / n; faults in sign and exponent bits", *separable_note(runs),
-        ), applies=_by_stages,
+        ), leads=True, applies=_by_stages,
     ),
     View(
         "success", "Success of missions", SETTING, (m.leading_success, paper.beside(paper.success), m.other_success),
@@ -107,7 +107,7 @@ register(
         notes=lambda runs: (
             paper.STATE_LEVEL, ONE_FAULT, _SETTINGS, INTERVALS,
             "paper: instruction level, 100 golden flights, 300 with a fault", *unknown_note(of_missions(runs)),
-        ), applies=of_states,
+        ), leads=True, applies=of_states,
     ),
 )  # fmt: skip
 
@@ -195,13 +195,13 @@ def _slow_note(runs: Runs) -> tuple[str, ...]:
 
 def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
     """A view over all environments, and where there are several one with each of them."""
-    applies, detail = more.pop("applies", of_states), more.pop("detail", False)
+    applies = more.pop("applies", of_states)
     columns: dict[str, Any] = {"measures": (m.leading_success, m.other_success, m.hurt), "notes": _slow_note}
     columns["where"] = lambda runs: runs.injected.where("judged", level=STATE)
     register(
-        View(name, title, (*by, "setting"), detail=detail, applies=applies, **columns, **more),
+        View(name, title, (*by, "setting"), applies=applies, **columns, **more),
         View(
-            f"{name}_and_environment", f"{title}, each environment", ("environment", *by, "setting"), detail=True,
+            f"{name}_and_environment", f"{title}, each environment", ("environment", *by, "setting"),
             applies=lambda runs: applies(runs) and len(runs.values("environment")) > 1, **columns, **more,
         ),
     )  # fmt: skip
@@ -211,8 +211,8 @@ _by("by_stage", "Success by stage of the fault", ("stage",), applies=_by_stages)
 _by("by_target", "Success by group of fields", ("target",), applies=_by_groups)
 _by("by_state", "Success by inter-kernel state", ("state",))
 _by("by_bits", "Success by class of the flipped bit", ("bit_class",))
-_by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST, detail=True)
-_by("by_every_field", "Success by field", ("state", "field"), detail=True, applies=lambda _: False)
+_by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST)
+_by("by_every_field", "Success by field", ("state", "field"), applies=lambda _: False)
 
 
 # ---- effects and endings -----------------------------------------------------------------------------------------
@@ -250,7 +250,7 @@ register(
     ),
     View(
         "outcomes_by_stage", "Effects of faults, by stage", (*SETTING, "stage"), _EFFECTS, notes=_effect_notes,
-        where=lambda runs: runs.injected, detail=True, applies=of_states,
+        where=lambda runs: runs.injected, applies=of_states,
     ),
     View(
         "endings", "How missions ended", SETTING, (m.count("n", "n"), _statuses), where=of_missions,

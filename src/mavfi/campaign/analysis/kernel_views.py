@@ -98,7 +98,7 @@ register(
         notes=lambda runs: (
             paper.INSTRUCTION_LEVEL, ONE_FAULT, _estimand(runs), _RATES, _DYING, _missed_note(runs),
             *unknown_note(faulty_and_bare(runs)), *separable_note(runs),
-        ), applies=_by_stages,
+        ), leads=True, applies=_by_stages,
     ),
     View(
         "instructions_by_stage", "Instruction level: success by stage of the fault",
@@ -226,7 +226,7 @@ register(
             Measure("worst_run", "worst run", TEXT, m.worst_run, hidden=True),
             Measure("paper", "paper's Fig. 3", TEXT, lambda own: paper.figure("kernels", kernel=own.first("kernel"))),
         ),
-        where=kernel_runs,
+        where=kernel_runs, leads=True,
         notes=_kernel_notes(
             _POLICIES,
             "changed: flights that are not bit for bit their golden run; median, p95, worst: flight time against the "
@@ -266,6 +266,6 @@ register(
             Measure("calls", "calls", NUMBER, lambda own: sum(own["calls"])),
             Measure("instructions", "instructions", NUMBER, lambda own: sum(own["instructions"])),
         ),
-        where=lambda runs: runs.golden.exploded(_counted), detail=True, applies=_of_instructions,
+        where=lambda runs: runs.golden.exploded(_counted), applies=_of_instructions,
     ),
 )  # fmt: skip

@@ -97,7 +97,7 @@ register(
             m.count("n", "trials"),
             *(m.count(effect, heading, effect=effect) for effect, heading in _EFFECTS.items()),
         ),
-        where=_places, limit=_MOST, largest="n", detail=True, applies=_of_registers,
+        where=_places, limit=_MOST, largest="n", applies=_of_registers,
     ),
     View(
         "register_corruptions", "Silent corruptions", ("run_id",),
@@ -108,6 +108,6 @@ register(
                 ("golden_value", "golden"), ("value", "was"), ("differing", "outputs that differ"),
             )
         ),
-        where=lambda runs: _trials(runs).exploded(_difference), headings=("run",), detail=True, applies=_of_registers,
+        where=lambda runs: _trials(runs).exploded(_difference), headings=("run",), applies=_of_registers,
     ),
 )  # fmt: skip

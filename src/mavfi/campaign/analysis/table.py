@@ -39,7 +39,6 @@ class Table:
     rows: Sequence[tuple[Cell, ...]]
     keys: int = 1  # how many of the first columns name the row
     notes: tuple[str, ...] = ()  # lines below it
-    detail: bool = False  # shown only in files, and on request
 
     @staticmethod
     def of_text(title: str, headings: Sequence[str], rows: Sequence[tuple[str, ...]], notes: Sequence[str]) -> "Table":

@@ -35,7 +35,7 @@ class View:
     largest: str = ""  # key of the measure that orders all rows, largest first, then by their first cell
     limit: int | None = None  # most rows
     least: int = 1  # rows of fewer runs are left out of the report
-    detail: bool = False  # in the terminal only on request
+    leads: bool = False  # comes first in a report, and is its headline
     applies: Callable[[Runs], bool] = field(default=lambda _: True)  # whether the report of a campaign has the table
 
     def table(self, runs: Runs) -> Table:
@@ -48,7 +48,7 @@ class View:
         notes = [*(self.notes(runs) if rows else ()), *(f"{name}: unknown ({why})" for name, why in raised.items())]
         return Table(
             self.name, self.title, tuple(columns), self._ordered(columns, rows), max(1, len(self.by)),
-            (*notes, *_flown_with(runs)), self.detail,
+            (*notes, *_flown_with(runs)),
         )  # fmt: skip
 
     def _measures(self, chosen: Runs) -> list[Measure]:
@@ -129,8 +129,9 @@ def table(runs: Runs, name: str) -> Table:
 
 
 def views_for(runs: Runs) -> list[Table]:
-    """Tables of a campaign's report: those of all views that apply to it and have rows."""
-    found = [view.table(runs) for view in VIEWS.values() if view.applies(runs)]
+    """Tables of a campaign's report: those of all views that apply to it and have rows; the first is its headline."""
+    ordered = sorted(VIEWS.values(), key=lambda view: not view.leads)
+    found = [view.table(runs) for view in ordered if view.applies(runs)]
     return [table for table in found if table.rows]
 
 

@@ -103,10 +103,11 @@ def test_silent_corruptions_by_the_field_that_differed_first():
 
 def test_which_tables_a_campaign_of_kernels_has(own):
     names = [found.name for found in views_for(own)]
-    assert names[0] == "recovery" or "instructions_as_in_the_paper" in names
+    assert names[:2] == ["instructions_as_in_the_paper", "kernel_missions"]
     assert {"kernel_effects", "kernel_missions", "kernel_errors", "kernel_instructions", "recovery"} <= set(names)
     assert not {"success", "by_stage", "outcomes", "register_effects"} & set(names)
     per_kernel = replace(own, campaign={**own.campaign, "each": "kernel"})
+    assert views_for(per_kernel)[0].name == "kernel_missions"
     assert "instructions_as_in_the_paper" not in [found.name for found in views_for(per_kernel)]
     [counted] = table(own, "kernel_instructions").entries()
     assert (counted["flights"], counted["calls"], counted["instructions"]) == (5, 50, 500)
