@@ -242,12 +242,19 @@ class Campaign(Config):
 
 
 class Study(Config):
-    """A set of campaigns that are flown and reported together."""
+    """A set of campaigns, and the views that they feed."""
 
     name: str
-    title: str = ""
     training_flights: int = Field(100, ge=0, description="error-free flights that the detectors are trained on")
     campaigns: dict[str, str] = Field(min_length=1, description="name or path of a campaign, by folder of its ledger")
+    views: dict[str, tuple[str, ...]] = Field(
+        default_factory=dict, description="tables of the headline, by folder; by default the leading one of its report"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Study":
+        _check_known("views", self.views, self.campaigns)
+        return self
 
 
 def _node_keys(data: Mapping[str, Any]) -> dict[str, Any]:

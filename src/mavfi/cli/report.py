@@ -1,5 +1,6 @@
 """`mavfi report`: the headline or the tables of a campaign in the terminal; report.md and figures in its folder."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -48,14 +49,16 @@ def report(  # noqa: PLR0913 - one parameter per option
     console().print(f"[dim]wrote[/dim] {names} [dim]in[/dim] {directory}", soft_wrap=True)
 
 
-def show_report(found: "Report", show_all: bool) -> None:
-    """Print a report: campaign, leading table (or all tables), findings in sentences."""
+def show_report(found: "Report", show_all: bool, views: Sequence[str] = ()) -> None:
+    """Print a report: campaign, leading table (or those of some views, or all), findings in sentences."""
+    from mavfi.campaign.analysis import table as table_of
     from mavfi.reports.terminal import show_header, show_table
     from mavfi.reports.text import checks, header
 
     out = console()
     show_header(header(found.runs.campaign), out)
-    for table in found.tables if show_all else found.tables[:1]:
+    leading = [table_of(found.runs, name) for name in views] or found.tables[:1]
+    for table in found.tables if show_all else leading:
         show_table(table, out)
     for line in (*(f"· {line}" for line in found.findings), *checks(found.runs)):
         out.print(Text(line))

@@ -12,7 +12,7 @@ from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
-    from mavfi.campaign.config import Campaign
+    from mavfi.campaign.config import Campaign, Study
     from mavfi.mission import MissionSpec
 
 MODELS = "models"
@@ -46,6 +46,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     chosen = load_study(study)
     campaigns = {out / folder: load_campaign(name).at_scale(scale) for folder, name in chosen.campaigns.items()}
     executor = LocalExecutor(workers)
+    _check_views(study, chosen)
     for folder, campaign in campaigns.items():
         _check_ledger(campaign, folder)
     check_folder(out)
@@ -61,10 +62,19 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
             with Bar(f"{campaign.name}, {campaign.missions} missions per environment", "runs") as bar:
                 show = bar.show_campaign
                 run_campaign(campaign, folder, executor=executor, models_dir=out / MODELS, progress=show)
-    _report(campaigns, show_all, as_json)
+    _report(campaigns, {out / folder: names for folder, names in chosen.views.items()}, show_all, as_json)
     if not as_json:
         where = f"The models are in {out / MODELS}. It took {duration(time.perf_counter() - begun)}."
         console().print(where, soft_wrap=True)
+
+
+def _check_views(where: str, study: "Study") -> None:
+    from mavfi.campaign.analysis import VIEWS
+
+    for folder, names in study.views.items():
+        for name in names:
+            if name not in VIEWS:
+                raise BadInputError(f"{where}: views: {folder}: {name!r}: not known; allowed: {', '.join(VIEWS)}")
 
 
 def _check_ledger(campaign: "Campaign", folder: Path) -> None:
@@ -113,7 +123,9 @@ def _trained(campaign: "Campaign", folder: Path, flights: int) -> bool:
     return all((arm.detector, arm.profile) in held for arm in campaign.arms.values() if arm.detector)
 
 
-def _report(campaigns: dict[Path, "Campaign"], show_all: bool, as_json: bool) -> None:
+def _report(
+    campaigns: dict[Path, "Campaign"], views: dict[Path, tuple[str, ...]], show_all: bool, as_json: bool
+) -> None:
     """Write the report of each campaign, and print its headline, or its JSON by name of the campaign."""
     from mavfi.cli.report import show_report
     from mavfi.reports.campaign_report import write_report
@@ -122,8 +134,8 @@ def _report(campaigns: dict[Path, "Campaign"], show_all: bool, as_json: bool) ->
     if as_json:
         write_json({campaigns[folder].name: report.to_json() for folder, report in written.items()})
         return
-    for report in written.values():
-        show_report(report, show_all)
+    for folder, report in written.items():
+        show_report(report, show_all, views.get(folder, ()))
     for folder, report in written.items():
         names = ", ".join(path.name for path in report.files)
         console().print(f"[bold]{folder}[/bold] holds the ledger, and: {names}", soft_wrap=True)

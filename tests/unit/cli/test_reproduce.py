@@ -3,6 +3,7 @@ import json
 import pytest
 import yaml
 
+from mavfi.campaign.analysis import VIEWS
 from mavfi.cli import run
 from mavfi.cli.progress import Bar
 from tests.unit.campaign.fakes import HOST
@@ -44,6 +45,31 @@ def test_it_trains_flies_prints_and_writes_and_resumes_where_it_stopped(capsys, 
     monkeypatch.setattr("mavfi.campaign.training.train", never)
     assert run([*arguments, "--json"]) == 0
     assert set(json.loads(capsys.readouterr().out)) == {"table1", "table1_instructions"}
+
+
+@pytest.mark.slow
+def test_the_headline_of_a_study_is_the_one_it_names(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("mavfi.campaign.training.train", lambda *_, **__: None)
+    changes = {name: {"arms": {}} for name in ("table1", "table1_instructions")}
+    changes["study"] = {"views": {".": ["outcomes", "golden_flights"]}}
+    assert run(["reproduce", study(tmp_path, **changes), "--out", str(tmp_path / "out"), "--workers", "1"]) == 0
+    states, _, instructions = " ".join(capsys.readouterr().out.split()).partition("campaign table1_instructions")
+    assert VIEWS["outcomes"].title in states and VIEWS["golden_flights"].title in states
+    assert VIEWS["success_as_in_the_paper"].title not in states
+    assert VIEWS["instructions_as_in_the_paper"].title in instructions
+
+
+@pytest.mark.parametrize(
+    ("views", "told"),
+    [
+        ({".": ["nothing"]}, "small.yaml: views: .: 'nothing': not known; allowed: success_as_in_the_paper, "),
+        ({"elsewhere": ["success"]}, "views: 'elsewhere': not known; allowed: ., instructions"),
+    ],
+)
+def test_wrong_views_are_refused_before_anything_is_flown(views, told, capsys, tmp_path):
+    out = tmp_path / "out"
+    assert run(["reproduce", study(tmp_path, study={"views": views}), "--out", str(out)]) == 2
+    assert told in capsys.readouterr().err and not out.exists()
 
 
 @pytest.mark.slow
