@@ -44,12 +44,11 @@ def rendered(table: Table, width: int) -> Group:
         # some name does not fit beside the keys: rows are found again by a number
         columns, rows, keys = [_NUMBER, *columns], [[str(i), *row] for i, row in enumerate(rows, start=1)], [0]
         least, whole = _sizes(columns, rows)
-    parts: list[RichTable] = []
+    parts: list[Text | RichTable] = [Text(table.title, style="bold")]  # not wrapped to a narrow table
     for block in _blocks(least, keys, width):
-        title = None if parts else escape(table.title)
         widths = _widths([least[place] for place in block], [whole[place] for place in block], width)
         cells = [[row[place] for place in block] for row in rows]
-        parts.append(_grid(title, [columns[place].heading for place in block], cells, widths, len(keys)))
+        parts.append(_grid([columns[place].heading for place in block], cells, widths, len(keys)))
     return Group(*parts)
 
 
@@ -91,12 +90,8 @@ def _widths(least: Sequence[int], whole: Sequence[int], width: int) -> list[int]
     return given
 
 
-def _grid(
-    title: str | None, headings: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[int], keys: int
-) -> RichTable:
-    grid = RichTable(
-        title=title, title_style="bold", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0)
-    )
+def _grid(headings: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[int], keys: int) -> RichTable:
+    grid = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for place, (heading, wide) in enumerate(zip(headings, widths, strict=True)):
         justify: JustifyMethod = "left" if place < max(2, keys) else "right"
         grid.add_column(escape(heading), justify=justify, overflow="fold", width=wide)
