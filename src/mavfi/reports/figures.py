@@ -15,6 +15,7 @@ from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.measures import FAILS_OR_SLOWER, POPULATIONS, leading, population_names, populations
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
+from mavfi.campaign.analysis.views import has
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.errors import BadInputError
 from mavfi.reports import style
@@ -99,6 +100,7 @@ def success(runs: Runs) -> Figure | None:
     axes.grid(axis="y")
     axes.set_ylabel("missions that succeed")
     bits = f"faults in {POPULATIONS.get(names[0], names[0])}; " if names else ""
+    bits += "nodes that die are restarted; " if has(chosen, level="instruction") else ""
     axes.set_xlabel(f"{bits}95 % intervals, number of missions below each", fontsize=8.5, color=style.GREY)
     profile = f" · autopilot {runs.campaign['profile']}" if runs.campaign.get("profile") else ""
     axes.set_title(f"Success{profile} · one fault per mission", pad=26)
