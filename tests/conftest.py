@@ -22,12 +22,7 @@ def pytest_addoption(parser):
     parser.addoption("--update-goldens", action="store_true", help="store the digests of the golden flights anew")
 
 
-_ALONE = (
-    "tests/hosts/ros1/test_page.py",
-    "tests/hosts/ros1/test_processes.py",
-    "tests/hosts/node",
-    "tests/unit/faults/register",
-)
+_ALONE = ("tests/hosts/ros1/test_processes.py", "tests/hosts/node", "tests/unit/faults/register")
 """Other processes take part in these tests, and keep the time of the wall: they want the processors for themselves."""
 
 
@@ -37,7 +32,12 @@ def pytest_collection_modifyitems(config, items):
         path = item.path.relative_to(config.rootpath).as_posix()
         if path.startswith(_ALONE):
             item.add_marker(pytest.mark.alone)
-    items.sort(key=lambda item: "tests/hosts" not in item.path.as_posix())
+    items.sort(key=lambda item: _place(item.path.as_posix()))
+
+
+def _place(path):
+    """Flights first, as they are the longest; those on ROS find compiled what eight nodes would compile at once."""
+    return 2 if "tests/hosts" not in path else int("tests/hosts/ros1" in path)
 
 
 @pytest.fixture(autouse=True, scope="module")

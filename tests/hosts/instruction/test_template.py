@@ -110,6 +110,7 @@ def test_a_template_that_had_to_compile_modules_is_not_the_one_that_is_forked(fa
     assert said[:2] == [template.AGAIN, template.READY]
 
 
+@pytest.mark.long
 def test_what_else_was_compiled_does_not_matter(faults, told):
     """Other signatures of the same functions are in the cache or not."""
     before = set(code_folder().rglob("*.nbc"))

@@ -25,7 +25,7 @@ SAYS = {
     "--learn 10": r"",
 }
 """What each command must say; the last two are silent while nothing is wrong."""
-LASTS_S = 15.0
+LASTS_S = 10.0
 """How long those are let run that go on until Ctrl-C (s)."""
 
 

@@ -65,11 +65,15 @@ def left_behind(folder):
     return found
 
 
+@pytest.mark.long
 def test_a_golden_flight():
+    """As is the one of `test_campaign`."""
     same(there(mission()), golden().log)
 
 
+@pytest.mark.long
 def test_a_flight_with_a_state_fault():
+    """As are those of `test_campaign`, with another autopilot profile."""
     wrong = fault("planning.waypoint", "x", 4.0, 55)
     log = there(mission("hardened"), wrong)
     same(log, fly_here(mission("hardened"), wrong).log)
@@ -101,7 +105,9 @@ def test_a_flight_with_a_fault_and_an_observer():
     assert log.alarms
 
 
+@pytest.mark.long
 def test_a_flight_with_the_state_estimator():
+    """As is the next one, without the fault."""
     scenario = short(localization="estimator")
     log = there(scenario)
     same(log, fly_here(scenario).log)

@@ -24,6 +24,7 @@ FLIGHTS = [command for command in ALL if command.startswith("mavfi ros fly ") an
 OTHERWISE = (
     "--coupling observer",
     "--kill",
+    "--localization estimator",
     "--json",
     "--point-cloud-node depth_image_proc --register-fault point_cloud_xyz@5 ",
 )
@@ -97,6 +98,7 @@ def going_on(command):
         flown.send_signal(signal.SIGINT)
 
 
+@pytest.mark.alone
 def test_an_injection_from_a_second_terminal():
     need_nodelets()
     with going_on(FREE[1]) as folder:
@@ -116,6 +118,7 @@ def flight():
         yield folder
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("command", JOINED)
 def test_a_look_into_a_flight(command, flight, tmp_path):
     join, *rest = arguments(command, {"FLIGHT": flight})
