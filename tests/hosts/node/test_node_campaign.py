@@ -38,11 +38,11 @@ def test_a_campaign_is_resumable_and_every_run_has_an_effect(ros, campaign, tmp_
     assert run_campaign(campaign, tmp_path).complete
     with Store.open(tmp_path) as store:
         runs = list(store.runs())
-    assert [run.spec.setting for run in runs] == ["golden"] + ["fi"] * 4 + ["null"]
+    assert [run.spec.setting for run in runs] == ["golden"] * 2 + ["fi"] * 4 + ["null"], "two missions"
     golden, *_, null = (run.record for run in runs)
     effects = [effect_of(golden, run.record).label for run in runs]
     assert set(effects) <= {"masked", "sdc", "crash", "hang", "unknown"}
-    assert effects[0] == effects[-1] == "masked" and null.injections[0].activated
+    assert effects[0] == effects[1] == effects[-1] == "masked" and null.injections[0].activated
     assert effects.count("unknown") <= 1
 
 
