@@ -30,13 +30,13 @@ def fault(state, field, at, bit=None, element=None):
     return StateFault(FaultSite(state, field, element), int(1e6 * at), bit)
 
 
-def ends_as_its_status_says(flight, v_max=3.0):
+def ends_as_its_status_says(flight):
     """Whether the last row of the record is where, or when, a mission with that status ends."""
-    world, status = flight.world, flight.log.status
+    world, status, scenario = flight.world, flight.log.status, mission()
     at = flight.log.columns("x", "y", "z")[-1]
     home = np.linalg.norm(at - world.goal) < ARRIVAL_RADIUS
     outside = np.maximum(world.arena_lower - at, at - world.arena_upper).max() > FLY_AWAY_MARGIN
-    late = flight.log.column("time")[-1] >= 0.99 * time_limit(world.course, v_max, mission().platform)
+    late = flight.log.column("time")[-1] >= 0.99 * time_limit(world.course, scenario.v_max, scenario.platform)
     expected = {MissionStatus.SUCCESS: home, MissionStatus.FLY_AWAY: outside, MissionStatus.TIMEOUT: late}
     return expected.get(status, not (home or outside or late))
 

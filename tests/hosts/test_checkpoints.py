@@ -116,7 +116,7 @@ CASES = {
 }  # fmt: skip
 
 
-REPEATED = ("rrt_star", "tuned", "noise")
+REPEATED = ("rrt_star", "tuned")
 """They show what others show: another planner; the detector in another profile."""
 IN_THE_FAST_SUITE = ("published", "hardened", "octree", "gaussian", "autoencoder", "recovery")
 

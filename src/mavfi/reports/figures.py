@@ -100,8 +100,8 @@ def success(runs: Runs) -> Figure | None:
     axes.grid(axis="y")
     axes.set_ylabel("missions that succeed")
     bits = f"faults in {POPULATIONS.get(names[0], names[0])}; " if names else ""
-    bits += "nodes that die are restarted; " if has(chosen, level="instruction") else ""
-    axes.set_xlabel(f"{bits}95 % intervals, number of missions below each", fontsize=8.5, color=style.GREY)
+    dead = "nodes that die are restarted; " if has(chosen, level="instruction") else ""
+    axes.set_xlabel(f"{bits}{dead}95 % intervals, number of missions below each", fontsize=8.5, color=style.GREY)
     profile = f" · autopilot {runs.campaign['profile']}" if runs.campaign.get("profile") else ""
     axes.set_title(f"Success{profile} · one fault per mission", pad=26)
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(-0.02, 1.0), **_LEGEND)

@@ -71,9 +71,7 @@ def test_a_golden_flight():
     same(there(mission()), golden().log)
 
 
-@pytest.mark.long
 def test_a_flight_with_a_state_fault():
-    """As are those of `test_campaign`, with another autopilot profile."""
     wrong = fault("planning.waypoint", "x", 4.0, 55)
     log = there(mission("hardened"), wrong)
     same(log, fly_here(mission("hardened"), wrong).log)
