@@ -35,9 +35,15 @@ def pytest_collection_modifyitems(config, items):
     items.sort(key=lambda item: _place(item.path.as_posix()))
 
 
+_FIRST = "tests/hosts/instruction/test_campaign"
+"""It compiles the instrumented kernels; while it does, the other processes have no need of them."""
+
+
 def _place(path):
     """Flights first, as they are the longest; those on ROS find compiled what eight nodes would compile at once."""
-    return 2 if "tests/hosts" not in path else int("tests/hosts/ros1" in path)
+    if "tests/hosts" not in path:
+        return 4
+    return 3 if "tests/hosts/ros1" in path else 0 if _FIRST in path else 2 if "tests/hosts/instruction" in path else 1
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -73,15 +73,16 @@ def test_a_golden_flight():
 
 def test_a_flight_with_a_state_fault():
     wrong = fault("planning.waypoint", "x", 4.0, 55)
-    log = there(mission("hardened"), wrong)
-    same(log, fly_here(mission("hardened"), wrong).log)
+    scenario = short(autopilot="hardened")
+    log = there(scenario, wrong)
+    same(log, fly_here(scenario, wrong).log)
     assert log.injections[0].activated
-    assert log.digest() != golden("hardened").log.digest()
+    assert log.digest() != fly_here(scenario).log.digest()
 
 
 @pytest.mark.parametrize("name", ["gaussian", pytest.param("autoencoder", marks=pytest.mark.long)])
 def test_a_flight_with_a_fault_and_a_detector_as_a_gate(name):
-    scenario = mission()
+    scenario = short()
     wrong = fault("planning.waypoint", "x", 4.0, 62)
     log = there(scenario, wrong, detector(name, scenario))
     same(log, fly_here(scenario, wrong, detector(name, scenario)).log)
@@ -96,7 +97,7 @@ def test_a_flight_with_other_options_of_a_mission():
 
 
 def test_a_flight_with_a_fault_and_an_observer():
-    scenario = mission()
+    scenario = short()
     wrong = fault("planning.waypoint", "x", 4.0, 62)
     log = there(scenario, wrong, detector("gaussian", scenario), coupling="observer")
     same(log, fly_here(scenario, wrong, detector("gaussian", scenario), coupling="observer").log)
