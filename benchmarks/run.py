@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.depth import depth_rows
+from benchmarks.elementary import elementary_rows
 from benchmarks.growth import FIGURE, growth_rows
 from benchmarks.instruction import instruction_rows
 from benchmarks.map_update import map_rows
@@ -166,6 +167,7 @@ def measure() -> list[Row]:
             )
     rows.append(Row("mavfi fly, prompt to prompt, warm cache", f"{prompt_to_prompt():.2f} s"))
     rows += share_rows() + map_rows() + depth_rows() + search_rows() + nearest_rows()
+    rows += elementary_rows()
     return rows + detection_rows() + struck + growth_rows()
 
 

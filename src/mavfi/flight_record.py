@@ -186,7 +186,7 @@ def _motion(log: FlightLog) -> tuple[float, float, EnergyTerms]:
     interval = np.diff(time)
     acceleration = np.diff(velocity, axis=0) / interval[:, None]
     mean = 0.5 * (velocity[1:] + velocity[:-1])
-    speed_xy, acceleration_xy = (np.hypot(v[:, 0], v[:, 1]) for v in (mean, acceleration))
+    speed_xy, acceleration_xy = (np.sqrt(v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1]) for v in (mean, acceleration))
     speed_z, acceleration_z = np.abs(mean[:, 2]), np.abs(acceleration[:, 2])
     terms = (
         np.ones(len(interval)), speed_xy, acceleration_xy, speed_xy * acceleration_xy, speed_z, acceleration_z,

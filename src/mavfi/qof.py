@@ -47,7 +47,7 @@ def energy(terms: EnergyTerms) -> float:
     return (
         _CONSTANT * terms.duration_s
         + _KMH * (_SPEED_XY * terms.speed_xy + _ACCELERATION_XY * terms.acceleration_xy)
-        + _KMH**2 * (_PRODUCT_XY * terms.product_xy + _PRODUCT_Z * terms.product_z)
+        + _KMH * _KMH * (_PRODUCT_XY * terms.product_xy + _PRODUCT_Z * terms.product_z)
         + _KMH * (_SPEED_Z * terms.speed_z + _ACCELERATION_Z * terms.acceleration_z)
     )
 

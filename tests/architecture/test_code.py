@@ -66,6 +66,42 @@ def test_kernels_carry_their_randomness_in_their_memory():
     assert found == []
 
 
+ROUNDED_BY_CPU = {
+    *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "arcsin", "arccos", "arctan", "arctan2", "sinh", "cosh"),
+    *("tanh", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "pow", "power", "cbrt", "hypot"),
+    *("dot", "matmul", "vdot", "inner", "einsum", "solve", "inv", "svd", "eigh", "standard_normal", "normal"),
+}
+"""Functions of `math`, NumPy, its BLAS and its generators that give other bits on other processors."""
+DECIDE_BITS = ("numerics/", "kernels/", "pipeline/", "sim/", "detectors/", "platforms/", "hosts/loop/", "hosts/local/",
+               "flight_record.py", "flight_log.py", "qof.py")  # fmt: skip
+
+
+def test_what_decides_bits_uses_no_function_that_differs_from_processor_to_processor():
+    found = [
+        f"{name}:{node.lineno} {dotted(node)}"
+        for name, tree in modules().items()
+        if name.startswith(DECIDE_BITS)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute) and node.attr in ROUNDED_BY_CPU
+        and dotted(node).startswith(("math.", "np.", "stream.", "random.", "self._random"))
+    ]  # fmt: skip
+    assert found == []
+
+
+def test_compiled_powers_are_those_of_integers():
+    """These are multiplications; others are the C library's."""
+    found = [
+        f"{name}:{node.lineno}"
+        for name, tree in modules().items()
+        for function in functions(tree)
+        if "kernel_jit" in map(dotted, function.decorator_list)
+        for node in ast.walk(function)
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow)
+        and not (isinstance(node.right, ast.Constant) and isinstance(node.right.value, int))
+    ]  # fmt: skip
+    assert found == []
+
+
 def test_the_library_does_not_print():
     found = [
         f"{name}:{node.lineno}"

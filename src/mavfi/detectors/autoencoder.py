@@ -1,6 +1,5 @@
 """AAD: one autoencoder for all stages (MAVFI section IV-D).  Only its training needs scikit-learn."""
 
-import math
 import warnings
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,6 +12,7 @@ from mavfi.detectors.model import Model
 from mavfi.detectors.parts import ScoringDetector, Threshold, Verdict, find_policy
 from mavfi.detectors.preprocess import DeltaScorer, Preprocessor
 from mavfi.detectors.samples import Sample, regime_limits
+from mavfi.numerics.elementary import tanh
 from mavfi.numerics.jit import kernel_jit
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def reconstruct(inputs: np.ndarray, network: Network) -> None:
             for source in range(before):
                 total += now[source] * weights[start + source * neurons + neuron]
             total += weights[intercepts + neuron]
-            after[neuron] = total if layer == len(sizes) - 1 else math.tanh(total)
+            after[neuron] = total if layer == len(sizes) - 1 else tanh(total)
         start = intercepts + neurons
         now[:neurons] = after[:neurons]
 

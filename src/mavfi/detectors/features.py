@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavfi.numerics.bits import saturated_int16, sign_exponent_code
+from mavfi.numerics.elementary import atan2, cos, sin
 from mavfi.numerics.jit import kernel_jit
 
 DELTA_OF_CODES, INTEGER, CODE_OF_DELTA, CODE_OF_ANGLE, CODE_OF_INTERVAL, CODE_OF_TRAPEZOID = range(6)
@@ -118,7 +119,7 @@ def _innovation(
 @kernel_jit
 def _wrapped(angle: float) -> float:
     if abs(angle) < _LARGEST_WRAPPED:
-        return math.atan2(math.sin(angle), math.cos(angle))
+        return atan2(sin(angle), cos(angle))
     return angle
 
 

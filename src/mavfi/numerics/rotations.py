@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from mavfi.numerics.elementary import atan2, cos, sin
 from mavfi.numerics.jit import kernel_jit
 
 
@@ -38,7 +39,30 @@ def yaw_of(quaternion: np.ndarray) -> float:
         Yaw (rad) in [-pi, pi].
     """
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+@kernel_jit
+def turn(quaternion: np.ndarray, x: float, y: float, z: float) -> None:
+    """Turn an attitude by a rotation vector in its own frame: q <- q * Exp(v), normalized.
+
+    Args:
+        quaternion: Unit quaternion w x y z, changed. Shape (4,).
+        x: Rotation vector, x (rad).
+        y: Rotation vector, y (rad).
+        z: Rotation vector, z (rad).
+    """
+    angle = math.sqrt(x * x + y * y + z * z)
+    scale = sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
+    w, x, y, z = cos(0.5 * angle), scale * x, scale * y, scale * z
+    a, b, c, d = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    quaternion[0] = a * w - b * x - c * y - d * z
+    quaternion[1] = a * x + b * w + c * z - d * y
+    quaternion[2] = a * y - b * z + c * w + d * x
+    quaternion[3] = a * z + b * y - c * x + d * w
+    norm = math.sqrt(quaternion[0] ** 2 + quaternion[1] ** 2 + quaternion[2] ** 2 + quaternion[3] ** 2)
+    for i in range(4):
+        quaternion[i] /= norm
 
 
 @kernel_jit

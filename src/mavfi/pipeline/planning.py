@@ -251,9 +251,9 @@ class MotionPlanner(Remembers):
             speed = length(waypoint[4:7])
             distance = along
             if speed > 0.1:
-                distance += 1.5 * speed * config.plan_latency + speed**2 / (2.0 * PLANNING_ACCELERATION) + 0.2
+                distance += 1.5 * speed * config.plan_latency + speed * speed / (2.0 * PLANNING_ACCELERATION) + 0.2
             blocked = float(self.memory.status.header["distance_to_blocked"][0])  # type: ignore[union-attr]
-            soonest = along + speed * config.plan_latency + speed**2 / (2.0 * BRAKING)
+            soonest = along + speed * config.plan_latency + speed * speed / (2.0 * BRAKING)
             distance = max(min(distance, blocked - _MARGIN), soonest)
             junction = min(int(np.searchsorted(self.memory.arc, distance)), len(self.memory.arc) - 1)
             points = floats(self.memory.trajectory.elements, timing.POINT_WIDTH)  # type: ignore[union-attr]

@@ -186,7 +186,7 @@ class TrajectoryGenerator(Remembers):
         handover.arc_lengths(points, arc)
         waypoint = floats(self.memory.waypoint.header, timing.POINT_WIDTH)
         speed = length(waypoint[4:7])
-        stand = int(np.searchsorted(arc, arc[index] + speed**2 / (2.0 * BRAKING)))
+        stand = int(np.searchsorted(arc, arc[index] + speed * speed / (2.0 * BRAKING)))
         tail = vertices
         if stand > junction and speed > _STANDING:
             junction = min(stand, len(points) - 1)

@@ -10,7 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mavfi.config import CameraConfig
+from mavfi.numerics.elementary import tan
 from mavfi.numerics.jit import kernel_jit
+from mavfi.numerics.random import normals
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.sim.environments.world import Voxels, World
 
@@ -247,7 +249,7 @@ def pixel_directions(config: CameraConfig) -> np.ndarray:
     Returns:
         Shape (height * width, 3).
     """
-    focal = 0.5 * config.width / math.tan(0.5 * config.field_of_view)
+    focal = 0.5 * config.width / tan(0.5 * config.field_of_view)
     across = (np.arange(config.width) + 0.5 - 0.5 * config.width) / focal
     down = (np.arange(config.height) + 0.5 - 0.5 * config.height) / focal
     right, below = np.meshgrid(across, down)
@@ -292,5 +294,5 @@ class Camera:
         cast_rays(self._columns, self._voxels, pose, self.directions, self._config.range, ranges)
         if self._config.noise > 0.0:
             stream = np.random.Generator(np.random.Philox(key=self._noise_key, counter=[0, 0, 0, time_us]))
-            ranges *= np.maximum(1.0 + self._config.noise * stream.standard_normal(len(ranges)), 0.0)
+            ranges *= np.maximum(1.0 + self._config.noise * normals(stream, len(ranges)), 0.0)
         return ranges

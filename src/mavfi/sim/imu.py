@@ -8,6 +8,8 @@ import math
 
 import numpy as np
 
+from mavfi.numerics.random import normals
+
 GYRO_RANDOM_WALK = 8.727e-5
 """rad / sqrt(s) (0.30 deg / sqrt(h))."""
 GYRO_BIAS_STABILITY, GYRO_BIAS_TIME = 2.230e-5, 500.0
@@ -57,7 +59,7 @@ class Imu:
         """
         interval = max(time_us - self.time_us, _SHORTEST_INTERVAL_US) * 1e-6
         stream = np.random.Generator(np.random.Philox(key=self._noise_key, counter=[0, 0, 0, time_us]))
-        white, walk = stream.standard_normal((2, 6))
+        white, walk = normals(stream, 12).reshape(2, 6)
         self.bias = self.bias + self._scale * _WALK * math.sqrt(interval) * walk
         self.time_us = time_us
         measured: np.ndarray = truth + self.bias + self._scale * _WHITE / math.sqrt(interval) * white

@@ -106,7 +106,7 @@ def measure(path: Path) -> RigidBody:
     for i in parts:  # parallel axes (Huygens-Steiner)
         principal, arm = data.ximat[i].reshape(3, 3), data.xipos[i] - middle
         tensor += product(principal * model.body_inertia[i], principal.T)
-        tensor += model.body_mass[i] * (length(arm) ** 2 * np.eye(3) - np.outer(arm, arm))
+        tensor += model.body_mass[i] * (length(arm) * length(arm) * np.eye(3) - np.outer(arm, arm))
     geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] in parts]
     reach = max((length(data.geom_xpos[g] - middle) + float(model.geom_rbound[g]) for g in geoms), default=0.0)
     x, y, z = (float(value) for value in np.diag(product(product(axes.T, tensor), axes)))

@@ -3,6 +3,7 @@
 import numpy as np
 
 from mavfi.config import LocalizationConfig
+from mavfi.numerics.random import normals
 from mavfi.numerics.rotations import wrap_angle, yaw_of
 
 
@@ -30,6 +31,6 @@ class Positioning:
             Position (m) and heading (rad), world frame, with noise. Shape (4,).
         """
         stream = np.random.Generator(np.random.Philox(key=self._noise_key, counter=[0, 0, 0, time_us]))
-        measured = np.array([*odometry[:3], yaw_of(odometry[6:10])]) + self._deviation * stream.standard_normal(4)
+        measured: np.ndarray = np.array([*odometry[:3], yaw_of(odometry[6:10])]) + self._deviation * normals(stream, 4)
         measured[3] = wrap_angle(measured[3])
         return measured

@@ -9,6 +9,7 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.mission import Scenario
+from mavfi.numerics.elementary import atan2, cos, sin
 from mavfi.sim.camera import Camera
 from mavfi.sim.environments.world import World
 from mavfi.sim.imu import Imu
@@ -108,9 +109,9 @@ class Simulator:
         self._face(world.goal - world.start)
 
     def _face(self, way: np.ndarray) -> None:
-        yaw = math.atan2(way[1], way[0])
+        yaw = atan2(way[1], way[0])
         self._controller[YAW_REFERENCE] = yaw
-        self._data.qpos[3:7] = (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
+        self._data.qpos[3:7] = (cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw))
         mujoco.mj_forward(self._model, self._data)
         self.odometry[:3] = self._data.qpos[:3]
         self.odometry[6:10] = self._data.qpos[3:7]

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mavfi.config import VehicleConfig
+from mavfi.numerics.elementary import acos, exp, tan
 from mavfi.numerics.jit import kernel_jit
-from mavfi.numerics.rotations import rotation_matrix, wrap_angle, yaw_of
+from mavfi.numerics.rotations import rotation_matrix, turn, wrap_angle, yaw_of
 from mavfi.sim.contact import sphere_touches_voxels
 from mavfi.sim.engine import GRAVITY, mj_step
 from mavfi.sim.environments.world import Voxels
@@ -70,13 +71,13 @@ def airframe_of(config: VehicleConfig) -> Airframe:
         config.hull_radius,
         config.max_rotor_thrust,
         config.rotor_torque_ratio,
-        1.0 - math.exp(-STEP / lag) if lag > 0.0 else 1.0,
+        1.0 - exp(-STEP / lag) if lag > 0.0 else 1.0,
         *config.drag,
         config.velocity_gain,
         config.attitude_gain,
         *config.rate_gain,
         config.vertical_integral_gain,
-        math.tan(config.max_tilt),
+        tan(config.max_tilt),
         config.max_acceleration,
     )
 
@@ -147,7 +148,7 @@ def wanted_rates(
     y = (matrix[0, 1] * force[0] + matrix[1, 1] * force[1] + matrix[2, 1] * force[2]) / norm
     z = (matrix[0, 2] * force[0] + matrix[1, 2] * force[1] + matrix[2, 2] * force[2]) / norm
     tilt = math.sqrt(x * x + y * y)
-    stretch = math.acos(_clip(z, 1.0)) / tilt if tilt > 1e-9 else 1.0
+    stretch = acos(_clip(z, 1.0)) / tilt if tilt > 1e-9 else 1.0
     error = wrap_angle(memory[YAW_REFERENCE] + STEP * yaw_rate - yaw)
     error = _clip(error, _YAW_LEASH)
     memory[YAW_REFERENCE] = wrap_angle(yaw + error)
@@ -280,6 +281,7 @@ def advance(
     matrix = np.empty((3, 3))
     hover = np.zeros(4)
     air = np.empty(3)
+    attitude = np.empty(4)
     touched = False
     for step in range(steps):
         rotation_matrix(body.qpos[3:7], matrix)
@@ -288,7 +290,11 @@ def advance(
         for axis in range(3):
             air[axis] = body.qvel[axis] - air[axis]
         apply_forces(airframe, memory, air, matrix, body.qfrc)
+        attitude[:] = body.qpos[3:7]
         mj_step(body.model, body.data)  # type: ignore[call-overload]
+        # MuJoCo turns the attitude with the C library's sine and cosine, which differ from CPU to CPU: done again
+        turn(attitude, STEP * body.qvel[3], STEP * body.qvel[4], STEP * body.qvel[5])
+        body.qpos[3:7] = attitude
         touched = touched or body.sensors[CONTACTS] > 0.0
         if voxels.occupied.size > 0:
             touched = touched or sphere_touches_voxels(

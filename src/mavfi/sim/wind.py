@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavfi.config import WindConfig
+from mavfi.numerics.elementary import asin, cos, log, sin
 from mavfi.numerics.jit import kernel_jit
 
 GUST_WIDTH = 5
@@ -49,7 +50,7 @@ def wind_at(wind: Wind, time: float, velocity: np.ndarray) -> None:
             return  # this one and all later ones are still to come
         duration = wind.gusts[n, 1]
         if since < duration:
-            share = 0.5 * (1.0 - math.cos(2.0 * math.pi * since / duration))
+            share = 0.5 * (1.0 - cos(2.0 * math.pi * since / duration))
             for axis in range(3):
                 velocity[axis] += share * wind.gusts[n, 2 + axis]
 
@@ -82,13 +83,13 @@ class Weather:
 
     def _draw(self) -> tuple[float, ...]:
         calm, share, direction, rise = self._random.random(4)
-        onset = self._end - self._config.interval * math.log1p(-calm)
+        onset = self._end - self._config.interval * log(1.0 - calm)
         duration = self._config.length * (_SHORTEST_SHARE + (_LONGEST_SHARE - _SHORTEST_SHARE) * share)
-        slope = math.asin(_STEEPEST * (2.0 * rise - 1.0))
-        level = self._config.gust * math.cos(slope)
+        slope = asin(_STEEPEST * (2.0 * rise - 1.0))
+        level = self._config.gust * cos(slope)
         angle = 2.0 * math.pi * direction
         self._end = onset + duration
         return (
             onset, duration,
-            level * math.cos(angle), level * math.sin(angle), self._config.gust * math.sin(slope),
+            level * cos(angle), level * sin(angle), self._config.gust * sin(slope),
         )  # fmt: skip

@@ -53,7 +53,7 @@ def test_counting_and_injecting_leave_the_golden_flight_as_it_is(golden, drawn, 
     counted = drawn.counts["pid"]
     assert counted["calls"] == len(golden.rows) - 1
     assert sum(count for _, _, count in counted["lines"]) == counted["instructions"] > 100 * counted["calls"]
-    assert {file for file, _, _ in counted["lines"]} <= {"mavfi/kernels/control/pid.py", "mavfi/numerics/rotations.py"}
+    assert all(file == "mavfi/kernels/control/pid.py" or "/numerics/" in file for file, _, _ in counted["lines"])
 
 
 def test_the_same_faults_give_the_same_bytes_alone_and_together(drawn, flown):

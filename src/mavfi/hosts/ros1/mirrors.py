@@ -17,6 +17,7 @@ from mavfi.hosts.loop.plant import Plant
 from mavfi.hosts.ros1.convert import MAP, to_stamp
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.kernels.planning.trajectory import POINT_WIDTH
+from mavfi.numerics.elementary import cos, sin, tan
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.states import State, floats
 
@@ -126,7 +127,7 @@ def cosines(camera: CameraConfig) -> np.ndarray:
 
 def focal_length(camera: CameraConfig) -> float:
     """Of the depth camera, in pixels."""
-    return 0.5 * camera.width / math.tan(0.5 * camera.field_of_view)
+    return 0.5 * camera.width / tan(0.5 * camera.field_of_view)
 
 
 def fill_camera_info(message: Any, camera: CameraConfig) -> None:
@@ -178,7 +179,7 @@ def _point(values: np.ndarray, start: float) -> Any:
     _xyz(transform.translation, values[:3])
     half = 0.5 * float(values[3])
     level = math.isfinite(half)
-    _turn(transform.rotation, (math.cos(half), 0.0, 0.0, math.sin(half)) if level else (1.0, 0.0, 0.0, 0.0))
+    _turn(transform.rotation, (cos(half), 0.0, 0.0, sin(half)) if level else (1.0, 0.0, 0.0, 0.0))
     _xyz(velocity.linear, values[4:7])
     _xyz(acceleration.linear, values[7:10])
     point.transforms, point.velocities, point.accelerations = [transform], [velocity], [acceleration]

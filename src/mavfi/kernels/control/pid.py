@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mavfi.numerics.elementary import atan2, cos, sin
 from mavfi.numerics.jit import kernel_jit
 
 MEMORY_WIDTH = 7
@@ -103,7 +104,7 @@ def track(
     memory[6] = 1.0
     slowdown = _saturate(command, gains.limit)
     w, x, y, z = odometry[6], odometry[7], odometry[8], odometry[9]
-    yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    turn = math.atan2(math.sin(waypoint[3] - yaw), math.cos(waypoint[3] - yaw))
+    yaw = atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    turn = atan2(sin(waypoint[3] - yaw), cos(waypoint[3] - yaw))
     command[3] = min(gains.yaw_rate, max(-gains.yaw_rate, _YAW_GAIN * turn))
     return min(slowdown, gains.slowdown_cap)

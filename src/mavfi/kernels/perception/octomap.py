@@ -4,12 +4,12 @@ A voxel that a scan frees or hits gets the log-odds of that added, once; log-odd
 come first.  Which voxels these are is found in `key_sets`; the map equals the library's bit for bit.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from mavfi.kernels.perception.key_sets import KeyFrame, collect
+from mavfi.numerics.elementary import log
 from mavfi.numerics.jit import kernel_jit
 
 _F32 = np.float32
@@ -26,7 +26,7 @@ class UpdateRule(NamedTuple):
 
 def log_odds(probability: float) -> np.float32:
     """Log-odds of a probability, as OctoMap stores it."""
-    return np.float32(math.log(probability / (1.0 - probability)))
+    return np.float32(log(probability / (1.0 - probability)))
 
 
 @kernel_jit

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mavfi.numerics.elementary import cos, sin
 from mavfi.numerics.jit import kernel_jit
-from mavfi.numerics.rotations import rotation_matrix, wrap_angle, yaw_of
+from mavfi.numerics.rotations import rotation_matrix, turn, wrap_angle, yaw_of
 
 GRAVITY = 9.80665
 """m/s^2, along -z."""
@@ -99,7 +100,7 @@ def align(nominal: np.ndarray, covariance: np.ndarray, fix: np.ndarray, noise: N
         spread: Of everything else.
     """
     nominal[0], nominal[1], nominal[2] = fix[0], fix[1], fix[2]
-    nominal[6], nominal[7], nominal[8], nominal[9] = math.cos(0.5 * fix[3]), 0.0, 0.0, math.sin(0.5 * fix[3])
+    nominal[6], nominal[7], nominal[8], nominal[9] = cos(0.5 * fix[3]), 0.0, 0.0, sin(0.5 * fix[3])
     for i in range(10, NOMINAL_WIDTH):
         nominal[i] = 0.0
     for i in range(ERROR_WIDTH):
@@ -112,29 +113,6 @@ def align(nominal: np.ndarray, covariance: np.ndarray, fix: np.ndarray, noise: N
         covariance[_FORCE_BIAS + axis, _FORCE_BIAS + axis] = spread.force_bias**2
         covariance[_RATE_BIAS + axis, _RATE_BIAS + axis] = spread.rate_bias**2
     covariance[_ATTITUDE + 2, _ATTITUDE + 2] = noise.heading**2
-
-
-@kernel_jit
-def turn(quaternion: np.ndarray, x: float, y: float, z: float) -> None:
-    """Turn an attitude by a rotation vector in its own frame: q <- q * Exp(v), normalized.
-
-    Args:
-        quaternion: Unit quaternion w x y z, changed. Shape (4,).
-        x: Rotation vector, x (rad).
-        y: Rotation vector, y (rad).
-        z: Rotation vector, z (rad).
-    """
-    angle = math.sqrt(x * x + y * y + z * z)
-    scale = math.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
-    w, x, y, z = math.cos(0.5 * angle), scale * x, scale * y, scale * z
-    a, b, c, d = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
-    quaternion[0] = a * w - b * x - c * y - d * z
-    quaternion[1] = a * x + b * w + c * z - d * y
-    quaternion[2] = a * y - b * z + c * w + d * x
-    quaternion[3] = a * z + b * y - c * x + d * w
-    norm = math.sqrt(quaternion[0] ** 2 + quaternion[1] ** 2 + quaternion[2] ** 2 + quaternion[3] ** 2)
-    for i in range(4):
-        quaternion[i] /= norm
 
 
 @kernel_jit

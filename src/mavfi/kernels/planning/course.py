@@ -12,6 +12,7 @@ from mavfi.kernels.planning import minimum_snap
 from mavfi.kernels.planning.path import distance
 from mavfi.kernels.planning.stations import BEND, NEAR, VERTEX_LIMIT, Law, Work, first_stations, insert, place
 from mavfi.kernels.planning.travel import tight_share, turn
+from mavfi.numerics.elementary import tan
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.voxels import Grid, segment_free, voxel_of
 
@@ -37,7 +38,7 @@ _MOST_STEPS = 2_000
 @kernel_jit
 def _corner_speed(bend: float, reach: float, sharpness: float, law: Law) -> float:
     """Speed of a turn with some clearance (m/s)."""
-    sharp = sharpness * math.tan(0.5 * min(bend, 3.0))
+    sharp = sharpness * tan(0.5 * min(bend, 3.0))
     return min(law.speed, math.sqrt(law.lateral * max(reach, 0.0) / sharp)) if sharp > 1e-6 else law.speed
 
 

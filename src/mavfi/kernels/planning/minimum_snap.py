@@ -13,6 +13,7 @@ import numpy as np
 
 from mavfi.kernels.planning.path import distance
 from mavfi.kernels.planning.trajectory import POINT_WIDTH
+from mavfi.numerics.elementary import atan2
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.vectors import product
 
@@ -67,6 +68,15 @@ _VELOCITY = _velocity_pieces()
 
 
 @kernel_jit
+def _power(base: float, exponent: int) -> float:
+    """A power with an exponent above 0, by multiplications."""
+    result = base
+    for _ in range(exponent - 1):
+        result *= base
+    return result
+
+
+@kernel_jit
 def _add_segment(
     time: float, points: np.ndarray, k: int, rows: np.ndarray, own: int, other: int, other_at: int
 ) -> None:
@@ -83,10 +93,10 @@ def _add_segment(
     """
     for i in range(3):
         for j in range(3):
-            power = time ** (i + j - 5.0)
+            power = 1.0 / _power(time, 5 - i - j)
             rows[i, 3 + j] += SNAP[own + i, own + j] * power
             rows[i, other_at + j] += SNAP[own + i, other + j] * power
-        scale = SNAP[own + i, 4] * time ** (i - 6.0)
+        scale = SNAP[own + i, 4] / _power(time, 6 - i)
         for axis in range(3):
             rows[i, 9 + axis] -= scale * (points[k + 1, axis] - points[k, axis])
 
@@ -348,7 +358,7 @@ def _look_ahead(points: np.ndarray, count: int, look: float, yaw: float, most: f
         dx = points[ahead, 0] - points[k, 0]
         dy = points[ahead, 1] - points[k, 1]
         if dx * dx + dy * dy > 0.09:
-            course = math.atan2(dy, dx)
+            course = atan2(dy, dx)
             if not abs(yaw) < 1e3:
                 yaw = course
             off = _wrapped(course - yaw)

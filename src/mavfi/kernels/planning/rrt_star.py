@@ -13,6 +13,7 @@ import numpy as np
 from mavfi.kernels.planning.nearest import Index, ball, clear, nearest, new_index
 from mavfi.kernels.planning.path import distance
 from mavfi.kernels.planning.tree import draw, draw_towards, steer, trace
+from mavfi.numerics.elementary import cbrt, log
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.voxels import Grid, segment_free
 
@@ -64,7 +65,7 @@ def new_tree(nodes: int) -> CostTree:
 def ball_factor(lower: np.ndarray, upper: np.ndarray) -> float:
     """Gamma for a sampled box: 1.1 (2 (1 + 1/d) volume / volume of the unit ball)^(1/d) with d = 3 (m)."""
     volume = abs((upper[0] - lower[0]) * (upper[1] - lower[1]) * (upper[2] - lower[2]))
-    return float(_MARGIN * (2.0 * (1.0 + 1.0 / 3.0) * volume / (4.0 / 3.0 * math.pi)) ** (1.0 / 3.0))
+    return float(_MARGIN * cbrt(2.0 * (1.0 + 1.0 / 3.0) * volume / (4.0 / 3.0 * math.pi)))
 
 
 @kernel_jit
@@ -233,7 +234,7 @@ def grow(
         reached = steer(tree.nodes[source], sample, max_step, new)
         if distance(tree.nodes[source], new) == 0.0 or not segment_free(counter, grid, tree.nodes[source], new):
             continue
-        radius = min(max_step, gamma * (math.log(count + 1.0) / (count + 1.0)) ** (1.0 / 3.0))
+        radius = min(max_step, gamma * cbrt(log(count + 1.0) / (count + 1.0)))
         _insert(counter, grid, tree, new, source, radius)
         if is_goal and reached:
             tree.state[1] = count

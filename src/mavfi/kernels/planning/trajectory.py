@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavfi.kernels.planning.path import distance
+from mavfi.numerics.elementary import atan2
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.voxels import Grid, segment_free, voxel_of
 
@@ -249,7 +250,7 @@ def sample(
         dx = curve[ahead, 0] - points[n, 0]
         dy = curve[ahead, 1] - points[n, 1]
         if dx * dx + dy * dy > 0.09:
-            yaw = math.atan2(dy, dx)
+            yaw = atan2(dy, dx)
         points[n, 3] = yaw
         points[n, 10] = step
         n += 1

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mavfi.kernels.planning.path import distance, inside
+from mavfi.numerics.elementary import acos, sin, tan
 from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.random import uniform
 from mavfi.numerics.voxels import Grid, segment_free, voxel_of
@@ -68,7 +69,7 @@ def turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
     cosine = 0.0
     for axis in range(3):
         cosine += (b[axis] - a[axis]) / first * ((c[axis] - b[axis]) / second)
-    return math.acos(min(1.0, max(-1.0, cosine)))
+    return acos(min(1.0, max(-1.0, cosine)))
 
 
 @kernel_jit
@@ -77,7 +78,7 @@ def corner_loss(a: np.ndarray, b: np.ndarray, c: np.ndarray, reach: float, pace:
     angle = turn(a, b, c)
     if angle < 1e-3:
         return 0.0
-    bend = _SHARPNESS * math.tan(0.5 * min(angle, 3.0))
+    bend = _SHARPNESS * tan(0.5 * min(angle, 3.0))
     slow = min(pace.speed, math.sqrt(pace.lateral * reach / bend))
     return (pace.speed - slow) ** 2 / (pace.speed * pace.tangential)
 
@@ -118,7 +119,7 @@ def travel_time(wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, velo
             time += corner_loss(path[i - 1], path[i], path[i + 1], reach, pace)
     if count > 1:
         moving = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
-        away = math.sin(0.5 * turn(path[0] - velocity, path[0], path[1]))
+        away = sin(0.5 * turn(path[0] - velocity, path[0], path[1]))
         time += min(moving, pace.speed) / pace.tangential * away * away
     return time
 

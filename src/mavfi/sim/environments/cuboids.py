@@ -71,7 +71,7 @@ def cuboid_count(density: float, side: float) -> int:
         side: Side of the footprint (m).
     """
     ground = LENGTH * 2.0 * HALF_WIDTH - 2.0 * (2.0 * HALO) ** 2
-    return round(density * ground / side**2)
+    return round(density * ground / (side * side))
 
 
 def _most_cuboids(side: float, gap: float) -> int:
