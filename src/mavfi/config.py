@@ -21,8 +21,20 @@ class Config(BaseModel):
 
 
 ConfigType = TypeVar("ConfigType", bound=Config)
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""Of plain data; the compiled one where there is one: every mission of a campaign reads its configuration."""
+
+
+class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
+    """Reads plain data; the compiled one where there is one: every mission of a campaign reads its configuration."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Keys and values; a key that stands there twice is an error, as it is unclear which one is meant."""
+        seen = set()
+        for key, _ in node.value:
+            if key.value in seen and isinstance(key, yaml.ScalarNode):
+                raise yaml.YAMLError(f"key {key.value!r} twice, again in line {key.start_mark.line + 1}")
+            seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
+        mapping: dict[Any, Any] = super().construct_mapping(node, deep)
+        return mapping
 
 
 class VehicleConfig(Config):
@@ -169,6 +181,11 @@ class EnvironmentConfig(Config):
     camera_range: float | None = Field(None, gt=0)
 
 
+_OPENINGS = ("[", "{", "- ", "? ")
+_MOST_OPENINGS = 10_000
+"""Lists within lists are read by recursion, which the compiled reader does not survive at some 50,000."""
+
+
 def config_root() -> Path:
     """Folder of the shipped configuration files."""
     package = Path(__file__).parent
@@ -183,10 +200,13 @@ def read_yaml(path: Path) -> dict[str, Any]:
         BadInputError: The file is absent, not YAML, or not a mapping.
     """
     try:
-        data = yaml.load(path.read_text(encoding="utf-8"), _LOADER)
+        text = path.read_text(encoding="utf-8")
+        if sum(map(text.count, _OPENINGS)) > _MOST_OPENINGS:
+            raise BadInputError(f"{path}: is too long; allowed: {_MOST_OPENINGS:,} lists and mappings")
+        data = yaml.load(text, _Loader)
     except OSError as error:
         raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:  # ValueError: a date that is none
         raise BadInputError(f"{path}: not a YAML file ({str(error).splitlines()[0]})") from None
     if not isinstance(data, dict):
         raise BadInputError(f"{path}: must hold keys and values, holds {type(data).__name__}")

@@ -1,11 +1,16 @@
 """Errors that a user of mavfi can meet.  The command line turns each into one line and an exit code."""
 
+import errno
+import os
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 
 _MOST_SHOWN = 12
+_MACHINE = {
+    errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EIO, errno.EROFS,
+}  # fmt: skip
 
 
 class MavfiError(Exception):
@@ -18,6 +23,26 @@ class BadInputError(MavfiError):
 
 class SpecMismatchError(BadInputError):
     """Two things that must belong together do not, e.g. a trained model and the stack that it should watch."""
+
+
+class MachineError(MavfiError):
+    """The machine failed (disk, memory, files, a signal from outside), not the flight: it is flown again, not recorded.
+
+    What failed can be mended; then the same command goes on.
+    """
+
+
+def machine_failure(error: BaseException | None) -> str:
+    """What of the machine failed, by an exception or one that it comes from; "" = the machine is not to blame."""
+    while error is not None:
+        if isinstance(error, MachineError):
+            return str(error)
+        if isinstance(error, MemoryError):
+            return "no memory is left"
+        if isinstance(error, OSError) and error.errno in _MACHINE:
+            return os.strerror(error.errno) + (f" ({error.filename})" if error.filename else "")
+        error = error.__cause__ or error.__context__
+    return ""
 
 
 def allowed(names: Collection[str], wanted: str = "") -> str:

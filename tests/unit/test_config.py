@@ -105,6 +105,13 @@ def test_an_absent_key_is_named():
         ("- 1\n- 2\n", "must hold keys and values, holds list"),
         ("", "must hold keys and values, holds NoneType"),
         ("just text", "must hold keys and values, holds str"),
+        ("name: a\nwheels: 1\nname: b\n", r"not a YAML file \(key 'name' twice, again in line 3\)"),
+        ("wheel: {radius: 1, radius: 2}\n", r"not a YAML file \(key 'radius' twice, again in line 1\)"),
+        ("name: " + 5000 * "[" + "\n", "not a YAML file"),
+        pytest.param("name: " + 100_000 * "[" + 100_000 * "]", "too long; allowed: 10,000 lists", id="lists"),
+        pytest.param(100_000 * "{a: " + 100_000 * "}", "too long; allowed: 10,000 lists and mappings", id="mappings"),
+        pytest.param(100_000 * "- " + "a", "too long; allowed: 10,000 lists and mappings", id="block"),
+        ("name: 2020-13-45\n", "not a YAML file"),
     ],
 )
 def test_a_file_that_holds_no_mapping_is_refused(tmp_path, content, message):

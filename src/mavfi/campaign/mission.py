@@ -1,7 +1,7 @@
 """The unit of work: all runs of one mission.  `fly_mission` is a pure function of a `MissionPlan`.
 
 Golden runs, the draw of the faults from them, injected runs: what is planned is handed over before it is flown.  An
-exception of ours is recorded as `unknown`, never as an effect of a fault.
+exception of ours is recorded as `unknown`, never as an effect of a fault; a failure of the machine is not recorded.
 """
 
 import pickle
@@ -17,7 +17,7 @@ from mavfi.campaign.plan import Arm, Plan, RunSpec, arms_of
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Sampled
 from mavfi.detectors.detector import Detector
-from mavfi.errors import SpecMismatchError
+from mavfi.errors import MachineError, SpecMismatchError, machine_failure
 from mavfi.faults.instruction.forked import WALL_CLOCK, run_in_child
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Host, MissionFlights, Recorded, find_host
@@ -26,6 +26,8 @@ from mavfi.mission import Scenario
 
 ATTEMPTS_ALONE = 3
 """How often an injected run that takes its process with it is flown in a child of its own before it counts as `due`."""
+FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT"})
+"""Signals that no fault raises: somebody, or a machine without memory, ended the process."""
 LONGEST_ALONE = 180.0
 """Wall time after which such a child is ended (s); all attempts together take less than executors wait for an item."""
 
@@ -120,7 +122,24 @@ def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
 
     Raises:
         BadInputError: The mission cannot be flown at all: a name is not known, a model does not fit.
+        MachineError: Disk, memory or files of the machine failed.
     """
+    try:
+        yield from _fly(mission)
+    except Exception as error:
+        _blame_the_machine(error, f"mission {mission.environment}-{mission.seed}")
+        raise
+
+
+def _blame_the_machine(error: Exception, where: str) -> None:
+    """Raise a MachineError if the machine is to blame for an exception."""
+    failed = machine_failure(error)
+    if failed and not isinstance(error, MachineError):
+        raise MachineError(f"{where}: {failed}") from error
+
+
+def _fly(mission: MissionPlan) -> Iterator[Planned | Flown]:
+    """The items of `fly_mission`."""
     campaign = mission.campaign
     scenarios = scenarios_of(campaign, arms_of(campaign), [mission.environment])
     plan = plan_of(campaign, mission.models, scenarios)
@@ -179,23 +198,30 @@ def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flo
         for place, flight in flights.injected([(spec.arm, spec.fault) for spec in specs if spec.fault is not None]):
             wall_s, started = time.perf_counter() - started, time.perf_counter()
             yield replace(_guarded(left.pop(place).run_id, partial(_judged, flight)), wall_s=wall_s)
-    except SpecMismatchError:
+    except (SpecMismatchError, MachineError):
         raise
-    except Exception:  # as in `_guarded`
+    except Exception as error:  # as in `_guarded`
+        _blame_the_machine(error, specs[0].run_id)
         note = traceback.format_exc()
     for spec in left.values():
         yield Flown(spec.run_id, FlightRecord(End.UNKNOWN, error="no flight"), note)
 
 
 def _alone(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]:
-    """Runs with a fault, each in a child of its own: `due` if each attempt dies, `unknown` if one takes too long."""
+    """Runs with a fault, each in a child of its own: `due` if each attempt dies, `unknown` if one takes too long.
+
+    Raises:
+        MachineError: A child was ended by a signal from outside.
+    """
     for spec in specs:
         late = False
         for _ in range(ATTEMPTS_ALONE):
             ended = run_in_child(partial(_pickled, spec, flights), LONGEST_ALONE)
             if ended.how == "done":
-                yield pickle.loads(ended.payload)
+                yield _unpickled(ended.payload)
                 break
+            if ended.detail in FROM_OUTSIDE:
+                raise MachineError(f"{spec.run_id}: its process was ended by {ended.detail}")
             late |= ended.detail == WALL_CLOCK
         else:
             end, error = (End.UNKNOWN, "took too long") if late else (End.DUE, "the process died each time")
@@ -203,7 +229,17 @@ def _alone(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]
 
 
 def _pickled(spec: RunSpec, flights: MissionFlights) -> bytes:
-    return pickle.dumps(next(_injected([spec], flights)))
+    try:
+        return pickle.dumps(next(_injected([spec], flights)))
+    except MachineError as error:
+        return pickle.dumps(error)
+
+
+def _unpickled(payload: bytes) -> Flown:
+    flown: Flown | MachineError = pickle.loads(payload)
+    if isinstance(flown, MachineError):
+        raise flown
+    return flown
 
 
 def _judged(flight: Recorded | Exception) -> FlightRecord:
@@ -217,8 +253,9 @@ def _guarded(run_id: str, work: Callable[[], FlightRecord]) -> Flown:
     started = time.perf_counter()
     try:
         return Flown(run_id, work(), wall_s=time.perf_counter() - started)
-    except SpecMismatchError:
+    except (SpecMismatchError, MachineError):
         raise
     except Exception as error:  # recorded as `unknown`, which reports count and show
+        _blame_the_machine(error, run_id)
         record = FlightRecord(End.UNKNOWN, error=type(error).__name__)
         return Flown(run_id, record, traceback.format_exc(), time.perf_counter() - started)

@@ -14,10 +14,19 @@ from typing import Any
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.mission import Flown, MissionPlan, Planned, fly_mission, host_of, plan_of, scenarios_of
+from mavfi.campaign.mission import (
+    FROM_OUTSIDE,
+    Flown,
+    MissionPlan,
+    Planned,
+    fly_mission,
+    host_of,
+    plan_of,
+    scenarios_of,
+)
 from mavfi.campaign.plan import Plan, arms_of
 from mavfi.campaign.store import Store
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, MachineError
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import require_level
 from mavfi.hosts.watching import detector_for
@@ -26,6 +35,7 @@ from mavfi.version import __version__
 
 _PACKAGES = ("numpy", "numba", "llvmlite", "mujoco-core", "scikit-learn")
 ATTEMPTS = 3  # how often a mission that takes its worker with it, golden runs included, is begun
+PAUSE_S = 1.0  # before a campaign whose machine failed goes on
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +46,7 @@ class Status:
     total: int  # runs of the whole campaign
     settings: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
     """By setting: runs planned so far, done, done with success."""
+    unknown: int = 0  # runs that are done and could not be judged
 
     @property
     def complete(self) -> bool:
@@ -90,8 +101,15 @@ class _Session:
     def fly(self, executor: Executor, missions: list[MissionPlan]) -> None:
         """Fly missions; each item is in the ledger before the next one is taken."""
         self.tell()
-        for _ in range(1 + ATTEMPTS):
-            lost = {mission.world: (mission, end) for mission, end in self._fly_once(executor, missions)}
+        for attempt in range(1 + ATTEMPTS):
+            try:
+                lost = {mission.world: (mission, end) for mission, end in self._fly_once(executor, missions)}
+            except MachineError:
+                if attempt == ATTEMPTS:
+                    raise
+                time.sleep(PAUSE_S)  # others may give back what is missing
+                missions, lost = self.missions(), {}
+                continue
             done = self.store.done()
             missions = [replace(m, done=done.get(m.world, frozenset()), alone=True) for m, _ in lost.values()]
             if not missions:
@@ -129,7 +147,12 @@ class _Session:
         """Record a mission whose golden runs take their process with them each time: nothing is drawn from these.
 
         Faults that were drawn in an earlier session are `unknown`.
+
+        Raises:
+            MachineError: It was ended from outside.
         """
+        if lost.signal in FROM_OUTSIDE:
+            raise MachineError(f"mission {mission.environment}-{mission.seed}: {lost.reason}")
         self._plan(mission, Planned(tuple(self.plan.golden(*mission.world)), last=True))
         for spec in [run.spec for run in self.store.runs(done=False) if run.spec.world == mission.world]:
             end = End.DUE if lost.died and spec.kind == "golden" else End.UNKNOWN
@@ -139,7 +162,9 @@ class _Session:
         """Report how far it is."""
         done = sum(number for _, number, _ in self.counts.values())
         seconds = time.perf_counter() - self.started if self.started else 0.0
-        self.report(Progress(done, self.plan.count(), dict(self.counts), self.flown, seconds, compiling))
+        self.report(
+            Progress(done, self.plan.count(), dict(self.counts), flown=self.flown, seconds=seconds, compiling=compiling)
+        )
 
 
 def run_campaign(
@@ -226,9 +251,9 @@ def status(directory: Path) -> Status:
     with Store.open(directory) as store:
         counts = store.counts()
         done = sum(number for _, number, _ in counts.values())
-        if store.complete:
-            return Status(done, sum(planned for planned, _, _ in counts.values()), counts)
-        return Status(done, plan_of(stored_campaign(store), {}, {}).count(), counts)
+        total = sum(planned for planned, _, _ in counts.values())
+        total = total if store.complete else plan_of(stored_campaign(store), {}, {}).count()
+        return Status(done, total, counts, store.unknown())
 
 
 def stored_campaign(store: Store) -> Campaign:

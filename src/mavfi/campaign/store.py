@@ -1,23 +1,28 @@
-"""The ledger of a campaign: one SQLite file, one row per run, written by one process."""
+"""The ledger of a campaign: one SQLite file, one row per run, written by one process.
+
+Every row has a checksum, and every mission one over its runs: a ledger whose content was changed, by a flipped bit, a
+lost row or a hand, is not read.
+"""
 
 import fcntl
 import hashlib
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
 from mavfi.campaign.plan import RunSpec
-from mavfi.errors import BadInputError
-from mavfi.flight_record import FlightRecord
+from mavfi.errors import BadInputError, MachineError
+from mavfi.flight_record import End, FlightRecord
 
-SCHEMA = 2
+SCHEMA = 3
 FILE = "campaign.sqlite"
 _LOCK = "campaign.lock"
 _TABLES = """
-CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL);
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL, checksum TEXT NOT NULL);
 CREATE TABLE runs (
     run_id TEXT PRIMARY KEY,
     position INTEGER NOT NULL UNIQUE,
@@ -28,12 +33,14 @@ CREATE TABLE runs (
     spec TEXT NOT NULL,
     record TEXT,
     note TEXT NOT NULL DEFAULT '',
-    wall_s REAL
+    wall_s REAL,
+    checksum TEXT NOT NULL
 );
-CREATE TABLE missions (environment TEXT, seed INTEGER, PRIMARY KEY (environment, seed));
+CREATE TABLE missions (environment TEXT, seed INTEGER, checksum TEXT NOT NULL, PRIMARY KEY (environment, seed));
 """
 _CANDIDATES = 5
 _RUN = "spec, record, note, wall_s"
+_PLANNED = "run_id, position, kind, setting, environment, seed, spec"
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +119,7 @@ class Store:
         store = Store(directory, _connect(path, "ro"))
         try:
             store._check_schema()
+            store._check_content()
         except BaseException:
             store.close()
             raise
@@ -133,6 +141,7 @@ class Store:
 
     def _check(self, identity: Mapping[str, Any]) -> None:
         self._check_schema()
+        self._check_content()
         held = self.meta("identity")
         wanted = json.loads(canonical(identity))
         if held != wanted:
@@ -141,6 +150,48 @@ class Store:
                 f"{self.directory}: holds another campaign (differs in: {', '.join(names)}); choose another directory"
             )
 
+    def _check_content(self) -> None:
+        """Refuse a ledger of which something was changed or is missing."""
+        try:
+            wrong = self._damage()
+        except (sqlite3.DatabaseError, TypeError) as error:  # TypeError: a value of another type
+            wrong = f"{error}"
+        if wrong:
+            raise BadInputError(f"{self.directory / FILE}: is damaged: {wrong}")
+
+    def _damage(self) -> str:
+        """What is wrong with the content, "" = nothing."""
+        sound = self._connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
+        if sound != "ok":
+            return str(sound).splitlines()[-1]
+        for key, value, checksum in self._connection.execute("SELECT key, value, checksum FROM meta"):
+            if checksum != _checksum(key, value):
+                return f"{key!r} of its description was changed"
+        if self.meta("identity") is None:
+            return "its description is missing"
+        for run_id, *rest, checksum in self._connection.execute(
+            f"SELECT {_PLANNED}, record, note, wall_s, checksum FROM runs"
+        ):
+            if checksum != _checksum(run_id, *rest):
+                return f"run {run_id!r} was changed"
+        for environment, seed, checksum in self._connection.execute("SELECT * FROM missions ORDER BY 1, 2"):
+            if checksum != self._mission_checksum((environment, seed)):
+                return f"runs of mission {environment}-{seed} were lost or added"
+        return ""
+
+    def _mission_checksum(self, world: tuple[str, int]) -> str:
+        query = "SELECT run_id, position FROM runs WHERE environment = ? AND seed = ? ORDER BY position"
+        return _checksum(*world, *(part for row in self._connection.execute(query, world) for part in row))
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """All or nothing is written; a disk that fails is a `MachineError`."""
+        try:
+            with self._connection:
+                yield
+        except sqlite3.OperationalError as error:
+            raise MachineError(f"{self.directory / FILE}: cannot be written ({error})") from error
+
     def meta(self, key: str) -> Any:
         """Plain data stored under a key; None if there is none."""
         row = self._connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
@@ -148,23 +199,26 @@ class Store:
 
     def write_meta(self, items: Mapping[str, Any]) -> None:
         """Store plain data by key."""
-        rows = [(key, canonical(value)) for key, value in items.items()]
-        with self._connection:
-            self._connection.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", rows)
+        texts = {key: canonical(value) for key, value in items.items()}
+        rows = [(key, text, _checksum(key, text)) for key, text in texts.items()]
+        with self._writing():
+            self._connection.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", rows)
 
     def plan(self, specs: Iterable[RunSpec]) -> None:
         """Store runs before they are flown; those that are there already are left as they are."""
         rows = [
             (s.run_id, s.position, s.kind, s.setting, s.environment, s.seed, canonical(s.to_json())) for s in specs
         ]  # fmt: skip
-        columns = "run_id, position, kind, setting, environment, seed, spec"
-        with self._connection:
-            self._connection.executemany(f"INSERT OR IGNORE INTO runs ({columns}) VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
+        checked = [(*row, _checksum(*row, None, "", None)) for row in rows]
+        marks = "?, ?, ?, ?, ?, ?, ?, ?"
+        with self._writing():
+            self._connection.executemany(f"INSERT OR IGNORE INTO runs ({_PLANNED}, checksum) VALUES ({marks})", checked)
 
     def end_plan(self, world: tuple[str, int]) -> None:
         """Note that all runs of a mission are stored."""
-        with self._connection:
-            self._connection.execute("INSERT OR IGNORE INTO missions VALUES (?, ?)", world)
+        with self._writing():
+            checksum = self._mission_checksum(world)
+            self._connection.execute("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", (*world, checksum))
 
     def planned(self) -> set[tuple[str, int]]:
         """Missions, by environment and seed, of which all runs are stored."""
@@ -209,10 +263,15 @@ class Store:
 
     def write(self, run_id: str, record: FlightRecord, note: str, wall_s: float) -> None:
         """Store what a run left; from then on the run is done, and stays as it is."""
-        with self._connection:
+        query = f"SELECT {_PLANNED} FROM runs WHERE run_id = ? AND record IS NULL"
+        with self._writing():
+            planned = self._connection.execute(query, (run_id,)).fetchone()
+            if planned is None:
+                return
+            result = canonical(record.to_json()), note, wall_s
             self._connection.execute(
-                "UPDATE runs SET record = ?, note = ?, wall_s = ? WHERE run_id = ? AND record IS NULL",
-                (canonical(record.to_json()), note, wall_s, run_id),
+                "UPDATE runs SET record = ?, note = ?, wall_s = ?, checksum = ? WHERE run_id = ?",
+                (*result, _checksum(*planned, *result), run_id),
             )
 
     def counts(self) -> dict[str, tuple[int, int, int]]:
@@ -223,6 +282,11 @@ class Store:
         )
         rows = self._connection.execute(query)
         return {setting: (planned, done, int(success)) for setting, planned, done, success in rows}
+
+    def unknown(self) -> int:
+        """How many runs are done and could not be judged."""
+        query = "SELECT COUNT(*) FROM runs WHERE json_extract(record, '$.end') = ?"
+        return int(self._connection.execute(query, (End.UNKNOWN.value,)).fetchone()[0])
 
     def setting_of(self, run_id: str) -> str:
         """Setting of a run that is stored."""
@@ -249,6 +313,11 @@ class Store:
 def canonical(data: Any) -> str:
     """The one JSON text of plain data."""
     return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _checksum(*values: str | int | float | None) -> str:
+    """Of the values of a row, types included."""
+    return hashlib.sha256(repr(values).encode()).hexdigest()[:32]
 
 
 def _run(spec: str, record: str | None, note: str, wall_s: float | None) -> Run:

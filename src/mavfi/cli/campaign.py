@@ -9,6 +9,7 @@ import typer
 from mavfi.cli import options
 from mavfi.cli.console import console, write_json
 from mavfi.cli.stopping import stoppable
+from mavfi.errors import MavfiError
 
 if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
@@ -43,6 +44,9 @@ def run(
         ),
     ] = True,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be flown, and stop.")] = False,
+    allow_unknown: Annotated[
+        bool, typer.Option("--allow-unknown", help="Exit code 0 even if runs could not be judged.")
+    ] = False,
 ) -> None:
     """Fly a campaign, or what is left of it.  Ctrl-C stops it (exit code 130); the same command goes on.
 
@@ -62,10 +66,15 @@ def run(
         return
     kept = f"Stopped. What is done is kept in {ledger}; the same command resumes."
     with stoppable(kept), Bar(f"campaign {campaign.name}", "runs") as bar:
-        run_campaign(
+        status = run_campaign(
             campaign, ledger, executor=executor, models_dir=models, fast_forward=fast_forward,
             progress=bar.show_campaign,
         )  # fmt: skip
+    if status.unknown and not allow_unknown:
+        raise MavfiError(
+            f"{ledger}: {status.unknown} of {status.total} runs could not be judged: `mavfi runs {ledger} --where "
+            "judged=false` lists them; --allow-unknown accepts them"
+        )
     console().print(f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]", soft_wrap=True)
 
 

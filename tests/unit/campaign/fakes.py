@@ -7,6 +7,7 @@ set in `TROUBLE`.
 import contextlib
 import hashlib
 import os
+import signal
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -45,6 +46,8 @@ class Trouble:
         flown: Folder in which each mission leaves a file named after its world and process; None = nowhere.
         stray: Added to a coordinate: another flight than the one that was planned (m).
         mute: How many of the injected flights of each mission the host does not give.
+        machine: The machine fails as often as this folder has files, whose names are numbers of errors (0 = memory).
+        killed: Processes of flights with seed `DEADLY` are killed from outside as often as this folder has files.
     """
 
     dies: Path | None = None
@@ -54,6 +57,8 @@ class Trouble:
     flown: Path | None = None
     stray: float = 0.0
     mute: int = 0
+    machine: Path | None = None
+    killed: Path | None = None
 
 
 TROUBLE = Trouble()
@@ -113,6 +118,7 @@ class FakeFlights:
     def golden(self, arm: str, *, profile: bool = False) -> Flight:
         scenario = self.arms[arm].scenario
         _note(scenario)
+        _fail()
         _die(TROUBLE.golden_dies, scenario.seed)
         if arm not in self.known:
             self.known[arm] = fly(self.arms[arm], self.detector(arm), None)
@@ -133,6 +139,12 @@ class FakeFlights:
             setup = self.arms[arm]
             if TROUBLE.dies_at in fault.site:
                 _die(TROUBLE.dies, setup.scenario.seed)
+            _kill(setup.scenario.seed)
+            try:
+                _fail()
+            except (OSError, MemoryError) as error:
+                yield place, error
+                continue
             if TROUBLE.raises and setup.scenario.seed == BROKEN:
                 try:
                     raise ZeroDivisionError("a mistake of ours")
@@ -215,13 +227,32 @@ def _note(scenario: Scenario) -> None:
         (TROUBLE.flown / f"{scenario.environment.name}-{scenario.seed}.{os.getpid()}").touch()
 
 
+def _token(folder: Path | None) -> str:
+    """Name of a file of a folder, which is taken away; "" = there is none."""
+    for token in sorted(folder.iterdir()) if folder is not None else ():
+        with contextlib.suppress(FileNotFoundError):  # another worker took it
+            token.unlink()
+            return token.name
+    return ""
+
+
+def _fail() -> None:
+    token = _token(TROUBLE.machine)
+    if token:
+        number = int(token.split(".")[0])
+        raise MemoryError if number == 0 else OSError(number, os.strerror(number), "/cache/code.nbc")
+
+
+def _kill(seed: int) -> None:
+    if seed == DEADLY and _token(TROUBLE.killed):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
 def _die(folder: Path | None, seed: int) -> None:
     if folder is None or seed != DEADLY:
         return
-    for token in folder.iterdir():
-        with contextlib.suppress(FileNotFoundError):  # another worker took it
-            token.unlink()
-            os._exit(9)
+    if _token(folder):
+        os._exit(9)
 
 
 def deaths(folder: Path, count: int) -> Path:
@@ -229,6 +260,14 @@ def deaths(folder: Path, count: int) -> Path:
     folder.mkdir()
     for number in range(count):
         (folder / str(number)).touch()
+    return folder
+
+
+def failures(folder: Path, number: int, count: int) -> Path:
+    """A folder that lets the machine fail so often with an error of that number."""
+    folder.mkdir()
+    for token in range(count):
+        (folder / f"{number}.{token}").touch()
     return folder
 
 

@@ -1,6 +1,8 @@
 """A campaign leaves the same ledger for any number of workers, after any stop, and whatever dies on the way."""
 
+import errno
 import os
+import re
 import signal
 import sqlite3
 import time
@@ -11,12 +13,13 @@ import pytest
 
 from mavfi.campaign import mission as mission_module
 from mavfi.campaign import run as run_module
+from mavfi.campaign.executors.executor import Done
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign, status, stored_campaign
 from mavfi.campaign.store import FILE, Store
-from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.errors import BadInputError, MachineError, SpecMismatchError
 from mavfi.flight_record import End
-from tests.unit.campaign.fakes import BROKEN, DEADLY, DETECTOR, TROUBLE, FakeDetector, deaths, small
+from tests.unit.campaign.fakes import BROKEN, DEADLY, DETECTOR, TROUBLE, FakeDetector, deaths, failures, small
 
 TOTAL = 2 * (2 * (4 + 18) + 3)
 INSTRUCTIONS = {"level": "instruction", "kernels": ["pid"]}
@@ -61,7 +64,9 @@ def test_everything_is_flown_and_reported(flown):
     assert reports[-1].rate > 0
     assert reports[-1].remaining_s == 0
     assert status(directory) == end
-    assert set(asdict(end)) == {"done", "total", "settings"}, "the session is over: nothing to say of its speed"
+    assert set(asdict(end)) == {"done", "total", "settings", "unknown"}, (
+        "the session is over: nothing to say of its speed"
+    )
     with Store.open(directory) as store:
         assert stored_campaign(store) == small()
         assert all(run.record.end is End.FLOWN for run in store.runs())
@@ -245,7 +250,7 @@ def test_a_ledger_of_schema_1_is_refused_and_left_as_it_is(tmp_path):
     connection.close()
     before = (tmp_path / FILE).read_bytes()
     for attempt in (lambda: flown_into(tmp_path), lambda: status(tmp_path), lambda: Store.open(tmp_path)):
-        with pytest.raises(BadInputError, match="schema version 1; allowed: 2 .*older mavfi"):
+        with pytest.raises(BadInputError, match="schema version 1; allowed: 3 .*older mavfi"):
             attempt()
     assert (tmp_path / FILE).read_bytes() == before
 
@@ -321,6 +326,66 @@ def test_an_exception_of_ours_is_recorded_as_unknown_and_the_rest_is_flown(tmp_p
         assert run.record.error == "ZeroDivisionError" and not run.record.digest
         assert "Traceback" in run.note and "a mistake of ours" in run.note
     assert digest(tmp_path / "fast") == digest(tmp_path / "long")
+
+
+MACHINE = (errno.ENOSPC, errno.EMFILE, errno.ENOMEM, errno.EIO, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", MACHINE)
+def test_a_machine_that_fails_for_a_moment_leaves_no_trace(flown, tmp_path, monkeypatch, number):
+    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(TROUBLE, "machine", failures(tmp_path / "failures", number, 2))
+    assert flown_into(tmp_path / "out", workers=2) == flown[1]
+    assert digest(tmp_path / "out") == digest(flown[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", MACHINE)
+@pytest.mark.parametrize("done", [0, 7, 40])
+def test_a_machine_that_goes_on_failing_stops_the_campaign_until_it_is_mended(
+    flown, tmp_path, monkeypatch, number, done
+):
+    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
+    folder = tmp_path / "failures"
+
+    def fail(progress):
+        if progress.flown >= done and TROUBLE.machine is None:
+            monkeypatch.setattr(TROUBLE, "machine", failures(folder, number, 1000))
+
+    monkeypatch.setattr(TROUBLE, "machine", None)
+    what = "no memory is left" if number == 0 else re.escape(f"{os.strerror(number)} (/cache/code.nbc)")
+    executor = InThisProcess()  # workers would not learn of the trouble
+    with pytest.raises(MachineError, match=what):
+        run_campaign(small(), tmp_path / "out", executor=executor, progress=fail)
+    with Store.open(tmp_path / "out") as store:
+        held = [run.record for run in store.runs(done=True)]
+    assert len(held) >= done and all(record.end is End.FLOWN for record in held)
+    monkeypatch.setattr(TROUBLE, "machine", None)
+    assert flown_into(tmp_path / "out") == flown[1]
+    assert digest(tmp_path / "out") == digest(flown[0])
+
+
+@pytest.mark.slow
+def test_a_process_that_is_killed_from_outside_is_no_effect_of_a_fault(flown, tmp_path, monkeypatch):
+    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(TROUBLE, "killed", deaths(tmp_path / "few", 3))
+    assert flown_into(tmp_path / "out", workers=2) == flown[1]
+    monkeypatch.setattr(TROUBLE, "killed", deaths(tmp_path / "many", 1000))
+    with pytest.raises(MachineError, match="ended by SIGKILL"):
+        flown_into(tmp_path / "other", workers=2)
+    with Store.open(tmp_path / "other") as store:
+        assert all(run.record.end is End.FLOWN for run in store.runs(done=True))
+
+
+class InThisProcess:
+    """An executor without workers."""
+
+    def map(self, function, missions):
+        for mission in missions:
+            for item in function(mission):
+                yield mission, item
+            yield mission, Done()
 
 
 def test_flights_that_a_host_does_not_give_are_unknown(tmp_path, monkeypatch):

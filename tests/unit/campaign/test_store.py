@@ -1,14 +1,17 @@
 """The ledger: what is in it is there to stay, and its digest says what is in it."""
 
+import re
 import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 
+import numpy as np
 import pytest
 
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.store import FILE, Store
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, MachineError
 from mavfi.flight_record import End, FlightRecord
 
 IDENTITY = {"campaign": {"name": "c", "missions": 3}, "models": {}}
@@ -150,7 +153,7 @@ def test_foreign_files_and_versions_are_refused(tmp_path):
         connection.execute("CREATE TABLE t (x)")
     connection.close()
     for attempt in (lambda: Store.open(tmp_path / "v"), lambda: Store.create(tmp_path / "v", IDENTITY)):
-        with pytest.raises(BadInputError, match="schema version 99; allowed: 2$"):
+        with pytest.raises(BadInputError, match="schema version 99; allowed: 3$"):
             attempt()
 
 
@@ -186,11 +189,101 @@ def test_an_ambiguous_id_lists_candidates(store):
 
 def test_a_whole_id_is_meant_even_if_another_begins_so(store):
     longer = f"{SPECS[0].run_id}-and-more"
-    with store._connection as connection:
-        columns = "position, kind, setting, environment, seed, spec, note"
+    with store._connection as connection:  # two targets whose names begin alike
+        columns = "position, kind, setting, environment, seed, spec, note, checksum"
         connection.execute(
-            f"INSERT INTO runs (run_id, {columns}) SELECT ?, 99, kind, setting, environment, seed, spec, note "
-            "FROM runs WHERE position = 1", (longer,),
+            f"INSERT INTO runs (run_id, {columns}) SELECT ?, 99, kind, setting, environment, seed, spec, note, "
+            "checksum FROM runs WHERE position = 1", (longer,),
         )  # fmt: skip
     assert store.run(SPECS[0].run_id).spec == SPECS[0]
     assert store.run(longer).spec == SPECS[1]
+
+
+def filled(folder):
+    with Store.create(folder, IDENTITY) as store:
+        store.plan([*SPECS, INJECTED])
+        store.write_meta({"missions": 4})
+        for spec in [*SPECS, INJECTED]:
+            write(store, spec, digest=spec.run_id)
+        for world in {spec.world for spec in SPECS}:
+            store.end_plan(world)
+        return store.digest()
+
+
+def read(folder):
+    """Digest of a ledger and all its runs, or the line that says why it cannot be read."""
+    try:
+        with Store.open(folder) as store:
+            assert [run.spec.run_id for run in store.runs()]
+            return store.digest() + str(store.counts()) + str(store.complete)
+    except BadInputError as error:
+        assert "\n" not in str(error)
+        return None
+
+
+def test_no_flipped_bit_changes_a_ledger_unseen(tmp_path):
+    filled(tmp_path)
+    path = tmp_path / FILE
+    sound, whole = read(tmp_path), path.read_bytes()
+    assert sound is not None
+    random = np.random.default_rng(0)
+    refused = 0
+    for place, bit in zip(random.integers(0, len(whole), 400), random.integers(0, 8, 400), strict=True):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << int(bit)
+        path.write_bytes(damaged)
+        found = read(tmp_path)
+        assert found in (None, sound), f"bit {bit} of byte {place}"  # most of the file is empty space
+        refused += found is None
+    assert refused > 20
+
+
+def test_no_character_of_a_record_changes_unseen(tmp_path):
+    filled(tmp_path)
+    path = tmp_path / FILE
+    whole = path.read_bytes()
+    text = SPECS[0].run_id.encode()
+    places = [found.start() + offset for found in re.finditer(re.escape(text), whole) for offset in (0, 7, len(text))]
+    assert len(places) >= 9
+    for place in places:
+        damaged = bytearray(whole)
+        damaged[place] ^= 1
+        path.write_bytes(damaged)
+        assert read(tmp_path) is None
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
+def test_a_ledger_that_was_cut_off_is_refused(tmp_path, share):
+    filled(tmp_path)
+    path = tmp_path / FILE
+    path.write_bytes(path.read_bytes()[: int(share * path.stat().st_size)])
+    assert read(tmp_path) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("DELETE FROM runs WHERE position = 4", "runs of mission sparse-2 were lost or added"),
+        ("UPDATE runs SET seed = 3 WHERE position = 4", "run '.*' was changed"),
+        ("UPDATE runs SET record = NULL, wall_s = NULL WHERE position = 0", "run '.*' was changed"),
+        ("UPDATE runs SET note = 'x' WHERE position = 0", "run '.*' was changed"),
+        ("UPDATE meta SET value = '5' WHERE key = 'missions'", "'missions' of its description was changed"),
+        ("DELETE FROM meta", "its description is missing"),
+        ("DROP TABLE missions", "no such table: missions"),
+    ],
+)
+def test_a_change_by_hand_is_named(tmp_path, change, told):
+    filled(tmp_path)
+    with closing(sqlite3.connect(tmp_path / FILE)) as connection, connection:
+        connection.execute(change)
+    for attempt in (lambda: Store.open(tmp_path), lambda: Store.create(tmp_path, IDENTITY)):
+        with pytest.raises(BadInputError, match=rf"campaign.sqlite: is damaged: {told}"):
+            attempt()
+
+
+def test_a_disk_without_space_is_a_failure_of_the_machine(store):
+    store._connection.execute("PRAGMA max_page_count = 12")  # SQLite's own way to a full disk
+    with pytest.raises(MachineError, match=r"campaign.sqlite: cannot be written \(database or disk is full\)"):
+        for seed in range(2000):
+            store.plan([RunSpec("golden", "golden", "farm", seed, "key", position=100 + seed)])
+    assert read(store.directory) is not None

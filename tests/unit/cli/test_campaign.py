@@ -2,15 +2,17 @@ import json
 import os
 import shutil
 import signal
+import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing
 
 import pytest
 
 from mavfi.cli import run
 from mavfi.errors import BadInputError
-from tests.unit.campaign.fakes import HOST
+from tests.unit.campaign.fakes import HOST, TROUBLE
 
 CAMPAIGN = """
 name: tiny
@@ -59,6 +61,30 @@ def test_status_counts_by_setting(capsys, flown):
     assert run(["campaign", "status", str(flown)]) == 0
     text = capsys.readouterr().out
     assert text.startswith("5 of 5 runs, complete") and "golden" in text
+
+
+def test_runs_that_could_not_be_judged_are_no_success(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "raises", True)
+    path = tmp_path / "tiny.yaml"
+    path.write_text(FAKE.format(missions=3).replace("faults: 1", "faults: 3"))  # one of them with the seed `BROKEN`
+    command = ["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--workers", "1"]
+    assert run(command) == 1
+    told = capsys.readouterr()
+    assert f"{tmp_path / 'out'}: 3 of 13 runs could not be judged" in told.err and "Done" not in told.out
+    listed = _json(capsys, "runs", str(tmp_path / "out"), "--where", "judged=false")
+    assert len(listed["rows"]) == 3
+    assert run([*command, "--allow-unknown"]) == 0
+    assert "Done" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("verb", [["campaign", "status"], ["campaign", "digest"], ["report"], ["runs"], ["explain"]])
+def test_a_damaged_ledger_is_one_line(capsys, flown, tmp_path, verb):
+    shutil.copytree(flown, tmp_path / "copy")
+    with closing(sqlite3.connect(tmp_path / "copy" / "campaign.sqlite")) as connection, connection:
+        connection.execute("UPDATE runs SET record = replace(record, 'success', 'timeout') WHERE position = 0")
+    assert run([*verb, str(tmp_path / "copy"), *(["sparse"] if verb == ["explain"] else [])]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and "is damaged: run 'sparse-10000-golden-" in told
 
 
 def test_digest_is_the_same_when_run_again(capsys, config, flown):

@@ -52,7 +52,7 @@ class LocalExecutor:
         workers: list[_Worker[T]] = []
         try:
             for mission in itertools.islice(waiting, self._workers):
-                workers.append(_Worker(function))
+                workers.append(_Worker(function, workers))
                 workers[-1].give(mission)
             while workers:
                 yield from self._next(workers, function, waiting)
@@ -75,7 +75,8 @@ class LocalExecutor:
             if isinstance(item, (Done, Lost)):
                 if isinstance(item, Lost):
                     worker.end()
-                    workers[place] = worker = _Worker(function)
+                    others = [other for other in workers if other is not worker]
+                    workers[place] = worker = _Worker(function, others)
                 following = next(waiting, _NOTHING)
                 if following is _NOTHING:
                     worker.end()
@@ -98,10 +99,12 @@ class _Raised:
 class _Worker(Generic[T]):
     """A process, the pipe to it, and its present mission."""
 
-    def __init__(self, function: Callable[[Any], Iterator[Any]]) -> None:
+    def __init__(self, function: Callable[[Any], Iterator[Any]], others: "Iterable[_Worker[Any]]") -> None:
+        """Fork; the new process keeps no end of the pipes to others, so each notices when this process is gone."""
         self.pipe, theirs = _FORK.Pipe()
+        ours = [self.pipe, *(other.pipe for other in others)]
         self._process: BaseProcess = _FORK.Process(
-            target=_work, args=(theirs, self.pipe, function, os.getpid()), daemon=False
+            target=_work, args=(theirs, ours, function, os.getpid()), daemon=False
         )
         self._process.start()
         theirs.close()
@@ -122,8 +125,8 @@ class _Worker(Generic[T]):
         except (EOFError, OSError):
             self._process.join()
             code = self._process.exitcode or 0
-            how = signal.Signals(-code).name if -code in {int(s) for s in signal.Signals} else f"exit code {code}"
-            return Lost(f"its worker died ({how})", died=True)
+            name = signal.Signals(-code).name if -code in {int(s) for s in signal.Signals} else ""
+            return Lost(f"its worker died ({name or f'exit code {code}'})", died=True, signal=name)
 
     def overdue(self, limit: float) -> Any:
         """`Lost` if the process has sent nothing for too long."""
@@ -142,12 +145,15 @@ class _Worker(Generic[T]):
         self._process.join()
 
 
-def _work(pipe: Connection, other_end: Connection, function: Callable[[Any], Iterator[Any]], parent: int) -> None:
+def _work(
+    pipe: Connection, ours: Iterable[Connection], function: Callable[[Any], Iterator[Any]], parent: int
+) -> None:  # fmt: skip
     """Main function of a worker: fly missions until there are none."""
     ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         return
-    other_end.close()
+    for end in ours:
+        end.close()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     while True:

@@ -8,6 +8,7 @@ from pathlib import Path
 from mavfi.errors import BadInputError
 
 _CLOCK_FIELDS = slice(11, 13)  # utime and stime, counted from the state, in /proc/PID/stat
+_INIT = 1
 _ELF_64 = b"\x7fELF\x02"
 
 
@@ -22,6 +23,8 @@ def check_target(pid: int, tool: int) -> None:
     check_machine()
     if pid in (os.getpid(), tool):
         raise BadInputError(f"pid {pid}: is mavfi itself")
+    if pid == _INIT:
+        raise BadInputError(f"pid {pid}: is the process that started all others; the machine would end with it")
     status = _status(pid)
     owner = int(status["Uid"].split()[1])
     if owner != os.geteuid():

@@ -1,6 +1,9 @@
 import os
 import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -99,6 +102,47 @@ def test_a_mission_stays_with_its_worker_and_workers_are_used_again():
     assert os.getpid() not in set.union(*workers)
 
 
+@pytest.mark.slow
+def test_no_worker_outlives_the_parent_even_if_one_was_replaced():
+    code = """
+import os, signal, sys, time
+from mavfi.campaign.executors.local import LocalExecutor
+
+def mission(number):
+    yield os.getpid()
+    if number == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    time.sleep(60.0 if number > 1 else 0.3)
+
+for number, item in LocalExecutor(2).map(mission, range(9)):
+    print(number, item, flush=True)
+"""
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    workers = {}
+    for line in parent.stdout:
+        number, item = line.split(" ", 1)
+        if item.strip().isdigit():
+            workers[int(number)] = int(item)
+        if {2, 3} <= set(workers):
+            break
+    parent.kill()
+    parent.wait()
+    parent.stdout.close()
+    until = time.monotonic() + 5.0
+    living = [workers[2], workers[3]]
+    while living and time.monotonic() < until:
+        living = [pid for pid in living if is_alive(pid)]
+        time.sleep(0.05)
+    assert living == []
+
+
+def is_alive(pid):
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
 def test_nothing_to_do():
     assert list(LocalExecutor(1).map(count_to, [])) == []
 
@@ -116,7 +160,7 @@ def test_absurd_numbers_of_workers_are_refused_before_any_is_forked():
 
 def test_there_are_never_more_workers_than_missions(monkeypatch):
     made, really = [], local._Worker
-    monkeypatch.setattr(local, "_Worker", lambda function: made.append(function) or really(function))
+    monkeypatch.setattr(local, "_Worker", lambda function, others: made.append(function) or really(function, others))
     assert list(LocalExecutor(MOST_WORKERS).map(count_to, [1])) == [(1, 0), (1, Done())]
     assert len(made) == 1
 
@@ -147,7 +191,8 @@ def test_a_worker_that_dies_loses_its_mission_only(how, told):
             assert found == [mission[0], -mission[0], Done()]
         else:
             assert found[0] == mission[0], "what it gave before is kept"
-            assert found[1:] == [Lost(f"its worker died ({told})", died=True)]
+            by = told if isinstance(how, signal.Signals) else ""
+            assert found[1:] == [Lost(f"its worker died ({told})", died=True, signal=by)]
 
 
 def test_a_worker_that_dies_while_it_is_idle_loses_what_it_is_given_next():

@@ -191,6 +191,10 @@ class TestRefusals:
         with pytest.raises(BadInputError, match="is mavfi itself"):
             only(os.getpid())
 
+    def test_the_process_that_started_all_others(self):
+        with pytest.raises(BadInputError, match="pid 1: is the process that started all others"):
+            only(1)
+
     def test_one_that_has_ended(self, spin):
         spin.kill()
         wait_until(lambda: "Z" in Path(f"/proc/{spin.pid}/stat").read_text().rsplit(")", 1)[1].split()[0])
