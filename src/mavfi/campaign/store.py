@@ -7,9 +7,10 @@ lost row or a hand, is not read.
 import fcntl
 import hashlib
 import json
+import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -20,8 +21,8 @@ from mavfi.flight_record import End, FlightRecord
 
 SCHEMA = 3
 FILE = "campaign.sqlite"
-_LOCK = "campaign.lock"
-_TABLES = """
+LOCK = "campaign.lock"
+TABLES = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL, checksum TEXT NOT NULL);
 CREATE TABLE runs (
     run_id TEXT PRIMARY KEY,
@@ -40,7 +41,7 @@ CREATE TABLE missions (environment TEXT, seed INTEGER, checksum TEXT NOT NULL, P
 """
 _CANDIDATES = 5
 _RUN = "spec, record, note, wall_s"
-_PLANNED = "run_id, position, kind, setting, environment, seed, spec"
+PLANNED = "run_id, position, kind, setting, environment, seed, spec"
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +61,7 @@ class Store:
         self.directory = directory
         self._connection = connection
         self._lock = lock
+        self._has_log = False
 
     def __enter__(self) -> "Store":
         return self
@@ -68,7 +70,10 @@ class Store:
         self.close()
 
     def close(self) -> None:
-        """Close; nothing is lost by not doing so."""
+        """Close; nothing is lost by not doing so, but then the folder must be writable to read it."""
+        if self._has_log:
+            with suppress(sqlite3.OperationalError):  # somebody is reading
+                self._connection.execute("PRAGMA journal_mode = DELETE")
         self._connection.close()
         if self._lock is not None:
             self._lock.close()
@@ -83,7 +88,7 @@ class Store:
         """
         try:
             directory.mkdir(parents=True, exist_ok=True)
-            lock = (directory / _LOCK).open("w", encoding="utf-8")
+            lock = (directory / LOCK).open("w", encoding="utf-8")
         except OSError as error:
             raise BadInputError(f"{directory}: cannot be written ({error.strerror})") from None
         try:
@@ -92,14 +97,15 @@ class Store:
         except OSError:
             lock.close()
             raise BadInputError(f"{directory}: another process is writing this campaign") from None
-        store = Store(directory, _connect(directory / FILE, "rwc"), lock)
+        store = Store(directory, connect(directory / FILE, "rwc"), lock)
         try:
             if store._ask("SELECT COUNT(*) FROM sqlite_master") == 0:
-                store._connection.executescript(f"BEGIN; {_TABLES} PRAGMA user_version = {SCHEMA};")
+                store._connection.executescript(f"BEGIN; {TABLES} PRAGMA user_version = {SCHEMA};")
                 store.write_meta({"identity": identity})
             else:
                 store._check(identity)
             store._connection.execute("PRAGMA journal_mode = WAL")
+            store._has_log = True
             store._connection.execute("PRAGMA synchronous = NORMAL")
         except BaseException:
             store.close()
@@ -116,7 +122,7 @@ class Store:
         path = directory / FILE
         if not path.is_file():
             raise BadInputError(f"{directory}: holds no campaign (no {FILE})")
-        store = Store(directory, _connect(path, "ro"))
+        store = Store(directory, connect(path, "ro"))
         try:
             store._check_schema()
             store._check_content()
@@ -165,14 +171,14 @@ class Store:
         if sound != "ok":
             return str(sound).splitlines()[-1]
         for key, value, checksum in self._connection.execute("SELECT key, value, checksum FROM meta"):
-            if checksum != _checksum(key, value):
+            if checksum != checksum_of(key, value):
                 return f"{key!r} of its description was changed"
         if self.meta("identity") is None:
             return "its description is missing"
         for run_id, *rest, checksum in self._connection.execute(
-            f"SELECT {_PLANNED}, record, note, wall_s, checksum FROM runs"
+            f"SELECT {PLANNED}, record, note, wall_s, checksum FROM runs"
         ):
-            if checksum != _checksum(run_id, *rest):
+            if checksum != checksum_of(run_id, *rest):
                 return f"run {run_id!r} was changed"
         for environment, seed, checksum in self._connection.execute("SELECT * FROM missions ORDER BY 1, 2"):
             if checksum != self._mission_checksum((environment, seed)):
@@ -181,7 +187,7 @@ class Store:
 
     def _mission_checksum(self, world: tuple[str, int]) -> str:
         query = "SELECT run_id, position FROM runs WHERE environment = ? AND seed = ? ORDER BY position"
-        return _checksum(*world, *(part for row in self._connection.execute(query, world) for part in row))
+        return checksum_of(*world, *(part for row in self._connection.execute(query, world) for part in row))
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -200,7 +206,7 @@ class Store:
     def write_meta(self, items: Mapping[str, Any]) -> None:
         """Store plain data by key."""
         texts = {key: canonical(value) for key, value in items.items()}
-        rows = [(key, text, _checksum(key, text)) for key, text in texts.items()]
+        rows = [(key, text, checksum_of(key, text)) for key, text in texts.items()]
         with self._writing():
             self._connection.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", rows)
 
@@ -209,10 +215,10 @@ class Store:
         rows = [
             (s.run_id, s.position, s.kind, s.setting, s.environment, s.seed, canonical(s.to_json())) for s in specs
         ]  # fmt: skip
-        checked = [(*row, _checksum(*row, None, "", None)) for row in rows]
+        checked = [(*row, checksum_of(*row, None, "", None)) for row in rows]
         marks = "?, ?, ?, ?, ?, ?, ?, ?"
         with self._writing():
-            self._connection.executemany(f"INSERT OR IGNORE INTO runs ({_PLANNED}, checksum) VALUES ({marks})", checked)
+            self._connection.executemany(f"INSERT OR IGNORE INTO runs ({PLANNED}, checksum) VALUES ({marks})", checked)
 
     def end_plan(self, world: tuple[str, int]) -> None:
         """Note that all runs of a mission are stored."""
@@ -263,7 +269,7 @@ class Store:
 
     def write(self, run_id: str, record: FlightRecord, note: str, wall_s: float) -> None:
         """Store what a run left; from then on the run is done, and stays as it is."""
-        query = f"SELECT {_PLANNED} FROM runs WHERE run_id = ? AND record IS NULL"
+        query = f"SELECT {PLANNED} FROM runs WHERE run_id = ? AND record IS NULL"
         with self._writing():
             planned = self._connection.execute(query, (run_id,)).fetchone()
             if planned is None:
@@ -271,7 +277,7 @@ class Store:
             result = canonical(record.to_json()), note, wall_s
             self._connection.execute(
                 "UPDATE runs SET record = ?, note = ?, wall_s = ?, checksum = ? WHERE run_id = ?",
-                (*result, _checksum(*planned, *result), run_id),
+                (*result, checksum_of(*planned, *result), run_id),
             )
 
     def counts(self) -> dict[str, tuple[int, int, int]]:
@@ -315,7 +321,7 @@ def canonical(data: Any) -> str:
     return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
-def _checksum(*values: str | int | float | None) -> str:
+def checksum_of(*values: str | int | float | None) -> str:
     """Of the values of a row, types included."""
     return hashlib.sha256(repr(values).encode()).hexdigest()[:32]
 
@@ -325,8 +331,19 @@ def _run(spec: str, record: str | None, note: str, wall_s: float | None) -> Run:
     return Run(RunSpec.from_json(json.loads(spec)), parsed, note, wall_s)
 
 
-def _connect(path: Path, mode: str) -> sqlite3.Connection:
+def connect(path: Path, mode: str) -> sqlite3.Connection:
+    """Open a ledger's file, also on media that cannot be written.
+
+    Raises:
+        BadInputError: It cannot be opened.
+    """
+    options = f"mode={mode}"
+    if mode == "ro" and not os.access(path.parent, os.W_OK):  # SQLite would put files of its own beside it
+        log = path.with_name(f"{path.name}-wal")
+        if log.exists() and log.stat().st_size > 0:
+            raise BadInputError(f"{path}: was not closed; read it once where its folder can be written")
+        options += "&immutable=1"
     try:
-        return sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True)
+        return sqlite3.connect(f"{path.absolute().as_uri()}?{options}", uri=True)
     except sqlite3.OperationalError as error:
         raise BadInputError(f"{path}: cannot be opened ({error})") from None

@@ -1,4 +1,4 @@
-"""`mavfi campaign run | status | digest`: fly many missions, see how far they are, prove what came out."""
+"""`mavfi campaign run | status | verify | repair | digest`: fly many missions, prove what came out."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -121,6 +121,55 @@ def status(directory: options.Ledger, as_json: options.AsJson = False) -> None:
     out = console()
     out.print(f"{found.done} of {found.total} runs" + (", complete" if found.complete else ""))
     out.print(success_counts(found.settings))
+
+
+@app.command("verify")
+def verify(
+    directory: options.Ledger,
+    share: Annotated[float, typer.Option(help="Of the runs that are flown again; 1 = all.")] = 0.02,
+    seed: Annotated[int, typer.Option(help="Of the choice.")] = 0,
+    as_json: options.AsJson = False,
+) -> None:
+    """Fly a random share of the runs again, compare every byte of their records, and say what follows.
+
+    Exit code 1 if another record comes out.
+
+    Example: [bold]mavfi campaign verify out/states --share 0.05[/bold]
+    """
+    from mavfi.campaign.verification import verify as verify_runs
+    from mavfi.cli.console import check_seed
+    from mavfi.cli.progress import Bar
+
+    check_seed("--seed", seed)
+    with Bar("runs flown again", "runs") as bar:
+        found = verify_runs(directory, share, seed, bar.show)
+    bound = f"at most {100 * found.upper_bound:.2g} % of all {found.runs} records are wrong (95 % confidence)"
+    if as_json:
+        write_json({**asdict(found), "upper_bound": found.upper_bound})
+    elif not found.differing:
+        console().print(f"{found.flown} of {found.runs} runs flown again: all records are the same; {bound}")
+    if found.differing:
+        raise MavfiError(
+            f"{directory}: {len(found.differing)} of {found.flown} runs gave another record: "
+            f"{', '.join(found.differing[:5])}; {bound}"
+        )
+
+
+@app.command("repair")
+def repair(directory: options.Ledger) -> None:
+    """Keep what is whole of a damaged ledger; the command that began the campaign flies the rest.
+
+    Example: [bold]mavfi campaign repair out/states[/bold]
+    """
+    from mavfi.campaign.repair import DAMAGED
+    from mavfi.campaign.repair import repair as repair_ledger
+
+    found = repair_ledger(directory)
+    console().print(
+        f"{found.kept} runs kept, {found.lost} damaged ones left out; the command that began the campaign flies what "
+        f"is missing. The damaged file is {directory / DAMAGED}.",
+        soft_wrap=True,
+    )
 
 
 @app.command("digest")

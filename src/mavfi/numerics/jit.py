@@ -9,10 +9,13 @@ all compiled modules.  Nor has it an index of the signatures of a function, whic
 one more: a process that loads code then has another history of its memory, which corrupted addresses read.
 """
 
+import contextlib
 import functools
 import hashlib
 import os
 import shutil
+import stat
+import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -38,8 +41,24 @@ def code_folder() -> Path:
     for name in _COMPILED:
         for path in sorted((package / name).rglob("*.py")):
             digest.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mavfi"
-    return root / digest.hexdigest()[:16]
+    return _cache_root() / digest.hexdigest()[:16]
+
+
+def _cache_root() -> Path:
+    """`$XDG_CACHE_HOME/mavfi` or `~/.cache/mavfi`; a user without a home has a folder among the temporary ones.
+
+    Code that is read from there is executed: a folder in which somebody else can write is not used.
+    """
+    given = os.environ.get("XDG_CACHE_HOME")
+    with contextlib.suppress(RuntimeError):  # neither HOME nor an entry in the list of users
+        return (Path(given) if given else Path.home() / ".cache") / "mavfi"
+    own = Path(tempfile.gettempdir()) / f"mavfi-{os.getuid()}"
+    with contextlib.suppress(OSError):
+        own.mkdir(mode=0o700, exist_ok=True)
+        held = own.lstat()
+        if stat.S_ISDIR(held.st_mode) and held.st_uid == os.getuid() and not held.st_mode & 0o022:
+            return own
+    return Path(os.devnull) / "mavfi"  # nothing can be kept
 
 
 def _use_cache(folder: Path) -> None:
@@ -111,9 +130,13 @@ def kernel_jit(function: F) -> F:
     Returns:
         The compiled dispatcher; the pure Python function is `function.py_func`.
     """
-    compiled: Any = numba.njit(
-        cache=True, error_model="numpy", fastmath=False, nogil=True, pipeline_class=LineTables
-    )(function)  # fmt: skip
+    compile_ = functools.partial(
+        numba.njit, error_model="numpy", fastmath=False, nogil=True, pipeline_class=LineTables
+    )  # fmt: skip
+    try:
+        compiled: Any = compile_(cache=True)(function)
+    except RuntimeError:  # there is no folder that could be written
+        return cast(F, compile_()(function))
     if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         compiled._cache._cache_file = SignatureFiles.in_place_of(compiled._cache._cache_file)
     return cast(F, compiled)

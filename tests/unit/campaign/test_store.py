@@ -1,5 +1,6 @@
 """The ledger: what is in it is there to stay, and its digest says what is in it."""
 
+import os
 import re
 import sqlite3
 import subprocess
@@ -287,3 +288,21 @@ def test_a_disk_without_space_is_a_failure_of_the_machine(store):
         for seed in range(2000):
             store.plan([RunSpec("golden", "golden", "farm", seed, "key", position=100 + seed)])
     assert read(store.directory) is not None
+
+
+def test_a_closed_ledger_is_one_file_and_reading_adds_none(tmp_path):
+    filled(tmp_path)
+    before = sorted(path.name for path in tmp_path.iterdir())
+    assert before == ["campaign.lock", FILE]
+    assert read(tmp_path) is not None
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+
+
+def test_a_ledger_on_media_that_cannot_be_written_is_read(tmp_path, monkeypatch):
+    filled(tmp_path)
+    found = read(tmp_path)
+    monkeypatch.setattr(os, "access", lambda path, how: how != os.W_OK)
+    assert read(tmp_path) == found
+    (tmp_path / f"{FILE}-wal").write_bytes(b"what was not closed")
+    with pytest.raises(BadInputError, match="was not closed; read it once where its folder can be written"):
+        Store.open(tmp_path)

@@ -1,9 +1,12 @@
 """Where compiled code is kept: one file for each signature, no index."""
 
+import os
+
 import numba
 import numpy as np
 import pytest
 
+from mavfi.numerics import jit
 from mavfi.numerics.jit import SignatureFiles, kernel_jit
 
 
@@ -61,3 +64,19 @@ def test_kernels_are_kept_that_way():
 
     assert doubled(np.ones(1)) == 2.0
     assert isinstance(doubled._cache._cache_file, SignatureFiles)
+
+
+def test_a_user_without_a_home_has_a_folder_that_no_other_can_write(monkeypatch, tmp_path):
+    def no_home():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(jit.Path, "home", no_home)
+    monkeypatch.setattr(jit.tempfile, "gettempdir", lambda: str(tmp_path))
+    own = tmp_path / f"mavfi-{os.getuid()}"
+    assert jit._cache_root() == own and own.stat().st_mode & 0o777 == 0o700
+    own.chmod(0o777)
+    assert not jit._cache_root().exists()
+    own.rmdir()
+    own.symlink_to(tmp_path)
+    assert not jit._cache_root().exists()
