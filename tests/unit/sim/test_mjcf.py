@@ -40,7 +40,8 @@ def free(inside, name="mine"):
 def vehicle(folder, model=None, **keys):
     if model is not None:
         (folder / "body.xml").write_text(model, encoding="utf-8")
-    text = YAML + "".join(f"{key}: {value}\n" for key, value in keys.items())
+    own = [line for line in YAML.splitlines(keepends=True) if line.split(":")[0] not in keys]
+    text = "".join([*own, *(f"{key}: {value}\n" for key, value in keys.items())])
     (folder / "mine.yaml").write_text(text, encoding="utf-8")
     return find_vehicle(str(folder / "mine.yaml"))
 
