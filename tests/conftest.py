@@ -35,15 +35,17 @@ def pytest_collection_modifyitems(config, items):
     items.sort(key=lambda item: _place(item.path.as_posix()))
 
 
-_FIRST = "tests/hosts/instruction/test_campaign"
-"""It compiles the instrumented kernels; while it does, the other processes have no need of them."""
+_ORDER = (
+    "tests/hosts/instruction/test_campaign",  # compiles the instrumented kernels; the next files do not need them
+    "tests/hosts/instruction", "tests/hosts/ros1",  # on ROS, eight nodes would compile at once
+    "tests/hosts",
+)  # fmt: skip
+_PLACES = (0, 2, 3, 1)
 
 
 def _place(path):
-    """Flights first, as they are the longest; those on ROS find compiled what eight nodes would compile at once."""
-    if "tests/hosts" not in path:
-        return 4
-    return 3 if "tests/hosts/ros1" in path else 0 if _FIRST in path else 2 if "tests/hosts/instruction" in path else 1
+    """Flights first, as they take longest."""
+    return next((place for prefix, place in zip(_ORDER, _PLACES, strict=True) if prefix in path), 4)
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -26,19 +26,19 @@ class SpecMismatchError(BadInputError):
 
 
 class MachineError(MavfiError):
-    """The machine failed (disk, memory, files, a signal from outside), not the flight: it is flown again, not recorded.
+    """A failure of the machine (disk, memory, file handles, external signal), not of the flight; never recorded.
 
-    What failed can be mended; then the same command goes on.
+    Campaigns retry, then stop; the same command resumes once the cause is removed.
     """
 
 
 def machine_failure(error: BaseException | None) -> str:
-    """What of the machine failed, by an exception or one that it comes from; "" = the machine is not to blame."""
+    """The machine failure behind an exception, its causes and contexts included; "" = none."""
     while error is not None:
         if isinstance(error, MachineError):
             return str(error)
         if isinstance(error, MemoryError):
-            return "no memory is left"
+            return "out of memory"
         if isinstance(error, OSError) and error.errno in _MACHINE:
             return os.strerror(error.errno) + (f" ({error.filename})" if error.filename else "")
         error = error.__cause__ or error.__context__

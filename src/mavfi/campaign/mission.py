@@ -1,7 +1,7 @@
 """The unit of work: all runs of one mission.  `fly_mission` is a pure function of a `MissionPlan`.
 
 Golden runs, the draw of the faults from them, injected runs: what is planned is handed over before it is flown.  An
-exception of ours is recorded as `unknown`, never as an effect of a fault; a failure of the machine is not recorded.
+exception of ours is recorded as `unknown`, never as an effect of a fault; machine failures are not recorded.
 """
 
 import pickle
@@ -27,7 +27,7 @@ from mavfi.mission import Scenario
 ATTEMPTS_ALONE = 3
 """How often an injected run that takes its process with it is flown in a child of its own before it counts as `due`."""
 FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT"})
-"""Signals that no fault raises: somebody, or a machine without memory, ended the process."""
+"""Signals sent by an operator or the OOM killer, never raised by a fault."""
 LONGEST_ALONE = 180.0
 """Wall time after which such a child is ended (s); all attempts together take less than executors wait for an item."""
 
@@ -122,19 +122,21 @@ def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
 
     Raises:
         BadInputError: The mission cannot be flown at all: a name is not known, a model does not fit.
-        MachineError: Disk, memory or files of the machine failed.
+        MachineError: The machine failed.
     """
     try:
         yield from _fly(mission)
     except Exception as error:
-        _blame_the_machine(error, f"mission {mission.environment}-{mission.seed}")
+        _check_recordable(error, f"mission {mission.environment}-{mission.seed}")
         raise
 
 
-def _blame_the_machine(error: Exception, where: str) -> None:
-    """Raise a MachineError if the machine is to blame for an exception."""
+def _check_recordable(error: Exception, where: str) -> None:
+    """Raise what stops a campaign: machine failures, and models other than planned."""
+    if isinstance(error, (MachineError, SpecMismatchError)):
+        raise error
     failed = machine_failure(error)
-    if failed and not isinstance(error, MachineError):
+    if failed:
         raise MachineError(f"{where}: {failed}") from error
 
 
@@ -198,10 +200,8 @@ def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flo
         for place, flight in flights.injected([(spec.arm, spec.fault) for spec in specs if spec.fault is not None]):
             wall_s, started = time.perf_counter() - started, time.perf_counter()
             yield replace(_guarded(left.pop(place).run_id, partial(_judged, flight)), wall_s=wall_s)
-    except (SpecMismatchError, MachineError):
-        raise
     except Exception as error:  # as in `_guarded`
-        _blame_the_machine(error, specs[0].run_id)
+        _check_recordable(error, specs[0].run_id)
         note = traceback.format_exc()
     for spec in left.values():
         yield Flown(spec.run_id, FlightRecord(End.UNKNOWN, error="no flight"), note)
@@ -211,7 +211,7 @@ def _alone(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]
     """Runs with a fault, each in a child of its own: `due` if each attempt dies, `unknown` if one takes too long.
 
     Raises:
-        MachineError: A child was ended by a signal from outside.
+        MachineError: A child was killed from outside.
     """
     for spec in specs:
         late = False
@@ -221,7 +221,7 @@ def _alone(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]
                 yield _unpickled(ended.payload)
                 break
             if ended.detail in FROM_OUTSIDE:
-                raise MachineError(f"{spec.run_id}: its process was ended by {ended.detail}")
+                raise MachineError(f"{spec.run_id}: its process was killed by {ended.detail}")
             late |= ended.detail == WALL_CLOCK
         else:
             end, error = (End.UNKNOWN, "took too long") if late else (End.DUE, "the process died each time")
@@ -253,9 +253,7 @@ def _guarded(run_id: str, work: Callable[[], FlightRecord]) -> Flown:
     started = time.perf_counter()
     try:
         return Flown(run_id, work(), wall_s=time.perf_counter() - started)
-    except (SpecMismatchError, MachineError):
-        raise
     except Exception as error:  # recorded as `unknown`, which reports count and show
-        _blame_the_machine(error, run_id)
+        _check_recordable(error, run_id)
         record = FlightRecord(End.UNKNOWN, error=type(error).__name__)
         return Flown(run_id, record, traceback.format_exc(), time.perf_counter() - started)

@@ -1,4 +1,4 @@
-"""Saves what is whole of a damaged ledger; the rest is flown again when its campaign is resumed."""
+"""Recovers the intact rows of a damaged ledger; resuming the campaign flies the missing runs."""
 
 import sqlite3
 from collections.abc import Iterator
@@ -7,39 +7,39 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mavfi.campaign.store import FILE, PLANNED, SCHEMA, TABLES, checksum_of, connect
+from mavfi.campaign.store import FILE, PLANNED, SCHEMA, TABLES, checksum_of, connect, mission_checksum
 from mavfi.errors import BadInputError, writing
 
 DAMAGED = "campaign.damaged.sqlite"
-"""The damaged file, which is kept."""
+"""Backup of the damaged file."""
 _RUNS = f"{PLANNED}, record, note, wall_s, checksum"
 
 
 @dataclass(frozen=True, slots=True)
 class Repair:
-    """What became of a ledger."""
+    """Outcome of a repair."""
 
-    kept: int  # rows of runs
-    lost: int  # rows that were found and are not as they were written
+    kept: int  # runs
+    lost: int  # runs with a checksum mismatch
 
 
 def repair(directory: Path) -> Repair:
-    """Put a ledger that holds every sound row in the place of a damaged one, which stays beside it.
+    """Replace a damaged ledger by one with all its intact rows; the damaged file is kept as a backup.
 
     Raises:
-        BadInputError: There is no ledger, its description is damaged, or there is a damaged one from before already.
+        BadInputError: There is no ledger, its metadata are damaged, or there is a backup already.
     """
     path, damaged, whole = directory / FILE, directory / DAMAGED, directory / f"{FILE}.repaired"
     if not path.is_file():
         raise BadInputError(f"{directory}: holds no campaign (no {FILE})")
     if damaged.exists():
-        raise BadInputError(f"{damaged}: is there already, from an earlier repair; move it away first")
+        raise BadInputError(f"{damaged}: exists already, from an earlier repair; move it away first")
     with closing(connect(path, "ro")) as source:
         described = [row for row in _rows(source, "SELECT key, value, checksum FROM meta") if _sound(row)]
         runs = list(_rows(source, f"SELECT {_RUNS} FROM runs"))
         missions = list(_rows(source, "SELECT environment, seed, checksum FROM missions"))
     if "identity" not in {row[0] for row in described}:
-        raise BadInputError(f"{path}: its description is damaged: which campaign it holds is not known")
+        raise BadInputError(f"{path}: its metadata are damaged: the campaign cannot be identified")
     sound = [row for row in runs if _sound(row)]
     with writing(whole):
         whole.unlink(missing_ok=True)
@@ -49,10 +49,9 @@ def repair(directory: Path) -> Repair:
                 target.executemany("INSERT OR IGNORE INTO meta VALUES (?, ?, ?)", described)
                 marks = ", ".join("?" * len(_RUNS.split(", ")))
                 target.executemany(f"INSERT OR IGNORE INTO runs ({_RUNS}) VALUES ({marks})", sound)
-                # a mission that lacks a run is planned anew when the campaign goes on
-                target.executemany(
-                    "INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", [m for m in missions if _is_whole(target, m)]
-                )
+                # incomplete missions are replanned on resume
+                complete = [m for m in missions if m[-1] == mission_checksum(target, m[:-1])]
+                target.executemany("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", complete)
         path.rename(damaged)
         for ending in ("-wal", "-shm"):
             with suppress(FileNotFoundError):
@@ -62,7 +61,7 @@ def repair(directory: Path) -> Repair:
 
 
 def _rows(connection: sqlite3.Connection, query: str) -> Iterator[tuple[Any, ...]]:
-    """Rows as far as they can be read."""
+    """All rows up to the first that cannot be read."""
     with suppress(sqlite3.DatabaseError):
         connection.text_factory = lambda data: data.decode(errors="replace")
         yield from connection.execute(query)
@@ -70,9 +69,3 @@ def _rows(connection: sqlite3.Connection, query: str) -> Iterator[tuple[Any, ...
 
 def _sound(row: tuple[Any, ...]) -> bool:
     return bool(row[-1] == checksum_of(*row[:-1]))
-
-
-def _is_whole(connection: sqlite3.Connection, mission: tuple[Any, ...]) -> bool:
-    query = "SELECT run_id, position FROM runs WHERE environment = ? AND seed = ? ORDER BY position"
-    *world, checksum = mission
-    return bool(checksum == checksum_of(*world, *(part for row in connection.execute(query, world) for part in row)))

@@ -35,7 +35,7 @@ from mavfi.version import __version__
 
 _PACKAGES = ("numpy", "numba", "llvmlite", "mujoco-core", "scikit-learn")
 ATTEMPTS = 3  # how often a mission that takes its worker with it, golden runs included, is begun
-PAUSE_S = 1.0  # before a campaign whose machine failed goes on
+PAUSE_S = 1.0  # between retries after a machine failure
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class Status:
     total: int  # runs of the whole campaign
     settings: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
     """By setting: runs planned so far, done, done with success."""
-    unknown: int = 0  # runs that are done and could not be judged
+    unknown: int = 0  # done runs with status unknown
 
     @property
     def complete(self) -> bool:
@@ -107,8 +107,8 @@ class _Session:
             except MachineError:
                 if attempt == ATTEMPTS:
                     raise
-                time.sleep(PAUSE_S)  # others may give back what is missing
-                missions, lost = self.missions(), {}
+                time.sleep(PAUSE_S)
+                missions = self.missions()
                 continue
             done = self.store.done()
             missions = [replace(m, done=done.get(m.world, frozenset()), alone=True) for m, _ in lost.values()]
@@ -149,7 +149,7 @@ class _Session:
         Faults that were drawn in an earlier session are `unknown`.
 
         Raises:
-            MachineError: It was ended from outside.
+            MachineError: Its worker was killed from outside.
         """
         if lost.signal in FROM_OUTSIDE:
             raise MachineError(f"mission {mission.environment}-{mission.seed}: {lost.reason}")

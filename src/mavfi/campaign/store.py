@@ -1,7 +1,6 @@
 """The ledger of a campaign: one SQLite file, one row per run, written by one process.
 
-Every row has a checksum, and every mission one over its runs: a ledger whose content was changed, by a flipped bit, a
-lost row or a hand, is not read.
+Every row has a checksum, and every mission a checksum over its planned runs; a ledger with a mismatch is refused.
 """
 
 import fcntl
@@ -40,6 +39,9 @@ CREATE TABLE runs (
 CREATE TABLE missions (environment TEXT, seed INTEGER, checksum TEXT NOT NULL, PRIMARY KEY (environment, seed));
 """
 _CANDIDATES = 5
+_MACHINE_CODES = (
+    sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_NOMEM,
+)  # fmt: skip
 _RUN = "spec, record, note, wall_s"
 PLANNED = "run_id, position, kind, setting, environment, seed, spec"
 
@@ -70,9 +72,9 @@ class Store:
         self.close()
 
     def close(self) -> None:
-        """Close; nothing is lost by not doing so, but then the folder must be writable to read it."""
+        """Close; a ledger that was not closed keeps its data, but cannot be read from read-only media."""
         if self._has_log:
-            with suppress(sqlite3.OperationalError):  # somebody is reading
+            with suppress(sqlite3.OperationalError):  # a reader holds it
                 self._connection.execute("PRAGMA journal_mode = DELETE")
         self._connection.close()
         if self._lock is not None:
@@ -157,45 +159,43 @@ class Store:
             )
 
     def _check_content(self) -> None:
-        """Refuse a ledger of which something was changed or is missing."""
+        """Refuse a ledger that fails its integrity check."""
         try:
             wrong = self._damage()
-        except (sqlite3.DatabaseError, TypeError) as error:  # TypeError: a value of another type
+        except (sqlite3.DatabaseError, TypeError) as error:  # TypeError: a value has the wrong type
             wrong = f"{error}"
         if wrong:
             raise BadInputError(f"{self.directory / FILE}: is damaged: {wrong}")
 
     def _damage(self) -> str:
-        """What is wrong with the content, "" = nothing."""
+        """The first integrity violation, "" = none."""
         sound = self._connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
         if sound != "ok":
             return str(sound).splitlines()[-1]
         for key, value, checksum in self._connection.execute("SELECT key, value, checksum FROM meta"):
             if checksum != checksum_of(key, value):
-                return f"{key!r} of its description was changed"
+                return f"metadata {key!r}: checksum mismatch"
         if self.meta("identity") is None:
-            return "its description is missing"
+            return "metadata are missing"
         for run_id, *rest, checksum in self._connection.execute(
             f"SELECT {PLANNED}, record, note, wall_s, checksum FROM runs"
         ):
             if checksum != checksum_of(run_id, *rest):
-                return f"run {run_id!r} was changed"
+                return f"run {run_id!r}: checksum mismatch"
         for environment, seed, checksum in self._connection.execute("SELECT * FROM missions ORDER BY 1, 2"):
-            if checksum != self._mission_checksum((environment, seed)):
-                return f"runs of mission {environment}-{seed} were lost or added"
+            if checksum != mission_checksum(self._connection, (environment, seed)):
+                return f"mission {environment}-{seed}: runs are missing or were added"
         return ""
-
-    def _mission_checksum(self, world: tuple[str, int]) -> str:
-        query = "SELECT run_id, position FROM runs WHERE environment = ? AND seed = ? ORDER BY position"
-        return checksum_of(*world, *(part for row in self._connection.execute(query, world) for part in row))
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """All or nothing is written; a disk that fails is a `MachineError`."""
+        """A transaction; failures of disk and memory are a `MachineError`."""
         try:
             with self._connection:
                 yield
         except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode & 0xFF not in _MACHINE_CODES:
+                raise
             raise MachineError(f"{self.directory / FILE}: cannot be written ({error})") from error
 
     def meta(self, key: str) -> Any:
@@ -223,8 +223,8 @@ class Store:
     def end_plan(self, world: tuple[str, int]) -> None:
         """Note that all runs of a mission are stored."""
         with self._writing():
-            checksum = self._mission_checksum(world)
-            self._connection.execute("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", (*world, checksum))
+            row = *world, mission_checksum(self._connection, world)
+            self._connection.execute("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", row)
 
     def planned(self) -> set[tuple[str, int]]:
         """Missions, by environment and seed, of which all runs are stored."""
@@ -290,7 +290,7 @@ class Store:
         return {setting: (planned, done, int(success)) for setting, planned, done, success in rows}
 
     def unknown(self) -> int:
-        """How many runs are done and could not be judged."""
+        """Number of done runs with status unknown."""
         query = "SELECT COUNT(*) FROM runs WHERE json_extract(record, '$.end') = ?"
         return int(self._connection.execute(query, (End.UNKNOWN.value,)).fetchone()[0])
 
@@ -322,8 +322,14 @@ def canonical(data: Any) -> str:
 
 
 def checksum_of(*values: str | int | float | None) -> str:
-    """Of the values of a row, types included."""
+    """Checksum of the values of a row, types included."""
     return hashlib.sha256(repr(values).encode()).hexdigest()[:32]
+
+
+def mission_checksum(connection: sqlite3.Connection, world: tuple[Any, ...]) -> str:
+    """Checksum of the planned runs of a mission, given by environment and seed."""
+    query = "SELECT run_id, position FROM runs WHERE environment = ? AND seed = ? ORDER BY position"
+    return checksum_of(*world, *(part for row in connection.execute(query, world) for part in row))
 
 
 def _run(spec: str, record: str | None, note: str, wall_s: float | None) -> Run:
@@ -332,16 +338,16 @@ def _run(spec: str, record: str | None, note: str, wall_s: float | None) -> Run:
 
 
 def connect(path: Path, mode: str) -> sqlite3.Connection:
-    """Open a ledger's file, also on media that cannot be written.
+    """Open a ledger's file, also on read-only media.
 
     Raises:
         BadInputError: It cannot be opened.
     """
     options = f"mode={mode}"
-    if mode == "ro" and not os.access(path.parent, os.W_OK):  # SQLite would put files of its own beside it
+    if mode == "ro" and not os.access(path.parent, os.W_OK):  # SQLite cannot create its auxiliary files
         log = path.with_name(f"{path.name}-wal")
         if log.exists() and log.stat().st_size > 0:
-            raise BadInputError(f"{path}: was not closed; read it once where its folder can be written")
+            raise BadInputError(f"{path}: was not closed; open it once on writable media")
         options += "&immutable=1"
     try:
         return sqlite3.connect(f"{path.absolute().as_uri()}?{options}", uri=True)

@@ -1,28 +1,26 @@
-"""Flies a random share of a ledger's runs again, and says what follows for all of them."""
+"""Replays a random sample of a ledger's runs, and bounds the share of wrong records."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import beta
 
+from mavfi.campaign.analysis.statistics import CONFIDENCE, exact_bounds
 from mavfi.campaign.replay import fly_again
 from mavfi.campaign.store import Run, Store
 from mavfi.errors import BadInputError
 from mavfi.flight_record import FlightRecord
 
-CONFIDENCE = 0.95
-
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What came out.
+    """Outcome of a verification.
 
     Attributes:
-        runs: Done runs that can be flown again.
-        flown: How many were.
-        differing: Those of which another record came out.
+        runs: Replayable runs of the ledger.
+        flown: Size of the sample.
+        differing: Runs whose new record differs from the stored one.
     """
 
     runs: int
@@ -31,33 +29,33 @@ class Verification:
 
     @property
     def upper_bound(self) -> float:
-        """Share of wrong records that is not exceeded, with 95 % confidence (Clopper and Pearson 1934, one-sided)."""
+        """One-sided upper confidence bound on the share of wrong records (Clopper and Pearson 1934)."""
         wrong = len(self.differing)
-        return 1.0 if wrong == self.flown else float(beta.ppf(CONFIDENCE, wrong + 1, self.flown - wrong))
+        return exact_bounds(wrong, self.flown - wrong, 1.0 - CONFIDENCE)[1]
 
 
 def verify(
     directory: Path, share: float, seed: int = 0, progress: Callable[[int, int], None] | None = None
 ) -> Verification:  # fmt: skip
-    """Fly a random share of the runs again, at least one, and compare their records byte for byte.
+    """Replay a random sample of the runs, at least one, and compare every field of their records.
 
-    Left out are runs without a flight, and those whose faults are not replayable and say so.
+    Runs without a flight, and runs marked as not replayable, are excluded.
 
     Args:
         directory: Of the ledger.
-        share: In (0, 1].
-        seed: Of the choice.
-        progress: Called with the number of runs that are done, and of all.
+        share: Sample size / replayable runs, in (0, 1].
+        seed: Of the sample.
+        progress: Called with the number of replayed runs and the sample size.
 
     Raises:
-        BadInputError: No such ledger, nothing in it can be flown again, or the share is not in its range.
+        BadInputError: There is no ledger, it has no replayable run, or the share is out of range.
     """
     if not 0.0 < share <= 1.0:
         raise BadInputError(f"--share: {share}: allowed: above 0, 1 at most")
     with Store.open(directory) as store:
         runs = [run for run in store.runs(done=True) if _is_replayable(run)]
         if not runs:
-            raise BadInputError(f"{directory}: no run is done that can be flown again")
+            raise BadInputError(f"{directory}: holds no replayable run")
         number = max(1, round(share * len(runs)))
         chosen = np.sort(np.random.default_rng(seed).choice(len(runs), number, replace=False))
         differing = []
@@ -75,7 +73,7 @@ def _is_replayable(run: Run) -> bool:
 
 
 def _again(store: Store, run: Run) -> FlightRecord:
-    """Record of the run, flown now; what a golden run counts for the draw of faults is taken as it is."""
+    """Record of the replayed run; the counts of a golden run, which only the draw needs, are copied."""
     stored = run.record
     assert stored is not None
     now = FlightRecord.from_json(fly_again(store, run.spec).record().to_json())

@@ -45,7 +45,7 @@ def run(
     ] = True,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be flown, and stop.")] = False,
     allow_unknown: Annotated[
-        bool, typer.Option("--allow-unknown", help="Exit code 0 even if runs could not be judged.")
+        bool, typer.Option("--allow-unknown", help="Exit with 0 even if runs have status unknown.")
     ] = False,
 ) -> None:
     """Fly a campaign, or what is left of it.  Ctrl-C stops it (exit code 130); the same command goes on.
@@ -72,7 +72,7 @@ def run(
         )  # fmt: skip
     if status.unknown and not allow_unknown:
         raise MavfiError(
-            f"{ledger}: {status.unknown} of {status.total} runs could not be judged: `mavfi runs {ledger} --where "
+            f"{ledger}: {status.unknown} of {status.total} runs have status unknown: `mavfi runs {ledger} --where "
             "judged=false` lists them; --allow-unknown accepts them"
         )
     console().print(f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]", soft_wrap=True)
@@ -126,13 +126,13 @@ def status(directory: options.Ledger, as_json: options.AsJson = False) -> None:
 @app.command("verify")
 def verify(
     directory: options.Ledger,
-    share: Annotated[float, typer.Option(help="Of the runs that are flown again; 1 = all.")] = 0.02,
-    seed: Annotated[int, typer.Option(help="Of the choice.")] = 0,
+    share: Annotated[float, typer.Option(help="Sample size; 1 = all runs.")] = 0.02,
+    seed: Annotated[int, typer.Option(help="Of the sample.")] = 0,
     as_json: options.AsJson = False,
 ) -> None:
-    """Fly a random share of the runs again, compare every byte of their records, and say what follows.
+    """Replay a random sample of the runs, compare their records, and bound the share of wrong ones.
 
-    Exit code 1 if another record comes out.
+    Exit code 1 if a record differs.
 
     Example: [bold]mavfi campaign verify out/states --share 0.05[/bold]
     """
@@ -141,23 +141,23 @@ def verify(
     from mavfi.cli.progress import Bar
 
     check_seed("--seed", seed)
-    with Bar("runs flown again", "runs") as bar:
+    with Bar("replay", "runs") as bar:
         found = verify_runs(directory, share, seed, bar.show)
-    bound = f"at most {100 * found.upper_bound:.2g} % of all {found.runs} records are wrong (95 % confidence)"
+    bound = f"at most {100 * found.upper_bound:.2g} % of the {found.runs} records are wrong (95 % confidence)"
     if as_json:
         write_json({**asdict(found), "upper_bound": found.upper_bound})
     elif not found.differing:
-        console().print(f"{found.flown} of {found.runs} runs flown again: all records are the same; {bound}")
+        console().print(f"{found.flown} of {found.runs} runs replayed, all records equal; {bound}")
     if found.differing:
         raise MavfiError(
-            f"{directory}: {len(found.differing)} of {found.flown} runs gave another record: "
+            f"{directory}: {len(found.differing)} of {found.flown} replayed runs have another record: "
             f"{', '.join(found.differing[:5])}; {bound}"
         )
 
 
 @app.command("repair")
 def repair(directory: options.Ledger) -> None:
-    """Keep what is whole of a damaged ledger; the command that began the campaign flies the rest.
+    """Keep the intact runs of a damaged ledger; `mavfi campaign run` then flies the missing ones.
 
     Example: [bold]mavfi campaign repair out/states[/bold]
     """
@@ -166,8 +166,8 @@ def repair(directory: options.Ledger) -> None:
 
     found = repair_ledger(directory)
     console().print(
-        f"{found.kept} runs kept, {found.lost} damaged ones left out; the command that began the campaign flies what "
-        f"is missing. The damaged file is {directory / DAMAGED}.",
+        f"{found.kept} runs kept, {found.lost} damaged. Resume the campaign to fly the missing ones. "
+        f"Backup of the damaged file: {directory / DAMAGED}",
         soft_wrap=True,
     )
 

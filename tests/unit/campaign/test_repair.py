@@ -71,7 +71,7 @@ def test_bits_flipped_anywhere_are_mended_or_refused(flown, tmp_path):
         try:
             repair(directory)
         except BadInputError as error:
-            assert "its description is damaged" in str(error) or "cannot be opened" in str(error)
+            assert "its metadata are damaged" in str(error) or "cannot be opened" in str(error)
             continue
         assert again(directory)[0] == flown[1]
         mended += 1
@@ -96,8 +96,8 @@ def test_what_cannot_be_repaired_is_one_line_and_left_as_it_is(flown, tmp_path, 
     assert run(["campaign", "repair", str(tmp_path)]) == 0
     assert run(["campaign", "repair", str(tmp_path)]) == 2
     told = capsys.readouterr()
-    assert f"{flown[2]} runs kept, 0 damaged ones left out" in told.out
+    assert f"{flown[2]} runs kept, 0 damaged." in told.out
     lines = told.err.splitlines()
     assert len(lines) == 3
-    for line, word in zip(lines, ("holds no campaign", "its description is damaged", "is there already"), strict=True):
+    for line, word in zip(lines, ("holds no campaign", "its metadata are damaged", "exists already"), strict=True):
         assert word in line

@@ -354,7 +354,7 @@ def test_a_machine_that_goes_on_failing_stops_the_campaign_until_it_is_mended(
             monkeypatch.setattr(TROUBLE, "machine", failures(folder, number, 1000))
 
     monkeypatch.setattr(TROUBLE, "machine", None)
-    what = "no memory is left" if number == 0 else re.escape(f"{os.strerror(number)} (/cache/code.nbc)")
+    what = "out of memory" if number == 0 else re.escape(f"{os.strerror(number)} (/cache/code.nbc)")
     executor = InThisProcess()  # workers would not learn of the trouble
     with pytest.raises(MachineError, match=what):
         run_campaign(small(), tmp_path / "out", executor=executor, progress=fail)
@@ -372,7 +372,7 @@ def test_a_process_that_is_killed_from_outside_is_no_effect_of_a_fault(flown, tm
     monkeypatch.setattr(TROUBLE, "killed", deaths(tmp_path / "few", 3))
     assert flown_into(tmp_path / "out", workers=2) == flown[1]
     monkeypatch.setattr(TROUBLE, "killed", deaths(tmp_path / "many", 1000))
-    with pytest.raises(MachineError, match="ended by SIGKILL"):
+    with pytest.raises(MachineError, match="killed by SIGKILL"):
         flown_into(tmp_path / "other", workers=2)
     with Store.open(tmp_path / "other") as store:
         assert all(run.record.end is End.FLOWN for run in store.runs(done=True))

@@ -264,12 +264,12 @@ def test_a_ledger_that_was_cut_off_is_refused(tmp_path, share):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ("DELETE FROM runs WHERE position = 4", "runs of mission sparse-2 were lost or added"),
-        ("UPDATE runs SET seed = 3 WHERE position = 4", "run '.*' was changed"),
-        ("UPDATE runs SET record = NULL, wall_s = NULL WHERE position = 0", "run '.*' was changed"),
-        ("UPDATE runs SET note = 'x' WHERE position = 0", "run '.*' was changed"),
-        ("UPDATE meta SET value = '5' WHERE key = 'missions'", "'missions' of its description was changed"),
-        ("DELETE FROM meta", "its description is missing"),
+        ("DELETE FROM runs WHERE position = 4", "mission sparse-2: runs are missing or were added"),
+        ("UPDATE runs SET seed = 3 WHERE position = 4", "run '.*': checksum mismatch"),
+        ("UPDATE runs SET record = NULL, wall_s = NULL WHERE position = 0", "run '.*': checksum mismatch"),
+        ("UPDATE runs SET note = 'x' WHERE position = 0", "run '.*': checksum mismatch"),
+        ("UPDATE meta SET value = '5' WHERE key = 'missions'", "metadata 'missions': checksum mismatch"),
+        ("DELETE FROM meta", "metadata are missing"),
         ("DROP TABLE missions", "no such table: missions"),
     ],
 )
@@ -304,5 +304,5 @@ def test_a_ledger_on_media_that_cannot_be_written_is_read(tmp_path, monkeypatch)
     monkeypatch.setattr(os, "access", lambda path, how: how != os.W_OK)
     assert read(tmp_path) == found
     (tmp_path / f"{FILE}-wal").write_bytes(b"what was not closed")
-    with pytest.raises(BadInputError, match="was not closed; read it once where its folder can be written"):
+    with pytest.raises(BadInputError, match="was not closed; open it once on writable media"):
         Store.open(tmp_path)

@@ -34,12 +34,12 @@ def test_a_share_is_chosen_by_the_seed(directory):
 
 def test_a_record_that_differs_is_named(directory, capsys, monkeypatch):
     assert run(["campaign", "verify", str(directory), "--share", "1"]) == 0
-    assert "27 of 27 runs flown again: all records are the same; at most 11 %" in capsys.readouterr().out
+    assert "27 of 27 runs replayed, all records equal; at most 11 %" in capsys.readouterr().out
     monkeypatch.setattr(TROUBLE, "stray", 1e-9)
     assert run(["campaign", "verify", str(directory), "--share", "1", "--json"]) == 1
     told = capsys.readouterr()
     assert len(json.loads(told.out)["differing"]) == 27
-    assert "27 of 27 runs gave another record: dense-" in told.err and told.err.count("\n") == 1
+    assert "27 of 27 replayed runs have another record: dense-" in told.err and told.err.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def test_runs_that_could_not_be_judged_are_no_success(capsys, tmp_path, monkeypa
     command = ["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--workers", "1"]
     assert run(command) == 1
     told = capsys.readouterr()
-    assert f"{tmp_path / 'out'}: 3 of 13 runs could not be judged" in told.err and "Done" not in told.out
+    assert f"{tmp_path / 'out'}: 3 of 13 runs have status unknown" in told.err and "Done" not in told.out
     listed = _json(capsys, "runs", str(tmp_path / "out"), "--where", "judged=false")
     assert len(listed["rows"]) == 3
     assert run([*command, "--allow-unknown"]) == 0

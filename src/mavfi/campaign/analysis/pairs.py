@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import beta, binomtest
+from scipy.stats import binomtest
 
-from mavfi.campaign.analysis.statistics import TAIL, Part, cluster_sums, percentiles, resample, score_bounds
+from mavfi.campaign.analysis.statistics import Part, cluster_sums, exact_bounds, percentiles, resample, score_bounds
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,6 +104,4 @@ def _exact(success: np.ndarray, world: Sequence[object]) -> tuple[float, float]:
     """Clopper and Pearson's interval for the effective number of flights."""
     part = Part.of(success.astype(np.float64), np.ones(len(success)), world)
     hits = part.rate * part.effective
-    misses = part.effective - hits
-    low = float(beta.ppf(TAIL, hits, misses + 1)) if hits > 0 else 0.0
-    return low, float(beta.ppf(1 - TAIL, hits + 1, misses)) if misses > 0 else 1.0
+    return exact_bounds(hits, part.effective - hits)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.stats import beta, chi2, norm
 
 CONFIDENCE = 0.95
 RESAMPLES = 2000
@@ -56,6 +56,12 @@ def score_bounds(rate: float, n: float) -> tuple[float, float]:
     centre = (n * rate + _Z2 / 2) / (n + _Z2)
     half = float(np.sqrt(_Z2 * (n * rate * (1 - rate) + _Z2 / 4))) / (n + _Z2)
     return 0.0 if rate <= 0 else max(0.0, centre - half), 1.0 if rate >= 1 else min(1.0, centre + half)
+
+
+def exact_bounds(hits: float, misses: float, tail: float = TAIL) -> tuple[float, float]:
+    """Interval of a proportion after Clopper and Pearson (1934); `tail` is left out on each side."""
+    low = float(beta.ppf(tail, hits, misses + 1)) if hits > 0 else 0.0
+    return low, float(beta.ppf(1 - tail, hits + 1, misses)) if misses > 0 else 1.0
 
 
 def clustered_rate(

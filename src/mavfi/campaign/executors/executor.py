@@ -23,7 +23,7 @@ class Lost:
 
     reason: str  # what became of the worker
     died: bool  # otherwise it did not answer in time
-    signal: str = ""  # that ended it
+    signal: str = ""  # that killed it
 
 
 class Executor(Protocol):

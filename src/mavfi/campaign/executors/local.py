@@ -100,7 +100,7 @@ class _Worker(Generic[T]):
     """A process, the pipe to it, and its present mission."""
 
     def __init__(self, function: Callable[[Any], Iterator[Any]], others: "Iterable[_Worker[Any]]") -> None:
-        """Fork; the new process keeps no end of the pipes to others, so each notices when this process is gone."""
+        """Fork a worker, without the pipe ends of the other workers: each sees end-of-file when the parent dies."""
         self.pipe, theirs = _FORK.Pipe()
         ours = [self.pipe, *(other.pipe for other in others)]
         self._process: BaseProcess = _FORK.Process(
