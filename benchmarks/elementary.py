@@ -1,4 +1,4 @@
-"""Speed of our elementary functions against the C library's, called by compiled code."""
+"""Speed of `numerics.elementary` against libm, called from compiled code."""
 
 import math
 import time
@@ -36,7 +36,7 @@ def _third_power(number: float) -> float:
 
 
 def _seconds(function: Any, low: float, high: float) -> float:
-    """Of one call, at best."""
+    """Shortest time of one call (s)."""
     random = np.random.default_rng(0)
     first, second = random.uniform(low, high, (2, NUMBERS))
     results = np.empty(NUMBERS)
@@ -55,6 +55,6 @@ def elementary_rows() -> list[Row]:
     for name, bounds in RANGES.items():
         theirs = kernel_jit(_third_power) if name == "cbrt" else getattr(math, name)
         own, other = _seconds(getattr(elementary, name), *bounds), _seconds(theirs, *bounds)
-        value = f"{1e9 * own:.1f} ns; C library {1e9 * other:.1f} ns, x {own / other:.2f}"
+        value = f"{1e9 * own:.1f} ns; libm {1e9 * other:.1f} ns, x {own / other:.2f}"
         rows.append(Row(f"{name}, {bounds[0]:g} to {bounds[1]:g}", value))
     return rows

@@ -27,7 +27,7 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
     """Reads plain data; the compiled one where there is one: every mission of a campaign reads its configuration."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Keys and values; a key that stands there twice is an error, as it is unclear which one is meant."""
+        """Keys and values; duplicate keys are an error."""
         seen = set()
         for key, _ in node.value:
             if key.value in seen and isinstance(key, yaml.ScalarNode):
@@ -183,7 +183,7 @@ class EnvironmentConfig(Config):
 
 _OPENINGS = ("[", "{", "- ", "? ")
 _MOST_OPENINGS = 10_000
-"""Lists within lists are read by recursion, which the compiled reader does not survive at some 50,000."""
+"""The compiled parser is recursive, and crashes at a nesting depth of some 50,000."""
 
 
 def config_root() -> Path:

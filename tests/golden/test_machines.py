@@ -59,9 +59,15 @@ def test_the_last_flight_ends_in_a_collision(here):
     assert [line.split()[0] for line in here] == ["success", "success", "collision"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [*(pytest.param(name, marks=pytest.mark.long) for name in MACHINES if name != LAST), LAST]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("name", [name for name in MACHINES if name != LAST])
 def test_flights_have_the_same_bits(name, here):
     assert ends_and_digests(MACHINES[name]) == here
+
+
+@pytest.mark.slow
+def test_flights_have_the_same_bits_on_the_oldest_machine_and_compile_each_function_once(here, tmp_path):
+    assert ends_and_digests({**MACHINES[LAST], "XDG_CACHE_HOME": str(tmp_path)}) == here
+    compiled = [path.name.rsplit(".", 2)[0] for path in tmp_path.rglob("*.nbc")]
+    assert len(compiled) > 100
+    assert {name for name in compiled if compiled.count(name) > 1} == set()

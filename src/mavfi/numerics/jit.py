@@ -22,15 +22,18 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import types
 from numba.core.caching import IndexDataCacheFile
 from numba.core.compiler import Compiler
 from numba.core.errors import NumbaDebugInfoWarning
+from numba.core.registry import CPUDispatcher
 
 F = TypeVar("F", bound=Callable[..., object])
 
 _COMPILED = ("numerics", "kernels", "sim", "detectors")
 """Packages of mavfi that hold compiled functions."""
 _KEPT = 4
+_FLAGS = {"nopython": True, "error_model": "numpy", "fastmath": False, "nogil": True, "boundscheck": None}
 
 
 @functools.cache
@@ -45,9 +48,9 @@ def code_folder() -> Path:
 
 
 def _cache_root() -> Path:
-    """`$XDG_CACHE_HOME/mavfi` or `~/.cache/mavfi`; a user without a home has a folder among the temporary ones.
+    """`$XDG_CACHE_HOME/mavfi` or `~/.cache/mavfi`; without a home directory, a private folder in the temporary one.
 
-    Code that is read from there is executed: a folder in which somebody else can write is not used.
+    Cached code is executed, so a folder that other users can write is not used.
     """
     given = os.environ.get("XDG_CACHE_HOME")
     with contextlib.suppress(RuntimeError):  # neither HOME nor an entry in the list of users
@@ -58,7 +61,7 @@ def _cache_root() -> Path:
         held = own.lstat()
         if stat.S_ISDIR(held.st_mode) and held.st_uid == os.getuid() and not held.st_mode & 0o022:
             return own
-    return Path(os.devnull) / "mavfi"  # nothing can be kept
+    return Path(os.devnull) / "mavfi"  # cannot be created: no cache
 
 
 def _use_cache(folder: Path) -> None:
@@ -121,6 +124,23 @@ class SignatureFiles(IndexDataCacheFile):
         return f"{self._index_name.removesuffix('.nbi')}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}.nbc"
 
 
+class Kernel(CPUDispatcher):
+    """A function that is compiled once for all kinds of integers.
+
+    For `f(x, 0)` in compiled code Numba compiles `f` for the literal 0, beside its versions for int32 and int64.
+    """
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Template of a call: literals are numbers, signed integers have 64 bits."""
+        named = {name: _wide(type_) for name, type_ in kws.items()}
+        return super().get_call_template(tuple(map(_wide, args)), named)
+
+
+def _wide(type_: Any) -> Any:
+    plain: Any = types.unliteral(type_)  # type: ignore[no-untyped-call]
+    return types.int64 if plain in types.signed_domain else plain
+
+
 def kernel_jit(function: F) -> F:
     """Compile a numeric function: cached on disk, IEEE division, no fast math, GIL released, with line tables.
 
@@ -130,19 +150,16 @@ def kernel_jit(function: F) -> F:
     Returns:
         The compiled dispatcher; the pure Python function is `function.py_func`.
     """
-    compile_ = functools.partial(
-        numba.njit, error_model="numpy", fastmath=False, nogil=True, pipeline_class=LineTables
-    )  # fmt: skip
-    try:
-        compiled: Any = compile_(cache=True)(function)
-    except RuntimeError:  # there is no folder that could be written
-        return cast(F, compile_()(function))
-    if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+    if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
+        return function
+    compiled: Any = Kernel(py_func=function, targetoptions=dict(_FLAGS), pipeline_class=LineTables)
+    with contextlib.suppress(RuntimeError):  # no writable cache folder
+        compiled.enable_caching()
         compiled._cache._cache_file = SignatureFiles.in_place_of(compiled._cache._cache_file)
     return cast(F, compiled)
 
 
 def uncached_copy(dispatcher: Any) -> Any:
     """A dispatcher of the same function with the same flags that has its IR, which code loaded from a cache lacks."""
-    flags = {name: value for name, value in dispatcher.targetoptions.items() if name != "nopython"}
-    return numba.njit(**flags, locals=dict(dispatcher.locals), pipeline_class=LineTables)(dispatcher.py_func)
+    flags, locals_ = dict(dispatcher.targetoptions), dict(dispatcher.locals)
+    return Kernel(dispatcher.py_func, locals_, flags, pipeline_class=LineTables)

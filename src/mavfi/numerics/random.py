@@ -1,7 +1,7 @@
 """Random numbers whose whole state is four unsigned integers in kernel memory (xoshiro256+, Blackman & Vigna 2021).
 
-Normal numbers come from uniform ones by the quantile function (Wichura 1988, algorithm AS 241, PPND16): NumPy's use the
-C library's exp and log1p, which differ from CPU to CPU.
+Normal deviates are drawn by inverse transform sampling (Wichura 1988, algorithm AS 241, PPND16): NumPy's generator
+calls libm's exp and log1p, whose rounding depends on the CPU.
 """
 
 import math
@@ -65,7 +65,7 @@ def uniform(state: np.ndarray) -> float:
 
 @kernel_jit
 def _ratio(fraction: tuple[tuple[float, ...], tuple[float, ...]], r: float) -> float:
-    """Of two polynomials, given by their coefficients."""
+    """Ratio of two polynomials in r, given by their coefficients."""
     above, below = fraction[0][7], fraction[1][7]
     for i in range(6, -1, -1):
         above = above * r + fraction[0][i]
@@ -75,10 +75,10 @@ def _ratio(fraction: tuple[tuple[float, ...], tuple[float, ...]], r: float) -> f
 
 @kernel_jit
 def normal_quantile(share: float) -> float:
-    """The number that a share of all standard normal numbers lies below.
+    """Quantile function of the standard normal distribution.
 
     Args:
-        share: In (0, 1).
+        share: Probability, in (0, 1).
     """
     q = share - 0.5
     if abs(q) <= 0.425:
@@ -95,7 +95,7 @@ def _to_normal(numbers: np.ndarray) -> None:
 
 
 def normals(stream: np.random.Generator, count: int) -> np.ndarray:
-    """Standard normal numbers from a stream. Shape (count,)."""
+    """Standard normal deviates. Shape (count,)."""
     numbers: np.ndarray = stream.random(count)
     _to_normal(numbers)
     return numbers

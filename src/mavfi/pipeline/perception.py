@@ -201,7 +201,7 @@ class CollisionCheck(Remembers):
             self.memory.again = self.memory.rolled_back
             return True
         if name == self._config.odometry:
-            self.memory.position = floats(state.header, 3)
+            self.memory.position = floats(state.header, 3).copy()
         elif name == "planning.waypoint":
             self.memory.waypoint = state
         elif name == "control.tracking":

@@ -66,6 +66,20 @@ def test_kernels_are_kept_that_way():
     assert isinstance(doubled._cache._cache_file, SignatureFiles)
 
 
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_a_function_is_compiled_once_for_literals_and_integers_of_any_size():
+    @kernel_jit
+    def callee(number, flag):
+        return 2 * number if flag else number
+
+    @kernel_jit
+    def caller(values, small):
+        return callee(3, True) + callee(values[0], values[0] > 1) + callee(small[0], False)
+
+    assert caller(np.array([4]), np.array([5], np.int32)) == 6 + 8 + 5
+    assert [str(signature) for signature in callee.signatures] == ["(int64, bool)"]
+
+
 def test_a_user_without_a_home_has_a_folder_that_no_other_can_write(monkeypatch, tmp_path):
     def no_home():
         raise RuntimeError("Could not determine home directory.")

@@ -24,7 +24,7 @@ def check_target(pid: int, tool: int) -> None:
     if pid in (os.getpid(), tool):
         raise BadInputError(f"pid {pid}: is mavfi itself")
     if pid == _INIT:
-        raise BadInputError(f"pid {pid}: is the process that started all others; the machine would end with it")
+        raise BadInputError(f"pid {pid}: is init, whose end would stop the machine")
     status = _status(pid)
     owner = int(status["Uid"].split()[1])
     if owner != os.geteuid():

@@ -23,6 +23,7 @@ _DEFAULT_V_MAX = 3.0
 _NOMINAL_HULL = 0.35
 """Collision radius of the vehicle that the radii of a stack are meant for (m)."""
 _LEAST_POSITION_NOISE, _LEAST_HEADING_NOISE = 1e-3, 1e-3
+_LIMITS = ("arena_lower", "arena_upper", "flight_lower", "flight_upper", "goal")
 
 
 def find_environment(name: str) -> EnvironmentConfig:
@@ -89,11 +90,11 @@ def pipeline_config(
     """
     stack = scenario.stack
     hull = scenario.vehicle.hull_radius / _NOMINAL_HULL
+    # copies, since kernels would be compiled again for the world's read-only arrays
+    limits = {name: getattr(world, name).copy() for name in _LIMITS}
     return PipelineConfig(
         stack=stack, planner=scenario.planner, map=scenario.map, camera=scenario.camera, directions=directions,
-        arena_lower=world.arena_lower, arena_upper=world.arena_upper, flight_lower=world.flight_lower,
-        flight_upper=world.flight_upper, goal=world.goal, seed=scenario.seed, v_max=scenario.v_max,
-        a_max=scenario.a_max, plan_radius=stack.plan_radius * hull,
+        **limits, seed=scenario.seed, v_max=scenario.v_max, a_max=scenario.a_max, plan_radius=stack.plan_radius * hull,
         check_radius=stack.check_radius * hull, control_period_us=CONTROL_PERIOD_US,
         tracker_slowdown=scenario.platform.tracker_slowdown,
         map_latency=1e-6 * stage_latency(scenario.platform, Stage.PERCEPTION),

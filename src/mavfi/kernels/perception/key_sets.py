@@ -311,7 +311,7 @@ def collect(
     n_ends = 0
     n_hits = 0
     for i in range(points.shape[0]):
-        if not usable(points[i, 0], points[i, 1], points[i, 2]):
+        if not usable(np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])):
             continue
         voxel = _end_of_ray(start, points[i], max_range, frame, ends[n_ends])
         n_ends += 1

@@ -1,9 +1,9 @@
-"""Elementary functions that give the same bits on every processor, to less than one unit in the last place.
+"""Elementary functions with the same bits on every processor and errors below 1 ulp.
 
-The C library rounds sin, exp and their like differently with and without FMA, and so from CPU to CPU.  These use
-additions, multiplications, divisions and square roots alone, in a fixed order, each rounded as IEEE 754 says; LLVM does
-not contract them.  Sources: fdlibm (Sun Microsystems, 1993) for polynomials and breakpoints; Muller et al., Handbook of
-Floating-Point Arithmetic (2018), chapter 4, for sums and products with their errors.
+The rounding of libm's functions depends on the CPU (with or without FMA).  These use additions, multiplications,
+divisions and square roots only, in a fixed order, each rounded as in IEEE 754; LLVM does not contract them.  Sources:
+fdlibm (Sun Microsystems, 1993) for polynomials and breakpoints; Muller et al., Handbook of Floating-Point Arithmetic
+(2018), chapter 4, for error-free sums and products.
 """
 
 from mavfi.numerics.elementary.angles import cos, sin, tan

@@ -1,4 +1,4 @@
-"""Sine, cosine and tangent: polynomials of fdlibm; large angles are reduced after Payne and Hanek (1983)."""
+"""Sine, cosine and tangent: polynomials of fdlibm; argument reduction by Cody and Waite, and Payne and Hanek (1983)."""
 
 import math
 
@@ -9,13 +9,13 @@ from mavfi.numerics.jit import kernel_jit
 
 _TWO_OVER_PI = 0.6366197723675814
 PI_OVER_2_HIGH, PI_OVER_2_LOW = 1.5707963267948966, 6.123233995736766e-17
-"""pi / 2 as a sum of two numbers."""
+"""pi / 2 as a double-double."""
 _PIECES = (
     1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624871116645580e-21, 8.47842766036889956997e-32,
 )  # fmt: skip
-"""pi / 2 in pieces of 33 bits; products with integers below 2^20 are exact, but for the last."""
+"""pi / 2 in parts of 33 bits: products with integers below 2^20 are exact, except for the last part."""
 _LARGE = 1.0e6
-"""From here on the pieces do not suffice."""
+"""Limit of the reduction by these parts (rad)."""
 
 _WIDTH = 28
 TWO_OVER_PI_DIGITS = np.array([
@@ -25,7 +25,7 @@ TWO_OVER_PI_DIGITS = np.array([
     83125238, 111042538, 47665787, 180874213, 253211600, 121239434, 86584998, 201023409, 33084880, 139854640, 74434486,
     195817679, 197265839, 70655401,
 ])  # fmt: skip
-"""Binary digits of 2 / pi, 28 in a number, after two numbers of zeros."""
+"""Digits of 2 / pi in base 2^28, after two zeros."""
 _PLACES = 7
 _SINE = (
     -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04, 2.75573137070700676789e-06,
@@ -45,7 +45,7 @@ _TANGENT = (
 
 @kernel_jit
 def _quarter_turns(angle: float) -> tuple[int, float, float]:
-    """The nearest multiple of pi / 2, modulo 4, and the rest of a finite angle as a sum of two numbers."""
+    """Argument reduction: quadrant (0 to 3) and remainder, as a double-double, of a finite angle."""
     if not abs(angle) < _LARGE:
         return _quarter_turns_of_large(angle)
     turns = math.floor(angle * _TWO_OVER_PI + 0.5)
@@ -58,7 +58,7 @@ def _quarter_turns(angle: float) -> tuple[int, float, float]:
 
 @kernel_jit
 def _quarter_turns_of_large(angle: float) -> tuple[int, float, float]:
-    """The same for |angle| >= 1: digits of angle * 2 / pi that are not multiples of four."""
+    """The same for |angle| >= 1 (Payne and Hanek): only the digits of angle * 2 / pi below 4 are computed."""
     bits = bits_of(angle)
     exponent = ((bits >> 52) & 0x7FF) - 1075 - 2
     first = exponent // _WIDTH
@@ -121,30 +121,31 @@ def _cosine(x: float, low: float) -> float:
 
 
 @kernel_jit
-def sin(angle: float) -> float:
-    """Sine of an angle (rad); NaN of what is not finite."""
+def _sine_ahead(angle: float, quarters: int) -> float:
+    """Sine of an angle + quarters * pi / 2; NaN for infinities and NaN."""
     if not abs(angle) < math.inf:
         return math.nan
-    if abs(angle) < 1e-8:
-        return angle
     quarter, x, low = _quarter_turns(angle)
+    quarter += quarters
     value = _cosine(x, low) if quarter & 1 else _sine(x, low)
     return -value if quarter & 2 else value
 
 
 @kernel_jit
+def sin(angle: float) -> float:
+    """Sine of an angle (rad); NaN for infinities and NaN."""
+    return angle if abs(angle) < 1e-8 else _sine_ahead(angle, 0)
+
+
+@kernel_jit
 def cos(angle: float) -> float:
-    """Cosine of an angle (rad); NaN of what is not finite."""
-    if not abs(angle) < math.inf:
-        return math.nan
-    quarter, x, low = _quarter_turns(angle)
-    value = _sine(x, low) if quarter & 1 else _cosine(x, low)
-    return -value if (quarter + 1) & 2 else value
+    """Cosine of an angle (rad); NaN for infinities and NaN."""
+    return _sine_ahead(angle, 1)
 
 
 @kernel_jit
 def tan(angle: float) -> float:
-    """Tangent of an angle (rad); NaN of what is not finite."""
+    """Tangent of an angle (rad); NaN for infinities and NaN."""
     if not abs(angle) < math.inf:
         return math.nan
     if abs(angle) < 1e-8:
@@ -179,7 +180,7 @@ def _tangent(x: float, low: float, inverted: int) -> float:
         return -value if negative else value
     if not inverted:
         return total
-    # -1 / (x + rest), whose quotient alone would be two roundings
+    # -1 / (x + rest) with the rounding errors of sum and quotient
     high = from_bits(bits_of(total) & HIGH_WORD)
     left = rest - (high - x)
     inverse = -1.0 / total

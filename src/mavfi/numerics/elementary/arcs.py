@@ -15,7 +15,7 @@ _ARC_AT = (
     (4.63647609000806093515e-01, 2.26987774529616870924e-17), (7.85398163397448278999e-01, 3.06161699786838301793e-17),
     (9.82793723247329054082e-01, 1.39033110312309984516e-17), (1.57079632679489655800e00, 6.12323399573676603587e-17),
 )  # fmt: skip
-"""Arc tangents of 0.5, 1, 1.5 and infinity, each as a sum of two numbers."""
+"""Arc tangents of 0.5, 1, 1.5 and infinity, as double-doubles."""
 _ARC_SINE = (
     1.66666666666666657415e-01, -3.25565818622400915405e-01, 2.01212532134862925881e-01, -4.00555345006794114027e-02,
     7.91534994289814532176e-04, 3.47933107596021167570e-05,
@@ -27,7 +27,7 @@ _ARC_SINE_BELOW = (
 
 @kernel_jit
 def _arc_tangent(x: float, low: float) -> tuple[float, float]:
-    """Arc tangent of x + low, x >= 0, as a sum of two numbers."""
+    """Arc tangent of x + low, x >= 0, as a double-double."""
     if x < 0.4375:
         high, rest = 0.0, 0.0
     elif x < 0.6875:
@@ -77,13 +77,13 @@ def atan2(y: float, x: float) -> float:
 
 @kernel_jit
 def _arc_tangent_of_quotient(y: float, x: float) -> tuple[float, float]:
-    """Arc tangent of y / x, both above zero and finite, as a sum of two numbers."""
+    """Arc tangent of y / x, both positive and finite, as a double-double."""
     quotient = y / x
     if quotient > 1e17:
         return _ARC_AT[3]
     if quotient < 1e-17:
         return quotient, 0.0
-    if x > 1e150 or x < 1e-150:  # a power of two, so that the quotient stays
+    if x > 1e150 or x < 1e-150:  # scaled by powers of two, which keeps the quotient
         scale = two_to(-600) if x > 1.0 else two_to(600)
         y, x = y * scale, x * scale
     product, error = product_of(quotient, x)

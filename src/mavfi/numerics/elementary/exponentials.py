@@ -17,7 +17,7 @@ _INVERSE_FACTORIALS = tuple(1.0 / math.factorial(n) for n in range(3, 14))
 
 @kernel_jit
 def _exponential_less_one(x: float) -> tuple[int, float, float]:
-    """K and a sum of two numbers E, |E| < 0.42, with exp(x) = 2^k (1 + E); for finite x of ordinary size."""
+    """Integer k and double-double E, |E| < 0.42, with exp(x) = 2^k (1 + E); |x| < 1000."""
     power = math.floor(x * _ONE_OVER_LN_2 + 0.5)
     high, low = sum_of(x - power * _LN_2_HIGH, -power * _LN_2_LOW)
     square, square_error = product_of(high, high)
@@ -101,7 +101,7 @@ def log(value: float) -> float:
 
 @kernel_jit
 def cbrt(value: float) -> float:
-    """Cube root of a number that is zero or of ordinary size; NaN and infinities as they are."""
+    """Cube root; NaN, infinities and numbers below 1e-300 are returned unchanged."""
     size = abs(value)
     if not 1e-300 < size < math.inf:
         return value

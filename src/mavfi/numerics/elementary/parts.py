@@ -1,4 +1,4 @@
-"""Bits of numbers, and sums and products with their errors (Knuth; Dekker), of which the functions are made."""
+"""Building blocks: bits of numbers, and error-free sums and products (Knuth; Dekker)."""
 
 import numpy as np
 
@@ -23,7 +23,7 @@ def from_bits(bits: int) -> float:
 
 @kernel_jit
 def sum_of(a: float, b: float) -> tuple[float, float]:
-    """Sum, and its error."""
+    """Rounded sum, and its rounding error."""
     total = a + b
     other = total - a
     return total, (a - (total - other)) + (b - other)
@@ -31,7 +31,7 @@ def sum_of(a: float, b: float) -> tuple[float, float]:
 
 @kernel_jit
 def product_of(a: float, b: float) -> tuple[float, float]:
-    """Product, and its error; for numbers of ordinary size."""
+    """Rounded product, and its rounding error; without overflow and underflow."""
     total = a * b
     high_a = _SPLIT * a
     high_a = high_a - (high_a - a)

@@ -192,7 +192,7 @@ class TestRefusals:
             only(os.getpid())
 
     def test_the_process_that_started_all_others(self):
-        with pytest.raises(BadInputError, match="pid 1: is the process that started all others"):
+        with pytest.raises(BadInputError, match="pid 1: is init"):
             only(1)
 
     def test_one_that_has_ended(self, spin):
