@@ -1,7 +1,6 @@
 """What all tests share: one thread per process, and property tests that are the same on every machine."""
 
 import os
-import sys
 
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")  # before numpy is loaded: sums keep their order
@@ -47,12 +46,3 @@ _PLACES = {  # that of the first prefix counts
 def _place(path):
     """Flights first, as they take longest."""
     return next((place for prefix, place in _PLACES.items() if prefix in path), 5)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _no_templates_are_left():
-    """Processes from which injected flights are forked wait for more; the next module may count its children."""
-    yield
-    template = sys.modules.get("mavfi.hosts.instruction.template")
-    if template is not None:
-        template.close_templates()

@@ -34,5 +34,5 @@ def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.As
     out.print(f"  stored:         {'none' if stored is None else stored.digest}", markup=False)
     why = "Bits are the same only with the same lock file, on x86-64 Linux."
     if not replayable:
-        why = "Not replayable: the fault was in an address or a branch, and addresses could not be fixed."
+        why = "Not replayable: the fault was in a live process, or in a kernel whose memory belongs to a library."
     out.print(Text(why, style="dim"))

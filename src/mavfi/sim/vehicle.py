@@ -292,7 +292,7 @@ def advance(
         apply_forces(airframe, memory, air, matrix, body.qfrc)
         attitude[:] = body.qpos[3:7]
         mj_step(body.model, body.data)  # type: ignore[call-overload]
-        # MuJoCo integrates the attitude with libm's sine and cosine, whose rounding depends on the CPU: integrated again
+        # MuJoCo integrates the attitude with libm's sine and cosine, which depend on the CPU: integrated again
         turn(attitude, STEP * body.qvel[3], STEP * body.qvel[4], STEP * body.qvel[5])
         body.qpos[3:7] = attitude
         touched = touched or body.sensors[CONTACTS] > 0.0

@@ -20,9 +20,7 @@ from mavfi.campaign.replay import replay
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.cli import run
-from mavfi.faults.instruction import launch
 from mavfi.flight_record import plain
-from mavfi.hosts.instruction import template
 from mavfi.outcomes import DUE
 
 pytestmark = pytest.mark.slow
@@ -200,17 +198,3 @@ def test_a_command_of_the_page_gives_the_same_flight(in_addresses, tmp_path, cap
         assert program == "mavfi"
         assert run([*arguments, "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["same"]
-
-
-@pytest.mark.long
-def test_where_addresses_cannot_be_fixed_the_records_say_so(tmp_path, monkeypatch):
-    template.close_templates()
-    monkeypatch.setattr(launch, "_personality", lambda wanted=0: -1)
-    try:
-        assert flown_into(tmp_path, campaign(6, kernels=["pid", "point_cloud"])).complete
-    finally:
-        template.close_templates()
-    found = [one.record.injections[0].details for one in runs_of(tmp_path, "fi")]
-    by_class = {details["value_class"]: details["replayable"] for details in found if "value_class" in details}
-    assert by_class, "something was injected"
-    assert all(same == (name in ("floating_point", "integer")) for name, same in by_class.items())

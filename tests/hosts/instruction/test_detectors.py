@@ -77,7 +77,7 @@ def test_an_observer_sees_the_fault_when_its_consumers_do(faults):
 
 
 @pytest.mark.slow
-def test_an_observed_flight_with_a_fault_in_an_address_comes_from_a_template():
+def test_an_observed_flight_with_a_fault_in_an_address():
     request = InstructionRequest({"pid": 1}, which="address")
     faults = draw_instruction_faults(scenario(), request, seed=3).faults["pid"]
     observed = fly_instruction_faults(scenario(), faults, Scripted("control.command", n=40), coupling="observer")

@@ -10,13 +10,13 @@ from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.errors import BadInputError
 from mavfi.faults import instruction
 from mavfi.faults.instruction import MismatchError
+from mavfi.faults.instruction.forked import WILD
 from mavfi.faults.instruction.plan import stratum_of
 from mavfi.faults.instruction.variant import variant_for
 from mavfi.faults.spec import InstructionRequest
 from mavfi.flight_record import plain
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.instruction.case import Output, first_difference
-from mavfi.hosts.instruction.template import close_templates
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
@@ -99,17 +99,15 @@ def test_masked_means_the_golden_flight_and_sdc_of_a_command_another_one(golden,
 @pytest.mark.slow
 def test_a_crash_ends_the_mission_or_restarts_the_node(golden):
     faults = in_addresses("point_cloud", 2)
-    close_templates()
     before = len(os.listdir("/proc/self/fd"))
     flights = fly_instruction_faults(scenario(), faults).flights
-    close_templates()
-    assert len(os.listdir("/proc/self/fd")) <= before + 1, "a pipe or a process handle was left open"
+    assert len(os.listdir("/proc/self/fd")) <= before, "a pipe or a process handle was left open"
     with pytest.raises(ChildProcessError):
         os.waitpid(-1, os.WNOHANG)
     crashed = [flight.log for flight in flights if flight.log.kernel.effect == "crash"]
     assert crashed
     for log in crashed:
-        assert log.kernel.detail in ("SIGSEGV", "SIGBUS")
+        assert log.kernel.detail == WILD
         assert len(log.rows) > 1
         clouds = [flight.meta["publications"]["perception.point_cloud"] for flight in (log, golden)]
         assert 0 < clouds[0] <= clouds[1], "the node came back, and what it computed when it died was lost"

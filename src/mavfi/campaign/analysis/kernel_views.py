@@ -157,8 +157,7 @@ def _replayable_note(runs: Runs) -> str:
     again = len(own.where("replayable"))
     note = f"{again} of {len(own)} flights can be replayed bit for bit"
     return note if again == len(own) else (
-        f"{note}: where an address or a branch was injected, only those flown in processes with fixed addresses, which "
-        "this system did not allow"
+        f"{note}: not those with a corrupted address or branch in a kernel whose memory belongs to a library"
     )  # fmt: skip
 
 

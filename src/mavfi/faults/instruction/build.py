@@ -7,6 +7,7 @@ from typing import Any
 
 import llvmlite.binding as llvm
 
+from mavfi.faults.instruction.accesses import Constant
 from mavfi.faults.instruction.forked import run_in_child
 from mavfi.faults.instruction.fresh import run_fresh
 from mavfi.faults.instruction.instrument import Instrumented, instrument
@@ -21,7 +22,7 @@ _OPTIMISATION = 3
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """An instrumented kernel: object file, sites, and digest of the fault space.
+    """An instrumented kernel: object file, and the rest as in `Instrumented`.
 
     Python calls the function `wrapper`; the global `environment` points to Numba's environment of the kernel.
     """
@@ -29,12 +30,15 @@ class Built:
     code: bytes
     table: Table
     ir_sha256: str
+    constants: tuple[Constant, ...]
+    owned: bool
     wrapper: str
     environment: str
 
     def pack(self) -> bytes:
         """As bytes."""
-        facts = [self.table.to_json(), self.ir_sha256, self.wrapper, self.environment]
+        constants = [[constant.name, constant.address, constant.size] for constant in self.constants]
+        facts = [self.table.to_json(), self.ir_sha256, constants, self.owned, self.wrapper, self.environment]
         head = zlib.compress(json.dumps(facts).encode(), 1)
         return len(head).to_bytes(8, "little") + head + self.code
 
@@ -42,8 +46,9 @@ class Built:
     def unpack(data: bytes) -> "Built":
         """Inverse of `pack`."""
         size = 8 + int.from_bytes(data[:8], "little")
-        rows, *names = json.loads(zlib.decompress(data[8:size]))
-        return Built(data[size:], Table.from_json(rows), *names)
+        rows, digest, constants, *others = json.loads(zlib.decompress(data[8:size]))
+        placed = tuple(Constant(*constant) for constant in constants)
+        return Built(data[size:], Table.from_json(rows), digest, placed, *others)
 
 
 def name_of(kernel: Any) -> str:
@@ -94,17 +99,17 @@ def prepare(kernel: Any, signature: tuple[Any, ...]) -> tuple[Instrumented, str,
 
 def assemble(made: Instrumented, wrapper: str, environment: str) -> Built:
     """Translate instrumented IR into machine code."""
-    return Built(translate(made.text), made.table, made.ir_sha256, wrapper, environment)
+    code = translate(made.text)
+    return Built(code, made.table, made.ir_sha256, made.constants, made.owned, wrapper, environment)
 
 
 def target_machine() -> Any:
-    """This CPU, as Numba generates code for it."""
+    """Any x86-64 CPU: the same code everywhere."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     target = llvm.Target.from_triple(llvm.get_process_triple())
     return target.create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=_OPTIMISATION,
-        reloc="static", codemodel="jitdefault", jit=True,
+        cpu="generic", features="", opt=_OPTIMISATION, reloc="static", codemodel="jitdefault", jit=True,
     )  # fmt: skip
 
 

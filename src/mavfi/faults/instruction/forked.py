@@ -16,13 +16,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal, NoReturn
 
-from mavfi.faults.instruction.runtime import HANG_EXIT
+from mavfi.faults.instruction.runtime import HANG_EXIT, WILD_EXIT
 
 How = Literal["done", "crash", "hang", "exception"]
 _EXCEPTION_EXIT = 70
 LENGTH_BYTES = 8
 WALL_CLOCK = "wall clock"
 """Detail of a child that was ended because it took too long."""
+WILD = "access outside its memory"
+"""Detail of a child whose kernel accessed memory that it does not own."""
 _CHUNK = 1 << 16
 _SIGNALS = {int(number): number.name for number in signal.Signals}
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
@@ -33,8 +35,8 @@ class Ended:
     """How a child ended.
 
     Attributes:
-        how: "done": it reported; "crash": a signal; "hang": it used up its budget of instructions, or the wall clock;
-            "exception": it raised, or left in another way.
+        how: "done": it reported; "crash": a signal, or an access to memory that is not the kernel's; "hang": it used up
+            its budget of instructions, or the wall clock; "exception": it raised, or left in another way.
         payload: What it reported.
         detail: Name of the signal, text of the exception, or "wall clock".
     """
@@ -169,6 +171,8 @@ def judge_exit(code: int, data: bytes = b"") -> Ended:
         return Ended("crash", detail=_SIGNALS.get(-code, f"signal {-code}"))
     if code == HANG_EXIT:
         return Ended("hang", detail="instruction budget")
+    if code == WILD_EXIT:
+        return Ended("crash", detail=WILD)
     payload = data[LENGTH_BYTES:]
     whole = len(data) >= LENGTH_BYTES and int.from_bytes(data[:LENGTH_BYTES], "little") == len(payload)
     if code == 0 and whole:

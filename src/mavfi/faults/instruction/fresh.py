@@ -1,8 +1,8 @@
-"""Prepares a kernel that calls other compiled functions in a process that has compiled nothing before.
+"""Prepares a kernel for any x86-64 CPU, in a process that has compiled nothing before.
 
-LLVM's inlining depends on whether a callee was just compiled or loaded from a cache.  So the IR of such a kernel, and
-with it the digest of its faults, is that of a fresh process with an empty cache: it then follows from the source, the
-versions and the CPU alone.
+LLVM's inlining depends on whether a callee was just compiled or loaded from a cache, and its vectors on the CPU.  So
+the IR of a kernel, and with it the digest of its faults, is that of a fresh process with an empty cache and the
+features that every x86-64 CPU has: it then follows from the source and the versions alone.
 """
 
 import contextlib
@@ -11,13 +11,13 @@ import pickle
 import subprocess
 import sys
 import tempfile
-import types
 from functools import reduce
 from importlib import import_module
 from typing import Any
 
 from mavfi.faults.instruction.forked import Ended, framed, judge_exit, write_all
 
+_CPU = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 _NOT_HERE = b"N"
 """It was loaded from a file that is on no path, or Numba compiles it only where it has been compiled (recursion)."""
 
@@ -26,11 +26,11 @@ def run_fresh(kernel: Any, signature: tuple[Any, ...], timeout: float) -> Ended 
     """Run `build.make` in a fresh process, for `timeout` seconds at most.
 
     Returns:
-        How the process ended; None if the kernel calls no compiled function, or cannot be prepared there.
+        How the process ended; None if the kernel cannot be prepared there.
     """
     function = kernel.py_func
     address = function.__module__, function.__qualname__
-    if not _calls_compiled(function) or _find(*address) is not kernel:
+    if _find(*address) is not kernel:
         return None
     try:
         request = pickle.dumps((sys.path, *address, signature))
@@ -39,7 +39,7 @@ def run_fresh(kernel: Any, signature: tuple[Any, ...], timeout: float) -> Ended 
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         own = {
             "NUMBA_CACHE_DIR": os.path.join(folder, "code"), "TMPDIR": folder, "PYTHONHASHSEED": "0",
-            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+            "PYTHONPATH": os.pathsep.join(filter(None, sys.path)), **_CPU,
         }  # fmt: skip
         process = subprocess.Popen(
             [sys.executable, "-P", "-m", __name__],
@@ -62,13 +62,6 @@ def surroundings(function: Any) -> dict[str, Any]:
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     named = {name: function.__globals__[name] for name in function.__code__.co_names if name in function.__globals__}
     return {name: cell.cell_contents for name, cell in cells} | named
-
-
-def _calls_compiled(function: Any) -> bool:
-    around = surroundings(function).values()
-    modules = [value for value in around if isinstance(value, types.ModuleType)]
-    members = [getattr(module, name, None) for module in modules for name in function.__code__.co_names]
-    return any(hasattr(value, "py_func") for value in (*around, *members))
 
 
 def _find(module: str, name: str) -> Any:

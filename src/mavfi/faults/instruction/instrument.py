@@ -7,18 +7,40 @@ Each block with n sites becomes
     B.slow:  the same ones, each followed by (value & keep) ^ flip where it is injected -> B.join
     B.join:  a phi for each value that is used elsewhere; the terminator
 
-so that all but the injected block run as before.  Nothing is optimised after this, only translated.
+so that all but the injected block run as before.  From there on all blocks are slow: there each access to memory is
+checked.  Nothing is optimised after this, only translated.
 """
 
 import hashlib
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
 
+from mavfi.faults.instruction.accesses import (
+    Access,
+    Constant,
+    accesses_of,
+    constants_of,
+    is_owned,
+    moved,
+    planned_wrapper,
+    size_of,
+    visible,
+)
+from mavfi.faults.instruction.arena import LINE
 from mavfi.faults.instruction.ir import Block, Function, Instruction, parts, width
 from mavfi.faults.instruction.parser import parse_module
 from mavfi.faults.instruction.refusal import RefusedError
-from mavfi.faults.instruction.runtime import MASK_BYTES, REPORT_WORDS, RUNTIME, Control, address
+from mavfi.faults.instruction.runtime import (
+    MASK_BYTES,
+    MEMORY,
+    REPORT_WORDS,
+    RUNTIME,
+    Control,
+    address,
+    declarations,
+)
 from mavfi.faults.instruction.table import Table, make_table
 
 _ENVIRONMENT = re.compile(r'@"?_ZN08NumbaEnv')
@@ -34,11 +56,21 @@ _PICKLED_SIZE = re.compile(r"(store ptr @\.const\.pickledata\.\S+ ,?[^\n]*\n[^\n
 
 @dataclass(frozen=True, slots=True)
 class Instrumented:
-    """An instrumented module: IR, sites, and the digest of the fault space, which is the same in every process."""
+    """An instrumented module.
+
+    Attributes:
+        text: IR.
+        table: Sites.
+        ir_sha256: Digest of the fault space, the same in every process.
+        constants: Arrays with a place in the arena.
+        owned: Whether all its accesses to memory are known, and are checked after an injection.
+    """
 
     text: str
     table: Table
     ir_sha256: str
+    constants: tuple[Constant, ...]
+    owned: bool
 
 
 def instrument(text: str, kernel: str) -> Instrumented:
@@ -57,12 +89,25 @@ def instrument(text: str, kernel: str) -> Instrumented:
     bodies = "\n".join(function.text() for function in module.functions)
     if _ENVIRONMENT.search(bodies):
         raise RefusedError(kernel, "Python objects are used within compiled code (Numba's environment)")
-    lines, first = [*module.preamble, RUNTIME], 0
+    digest, owned, constants = _digest(bodies), is_owned(module), constants_of(module)
+    names = [function.name for function in module.functions]
+    others = [planned_wrapper(text, names) for text in module.others]
+    lines, first = [*(visible(line, constants) for line in module.preamble), RUNTIME, MEMORY], 0
     for function in module.functions:
+        _move(function, constants)
         lines.append(_Rewriter(function, first).text())
         first += sum(bool(block.sites) for block in function.blocks)
-    lines += [*module.others, _UNLIKELY, ""]
-    return Instrumented("\n".join(lines), table, _digest(bodies))
+    lines += [*others, declarations("\n".join([*module.preamble, *others])), _UNLIKELY, ""]
+    return Instrumented("\n".join(lines), table, digest, tuple(constants.values()), owned)
+
+
+def _move(function: Function, constants: dict[str, Constant]) -> None:
+    """Let a function use the arena's constants and runtime."""
+    for block in function.blocks:
+        for instruction in block.all():
+            instruction.tokens = [moved(token, constants) for token in instruction.tokens]
+            instruction.incoming = [(moved(value, constants), label) for value, label in instruction.incoming]
+            instruction.arguments = [(kind, moved(value, constants)) for kind, value in instruction.arguments]
 
 
 def _digest(bodies: str) -> str:
@@ -79,7 +124,7 @@ class _Rewriter:
         self.first_block = first_block
         self.lines: list[str] = [function.head()]
         self.temporaries = 0
-        self.seen = ""
+        self.seen = self.frame = ""
         self.joined = {block.label: f"{block.label}.join" for block in function.blocks if block.sites}
         self.shared = _used_elsewhere(function)
 
@@ -90,8 +135,52 @@ class _Rewriter:
                 self._split(block, number)
                 number += 1
             else:
-                self.lines += [f"{block.label[1:]}:", *(instruction.line() for instruction in block.all())]
+                self.lines.append(f"{block.label[1:]}:")
+                self._allocate(block)
+                self._checked(block.body, {}, lambda instruction: self.lines.append(instruction.line()))
+                self._leave(block)
         return "\n".join([*self.lines, "}"])
+
+    def _allocate(self, block: Block) -> None:
+        """Take the function's stack frame from the arena."""
+        if not block.allocations:
+            return
+        self.frame = self._let(f"load i64, ptr {address(Control.FRAME)}")
+        size = 0
+        for memory in block.allocations:
+            self.lines.append(f"  {memory.result} = inttoptr i64 {self._let(f'add i64 {self.frame}, {size}')} to ptr")
+            size += -(-size_of(memory.tokens[1]) // LINE) * LINE
+        end = self._let(f"add i64 {self.frame}, {size}")
+        self.lines.append(f"  store i64 {end}, ptr {address(Control.FRAME)}")
+        self.lines.append(f"  call void @mavfi_overflow(i64 {end})")
+
+    def _leave(self, block: Block) -> None:
+        """The terminator; whoever returns gives back its frame."""
+        if block.terminator is not None:
+            if block.terminator.opcode == "ret" and self.frame:
+                self.lines.append(f"  store i64 {self.frame}, ptr {address(Control.FRAME)}")
+            self.lines.append(f"  {block.terminator.text()}")
+
+    def _checked(
+        self, body: list[Instruction], names: dict[str, str], write: Callable[[Instruction], None]
+    ) -> None:  # fmt: skip
+        """Write instructions, each after a check of what it accesses."""
+        for instruction in body:
+            for access in accesses_of(instruction):
+                self._check(access, names)
+            write(instruction)
+
+    def _check(self, access: Access, names: dict[str, str]) -> None:
+        pointer, size = (names.get(value, value) for value in (access.pointer, access.size))
+        if not access.lanes:
+            self.lines.append(f"  call void @mavfi_check(ptr {pointer}, i64 {size})")
+            return
+        mask = names.get(access.mask, access.mask)
+        for lane in range(access.lanes):
+            wanted = self._let(f"extractelement <{access.lanes} x i1> {mask}, i64 {lane}")
+            at = self._let(f"extractelement <{access.lanes} x ptr> {pointer}, i64 {lane}")
+            used = self._let(f"select i1 {wanted}, i64 {size}, i64 0")
+            self.lines.append(f"  call void @mavfi_check(ptr {at}, i64 {used})")
 
     def _let(self, text: str) -> str:
         """A new name for the result of an instruction."""
@@ -105,7 +194,7 @@ class _Rewriter:
         self.lines.append(f"{label[1:]}:")
         raw = {str(phi.result): f"{phi.result}.p" for phi in block.phis}
         self.lines += [phi.line(labels=self.joined, suffix=".p") for phi in block.phis]
-        self.lines += [memory.line() for memory in block.allocations]
+        self._allocate(block)
         before = self._let("load i64, ptr @mavfi_control")
         after = self._let(f"add i64 {before}, {len(block.sites)}")
         self.lines.append(f"  store i64 {after}, ptr @mavfi_control")
@@ -119,8 +208,7 @@ class _Rewriter:
             if name in self.shared:
                 pairs = f"[ {fast[name]}, {label}.fast ], [ {slow[name]}, {label}.slow ]"
                 self.lines.append(f"  {name} = phi {site.kind} {pairs}")
-        if block.terminator is not None:
-            self.lines.append(f"  {block.terminator.text()}")
+        self._leave(block)
 
     def _fast(self, block: Block, names: dict[str, str]) -> dict[str, str]:
         self.lines.append(f"{block.label[1:]}.fast:")
@@ -140,11 +228,14 @@ class _Rewriter:
         offsets = count()
         for phi in block.phis:
             names[str(phi.result)] = self._injected(phi, f"{phi.result}.p", injected, next(offsets))
-        for instruction in block.body:
+
+        def write(instruction: Instruction) -> None:
             self.lines.append(instruction.line(names, suffix=".r"))
             if instruction.result is not None:
                 raw = f"{instruction.result}.r"
                 names[instruction.result] = self._injected(instruction, raw, injected, next(offsets))
+
+        self._checked(block.body, names, write)
         self.lines.append(f"  br label {block.label}.join")
         return names
 

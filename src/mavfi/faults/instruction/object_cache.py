@@ -1,6 +1,6 @@
 """Keeps instrumented machine code on disk, beside Numba's own cache.
 
-The key covers the kernel's bytecode with its constants and globals, the versions and the CPU; an entry is valid while
+The key covers the kernel's bytecode with its constants and globals, and the versions; an entry is valid while
 every source file in its line tables is unchanged.
 """
 
@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import llvmlite
-import llvmlite.binding as llvm
 import numba
 import numpy as np
 
@@ -49,8 +48,7 @@ def key(kernel: Any, signature: tuple[Any, ...]) -> str:
 def _platform() -> bytes:
     versions = numba.__version__, llvmlite.__version__, np.__version__
     own = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
-    cpu = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-    return repr((versions, cpu, hashlib.sha256(own).hexdigest())).encode()
+    return repr((versions, hashlib.sha256(own).hexdigest())).encode()
 
 
 def _parts(kernel: Any, seen: set[int]) -> Iterator[bytes]:

@@ -81,13 +81,8 @@ def check_fault(fault: InstructionFault, variant: Variant, function: Any) -> Non
     if fault.ir_sha256 != variant.ir_sha256:
         raise MismatchError(
             f"fault in {fault.function}: drawn for IR {fault.ir_sha256[:12]}, this is {variant.ir_sha256[:12]}: "
-            "source, numba, llvmlite or CPU differ"
+            "source, numba or llvmlite differ"
         )
-
-
-def is_in_data(fault: InstructionFault) -> bool:
-    """Whether neither an address nor a branch depends on the value, so that the rest of the process is safe."""
-    return not fault.has_site or fault.value_class in DATA
 
 
 def injection_of(
@@ -106,7 +101,8 @@ def injection_of(
     keep, flip = fault.masks
     planned = (before & keep) ^ flip
     details = {
-        "function": function, "replayable": site.value_class in DATA, "call": fault.call if call is None else call,
+        "function": function, "replayable": report.planned or site.value_class in DATA,
+        "call": fault.call if call is None else call,
         "index": fault.index, "opcode": site.opcode, "type": site.kind, "width": site.width,
         "value_class": site.value_class, "line_is_near": site.near,
         "inlined": [f"{file}:{line}" for file, line in site.frames[1:]], "variable": site.variable or "",

@@ -17,4 +17,4 @@ class BuildError(MavfiError):
 
 
 class MismatchError(MavfiError):
-    """The fault belongs to other machine code than this: other source, compiler or CPU."""
+    """The fault belongs to other machine code than this: other source or compiler."""

@@ -1,15 +1,18 @@
 """The part of an instrumented kernel that counts, resolves and injects: hand-written IR, and the layout of its memory.
 
 A counter runs over the values that the kernel writes.  Each block adds the number of its sites before it runs and
-compares with a threshold; only beyond it `mavfi_slow` is called, which decides by the mode.
+compares with a threshold; only beyond it `mavfi_slow` is called, which decides by the mode.  After the injection each
+block is beyond it: its second copy checks every access to memory.
 """
 
 from enum import IntEnum
 
+from mavfi.faults.instruction.arena import BASE, CONSTANTS, LINE, SIZE
+
 Control = IntEnum(
     "Control",
     "COUNTER THRESHOLD MODE TARGET BUDGET INJECTED REPORT STOP HISTOGRAM TRACE TRACE_ROOM TRACE_LENGTH "
-    "EVENTS EVENT_COUNT NEXT_EVENT EVENT_BLOCKS EVENT_OFFSETS",
+    "EVENTS EVENT_COUNT NEXT_EVENT EVENT_BLOCKS EVENT_OFFSETS PLANNED FRAME HEAP",
     start=0,
 )
 """Words of the control block `mavfi_control` (64 bits each), in order."""
@@ -22,12 +25,14 @@ NEVER = 2**63 - 1
 """A threshold or index that is not reached."""
 MASK_BYTES = 512
 """Room for each of the masks `mavfi_keep` and `mavfi_flip`, and of the values before and after in the report."""
-REPORT_WORDS = 3
-"""The report begins with: injected?, block, offset.  Parents share its memory with forked children: it outlives
-a crash."""
+REPORT_WORDS = 4
+"""The report begins with: injected?, block, offset, in planned memory?  Parents share it with forked children: it
+outlives a crash."""
 REPORT_BYTES = 8 * REPORT_WORDS + 2 * MASK_BYTES
 HANG_EXIT = 77
 """Exit status of a process whose kernel used up its budget of instructions."""
+WILD_EXIT = 78
+"""Exit status of a process whose kernel accessed memory that it does not own."""
 
 
 def address(word: Control) -> str:
@@ -57,8 +62,8 @@ entry:
                                     i64 {Mode.LOCATE:d}, label %locate ]
 inject:
 {_load("done", Control.INJECTED)}
-  %over = icmp ne i64 %done, 0
-  br i1 %over, label %exhausted, label %change
+  %before.it = icmp eq i64 %done, 0
+  br i1 %before.it, label %change, label %injected
 change:
 {_load("target", Control.TARGET)}
   %offset = sub i64 %target, %base
@@ -69,9 +74,12 @@ change:
   store volatile i64 %block, ptr %report.block
   %report.offset = getelementptr i64, ptr %report, i64 2
   store volatile i64 %offset, ptr %report.offset
-{_load("budget", Control.BUDGET)}
-{_store("%budget", Control.THRESHOLD)}
+{_store("0", Control.THRESHOLD)}
   ret i64 %offset
+injected:
+{_load("budget", Control.BUDGET)}
+  %over = icmp ugt i64 %after, %budget
+  br i1 %over, label %exhausted, label %located
 exhausted:
 {_load("stop", Control.STOP, "ptr")}
   call void %stop(i32 {HANG_EXIT})
@@ -153,3 +161,229 @@ located:
   ret i64 -1
 }}
 """
+
+_HELD = 1 << 32
+"""Counts of references begin here: arrays that reach Python are never freed."""
+_HEADER = 64
+"""Bytes before an array; the first ones are Numba's `MemInfo`: references, destructor and its argument, data, size,
+allocator."""
+
+
+def _planned(yes: str, no: str) -> str:
+    return f"""{_load("planned", Control.PLANNED)}
+  %here = icmp ne i64 %planned, 0
+  br i1 %here, label %{yes}, label %{no}"""
+
+
+def _new(name: str, parameters: str) -> str:
+    """An array's memory; null if there is no room, upon which Numba raises a MemoryError."""
+    return f"""
+define ptr @mavfi_{name}({parameters}) noinline {{
+entry:
+{_planned("place", "elsewhere")}
+place:
+  %whole = add i64 %size, {_HEADER}
+  %at = call ptr @mavfi_room(i64 %whole)
+  %none = icmp eq ptr %at, null
+  br i1 %none, label %done, label %write
+write:
+  store i64 {_HELD + 1}, ptr %at
+  %destructor = getelementptr i8, ptr %at, i64 8
+  store i64 0, ptr %destructor
+  %argument = getelementptr i8, ptr %at, i64 16
+  store i64 0, ptr %argument
+  %data = getelementptr i8, ptr %at, i64 {_HEADER}
+  %data.address = getelementptr i8, ptr %at, i64 24
+  store ptr %data, ptr %data.address
+  %size.address = getelementptr i8, ptr %at, i64 32
+  store i64 %size, ptr %size.address
+  %allocator = getelementptr i8, ptr %at, i64 40
+  store i64 0, ptr %allocator
+  br label %done
+done:
+  ret ptr %at
+elsewhere:
+  %numbas = call ptr @{name}({parameters})
+  ret ptr %numbas
+}}
+"""
+
+
+_SYMBOLS = {
+    "NRT_Allocate": ("ptr", "i64"), "NRT_Free": ("void", "ptr"), "NRT_MemInfo_alloc": ("ptr", "i64"),
+    "NRT_MemInfo_alloc_aligned": ("ptr", "i64, i32"), "NRT_MemInfo_call_dtor": ("void", "ptr"),
+    "NRT_adapt_ndarray_from_python": ("i32", "ptr, ptr"),
+}  # fmt: skip
+"""Functions of Numba's runtime that those below call: result and parameters."""
+REPLACED = (
+    "NRT_Allocate", "NRT_Free", "NRT_MemInfo_alloc", "NRT_MemInfo_alloc_aligned", "NRT_adapt_ndarray_from_python",
+    "NRT_decref", "NRT_incref",
+)  # fmt: skip
+"""Functions of Numba's runtime in whose place kernels call ours, which have the prefix `mavfi_`."""
+
+
+def declarations(text: str) -> str:
+    """Declarations of `_SYMBOLS` that a module lacks."""
+    return "\n".join(
+        f"declare {result} @{name}({parameters})"
+        for name, (result, parameters) in _SYMBOLS.items()
+        if f" @{name} (" not in text and f" @{name}(" not in text
+    )
+
+
+MEMORY = f"""
+define void @mavfi_check(ptr %pointer, i64 %size) noinline {{
+entry:
+{_load("planned", Control.PLANNED)}
+{_load("injected", Control.INJECTED)}
+  %both = and i64 %planned, %injected
+  %checked = icmp ne i64 %both, 0
+  %nothing = icmp eq i64 %size, 0
+  %wanted = select i1 %nothing, i1 false, i1 %checked
+  br i1 %wanted, label %test, label %fine
+test:
+  %address = ptrtoint ptr %pointer to i64
+  %offset = sub i64 %address, {BASE}
+  %last = sub i64 {SIZE}, %size
+  %large = icmp ugt i64 %size, {SIZE}
+  %beyond = icmp ugt i64 %offset, %last
+  %wild = or i1 %large, %beyond
+  br i1 %wild, label %stop, label %fine
+stop:
+{_load("end", Control.STOP, "ptr")}
+  call void %end(i32 {WILD_EXIT})
+  br label %fine
+fine:
+  ret void
+}}
+define void @mavfi_overflow(i64 %end) noinline {{
+entry:
+  %fits = icmp ule i64 %end, {CONSTANTS}
+  br i1 %fits, label %fine, label %stop
+stop:
+{_load("end.of.it", Control.STOP, "ptr")}
+  call void %end.of.it(i32 {WILD_EXIT})
+  br label %fine
+fine:
+  ret void
+}}
+define ptr @mavfi_room(i64 %size) noinline {{
+entry:
+{_load("heap", Control.HEAP)}
+  %more = add i64 %size, {LINE - 1}
+  %rounded = and i64 %more, -{LINE}
+  %left = sub i64 {BASE + SIZE}, %heap
+  %fits.rounded = icmp ule i64 %rounded, %left
+  %sane = icmp ule i64 %size, {SIZE}
+  %fits = and i1 %fits.rounded, %sane
+  br i1 %fits, label %take, label %none
+take:
+  %next = add i64 %heap, %rounded
+{_store("%next", Control.HEAP)}
+  %at = inttoptr i64 %heap to ptr
+  ret ptr %at
+none:
+  ret ptr null
+}}
+define ptr @mavfi_NRT_Allocate(i64 %size) noinline {{
+entry:
+{_planned("place", "elsewhere")}
+place:
+  %at = call ptr @mavfi_room(i64 %size)
+  ret ptr %at
+elsewhere:
+  %numbas = call ptr @NRT_Allocate(i64 %size)
+  ret ptr %numbas
+}}
+define void @mavfi_NRT_Free(ptr %at) noinline {{
+entry:
+{_planned("place", "elsewhere")}
+place:
+  call void @mavfi_reference(ptr %at)
+  ret void
+elsewhere:
+  call void @NRT_Free(ptr %at)
+  ret void
+}}
+define void @mavfi_reference(ptr %at) noinline {{
+entry:
+  %none = icmp eq ptr %at, null
+  br i1 %none, label %fine, label %test
+test:
+  call void @mavfi_check(ptr %at, i64 {_HEADER})
+  br label %fine
+fine:
+  ret void
+}}
+{_new("NRT_MemInfo_alloc", "i64 %size")}
+{_new("NRT_MemInfo_alloc_aligned", "i64 %size, i32 %alignment")}
+define void @mavfi_NRT_incref(ptr %at) noinline {{
+entry:
+  call void @mavfi_reference(ptr %at)
+  %none = icmp eq ptr %at, null
+  br i1 %none, label %done, label %count
+count:
+  %before = atomicrmw add ptr %at, i64 1 monotonic
+  br label %done
+done:
+  ret void
+}}
+define void @mavfi_NRT_decref(ptr %at) noinline {{
+entry:
+  call void @mavfi_reference(ptr %at)
+  %none = icmp eq ptr %at, null
+  br i1 %none, label %done, label %count
+count:
+  %before = atomicrmw sub ptr %at, i64 1 acq_rel
+{_planned("place", "elsewhere")}
+place:
+  %unused = icmp eq i64 %before, {_HELD + 1}
+  br i1 %unused, label %look, label %done
+look:
+  %size.address = getelementptr i8, ptr %at, i64 32
+  %size = load i64, ptr %size.address
+  %more = add i64 %size, {_HEADER + LINE - 1}
+  %rounded = and i64 %more, -{LINE}
+  %address = ptrtoint ptr %at to i64
+  %end = add i64 %address, %rounded
+{_load("heap", Control.HEAP)}
+  %newest = icmp eq i64 %end, %heap
+  br i1 %newest, label %free, label %done
+free:
+{_store("%address", Control.HEAP)}
+  br label %done
+elsewhere:
+  %last = icmp eq i64 %before, 1
+  br i1 %last, label %destroy, label %done
+destroy:
+  call void @NRT_MemInfo_call_dtor(ptr %at)
+  br label %done
+done:
+  ret void
+}}
+define i32 @mavfi_NRT_adapt_ndarray_from_python(ptr %object, ptr %array) noinline {{
+entry:
+  %status = call i32 @NRT_adapt_ndarray_from_python(ptr %object, ptr %array)
+  %good = icmp eq i32 %status, 0
+  br i1 %good, label %look, label %done
+look:
+{_planned("detach", "done")}
+detach:
+  %held = load ptr, ptr %array
+  store ptr null, ptr %array
+  %parent = getelementptr i8, ptr %array, i64 8
+  store ptr null, ptr %parent
+  %none = icmp eq ptr %held, null
+  br i1 %none, label %done, label %release
+release:
+  %before = atomicrmw sub ptr %held, i64 1 acq_rel
+  %last = icmp eq i64 %before, 1
+  br i1 %last, label %destroy, label %done
+destroy:
+  call void @NRT_MemInfo_call_dtor(ptr %held)
+  br label %done
+done:
+  ret i32 %status
+}}
+"""
+"""Numba's runtime for kernels: in a planned call arrays are made in the arena, and nothing of Python's is counted."""

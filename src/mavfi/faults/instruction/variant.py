@@ -1,6 +1,6 @@
 """The instrumented variant of one signature of a kernel, in memory: its modes, and the report of an injection.
 
-A variant is one piece of code with one control block: it is not for several threads at once.
+A variant is one piece of code with one control block, and all share one arena: not for several threads at once.
 """
 
 import ctypes
@@ -15,6 +15,7 @@ import llvmlite.binding as llvm
 import numba
 import numpy as np
 
+from mavfi.faults.instruction.arena import FRAMES, arena, own
 from mavfi.faults.instruction.build import Built, check, target_machine
 from mavfi.faults.instruction.object_cache import cached_build
 from mavfi.faults.instruction.runtime import MASK_BYTES, NEVER, REPORT_BYTES, REPORT_WORDS, WORDS, Control, Mode
@@ -25,11 +26,19 @@ _CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, c
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Report of an injection: static instruction, and the bits of its result before and after, as integers."""
+    """Report of an injection.
+
+    Attributes:
+        site: The static instruction.
+        before: The bits of its result, as an integer.
+        after: Those that took their place.
+        planned: Whether the call had only memory at planned addresses: then its effect is the same everywhere.
+    """
 
     site: Site
     before: int
     after: int
+    planned: bool
 
 
 class Passes:
@@ -89,6 +98,12 @@ class Variant:
         self._keep, self._flip = (
             self._array(name, ctypes.c_uint8, MASK_BYTES) for name in ("mavfi_keep", "mavfi_flip")
         )
+        arena()  # code uses its addresses
+        self._owned = built.owned
+        self._constants = [
+            (constant.address, self._engine.get_global_value_address(_plain(constant.name)), constant.size)
+            for constant in built.constants
+        ]
         self._reader = -1
         self.own_report()
         self._control[Control.STOP] = ctypes.cast(ctypes.CDLL(None)._exit, ctypes.c_void_p).value or 0
@@ -113,15 +128,18 @@ class Variant:
 
     def _set(self, mode: Mode, threshold: int) -> None:
         control = self._control
-        control[Control.COUNTER] = control[Control.INJECTED] = 0
+        control[Control.COUNTER] = control[Control.INJECTED] = control[Control.PLANNED] = 0
+        control[Control.FRAME] = FRAMES
+        for there, here, size in self._constants:
+            ctypes.memmove(there, here, size)
         control[Control.MODE] = mode
         control[Control.THRESHOLD] = threshold
 
     def _run(self, mode: Mode, threshold: int, args: tuple[Any, ...], **words: int) -> Any:
         """Run with some words of the control block set."""
+        self._set(mode, threshold)
         for name, word in words.items():
             self._control[Control[name]] = word
-        self._set(mode, threshold)
         try:
             return self._function(None, args, None)
         finally:
@@ -167,16 +185,26 @@ class Variant:
     def inject(self, index: int, keep: int, flip: int, budget: int, *args: Any) -> Any:
         """Run and inject once: the value with this dynamic index, from 0, becomes (value & keep) ^ flip.
 
-        A kernel that writes more values than its budget ends the process with status `HANG_EXIT`.
+        A kernel that writes more values than its budget ends the process with status `HANG_EXIT`, one that accesses
+        memory which it does not own with `WILD_EXIT`.
         """
         for memory, mask in ((self._keep, keep), (self._flip, flip)):
             memory[:] = np.frombuffer((mask % (1 << 8 * MASK_BYTES)).to_bytes(MASK_BYTES, "little"), np.uint8)
-        self._injected[:] = 0
-        return self._run(Mode.INJECT, index, args, TARGET=index, BUDGET=budget)
+        placed = arena().place(args) if self._owned else None
+        self._injected[:] = (0, 0, 0, placed is not None)
+        if placed is None:
+            return self._run(Mode.INJECT, index, args, TARGET=index, BUDGET=budget)
+        try:
+            result = self._run(
+                Mode.INJECT, index, placed.args, TARGET=index, BUDGET=budget, PLANNED=1, HEAP=placed.heap
+            )
+            return own(result)
+        finally:
+            placed.take_back()
 
     def report(self) -> Report | None:
         """Report of the last injection, here or in a forked child; None if the index was not reached."""
-        injected, block, offset = self._injected.tolist()
+        injected, block, offset, planned = self._injected.tolist()
         if not injected:
             return None
         site = self.table.blocks[block][offset]
@@ -184,7 +212,12 @@ class Variant:
         before, after = (
             int.from_bytes(self._values[first : first + size].tobytes(), "little") for first in (0, MASK_BYTES)
         )
-        return Report(site, before, after)
+        return Report(site, before, after, bool(planned))
+
+
+def _plain(name: str) -> str:
+    """The name of a global as the linker knows it."""
+    return name[1:].strip('"')
 
 
 _variants: "weakref.WeakKeyDictionary[Any, dict[tuple[Any, ...], Variant]]" = weakref.WeakKeyDictionary()

@@ -68,7 +68,6 @@ class Case:
         how: How the call ended, or `WAITING`; `detail`: signal, budget or exception.
         report: Of the child that went on flying.
         golden: The kernel's output in that step without the fault.
-        replayable: Whether the flight gives the same bytes in every process; None = by the value class.
     """
 
     fault: InstructionFault
@@ -80,7 +79,6 @@ class Case:
     detail: str = ""
     report: ChildReport | None = None
     golden: Output | None = None
-    replayable: bool | None = None
 
 
 def check_kernel(kernel: str, planner: str) -> None:
@@ -105,8 +103,6 @@ def flight_of(case: Case, golden: Flight) -> Flight:
     """The flight with the fault, given the golden one."""
     log = golden.log if case.report is None or case.report.log is None else case.report.log
     injection = injection_of(case.fault, case.value, case.time_us / 1e6, case.call)
-    if case.replayable is not None:
-        injection = replace(injection, details={**injection.details, "replayable": case.replayable})
     return Flight(replace(log, injections=[injection], kernel=_effect(case, golden.log)), None, golden.world,
                   golden.pipeline)  # fmt: skip
 

@@ -143,7 +143,7 @@ class Forks:
         report = variant.report()
         if self._watched and changed_nothing(report):
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True, missed=True)))
-        if child.call_same and report is not None and report.site.value_class in DATA:
+        if child.call_same and report is not None and (report.planned or report.site.value_class in DATA):
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True)))
         return result
 

@@ -10,7 +10,7 @@ import pytest
 
 from mavfi.faults.instruction import RefusedError
 from mavfi.faults.instruction import build as building
-from mavfi.faults.instruction.build import build, prepare
+from mavfi.faults.instruction.build import build
 from mavfi.faults.instruction.instrument import _digest as fault_space_digest
 from mavfi.faults.instruction.instrument import instrument
 from mavfi.faults.instruction.refusal import BuildError
@@ -32,6 +32,19 @@ for name in sys.argv[1:]:
 print(json.dumps(digests))
 """
 TWO = ("track", "back_project")
+OLDEST = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+
+
+def ir_digests(names, cache, variables):
+    """Digests of the fault spaces of kernels, compiled in this order in a process with an empty cache."""
+    environment = os.environ | {
+        "XDG_CACHE_HOME": str(cache), "PYTHONPATH": os.pathsep.join([".", *sys.path]), **variables
+    }  # fmt: skip
+    environment.pop("NUMBA_CACHE_DIR", None)
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILE, *names], env=environment, capture_output=True, text=True, check=True
+    )
+    return json.loads(done.stdout)
 
 
 @kernel_jit
@@ -65,8 +78,8 @@ def test_the_digest_does_not_depend_on_hashes_of_texts():
 
 
 @pytest.mark.slow
-def test_a_kernel_that_calls_others_is_prepared_where_nothing_was_compiled_before(monkeypatch):
-    """What LLVM inlines depends on what a process did before: compiled a callee, or loaded it."""
+def test_a_kernel_is_prepared_for_any_cpu_where_nothing_was_compiled_before(monkeypatch, tmp_path):
+    """What LLVM inlines depends on what a process did before (compiled a callee, or loaded it), vectors on the CPU."""
 
     def fail(*_arguments):
         raise AssertionError("prepared in a fork of this process")
@@ -75,9 +88,14 @@ def test_a_kernel_that_calls_others_is_prepared_where_nothing_was_compiled_befor
     case = CASES["time_to_collision"]
     signature = tuple(numba.typeof(argument) for argument in case.arguments())
     built = build(case.function, signature)
-    assert built.ir_sha256 == prepare(case.function, signature)[0].ir_sha256
+    assert built.owned and built.ir_sha256 == ir_digests(["time_to_collision"], tmp_path, OLDEST)["time_to_collision"]
+
+    @kernel_jit
+    def hidden(x):
+        return 2.0 * x
+
     with pytest.raises(BuildError, match="prepared in a fork"):
-        build(scolding, (numba.float64,))  # calls nothing
+        build(hidden, (numba.float64,))  # another process would not find it
 
 
 def test_a_kernel_that_another_process_would_not_find_is_prepared_in_a_fork():
@@ -101,17 +119,10 @@ def test_a_kernel_is_refused_from_a_fresh_process_as_from_a_fork():
 
 @pytest.mark.slow
 def test_fresh_processes_with_empty_caches_agree_in_any_order(tmp_path):
-    found = []
-    for number, order in enumerate((TWO, TWO[::-1])):
-        environment = os.environ | {
-            "XDG_CACHE_HOME": str(tmp_path / str(number)), "PYTHONHASHSEED": str(number + 1),
-            "PYTHONPATH": os.pathsep.join([".", *sys.path]),
-        }  # fmt: skip
-        environment.pop("NUMBA_CACHE_DIR", None)
-        done = subprocess.run(
-            [sys.executable, "-c", COMPILE, *order], env=environment, capture_output=True, text=True, check=True
-        )
-        found.append(json.loads(done.stdout))
+    found = [
+        ir_digests(order, tmp_path / str(number), {"PYTHONHASHSEED": str(number)})
+        for number, order in enumerate((TWO, TWO[::-1]))
+    ]
     assert set(found[0]) == set(TWO)
     assert found[0] == found[1]
 

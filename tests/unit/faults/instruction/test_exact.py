@@ -1,5 +1,6 @@
 """Every fault does exactly what was planned: as by hand, as an interpreter has it; wrong injectors are caught."""
 
+import functools
 import math
 import re
 from dataclasses import replace
@@ -11,7 +12,7 @@ import pytest
 from mavfi.faults.instruction.build import assemble, prepare
 from mavfi.faults.instruction.forked import run_in_child
 from mavfi.faults.instruction.runtime import Control
-from mavfi.faults.instruction.variant import Variant, variant_for
+from mavfi.faults.instruction.variant import Variant
 from mavfi.numerics.jit import uncached_copy
 from tests.unit.faults.instruction.interpreter import HANG, Interpreter, flipped, same, signed
 from tests.unit.faults.instruction.kernels import LOOP, STRAIGHT, loop, straight
@@ -28,6 +29,13 @@ def interpreter(kernel, args):
     copy = uncached_copy(kernel)
     copy.compile(signature(args))
     return Interpreter(copy.inspect_llvm(signature(args)), kernel.py_func.__name__)
+
+
+@functools.cache
+def variant_for(kernel, args):
+    """Of the IR that the interpreter has: this process compiles for its own CPU, `variant.variant_for` for any."""
+    kernel(*args)
+    return Variant(assemble(*prepare(kernel, signature(args))), kernel.overloads[signature(args)].environment)
 
 
 @pytest.fixture(scope="module")
@@ -192,13 +200,10 @@ def never(text):
 
 def injected_again(text, still):
     """An injector that stays armed after its injection, as long as `still` (IR that sets %still) says so."""
-    store = r"  store volatile i64 %budget, ptr [^\n]*\n"
-    stop = re.search(r"exhausted:\n(.*?)profile:", text, re.DOTALL)
-    again = (
-        f"exhausted:\n{still}\n  br i1 %still, label %again, label %over.budget\nagain:\n  ret i64 0\nover.budget:\n"
-    )
-    assert len(re.findall(store, text)) == 1
-    return re.sub(store, "", text).replace(stop[0], f"{again}{stop[1]}profile:")
+    leave = "br i1 %over, label %exhausted, label %located\n"
+    assert text.count(leave) == 1
+    more = f"armed:\n{still}\n  br i1 %still, label %again, label %located\nagain:\n  ret i64 0\n"
+    return text.replace(leave, f"br i1 %over, label %exhausted, label %armed\n{more}")
 
 
 def word(control):
@@ -206,15 +211,12 @@ def word(control):
 
 
 def sticky(text):
-    load = f"  %limit = load volatile i64, {word(Control.BUDGET)}\n"
-    return injected_again(text, load + "  %still = icmp ult i64 %after, %limit")
+    return injected_again(text, "  %still = icmp ne i64 %done, 0")
 
 
 def twice(text):
     first = "  %still = icmp eq i64 %done, 1\n"
-    limit = f"  %limit = load volatile i64, {word(Control.BUDGET)}\n"
-    disarm = f"  store volatile i64 %limit, {word(Control.THRESHOLD)}\n"
-    return injected_again(text, f"{first}{limit}{disarm}  store volatile i64 2, {word(Control.INJECTED)}")
+    return injected_again(text, f"{first}  store volatile i64 2, {word(Control.INJECTED)}")
 
 
 MUTANTS = {"bit + 1": next_bit, "index + 1": next_index, "never": never, "sticky": sticky, "twice": twice}

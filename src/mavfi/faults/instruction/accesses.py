@@ -1,0 +1,148 @@
+"""Which memory an instruction accesses, and where that of a kernel lies: stack frames and constants in the arena."""
+
+import re
+from dataclasses import dataclass
+
+from mavfi.faults.instruction.arena import CONSTANTS, EXCEPTION, LINE, RESULT
+from mavfi.faults.instruction.ir import Instruction, Module, holds_pointer, parts, width
+from mavfi.faults.instruction.runtime import REPLACED
+
+_MASKED = re.compile(r"@llvm\.masked\.(?:load|store|expandload|compressstore|gather|scatter)\.")
+_COPIES = re.compile(r"@llvm\.mem(?:cpy|move|set)\.")
+_ARRAY = re.compile(
+    r"^(@\S+) = (?:private |internal )((?:unnamed_addr |local_unnamed_addr )?)constant (\[\d+ x \w+\]) "
+)
+_VECTOR = re.compile(r"<(\d+) x (.+)>")
+_NAME = re.compile(r'@(?:"[^"]*"|[-\w$.]+)')
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """Memory that an instruction accesses: pointer, and size (bytes), a number or a value of type i64.
+
+    With a `mask` the pointer is a vector, and its lanes where the mask (a vector of bits) is set are accessed.
+    """
+
+    pointer: str
+    size: str
+    mask: str = ""
+    lanes: int = 0
+
+
+def accesses_of(instruction: Instruction) -> list[Access]:
+    """What an instruction accesses through pointers that it has computed; functions that it calls are on their own."""
+    if instruction.opcode == "load":
+        found = [Access(instruction.tokens[4], str(size_of(instruction.kind)))]
+    elif instruction.opcode == "store":
+        found = [Access(instruction.tokens[5], str(size_of(instruction.tokens[1])))]
+    elif instruction.callee is not None and _COPIES.match(instruction.callee):
+        length = instruction.arguments[2][1]
+        found = [Access(value, length) for kind, value in instruction.arguments[:2] if kind == "ptr"]
+    elif instruction.callee is not None and _MASKED.match(instruction.callee):
+        found = [_masked(instruction)]
+    else:
+        found = []
+    return [access for access in found if access.pointer.startswith("%")]
+
+
+def _masked(call: Instruction) -> Access:
+    """A plain pointer is accessed in full, whatever the mask says: the definition is simple, and harmless inside."""
+    mask = next(value for kind, value in call.arguments[::-1] if " x i1>" in kind)
+    data = call.kind if call.kind != "void" else call.arguments[0][0]
+    kind, pointer = next((kind, value) for kind, value in call.arguments if holds_pointer(kind))
+    if kind == "ptr":
+        return Access(pointer, str(size_of(data)))
+    vector = _VECTOR.fullmatch(data)
+    assert vector is not None  # the elements of a vector of pointers
+    return Access(pointer, str(size_of(vector[2])), mask, int(vector[1]))
+
+
+def size_of(kind: str) -> int:
+    """Bytes that a value of a type takes in memory, padding included."""
+    fields = parts(kind)
+    if not fields:
+        return -(-width(kind) // 8)
+    end, widest = 0, 1
+    for part in fields:
+        aligned = min(8, size_of(part)) if not parts(part) else 8
+        end = -(-end // aligned) * aligned + size_of(part)
+        widest = max(widest, aligned)
+    return -(-end // widest) * widest
+
+
+def is_owned(module: Module) -> bool:
+    """Whether a kernel accesses memory in its own code only: it calls no function in C that gets or gives a pointer."""
+    own = {function.name for function in module.functions}
+    for function in module.functions:
+        for block in function.blocks:
+            for instruction in block.all():
+                callee = instruction.callee
+                if callee is None or callee in own or callee[1:] in REPLACED:
+                    continue
+                known = callee.startswith("@llvm.") and not callee.startswith("@llvm.x86.")
+                if not known and any(
+                    map(holds_pointer, [instruction.kind, *(kind for kind, _ in instruction.arguments)])
+                ):
+                    return False
+    return True
+
+
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """An array of numbers in a module: its name, its planned address, and its size (bytes)."""
+
+    name: str
+    address: int
+    size: int
+
+
+def constants_of(module: Module) -> dict[str, Constant]:
+    """Arrays that the fault space uses, with their places in the arena, in the order of their use.
+
+    Pickled exceptions stay where they are: only Python reads them, and they are as long as the path in them.
+    """
+    arrays = (match for match in map(_ARRAY.match, module.preamble) if match is not None)
+    kinds = {match[1]: match[3] for match in arrays if ".const.pickle" not in match[1]}
+    found: dict[str, Constant] = {}
+    free = CONSTANTS
+    for function in module.functions:
+        for name in _NAME.findall(function.text()):
+            if name in kinds and name not in found:
+                found[name] = Constant(name, free, size_of(kinds[name]))
+                free += -(-found[name].size // LINE) * LINE
+    return found
+
+
+def visible(line: str, constants: dict[str, Constant]) -> str:
+    """A global of the module; those with a place in the arena can be found by name, to be copied there."""
+    match = _ARRAY.match(line)
+    if match is None or match[1] not in constants:
+        return line
+    return line.replace(" = private ", " = ", 1).replace(" = internal ", " = ", 1)
+
+
+def moved(token: str, constants: dict[str, Constant]) -> str:
+    """A token of an instruction, with planned addresses in place of arrays, and our functions in place of Numba's."""
+    if "@" not in token:
+        return token
+    if token[1:] in REPLACED:
+        return f"@mavfi_{token[1:]}"
+
+    def place(match: re.Match[str]) -> str:
+        constant = constants.get(match[0])
+        return match[0] if constant is None else f"inttoptr (i64 {constant.address} to ptr)"
+
+    return _NAME.sub(place, token)
+
+
+def planned_wrapper(text: str, kernels: list[str]) -> str:
+    """Numba's wrapper, with planned addresses for result and exception of the kernel, and our runtime."""
+    for name in kernels:
+        call = re.search(rf"{re.escape(name)} \( ptr (?:[^,]* )?(\S+) , ptr (?:[^,]* )?(\S+) [,)]", text)
+        if call is not None:
+            for local, address in ((call[1], RESULT), (call[2], EXCEPTION)):
+                text = re.sub(
+                    rf"^  {re.escape(local)} = alloca .*$", f"  {local} = inttoptr i64 {address} to ptr", text,
+                    flags=re.MULTILINE,
+                )  # fmt: skip
+    return re.sub(rf"(call [^@\n]*)@({'|'.join(REPLACED)}) \(", r"\1@mavfi_\2 (", text)

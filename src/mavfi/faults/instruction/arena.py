@@ -1,0 +1,156 @@
+"""The memory of an injected call: one range of planned addresses, the same in every process and on every machine.
+
+The call gets copies of its arguments there; its stack frames, constants and new arrays lie there too.  From the
+injection on, each load and store is checked: an access elsewhere ends the call as a crash.  So the effect of a
+corrupted address does not depend on what else a process holds.  There is one arena per process: one instrumented call
+at a time.
+"""
+
+import ctypes
+import mmap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from mavfi.errors import MavfiError
+
+BASE = 1 << 44
+"""Far from where Linux places programs, libraries, heaps and stacks."""
+SIZE = 1 << 26
+"""A multiple of it is `BASE`: an address with one of its lowest 26 bits flipped stays inside."""
+RESULT, EXCEPTION, FRAMES = BASE, BASE + 0x4000, BASE + 0x5000
+"""Of the wrapper: where the kernel writes its result and a pointer to its exception; then its stack frames."""
+CONSTANTS = BASE + 0x100000
+_ARGUMENTS = BASE + SIZE // 2
+"""In the middle, so that an access a little before them is as possible as one a little behind."""
+LINE = 64
+_NORESERVE, _FIXED_NOREPLACE = 0x4000, 0x100000  # mmap(2)
+_FLAGS = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | _NORESERVE | _FIXED_NOREPLACE
+_SCALARS = (bool, int, float, complex, np.generic, type(None))
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """Arguments in the arena.
+
+    Attributes:
+        args: As given, with arrays in the arena.
+        heap: First address behind them.
+        ranges: Address here, address in the arena, and size (bytes) of each range of memory that was copied.
+    """
+
+    args: tuple[Any, ...]
+    heap: int
+    ranges: list[tuple[int, int, int]]
+
+    def take_back(self) -> None:
+        """Copy the arrays back, as the call left them."""
+        for here, there, size in self.ranges:
+            ctypes.memmove(here, there, size)
+
+
+class Arena:
+    """The memory, mapped at its place.
+
+    Raises:
+        MavfiError: Something else is there.
+    """
+
+    def __init__(self) -> None:
+        library = ctypes.CDLL(None, use_errno=True)
+        library.mmap.restype = ctypes.c_void_p
+        library.mmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t, *[ctypes.c_int] * 3, ctypes.c_long]
+        library.madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
+        at = library.mmap(BASE, SIZE, mmap.PROT_READ | mmap.PROT_WRITE, _FLAGS, -1, 0)
+        if at != BASE:
+            raise MavfiError(f"no memory at address {BASE:#x}: faults in instructions are injected there")
+        self._madvise = library.madvise
+        self._memory = memoryview((ctypes.c_uint8 * SIZE).from_address(BASE))
+
+    def clear(self) -> None:
+        """Fill it with zeros."""
+        self._madvise(BASE, SIZE, mmap.MADV_DONTNEED)
+
+    def place(self, args: tuple[Any, ...]) -> Placed | None:
+        """Clear it, and copy arguments to it; arrays that share memory do so there.
+
+        Returns:
+            None if they are more than arrays of numbers, numbers, and tuples of these, or too large.
+        """
+        arrays = list(_arrays(args))
+        if any(array is None for array in arrays):
+            return None
+        ranges, heap = _plan([_bounds(array) for array in arrays])
+        if heap > BASE + SIZE * 3 // 4:
+            return None
+        self.clear()
+        for here, there, size in ranges:
+            ctypes.memmove(there, here, size)
+        return Placed(self._moved(args, ranges), heap, ranges)
+
+    def _moved(self, value: Any, ranges: list[tuple[int, int, int]]) -> Any:
+        if isinstance(value, tuple):
+            parts = (self._moved(part, ranges) for part in value)
+            return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+        if not isinstance(value, np.ndarray):
+            return value
+        low, high = _bounds(value)
+        here, there = next(
+            ((here, there) for here, there, size in ranges if here <= low and high <= here + size), (low, _ARGUMENTS)
+        )
+        offset = there - BASE + value.ctypes.data - here
+        moved: np.ndarray = np.ndarray(value.shape, value.dtype, self._memory, offset, value.strides)
+        moved.flags.writeable = value.flags.writeable
+        return moved
+
+
+@cache
+def arena() -> Arena:
+    """That of this process; forked children have a copy."""
+    return Arena()
+
+
+def own(value: Any) -> Any:
+    """A result with copies of its arrays: those in the arena belong to the next call."""
+    if isinstance(value, tuple):
+        parts = (own(part) for part in value)
+        return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
+    return value.copy() if isinstance(value, np.ndarray) else value
+
+
+def _arrays(value: Any) -> Iterator[Any]:
+    """Arrays in arguments; None for what is neither array, number nor tuple."""
+    if isinstance(value, tuple):
+        for part in value:
+            yield from _arrays(part)
+    elif isinstance(value, np.ndarray) and not value.dtype.hasobject:
+        yield value
+    elif not isinstance(value, _SCALARS):
+        yield None
+
+
+def _bounds(array: np.ndarray) -> tuple[int, int]:
+    """First and last address + 1 of its elements."""
+    low, high = np.lib.array_utils.byte_bounds(array) if array.size else (array.ctypes.data, array.ctypes.data)
+    return int(low), int(high)
+
+
+def _plan(bounds: list[tuple[int, int]]) -> tuple[list[tuple[int, int, int]], int]:
+    """Places of ranges of memory, in the order of their first array; overlapping ones are one range."""
+    merged: list[list[int]] = []
+    for low, high in sorted(pair for pair in bounds if pair[0] < pair[1]):
+        if merged and low < merged[-1][1]:
+            merged[-1][1] = max(high, merged[-1][1])
+        else:
+            merged.append([low, high])
+    ranges: list[tuple[int, int, int]] = []
+    free = _ARGUMENTS
+    for low, _ in bounds:
+        for start, end in merged:
+            if start <= low < end and all(start != here for here, _, _ in ranges):
+                ranges.append((start, free, end - start))
+                free += -(-(end - start) // LINE) * LINE
+    return ranges, free
