@@ -150,7 +150,7 @@ class OctreeMap:
     @property
     def log_odds(self) -> np.ndarray:
         """Of every voxel of the grid, 0 = unknown; looked up in the tree. Shape (size,), float32."""
-        dense = np.empty(self._size, np.float32)
+        dense = np.zeros(self._size, np.float32)
         octree.to_dense(self.tree, self._frame, dense)
         return dense
 
@@ -160,7 +160,7 @@ class OctreeMap:
         n_free, count = self._functions.collect(
             points, origin, self._range, self._frame, self._stamp, self._stamps, self._touched
         )  # fmt: skip
-        voxels, after = self._touched[:count], np.empty(count, np.float32)
+        voxels, after = self._touched[:count], np.zeros(count, np.float32)
         done = 0
         while True:
             done = self._functions.update_voxels(self.tree, self._frame, self._rule, voxels, n_free, done, after)

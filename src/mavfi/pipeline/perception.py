@@ -51,7 +51,7 @@ class PointCloud(Remembers):
         count = min(len(ranges), len(self._config.directions))
         cloud = new_state("perception.point_cloud", count)
         points = cloud.elements.view(np.float32).reshape(count, 3)
-        rotation = np.empty((3, 3))
+        rotation = np.zeros((3, 3))
         rotation_matrix(pose[3:7], rotation)
         self._config.functions.back_project(
             ranges[:count], self._config.directions, rotation, pose[:3], self._config.camera.range, points

@@ -114,7 +114,7 @@ class MotionPlanner(Remembers):
             return  # no plan was found: the present trajectory stays in force
         self.memory.trajectory = state
         if len(state.elements):
-            self.memory.arc = np.empty(len(state.elements))
+            self.memory.arc = np.zeros(len(state.elements))
             handover.arc_lengths(
                 floats(state.elements, timing.POINT_WIDTH).reshape(-1, timing.POINT_WIDTH), self.memory.arc
             )

@@ -38,8 +38,8 @@ class Room:
     def apply(self, update: State) -> None:
         """Apply a `perception.map_update` to cells and counters."""
         voxels, log_odds = update.elements["voxel"], update.elements["log_odds"]
-        changed_voxels = np.empty(len(voxels), np.int32)
-        changed_cells = np.empty(len(voxels), np.uint8)
+        changed_voxels = np.zeros(len(voxels), np.int32)
+        changed_cells = np.zeros(len(voxels), np.uint8)
         count = self._apply_updates(
             voxels, log_odds, self.grid, self.cells, self.wide, self._wide_offsets, self.narrow, self._narrow_offsets,
             changed_voxels, changed_cells,

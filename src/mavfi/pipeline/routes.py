@@ -90,7 +90,7 @@ class Routes:
         """Vertices from (next to) `start` to (next to) the goal (None = the mission's) in `counter`, or None."""
         config, room = self._config, self.room
         goal = config.goal if goal is None else goal
-        first, last = np.empty(3), np.empty(3)
+        first, last = np.zeros(3), np.empty(3)
         box = config.flight_lower, config.flight_upper
         core = self._core()
         if not paths.nearest_with_room(counter, room.narrow, core, room.grid, start, *box, _REACH, first):

@@ -182,7 +182,7 @@ class TrajectoryGenerator(Remembers):
         index = int(self.memory.waypoint.header["index"][0])
         if not 0 <= index < len(points) or not junction < len(points):
             return vertices, _Motion(entry)
-        arc = np.empty(len(points))
+        arc = np.zeros(len(points))
         handover.arc_lengths(points, arc)
         waypoint = floats(self.memory.waypoint.header, timing.POINT_WIDTH)
         speed = length(waypoint[4:7])

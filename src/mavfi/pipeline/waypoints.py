@@ -207,7 +207,7 @@ class WaypointHandOver(Remembers):
         if trajectory is None:
             return
         self.memory.points = floats(trajectory.elements, POINT_WIDTH).reshape(-1, POINT_WIDTH)
-        self.memory.arc = np.empty(len(self.memory.points))
+        self.memory.arc = np.zeros(len(self.memory.points))
         if len(self.memory.points):
             handover.arc_lengths(self.memory.points, self.memory.arc)
 
@@ -251,7 +251,7 @@ class WaypointHandOver(Remembers):
         return int(np.argmin(((window - reference) ** 2).sum(1)))
 
     def _held_point(self) -> list[State]:
-        waypoint = np.empty(POINT_WIDTH)
+        waypoint = np.zeros(POINT_WIDTH)
         index = handover.hand_over(self.memory.points, self.memory.now.index, self.memory.remaining, waypoint)
         if index == self.memory.now.index:
             return []
