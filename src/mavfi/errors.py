@@ -12,6 +12,9 @@ _MACHINE = {
     errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EIO, errno.EROFS,
 }  # fmt: skip
 
+FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT"})
+"""Signals sent by an operator or the OOM killer, never raised by a fault."""
+
 
 class MavfiError(Exception):
     """Base of every error that mavfi raises on purpose."""

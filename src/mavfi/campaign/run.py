@@ -15,7 +15,6 @@ from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.mission import (
-    FROM_OUTSIDE,
     Flown,
     MissionPlan,
     Planned,
@@ -26,7 +25,7 @@ from mavfi.campaign.mission import (
 )
 from mavfi.campaign.plan import Plan, arms_of
 from mavfi.campaign.store import Store
-from mavfi.errors import BadInputError, MachineError
+from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import require_level
 from mavfi.hosts.watching import detector_for

@@ -5,8 +5,8 @@ infinity, and `parallel` would reorder sums: none of them is available here (see
 
 Numba's cache looks at the file of a function, not at those of the functions that it calls: after a change in one
 module, callers in others would keep the old code.  So the cache lies in a folder that is named after the text of
-all compiled modules.  Nor has it an index of the signatures of a function, which grows when another process compiles
-one more: a process that loads code then has another history of its memory, which corrupted addresses read.
+all compiled modules.  Nor has it an index of the signatures of a function: of two processes that compile at the same
+time, one would overwrite the other's entry.
 """
 
 import contextlib

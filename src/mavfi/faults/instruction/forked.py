@@ -16,10 +16,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Literal, NoReturn
 
+from mavfi.errors import FROM_OUTSIDE, MachineError, machine_failure
 from mavfi.faults.instruction.runtime import HANG_EXIT, WILD_EXIT
 
 How = Literal["done", "crash", "hang", "exception"]
-_EXCEPTION_EXIT = 70
+_EXCEPTION_EXIT, _MACHINE_EXIT = 70, 71
 LENGTH_BYTES = 8
 WALL_CLOCK = "wall clock"
 """Detail of a child that was ended because it took too long."""
@@ -67,6 +68,9 @@ class ForkPoint:
 
         Returns:
             None in the child, at once; in the parent how the child ended.
+
+        Raises:
+            MachineError: The child met a failure of the machine, or was killed from outside.
         """
         reading, writing = os.pipe()
         parent = os.getpid()
@@ -95,6 +99,9 @@ class ForkPoint:
         except BaseException as error:
             if not self.in_child:
                 raise
+            why = machine_failure(error)
+            if why:
+                self._end(why.encode(errors="replace"), _MACHINE_EXIT)
             self._end(f"{type(error).__name__}: {error}".encode(errors="replace"), _EXCEPTION_EXIT)
 
     def _end(self, payload: bytes, status: int) -> NoReturn:
@@ -166,9 +173,16 @@ def _wait(pid: int, pipe: int, timeout: float) -> Ended:
 
 
 def judge_exit(code: int, data: bytes = b"") -> Ended:
-    """How a child ended, given its exit code (negative = number of a signal) and the data that it wrote to its pipe."""
+    """How a child ended, given its exit code (negative = number of a signal) and the data that it wrote to its pipe.
+
+    Raises:
+        MachineError: It met a failure of the machine, or was killed from outside.
+    """
     if code < 0:
-        return Ended("crash", detail=_SIGNALS.get(-code, f"signal {-code}"))
+        name = _SIGNALS.get(-code, f"signal {-code}")
+        if name in FROM_OUTSIDE:
+            raise MachineError(f"the process of a flight was killed by {name}")
+        return Ended("crash", detail=name)
     if code == HANG_EXIT:
         return Ended("hang", detail="instruction budget")
     if code == WILD_EXIT:
@@ -177,6 +191,8 @@ def judge_exit(code: int, data: bytes = b"") -> Ended:
     whole = len(data) >= LENGTH_BYTES and int.from_bytes(data[:LENGTH_BYTES], "little") == len(payload)
     if code == 0 and whole:
         return Ended("done", payload)
+    if code == _MACHINE_EXIT and whole:
+        raise MachineError(payload.decode(errors="replace"))
     if code == _EXCEPTION_EXIT and whole:
         return Ended("exception", detail=payload.decode(errors="replace"))
     return Ended("exception", detail=f"ended with status {code} without a report")

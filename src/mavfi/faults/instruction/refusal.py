@@ -18,3 +18,7 @@ class BuildError(MavfiError):
 
 class MismatchError(MavfiError):
     """The fault belongs to other machine code than this: other source or compiler."""
+
+
+class AllocationError(MavfiError):
+    """An injected kernel asked for more memory than it has."""

@@ -18,6 +18,7 @@ import numpy as np
 from mavfi.faults.instruction.arena import FRAMES, arena, own
 from mavfi.faults.instruction.build import Built, check, target_machine
 from mavfi.faults.instruction.object_cache import cached_build
+from mavfi.faults.instruction.refusal import AllocationError
 from mavfi.faults.instruction.runtime import MASK_BYTES, NEVER, REPORT_BYTES, REPORT_WORDS, WORDS, Control, Mode
 from mavfi.faults.instruction.table import Site, Table
 
@@ -194,13 +195,14 @@ class Variant:
         self._injected[:] = (0, 0, 0, placed is not None)
         if placed is None:
             return self._run(Mode.INJECT, index, args, TARGET=index, BUDGET=budget)
+        words = {"TARGET": index, "BUDGET": budget, "PLANNED": 1, "HEAP": placed.heap}
         try:
-            result = self._run(
-                Mode.INJECT, index, placed.args, TARGET=index, BUDGET=budget, PLANNED=1, HEAP=placed.heap
-            )
-            return own(result)
+            return own(self._run(Mode.INJECT, index, placed.args, **words))
+        except MemoryError:
+            pass  # of the arena; the machine has enough
         finally:
             placed.take_back()
+        raise AllocationError("an array is too large")
 
     def report(self) -> Report | None:
         """Report of the last injection, here or in a forked child; None if the index was not reached."""

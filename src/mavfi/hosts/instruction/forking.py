@@ -21,6 +21,7 @@ from mavfi.errors import MavfiError
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction import Ended, ForkPoint, MismatchError
 from mavfi.faults.instruction.api import digest
+from mavfi.faults.instruction.arena import arena
 from mavfi.faults.instruction.forked import WALL_CLOCK
 from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
 from mavfi.faults.instruction.variant import Variant, variant_for
@@ -142,7 +143,8 @@ class Forks:
         child = self.child
         assert child is not None  # only children come here
         fault = child.case.fault
-        copies = tuple(copied(argument) for argument in args)
+        placed = arena().place(args)  # with the strides of the originals: a copy may be of another type
+        copies = tuple(copied(argument) for argument in args) if placed is None else placed.args
         golden = digest(_as_tuples((function(*copies), copies)))
         result = variant.inject(fault.index, *fault.masks, fault.budget, *args)
         child.call_same = digest(_as_tuples((result, args))) == golden

@@ -1,6 +1,7 @@
 """Children: every way to end is told apart, and nothing is left behind."""
 
 import ctypes
+import errno
 import os
 import signal
 import time
@@ -8,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from mavfi.errors import MachineError
 from mavfi.faults.instruction import ForkPoint, run_in_child
 from mavfi.faults.instruction.runtime import HANG_EXIT
 
@@ -92,6 +94,30 @@ def test_an_interrupted_parent_ends_its_child():
             run_in_child(lambda: time.sleep(60))
     finally:
         signal.signal(signal.SIGALRM, previous)
+    assert open_files() == before
+    assert no_child_left()
+
+
+def killed_from_outside():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def on_a_full_disk():
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def out_of_memory():
+    raise MemoryError
+
+
+@pytest.mark.parametrize(
+    ("work", "why"),
+    [(killed_from_outside, "killed by SIGKILL"), (on_a_full_disk, "No space left"), (out_of_memory, "out of memory")],
+)
+def test_failures_of_the_machine_are_no_results(work, why):
+    before = open_files()
+    with pytest.raises(MachineError, match=why):
+        run_in_child(work)
     assert open_files() == before
     assert no_child_left()
 
