@@ -5,6 +5,7 @@ import os
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")  # before numpy is loaded: sums keep their order
 os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ["MAVFI_ALLOW_PLUGINS"] = "all"
 os.environ.pop("COLUMNS", None)  # processes of xdist have it: output is as wide as in a file
 
 import pytest

@@ -10,7 +10,7 @@ from mavfi.version import __version__
 
 _PUBLIC = {
     "fly": "mavfi.api", "draw": "mavfi.api", "run": "mavfi.api", "load": "mavfi.api", "table": "mavfi.api",
-    "figure": "mavfi.api",
+    "figure": "mavfi.api", "allow_plugins": "mavfi.plugins",
     "MissionSpec": "mavfi.mission", "Scenario": "mavfi.mission", "MissionStatus": "mavfi.mission",
     "StateFault": "mavfi.faults.fault", "InstructionFault": "mavfi.faults.fault", "MessageFault": "mavfi.faults.fault",
     "RegisterFault": "mavfi.faults.fault", "FaultSite": "mavfi.faults.fault", "Fault": "mavfi.faults.fault",
@@ -50,6 +50,7 @@ if TYPE_CHECKING:
     from mavfi.mission import MissionStatus as MissionStatus
     from mavfi.mission import Scenario as Scenario
     from mavfi.outcomes import Effect as Effect
+    from mavfi.plugins import allow_plugins as allow_plugins
     from mavfi.qof import QoF as QoF
     from mavfi.reports.flight_result import FlightResult as FlightResult
     from mavfi.states import KERNELS as KERNELS

@@ -30,6 +30,7 @@ from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.recovery import Coupling
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, Scenario
+from mavfi.plugins import allow_typed
 from mavfi.reports.flight_result import FlightResult
 
 if TYPE_CHECKING:
@@ -178,12 +179,14 @@ def _fly_fault(
 
 def _spec(mission: MissionSpec | None, options: dict[str, Any]) -> MissionSpec:
     """A mission in which some options are replaced."""
+    allow_typed(options.values())
     return parse_config(MissionSpec, {**({} if mission is None else mission.model_dump()), **options}, "mission")
 
 
 def _watching(
     scenario: Scenario, detector: Detector | str | None, profile: str, models: Path | str | None
 ) -> tuple[Detector | None, str]:
+    allow_typed([detector])
     if not isinstance(detector, str):
         return detector, "" if detector is None else type(detector).__name__
     loaded, model = detector_for(scenario, detector, profile, None if models is None else Path(models))

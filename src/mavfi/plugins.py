@@ -1,13 +1,47 @@
-"""Things by name: shipped ones, entry points of other packages, and `package:object` of a user's own."""
+"""Things by name: shipped ones, entry points of other packages, and `package:object` of a user's own.
+
+Code is run only if the user asked for it: by installing a package with entry points, by typing `package:object` or
+passing it to the Python API, or by allowing all plug-ins.  A name in a file that somebody else wrote does not suffice.
+"""
 
 import importlib
+import os
+import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 from mavfi.errors import BadInputError, MavfiError
+
+_VARIABLE = "MAVFI_ALLOW_PLUGINS"
+"""Allowed names, separated by spaces; a variable, for the processes that a command starts."""
+_ALL = "all"
+_ADDRESS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+
+
+def allow_plugins() -> None:
+    """Run code and programs that files (configurations, ledgers) name, here and in processes started from here."""
+    _allow([_ALL])
+
+
+def allow_typed(words: Iterable[object]) -> None:
+    """Allow the plug-ins among the words of a command or the arguments of a call: who types them wants them."""
+    _allow(word for word in words if isinstance(word, str) and _ADDRESS.fullmatch(word))
+
+
+def _allow(names: Iterable[str]) -> None:
+    os.environ[_VARIABLE] = " ".join(dict.fromkeys([*os.environ.get(_VARIABLE, "").split(), *names]))
+
+
+def require_allowed(what: str, name: str) -> None:
+    """Raise a `BadInputError` if code or a program was neither typed nor allowed."""
+    if not {_ALL, name} & set(os.environ.get(_VARIABLE, "").split()):
+        raise BadInputError(
+            f"{what} {name!r}: named in a file, and so not run; allowed: entry points of installed packages, or any "
+            "with --allow-plugins"
+        )
 
 
 def known(group: str, shipped: Mapping[str, str]) -> dict[str, str]:
@@ -25,7 +59,8 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
         shipped: As of `known`.
 
     Raises:
-        BadInputError: The name is not known, or what it names cannot be imported or called; the message says why.
+        BadInputError: The name is not known or not allowed (`allow_plugins`), or what it names cannot be imported or
+            called; the message says why.
     """
     # entry points cannot take these names, and to look for them takes milliseconds
     place = shipped.get(name, name if ":" in name else "")
@@ -35,9 +70,11 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
     if not place:
         raise BadInputError(f"{what} {name!r}: not known; allowed: {', '.join(sorted(names))}, or package:object")
     module, _, attribute = place.partition(":")
-    # A console script does not look into the working directory, where a user's own module usually is.
-    if str(Path.cwd()) not in sys.path:
-        sys.path.append(str(Path.cwd()))
+    if place == name:
+        require_allowed(what, name)
+        # A console script does not look into the working directory, where a user's own module usually is.
+        if str(Path.cwd()) not in sys.path:
+            sys.path.append(str(Path.cwd()))
     try:
         found = getattr(importlib.import_module(module), attribute)
     except MavfiError:

@@ -25,6 +25,7 @@ def folder(tmp_path, monkeypatch):
     for name, content in BLOCK.findall(page()):
         (tmp_path / name).write_text(content, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("MAVFI_ALLOW_PLUGINS")
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry] + [str(tmp_path)])
     before = set(sys.modules)
     yield tmp_path
@@ -80,6 +81,16 @@ def test_what_does_not_fit_is_one_line(folder, capsys, arguments, message):
     assert run(["fly", "--environment", "sparse", "--seed", "7", *arguments]) == 2
     told = capsys.readouterr().err
     assert message in told and told.count("\n") == 1
+
+
+def test_code_that_only_a_file_names_is_not_run(folder, capsys):
+    (folder / "my_world.py").write_text("raise SystemExit('it was run')\n", encoding="utf-8")
+    assert run(["fly", "--environment", "pillars.yaml", "--seed", "1"]) == 2
+    told = capsys.readouterr().err
+    assert told == (
+        "mavfi: generator 'my_world:pillars': named in a file, and so not run; allowed: entry points of installed "
+        "packages, or any with --allow-plugins\n"
+    )
 
 
 def test_a_model_that_is_absent_is_one_line(folder, capsys):

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from mavfi import cli
 from mavfi.errors import BadInputError
-from mavfi.plugins import build, known, load_object
+from mavfi.plugins import allow_plugins, allow_typed, build, known, load_object
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = {"here": "mavfi.errors:MavfiError"}
@@ -53,6 +54,57 @@ def test_a_constructor_that_raises_and_a_missing_method_are_named():
     with pytest.raises(BadInputError, match="lacks search"):
         build("thing", "x", dict, needs=("keys", "search"))
     assert build("thing", "x", dict, needs=("keys",), a=1) == {"a": 1}
+
+
+@pytest.fixture
+def strangers_files(monkeypatch):
+    monkeypatch.delenv("MAVFI_ALLOW_PLUGINS")
+
+
+@pytest.mark.usefixtures("strangers_files")
+def test_code_that_is_only_named_in_a_file_is_neither_imported_nor_run(tmp_path, monkeypatch):
+    (tmp_path / "evil_plugin.py").write_text("import pathlib\npathlib.Path('was_run').touch()\nX = dict\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    for name in ("evil_plugin:X", "pydoc:pipepager", "builtins:dict"):
+        with pytest.raises(BadInputError, match="named in a file, and so not run; allowed: .*--allow-plugins"):
+            load(name)
+    assert not (tmp_path / "was_run").exists() and str(tmp_path) not in sys.path
+    allow_typed(["fly", "--planner", "evil_plugin:X", None, "state:planning.waypoint.x:bit=62@20"])
+    assert load("evil_plugin:X") is dict and (tmp_path / "was_run").exists()
+    with pytest.raises(BadInputError):
+        load("builtins:dict")
+    allow_plugins()
+    assert load("builtins:dict") is dict
+    assert load("here").__name__ == "MavfiError", "shipped ones need nothing"
+
+
+@pytest.mark.usefixtures("strangers_files")
+@pytest.mark.parametrize(
+    ("text", "arguments"),
+    [
+        ("name: gates\ngenerator: pydoc:pipepager\n", ["fly", "--environment", "FILE"]),
+        ("name: pydoc:pipepager\n", ["fly", "--planner", "FILE"]),
+        (
+            "name: c\nenvironments: [sparse]\nmissions: 1\nmission: {map: 'pydoc:pipepager'}\n",
+            ["campaign", "run", "FILE", "--out", "OUT"],
+        ),
+        (
+            "name: c\nenvironments: [sparse]\nmissions: 1\nhost: 'pydoc:pipepager'\n",
+            ["campaign", "run", "FILE", "--out", "OUT"],
+        ),
+        (
+            "name: c\nenvironments: [sparse]\nmissions: 1\narms: {own: {detector: 'pydoc:pipepager'}}\n",
+            ["campaign", "run", "FILE", "--out", "OUT"],
+        ),
+    ],
+)
+def test_a_strangers_file_is_refused_in_one_line(text, arguments, tmp_path, capsys):
+    (tmp_path / "file.yaml").write_text(text, encoding="utf-8")
+    places = {"FILE": str(tmp_path / "file.yaml"), "OUT": str(tmp_path / "out")}
+    assert cli.run([places.get(word, word) for word in arguments]) == 2
+    told = capsys.readouterr().err
+    assert "'pydoc:pipepager': named in a file, and so not run" in told and told.count("\n") == 1
 
 
 @pytest.mark.slow

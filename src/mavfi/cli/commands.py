@@ -23,7 +23,9 @@ from mavfi.cli import (
 from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
 from mavfi.errors import BadInputError, MavfiError
+from mavfi.plugins import allow_plugins, allow_typed
 
+_ALLOW_PLUGINS = "--allow-plugins"
 EXIT_DONE, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
 
 app = typer.Typer(
@@ -55,6 +57,7 @@ def _mavfi(
     version: Annotated[
         bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Print the version.")
     ] = False,
+    allow_plugins: Annotated[bool, typer.Option(_ALLOW_PLUGINS, help="Run code and programs that files name.")] = False,
 ) -> None:
     pass
 
@@ -64,6 +67,10 @@ def run(arguments: Sequence[str]) -> int:
 
     Bad input and our own known failures are one line on stderr; an unknown failure is raised.
     """
+    if _ALLOW_PLUGINS in arguments:
+        allow_plugins()
+        arguments = [word for word in arguments if word != _ALLOW_PLUGINS]
+    allow_typed(word.rpartition("=")[2] for word in arguments)
     command = typer.main.get_command(app)
     try:
         code = command.main(args=list(arguments) or ["--help"], prog_name="mavfi", standalone_mode=False)

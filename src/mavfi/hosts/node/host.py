@@ -21,6 +21,7 @@ from mavfi.hosts.ros1 import finder
 from mavfi.hosts.ros1.supervisor import private_network
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import DUE, Effect
+from mavfi.plugins import require_allowed
 
 _DIED = tuple(effect.label for effect in DUE)
 
@@ -44,10 +45,12 @@ class NodeHost:
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "NodeMission":
         """The trials of a mission; there is one arm, and nothing to fast-forward."""
+        require_allowed("key 'node.command'", self._node.command[0])
         return NodeMission(self._node)
 
     def check(self) -> None:
         """See `Host.check`; includes golden trials, see `golden_trial`."""
+        require_allowed("key 'node.command'", self._node.command[0])
         finder.require()
         private_network()
         golden_trial(self._node)
