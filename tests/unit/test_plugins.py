@@ -63,7 +63,9 @@ def strangers_files(monkeypatch):
 
 @pytest.mark.usefixtures("strangers_files")
 def test_code_that_is_only_named_in_a_file_is_neither_imported_nor_run(tmp_path, monkeypatch):
-    (tmp_path / "evil_plugin.py").write_text("import pathlib\npathlib.Path('was_run').touch()\nX = dict\n", encoding="utf-8")
+    (tmp_path / "evil_plugin.py").write_text(
+        "import pathlib\npathlib.Path('was_run').touch()\nX = dict\n", encoding="utf-8"
+    )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     for name in ("evil_plugin:X", "pydoc:pipepager", "builtins:dict"):
