@@ -1,6 +1,7 @@
 """The ledger of a campaign: one SQLite file, one row per run, written by one process.
 
 Every row has a checksum, and every mission a checksum over its planned runs; a ledger with a mismatch is refused.
+Every process that writes has a number (generation); an older one that lives on, with its lock gone, can write no more.
 """
 
 import fcntl
@@ -15,7 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from mavfi.campaign.plan import RunSpec
-from mavfi.errors import BadInputError, MachineError
+from mavfi.errors import BadInputError, MachineError, MavfiError
 from mavfi.flight_record import End, FlightRecord
 
 SCHEMA = 3
@@ -39,6 +40,7 @@ CREATE TABLE runs (
 CREATE TABLE missions (environment TEXT, seed INTEGER, checksum TEXT NOT NULL, PRIMARY KEY (environment, seed));
 """
 _CANDIDATES = 5
+_GENERATION = "generation"
 _MACHINE_CODES = (
     sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_NOMEM,
 )  # fmt: skip
@@ -64,6 +66,7 @@ class Store:
         self._connection = connection
         self._lock = lock
         self._has_log = False
+        self._generation = 0
 
     def __enter__(self) -> "Store":
         return self
@@ -109,6 +112,7 @@ class Store:
             store._connection.execute("PRAGMA journal_mode = WAL")
             store._has_log = True
             store._connection.execute("PRAGMA synchronous = NORMAL")
+            store._take_over()
         except BaseException:
             store.close()
             raise
@@ -187,11 +191,27 @@ class Store:
                 return f"mission {environment}-{seed}: runs are missing or were added"
         return ""
 
+    def _take_over(self) -> None:
+        """Become the one that writes."""
+        with self._connection:
+            self._connection.execute("BEGIN IMMEDIATE")
+            self._generation = (self.meta(_GENERATION) or 0) + 1
+            row = _GENERATION, canonical(self._generation)
+            self._connection.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", (*row, checksum_of(*row)))
+
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """A transaction; failures of disk and memory are a `MachineError`."""
+        """A transaction; failures of disk and memory are a `MachineError`.
+
+        Raises:
+            MavfiError: Another process has taken the ledger over.
+        """
         try:
             with self._connection:
+                if not self._connection.in_transaction:  # a new ledger's tables and identity are one
+                    self._connection.execute("BEGIN IMMEDIATE")
+                if self._generation and self.meta(_GENERATION) != self._generation:
+                    raise MavfiError(f"{self.directory}: another process has taken over this campaign")
                 yield
         except sqlite3.OperationalError as error:
             if error.sqlite_errorcode & 0xFF not in _MACHINE_CODES:

@@ -1,6 +1,7 @@
 """The ledger: what is in it is there to stay, and its digest says what is in it."""
 
 import os
+import random
 import re
 import sqlite3
 import subprocess
@@ -12,7 +13,7 @@ import pytest
 
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.store import FILE, Store
-from mavfi.errors import BadInputError, MachineError
+from mavfi.errors import BadInputError, MachineError, MavfiError
 from mavfi.flight_record import End, FlightRecord
 
 IDENTITY = {"campaign": {"name": "c", "missions": 3}, "models": {}}
@@ -130,6 +131,35 @@ def test_a_second_writer_is_refused(tmp_path):
         )
         done = subprocess.run([sys.executable, "-c", code, tmp_path], capture_output=True, text=True, check=False)
     assert "another process is writing" in done.stderr
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_of_two_writers_only_the_younger_commits(tmp_path, seed):
+    """The lock is gone (removed, or on a file system without locks), and the first writer goes on after a pause."""
+    draw = random.Random(seed)
+    older = Store.create(tmp_path, IDENTITY)
+    older.plan(SPECS)
+    before = draw.randrange(len(SPECS))
+    for spec in SPECS[:before]:
+        write(older, spec, digest="older")
+    (tmp_path / "campaign.lock").unlink()
+    with Store.create(tmp_path, IDENTITY) as younger:
+        left = SPECS[before:]
+        while left:
+            writer = draw.choice((older, younger))
+            if writer is younger:
+                write(younger, left.pop(0), digest="younger")
+                continue
+            with pytest.raises(MavfiError, match="another process has taken over this campaign"):
+                draw.choice((
+                    lambda: write(older, left[0], digest="older"), lambda: older.plan([INJECTED]),
+                    lambda: older.end_plan(("sparse", 1)), lambda: older.write_meta({"missions": 9}),
+                ))()  # fmt: skip
+        told = [run.record.digest for run in younger.runs()]
+    assert told == ["older"] * before + ["younger"] * (len(SPECS) - before)
+    older.close()
+    with Store.open(tmp_path) as store:
+        assert store.meta("missions") is None and store.planned() == set()
 
 
 def test_directories_that_cannot_be_written_are_bad_input(tmp_path):
