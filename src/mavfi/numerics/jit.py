@@ -131,14 +131,14 @@ class Kernel(CPUDispatcher):
     """
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Template of a call: literals are numbers, signed integers have 64 bits."""
+        """Template of a call: literals are numbers, integers that fit into 64 bits with a sign have those."""
         named = {name: _wide(type_) for name, type_ in kws.items()}
         return super().get_call_template(tuple(map(_wide, args)), named)
 
 
 def _wide(type_: Any) -> Any:
     plain: Any = types.unliteral(type_)  # type: ignore[no-untyped-call]
-    return types.int64 if plain in types.signed_domain else plain
+    return types.int64 if plain in types.integer_domain - {types.uint64} else plain
 
 
 def kernel_jit(function: F) -> F:
