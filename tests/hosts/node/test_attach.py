@@ -246,7 +246,7 @@ def test_a_detector_trained_from_a_recorded_bag_raises_an_alarm_for_the_changed_
     record_bag(bag, 2)
     injecting = inject_when(lambda: "/mavfi/alarm" in arm.master.graph().publishers)
     found = run_json(
-        capsys, "ros", "watch", "--topics", "/joint_states,/tf", "--train", str(bag), "--duration", "3"
+        capsys, "ros", "watch", "--topics", "/joint_states,/tf", "--train", str(bag), "--duration", "8"
     )  # fmt: skip
     injecting.join()
     assert found["learned_from"] > 100 and min(found["judged"].values()) > 100
