@@ -4,6 +4,7 @@ Success, quality of flight and effects are computed from records (`mavfi.qof`, `
 so a changed definition needs no new flight.
 """
 
+import json
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -194,6 +195,11 @@ def _motion(log: FlightLog) -> tuple[float, float, EnergyTerms]:
     )  # fmt: skip
     distance = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
     return float(time[-1] - time[0]), distance, EnergyTerms(*(float((term * interval).sum()) for term in terms))
+
+
+def canonical(data: Any) -> str:
+    """The one JSON text of plain data."""
+    return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 def plain(value: Any) -> Any:

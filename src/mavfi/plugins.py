@@ -26,18 +26,28 @@ def allow_plugins() -> None:
     _allow([_ALL])
 
 
+def allowed_names() -> list[str]:
+    """What was allowed here, for processes on other machines that work for this one."""
+    return os.environ.get(_VARIABLE, "").split()
+
+
+def allow_names(names: Iterable[str]) -> None:
+    """Allow what was allowed in the process that this one works for."""
+    _allow(names)
+
+
 def allow_typed(words: Iterable[object]) -> None:
     """Allow the plug-ins among the words of a command or the arguments of a call: who types them wants them."""
     _allow(word for word in words if isinstance(word, str) and _ADDRESS.fullmatch(word))
 
 
 def _allow(names: Iterable[str]) -> None:
-    os.environ[_VARIABLE] = " ".join(dict.fromkeys([*os.environ.get(_VARIABLE, "").split(), *names]))
+    os.environ[_VARIABLE] = " ".join(dict.fromkeys([*allowed_names(), *names]))
 
 
 def require_allowed(what: str, name: str) -> None:
     """Raise a `BadInputError` if code or a program was neither typed nor allowed."""
-    if not {_ALL, name} & set(os.environ.get(_VARIABLE, "").split()):
+    if not {_ALL, name} & set(allowed_names()):
         raise BadInputError(
             f"{what} {name!r}: named in a file, and so not run; allowed: entry points of installed packages, or any "
             "with --allow-plugins"

@@ -1,6 +1,7 @@
 """The lock file pins what pyproject.toml asks for, and says nothing about the machine on which it was made."""
 
 import re
+import subprocess
 import sys
 import tomllib
 from importlib.metadata import packages_distributions
@@ -39,9 +40,17 @@ def test_the_version_is_in_the_changelog_and_the_citation():
 
 
 def test_whatever_is_imported_is_asked_for():
-    asked = {canonicalize_name(Requirement(wanted).name) for wanted in PROJECT["dependencies"]}
+    wanted_for_all = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["cluster"]]
+    asked = {canonicalize_name(Requirement(wanted).name) for wanted in wanted_for_all}
     imported = {name.split(".")[0] for tree in modules().values() for name in imports(tree)}
     homes = packages_distributions()
     of_ros = finder.ALLOWED | set(finder.GENERATED)  # Debian's, wanted by one package alone: see test_code.py
     foreign = imported - set(sys.stdlib_module_names) - {"mavfi"} - (of_ros - {"yaml"})
     assert {name for name in foreign if not {canonicalize_name(home) for home in homes[name]} & asked} == set()
+
+
+def test_only_the_dask_executor_needs_the_extra_and_only_when_it_is_used():
+    needing = {name for name, tree in modules().items() if any("distributed" in found for found in imports(tree))}
+    assert needing == {"campaign/executors/dask.py"}
+    code = "import sys, mavfi.cli, mavfi.campaign.executors.dask; print('distributed' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "False\n"

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from mavfi.campaign.config import load_campaign
-from mavfi.campaign.mission import Flown, MissionPlan, fly_mission, scenarios_of
-from mavfi.campaign.plan import arms_of
+from mavfi.campaign.mission import MissionPlan, fly_mission, scenarios_of
+from mavfi.campaign.plan import Flown, arms_of
 from mavfi.campaign.run import model_hashes
-from mavfi.campaign.store import canonical
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
-from mavfi.flight_record import End
+from mavfi.flight_record import End, canonical
 from mavfi.hosts.host import ArmSetup
 from mavfi.hosts.local import fast_forward, fly
 from mavfi.hosts.local.fast_forward import FastForward

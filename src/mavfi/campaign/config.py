@@ -222,6 +222,11 @@ class Campaign(Config):
         return range(self.first_seed, self.first_seed + self.missions)
 
     @property
+    def total_missions(self) -> int:
+        """Number of missions in all environments."""
+        return len(self.environments) * self.missions
+
+    @property
     def nulls(self) -> int:
         """Null runs per environment."""
         return self.sampling.null_runs if self.null_runs is None else self.null_runs

@@ -13,9 +13,9 @@ from functools import partial
 from pathlib import Path
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.plan import Arm, Plan, RunSpec, arms_of
+from mavfi.campaign.plan import Arm, Flown, Plan, Planned, RunSpec, arms_of
 from mavfi.campaign.samplers import sampler_for
-from mavfi.campaign.samplers.sampler import NULL, Sampled
+from mavfi.campaign.samplers.sampler import NULL, Sampled, Sampler
 from mavfi.detectors.detector import Detector
 from mavfi.errors import MachineError, SpecMismatchError, machine_failure
 from mavfi.faults.instruction.forked import WALL_CLOCK, run_in_child
@@ -39,6 +39,7 @@ class MissionPlan:
     seed: int
     models_dir: Path | None = None  # of trained models; None = the shipped ones
     models: Mapping[str, str] = field(default_factory=dict)  # sha256 of the trained model by arm; others are refused
+    scenarios: Mapping[str, str] = field(default_factory=dict)  # their keys by arm; others are refused
     fast_forward: bool = True  # begin flights at checkpoints of known ones; the records are the same either way
     done: frozenset[str] = frozenset()  # ids of the runs in the ledger
     alone: bool = False  # each run with a fault in a child of its own: a worker has died of this mission
@@ -47,24 +48,6 @@ class MissionPlan:
     def world(self) -> tuple[str, int]:
         """Environment and seed."""
         return self.environment, self.seed
-
-
-@dataclass(frozen=True, slots=True)
-class Planned:
-    """Runs of a mission that are about to be flown; `last` says that no more will be planned."""
-
-    specs: tuple[RunSpec, ...]
-    last: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Flown:
-    """A run that is over: its note is the traceback of an exception of ours; its wall time is no part of the record."""
-
-    run_id: str
-    record: FlightRecord
-    note: str = ""
-    wall_s: float = field(default=0.0, compare=False)
 
 
 def host_of(campaign: Campaign) -> Host:
@@ -91,7 +74,19 @@ def scenarios_of(
 def plan_of(campaign: Campaign, models: Mapping[str, str], scenarios: Mapping[tuple[str, str], Scenario]) -> Plan:
     """The plan of a campaign."""
     keys = {place: scenario.key() for place, scenario in scenarios.items()}
-    return Plan(campaign, sampler_for(campaign), arms_of(campaign), keys, models)
+    return Plan(campaign, _sampler_of(campaign), arms_of(campaign), keys, models)
+
+
+_SAMPLERS: dict[str, Sampler] = {}
+
+
+def _sampler_of(campaign: Campaign) -> Sampler:
+    """The sampler of the present campaign; it is kept, since it knows the strata of all missions."""
+    key = campaign.model_dump_json()
+    if key not in _SAMPLERS:
+        _SAMPLERS.clear()
+        _SAMPLERS[key] = sampler_for(campaign)
+    return _SAMPLERS[key]
 
 
 def setup_of(plan: MissionPlan, arm: Arm, host: Host) -> ArmSetup:
@@ -143,20 +138,30 @@ def _fly(mission: MissionPlan) -> Iterator[Planned | Flown]:
     campaign = mission.campaign
     scenarios = scenarios_of(campaign, arms_of(campaign), [mission.environment])
     plan = plan_of(campaign, mission.models, scenarios)
+    _check_scenarios(mission, plan)
     host = host_of(campaign)
     setups = {arm.name: setup_of(mission, arm, host) for arm in plan.arms}
     flights = host.mission(setups, fast_forward=mission.fast_forward)
     golden = plan.golden(*mission.world)
-    yield Planned(tuple(golden), last=False)
+    yield Planned.of(golden, last=False)
     sampled: dict[str, Sampled] = {}
     for spec in golden:
         flown = _golden(plan, spec, flights, setups[spec.arm], sampled)
         if spec.run_id not in mission.done:
             yield flown
     runs = _draw(plan, mission, sampled)
-    yield Planned(tuple(runs), last=True)
+    yield Planned.of(runs, last=True)
     left = [spec for spec in runs if spec.run_id not in mission.done]
     yield from (_alone(left, flights) if mission.alone else _injected(left, flights))
+
+
+def _check_scenarios(mission: MissionPlan, plan: Plan) -> None:
+    """Raise a `SpecMismatchError` where a file here (environment, vehicle) is not the one that was planned with."""
+    for arm, key in mission.scenarios.items():
+        if plan.scenarios[mission.environment, arm] != key:
+            raise SpecMismatchError(
+                f"environment {mission.environment}, arm {arm or 'golden'}: other files than planned with"
+            )
 
 
 def _golden(plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup, sampled: dict[str, Sampled]) -> Flown:
@@ -202,7 +207,7 @@ def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flo
         _check_recordable(error, specs[0].run_id)
         note = traceback.format_exc()
     for spec in left.values():
-        yield Flown(spec.run_id, FlightRecord(End.UNKNOWN, error="no flight"), note)
+        yield Flown.of(spec.run_id, FlightRecord(End.UNKNOWN, error="no flight"), note)
 
 
 def _alone(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]:
@@ -221,7 +226,7 @@ def _alone(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]
             late |= ended.detail == WALL_CLOCK
         else:
             end, error = (End.UNKNOWN, "took too long") if late else (End.DUE, "the process died each time")
-            yield Flown(spec.run_id, FlightRecord(end, error=error), f"{ended.how} {ended.detail}".strip())
+            yield Flown.of(spec.run_id, FlightRecord(end, error=error), f"{ended.how} {ended.detail}".strip())
 
 
 def _pickled(spec: RunSpec, flights: MissionFlights) -> bytes:
@@ -248,8 +253,8 @@ def _guarded(run_id: str, work: Callable[[], FlightRecord]) -> Flown:
     """Record a run, an exception of ours as `unknown`; where a model is not the planned one, no run can be flown."""
     started = time.perf_counter()
     try:
-        return Flown(run_id, work(), wall_s=time.perf_counter() - started)
+        return Flown.of(run_id, work(), wall_s=time.perf_counter() - started)
     except Exception as error:  # recorded as `unknown`, which reports count and show
         _check_recordable(error, run_id)
         record = FlightRecord(End.UNKNOWN, error=type(error).__name__)
-        return Flown(run_id, record, traceback.format_exc(), time.perf_counter() - started)
+        return Flown.of(run_id, record, traceback.format_exc(), time.perf_counter() - started)

@@ -8,17 +8,31 @@ Fault i of a target is injected in the same mission, at the same site, in `fi` a
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.samplers import sampler_for
-from mavfi.campaign.samplers.sampler import NULL, Draw, Sampler
+from mavfi.campaign.samplers.sampler import NULL, Draw, Sampler, draws_of
 from mavfi.faults.fault import Fault, fault_from_json
+from mavfi.flight_record import FlightRecord, canonical
+from mavfi.mission import MissionStatus
 
 GOLDEN, FI, RECOVERY = "golden", "fi", "dr"
 Kind = Literal["golden", "injected", "null"]
+
+
+class Row(NamedTuple):
+    """A planned run as the ledger has it; workers make it, since that takes longer than to store it."""
+
+    run_id: str
+    position: int
+    kind: str
+    setting: str
+    environment: str
+    seed: int
+    text: str  # of the `RunSpec`
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +72,11 @@ class RunSpec:
         data = {f.name: getattr(self, f.name) for f in fields(self)}
         return data | {"fault": None if self.fault is None else self.fault.to_json()}
 
+    def row(self) -> Row:
+        """The run as the ledger has it."""
+        text = canonical(self.to_json())
+        return Row(self.run_id, self.position, self.kind, self.setting, self.environment, self.seed, text)
+
     @staticmethod
     def from_json(data: dict[str, Any]) -> "RunSpec":
         """Inverse of `to_json`."""
@@ -74,6 +93,46 @@ class Arm:
     detector: str = ""  # "" = none
     profile: str = ""
     is_variant: bool = False  # needed by the sampling scheme, and flown only with the faults that are drawn in it
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """Runs of a mission that are about to be flown; `last` says that no more will be planned."""
+
+    rows: tuple[Row, ...]
+    last: bool
+
+    @staticmethod
+    def of(specs: Iterable[RunSpec], *, last: bool) -> "Planned":
+        """The same of runs."""
+        return Planned(tuple(spec.row() for spec in specs), last)
+
+    @property
+    def specs(self) -> list[RunSpec]:
+        """The runs."""
+        return [RunSpec.from_json(json.loads(row.text)) for row in self.rows]
+
+
+@dataclass(frozen=True, slots=True)
+class Flown:
+    """A run that is over: its note is the traceback of an exception of ours; its wall time is no part of the record."""
+
+    run_id: str
+    text: str  # of the record, as in the ledger: made by workers, since it takes longer than all that the ledger does
+    success: bool
+    note: str = ""
+    wall_s: float = field(default=0.0, compare=False)
+
+    @staticmethod
+    def of(run_id: str, record: FlightRecord, note: str = "", wall_s: float = 0.0) -> "Flown":
+        """A run with a record."""
+        success = record.status == MissionStatus.SUCCESS.label
+        return Flown(run_id, canonical(record.to_json()), success, note, wall_s)
+
+    @property
+    def record(self) -> FlightRecord:
+        """What is known of the flight."""
+        return FlightRecord.from_json(json.loads(self.text))
 
 
 def _with_arm(setting: str, arm: str) -> str:
@@ -108,15 +167,13 @@ class Plan:
     def places(self, environment: str, seed: int) -> Iterator[tuple[int, Draw]]:
         """The draws of a mission, each with the place of its first run among the runs with faults."""
         campaign, each = self.campaign, 1 + len(self.watching)
-        draws = self.sampler.draws(environment)
-        before = campaign.environments.index(environment) * (len(draws) * each + campaign.nulls)
-        for number, draw in enumerate(draws):
-            if draw.seed == seed:
-                yield before + number * each, draw
-        for index in range(campaign.nulls):
-            own = campaign.first_seed + index % campaign.missions
-            if own == seed:
-                yield before + len(draws) * each + index, Draw(NULL, index, own)
+        blocks, mission = self.sampler.blocks(environment), seed - campaign.first_seed
+        draws = sum(block.count for block in blocks)
+        before = campaign.environments.index(environment) * (draws * each + campaign.nulls)
+        for place, draw in draws_of(blocks, range(mission, mission + 1), campaign.missions):
+            yield before + place * each, draw
+        for index in range(mission, campaign.nulls, campaign.missions):
+            yield before + draws * each + index, Draw(NULL, index, seed)
 
     def injected(self, environment: str, draw: Draw, place: int, fault: Fault) -> list[RunSpec]:
         """The runs of one fault: in its variant and again in every arm; a null run in one arm, each in turn."""
@@ -137,11 +194,21 @@ class Plan:
             for number, (arm, setting) in enumerate(settings)
         ]  # fmt: skip
 
-    def count(self) -> int:
-        """How many runs the campaign has at most; faults that cannot be drawn have none."""
-        campaign = self.campaign
-        draws = sum(len(self.sampler.draws(environment)) for environment in campaign.environments)
-        return self._golden_count + draws * (1 + len(self.watching)) + len(campaign.environments) * campaign.nulls
+    def count(self, shard: int = 1, shards: int = 1) -> int:
+        """How many runs the campaign, or a shard, has at most; faults that cannot be drawn have none."""
+        campaign, arms, each = self.campaign, len(self.arms), 1 + len(self.watching)
+        total = 0
+        for place, name in enumerate(campaign.environments):
+            first = (shard - 1 - place * campaign.missions) % shards
+            own = len(range(first, campaign.missions, shards))
+            counts = [block.count for block in self.sampler.blocks(name)]
+            drawn = sum(_of_shard(count, campaign.missions, first, shards) for count in counts)
+            total += own * arms + drawn * each + _of_shard(campaign.nulls, campaign.missions, first, shards)
+        return total
+
+    def keys(self, environment: str) -> dict[str, str]:
+        """Keys of the scenarios of an environment, by arm."""
+        return {arm.name: self.scenarios[environment, arm.name] for arm in self.arms}
 
     @property
     def _golden_count(self) -> int:
@@ -152,6 +219,12 @@ class Plan:
             kind, setting, environment, seed, self.scenarios[environment, arm.name], arm.name, arm.detector,
             arm.profile, self.models.get(arm.name, ""), **more,
         )  # fmt: skip
+
+
+def _of_shard(count: int, missions: int, first: int, step: int) -> int:
+    """How many of the numbers below `count`, each that of mission number % missions, belong to a shard's missions."""
+    whole, rest = divmod(count, missions)
+    return whole * len(range(first, missions, step)) + len(range(first, rest, step))
 
 
 def arms_of(campaign: Campaign) -> tuple[Arm, ...]:

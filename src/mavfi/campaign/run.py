@@ -3,36 +3,29 @@
 A worker that dies loses one mission, which is flown again with each run with a fault in a child of its own.
 """
 
+import itertools
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.mission import (
-    Flown,
-    MissionPlan,
-    Planned,
-    fly_mission,
-    host_of,
-    plan_of,
-    scenarios_of,
-)
-from mavfi.campaign.plan import Plan, arms_of
+from mavfi.campaign.fingerprint import versions
+from mavfi.campaign.mission import MissionPlan, fly_mission, host_of, plan_of, scenarios_of
+from mavfi.campaign.plan import Flown, Plan, Planned, arms_of
 from mavfi.campaign.store import Store
+from mavfi.campaign.warm_up import fly_mission_anywhere, warm_up
 from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import require_level
 from mavfi.hosts.watching import detector_for
-from mavfi.mission import MissionStatus, Scenario
-from mavfi.version import __version__
+from mavfi.mission import Scenario
 
-_PACKAGES = ("numpy", "numba", "llvmlite", "mujoco-core", "scikit-learn")
+SHARD = "shard"
 ATTEMPTS = 3  # how often a mission that takes its worker with it, golden runs included, is begun
 PAUSE_S = 1.0  # between retries after a machine failure
 
@@ -46,6 +39,7 @@ class Status:
     settings: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
     """By setting: runs planned so far, done, done with success."""
     unknown: int = 0  # done runs with status unknown
+    shard: str = ""  # "i/n" = the ledger holds that shard only
 
     @property
     def complete(self) -> bool:
@@ -80,26 +74,28 @@ class _Session:
     store: Store
     models_dir: Path | None
     fast_forward: bool
+    shard: tuple[int, int]
     report: Callable[[Progress], None]
+    total: int  # runs
     started: float = 0.0
     flown: int = 0
     counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)
 
-    def missions(self) -> list[MissionPlan]:
-        """What is left to fly."""
-        campaign, done, complete = self.plan.campaign, self.store.done(), self.store.complete_missions()
-        worlds = [(environment, seed) for environment in campaign.environments for seed in campaign.seeds]
-        return [
-            MissionPlan(
-                campaign, *world, self.models_dir, self.plan.models, self.fast_forward, done.get(world, frozenset())
-            )
-            for world in worlds
-            if world not in complete
-        ]
+    def missions(self) -> Iterator[MissionPlan]:
+        """What is left to fly of the shard."""
+        campaign, (shard, shards) = self.plan.campaign, self.shard
+        worlds = itertools.product(campaign.environments, campaign.seeds)
+        for world in itertools.islice(worlds, shard - 1, None, shards):
+            if not self.store.is_complete(world):
+                yield MissionPlan(
+                    campaign, *world, self.models_dir, self.plan.models, self.plan.keys(world[0]), self.fast_forward,
+                    self.store.done(world),
+                )  # fmt: skip
 
-    def fly(self, executor: Executor, missions: list[MissionPlan]) -> None:
-        """Fly missions; each item is in the ledger before the next one is taken."""
+    def fly(self, executor: Executor) -> None:
+        """Fly what is left; items are in the ledger before the next ones are taken."""
         self.tell()
+        missions: Iterable[MissionPlan] = self.missions()
         for attempt in range(1 + ATTEMPTS):
             try:
                 lost = {mission.world: (mission, end) for mission, end in self._fly_once(executor, missions)}
@@ -109,38 +105,40 @@ class _Session:
                 time.sleep(PAUSE_S)
                 missions = self.missions()
                 continue
-            done = self.store.done()
-            missions = [replace(m, done=done.get(m.world, frozenset()), alone=True) for m, _ in lost.values()]
+            missions = [replace(m, done=self.store.done(m.world), alone=True) for m, _ in lost.values()]
             if not missions:
                 return
         for mission in missions:
             self._give_up(mission, lost[mission.world][1])
 
-    def _fly_once(self, executor: Executor, missions: list[MissionPlan]) -> Iterator[tuple[MissionPlan, Lost]]:
-        with closing(executor.map(fly_mission, missions)) as items:
-            for mission, item in items:
-                match item:
-                    case Lost():
-                        yield mission, item
-                    case Planned():
-                        self._plan(mission, item)
-                    case Flown():
-                        self._write(item)
+    def _fly_once(
+        self, executor: Executor, missions: Iterable[MissionPlan]
+    ) -> Iterator[tuple[MissionPlan, Lost]]:  # fmt: skip
+        function = fly_mission if executor.forks else fly_mission_anywhere
+        with closing(executor.map(function, missions)) as batches:
+            for mission, items in batches:
+                for planned in items:
+                    if isinstance(planned, Planned):
+                        self._plan(mission, planned)
+                self._write([item for item in items if isinstance(item, Flown)])
+                yield from ((mission, item) for item in items if isinstance(item, Lost))
 
     def _plan(self, mission: MissionPlan, planned: Planned) -> None:
-        self.store.plan(planned.specs)
+        for row in self.store.plan(planned.rows):
+            self._count(row.setting, 1, 0, 0)
         if planned.last:
             self.store.end_plan(mission.world)
-        self.counts = self.store.counts()
 
-    def _write(self, flown: Flown) -> None:
-        self.store.write(flown.run_id, flown.record, flown.note, flown.wall_s)
-        self.started = self.started or time.perf_counter()
-        self.flown += 1
-        setting = self.store.setting_of(flown.run_id)
-        planned, done, success = self.counts[setting]
-        self.counts[setting] = planned, done + 1, success + (flown.record.status == MissionStatus.SUCCESS.label)
-        self.tell()
+    def _write(self, flown: Sequence[Flown]) -> None:
+        for setting, item in self.store.write(flown) if flown else ():
+            self._count(setting, 0, 1, item.success)
+            self.started = self.started or time.perf_counter()
+            self.flown += 1
+            self.tell()
+
+    def _count(self, setting: str, *more: int) -> None:
+        planned, done, success = map(sum, zip(self.counts.get(setting, (0, 0, 0)), more, strict=True))
+        self.counts[setting] = planned, done, success
 
     def _give_up(self, mission: MissionPlan, lost: Lost) -> None:
         """Record a mission whose golden runs take their process with them each time: nothing is drawn from these.
@@ -152,23 +150,23 @@ class _Session:
         """
         if lost.signal in FROM_OUTSIDE:
             raise MachineError(f"mission {mission.environment}-{mission.seed}: {lost.reason}")
-        self._plan(mission, Planned(tuple(self.plan.golden(*mission.world)), last=True))
+        self._plan(mission, Planned.of(self.plan.golden(*mission.world), last=True))
         for spec in [run.spec for run in self.store.runs(done=False) if run.spec.world == mission.world]:
             end = End.DUE if lost.died and spec.kind == "golden" else End.UNKNOWN
-            self._write(Flown(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason))
+            self._write([Flown.of(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason)])
 
     def tell(self, *, compiling: bool = False) -> None:
         """Report how far it is."""
         done = sum(number for _, number, _ in self.counts.values())
         seconds = time.perf_counter() - self.started if self.started else 0.0
         self.report(
-            Progress(done, self.plan.count(), dict(self.counts), flown=self.flown, seconds=seconds, compiling=compiling)
+            Progress(done, self.total, dict(self.counts), flown=self.flown, seconds=seconds, compiling=compiling)
         )
 
 
 def run_campaign(
     campaign: Campaign, directory: Path, *, executor: Executor | None = None, models_dir: Path | None = None,
-    fast_forward: bool = True, progress: Callable[[Progress], None] | None = None,
+    fast_forward: bool = True, shard: tuple[int, int] = (1, 1), progress: Callable[[Progress], None] | None = None,
 ) -> Status:  # fmt: skip
     """Fly a campaign, or what is left of it; stopping it at any moment loses only the flights in the air.
 
@@ -178,6 +176,7 @@ def run_campaign(
         executor: Runs the missions; None = two local processes.
         models_dir: Folder of trained models; None = the shipped ones.
         fast_forward: Whether runs may begin at checkpoints of their golden run; the ledger is the same either way.
+        shard: (i, n): only every n-th mission, from the i-th on; the shards' ledgers can be merged.
         progress: Called after every run, in this process.
 
     Raises:
@@ -189,29 +188,33 @@ def run_campaign(
     scenarios = scenarios_of(campaign, arms_of(campaign))
     models = model_hashes(campaign, scenarios, models_dir)
     plan = plan_of(campaign, models, scenarios)
+    executor = executor or LocalExecutor(2)
     with Store.create(directory, identity_of(campaign, scenarios, models)) as store:
         _check_versions(store)
+        _check_shard(store, shard)
         store.write_meta({
             "models_dir": None if models_dir is None else str(models_dir.absolute()),
-            "missions": len(campaign.environments) * campaign.missions,
+            "missions": len(range(shard[0] - 1, campaign.total_missions, shard[1])),
         })  # fmt: skip
-        session = _Session(plan, store, models_dir, fast_forward, progress or (lambda _: None))
-        missions = session.missions()
-        session.counts = store.counts()
-        if missions:
+        session = _Session(
+            plan,
+            store,
+            models_dir,
+            fast_forward,
+            shard,
+            progress or (lambda _: None),
+            plan.count(*shard),
+            counts=store.counts(),
+        )
+        first = next(session.missions(), None)
+        if first is not None:
             host.check()
             if host.in_process:
                 session.tell(compiling=True)
-                _warm_up(missions[0])
-        session.fly(executor or LocalExecutor(2), missions)
+            if host.in_process and executor.forks:
+                warm_up(first)
+        session.fly(executor)
         return status(directory)
-
-
-def _warm_up(mission: MissionPlan) -> None:
-    """Fly golden runs and draw faults here, so that workers inherit the compiled code; results are not used."""
-    for item in fly_mission(mission):
-        if isinstance(item, Planned) and item.last:
-            return
 
 
 def identity_of(
@@ -251,8 +254,9 @@ def status(directory: Path) -> Status:
         counts = store.counts()
         done = sum(number for _, number, _ in counts.values())
         total = sum(planned for planned, _, _ in counts.values())
-        total = total if store.complete else plan_of(stored_campaign(store), {}, {}).count()
-        return Status(done, total, counts, store.unknown())
+        shard = tuple(store.meta(SHARD) or (1, 1))
+        total = total if store.complete else plan_of(stored_campaign(store), {}, {}).count(*shard)
+        return Status(done, total, counts, store.unknown(), "" if shard == (1, 1) else "{}/{}".format(*shard))
 
 
 def stored_campaign(store: Store) -> Campaign:
@@ -260,15 +264,14 @@ def stored_campaign(store: Store) -> Campaign:
     return Campaign.model_validate(store.meta("identity")["campaign"])
 
 
-def versions() -> dict[str, str]:
-    """Versions that decide the bits of a flight."""
-    found = {"mavfi": __version__}
-    for package in _PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "absent"
-    return found
+def _check_shard(store: Store, shard: tuple[int, int]) -> None:
+    """Note which missions are this ledger's; one that holds another shard is a BadInputError."""
+    held = tuple(store.meta(SHARD) or ())
+    if not held:
+        store.write_meta({SHARD: shard})
+    elif held != shard:
+        text, wanted = ("shard {}/{}".format(*pair) if pair != (1, 1) else "all missions" for pair in (held, shard))
+        raise BadInputError(f"{store.directory}: holds {text}, not {wanted}; choose another directory")
 
 
 def _check_versions(store: Store) -> None:

@@ -15,9 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
-from mavfi.campaign.plan import RunSpec
+from mavfi.campaign.plan import Flown, Row, RunSpec
 from mavfi.errors import BadInputError, MachineError, MavfiError
-from mavfi.flight_record import End, FlightRecord
+from mavfi.flight_record import End, FlightRecord, canonical
+from mavfi.mission import MissionStatus
 
 SCHEMA = 3
 FILE = "campaign.sqlite"
@@ -39,6 +40,8 @@ CREATE TABLE runs (
 );
 CREATE TABLE missions (environment TEXT, seed INTEGER, checksum TEXT NOT NULL, PRIMARY KEY (environment, seed));
 """
+_INDEX = "CREATE INDEX IF NOT EXISTS runs_by_mission ON runs (environment, seed, position)"
+"""Without it, to look for the runs of a mission is to read all runs."""
 _CANDIDATES = 5
 _GENERATION = "generation"
 _MACHINE_CODES = (
@@ -110,6 +113,7 @@ class Store:
             else:
                 store._check(identity)
             store._connection.execute("PRAGMA journal_mode = WAL")
+            store._connection.execute(_INDEX)
             store._has_log = True
             store._connection.execute("PRAGMA synchronous = NORMAL")
             store._take_over()
@@ -166,7 +170,7 @@ class Store:
         """Refuse a ledger that fails its integrity check."""
         try:
             wrong = self._damage()
-        except (sqlite3.DatabaseError, TypeError) as error:  # TypeError: a value has the wrong type
+        except (sqlite3.DatabaseError, TypeError, UnicodeDecodeError) as error:  # TypeError: a value has the wrong type
             wrong = f"{error}"
         if wrong:
             raise BadInputError(f"{self.directory / FILE}: is damaged: {wrong}")
@@ -230,15 +234,16 @@ class Store:
         with self._writing():
             self._connection.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", rows)
 
-    def plan(self, specs: Iterable[RunSpec]) -> None:
-        """Store runs before they are flown; those that are there already are left as they are."""
-        rows = [
-            (s.run_id, s.position, s.kind, s.setting, s.environment, s.seed, canonical(s.to_json())) for s in specs
-        ]  # fmt: skip
-        checked = [(*row, checksum_of(*row, None, "", None)) for row in rows]
-        marks = "?, ?, ?, ?, ?, ?, ?, ?"
+    def plan(self, rows: Iterable[Row]) -> list[Row]:
+        """Store runs before they are flown; those that are there already are left as they are, the others returned."""
+        query = "SELECT 1 FROM runs WHERE run_id = ?"
         with self._writing():
-            self._connection.executemany(f"INSERT OR IGNORE INTO runs ({PLANNED}, checksum) VALUES ({marks})", checked)
+            new = [row for row in rows if self._connection.execute(query, (row.run_id,)).fetchone() is None]
+            self._connection.executemany(
+                f"INSERT INTO runs ({PLANNED}, checksum) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+                [(*row, checksum_of(*row, None, "", None)) for row in new],
+            )
+        return new
 
     def end_plan(self, world: tuple[str, int]) -> None:
         """Note that all runs of a mission are stored."""
@@ -246,28 +251,43 @@ class Store:
             row = *world, mission_checksum(self._connection, world)
             self._connection.execute("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", row)
 
-    def planned(self) -> set[tuple[str, int]]:
-        """Missions, by environment and seed, of which all runs are stored."""
-        return set(self._connection.execute("SELECT environment, seed FROM missions"))
+    def done(self, world: tuple[str, int]) -> frozenset[str]:
+        """Ids of the runs of a mission, given by environment and seed, that are flown."""
+        query = "SELECT run_id FROM runs WHERE environment = ? AND seed = ? AND record IS NOT NULL"
+        return frozenset(run_id for (run_id,) in self._connection.execute(query, world))
 
-    def done(self) -> dict[tuple[str, int], frozenset[str]]:
-        """Ids of the runs that are flown, by mission."""
-        found: dict[tuple[str, int], set[str]] = {}
-        rows = self._connection.execute("SELECT environment, seed, run_id FROM runs WHERE record IS NOT NULL")
-        for environment, seed, run_id in rows:
-            found.setdefault((environment, seed), set()).add(run_id)
-        return {world: frozenset(ids) for world, ids in found.items()}
+    def is_planned(self, world: tuple[str, int]) -> bool:
+        """Whether every run of a mission is stored."""
+        query = "SELECT 1 FROM missions WHERE environment = ? AND seed = ?"
+        return self._connection.execute(query, world).fetchone() is not None
 
-    def complete_missions(self) -> set[tuple[str, int]]:
-        """Missions of which every run is stored and flown."""
-        open_ones = set(self._connection.execute("SELECT DISTINCT environment, seed FROM runs WHERE record IS NULL"))
-        return self.planned() - open_ones
+    def is_complete(self, world: tuple[str, int]) -> bool:
+        """Whether every run of a mission is stored and flown."""
+        query = "SELECT 1 FROM runs WHERE environment = ? AND seed = ? AND record IS NULL"
+        return self.is_planned(world) and self._connection.execute(query, world).fetchone() is None
 
     def runs(self, *, done: bool | None = None) -> Iterator[Run]:
         """Rows in the order of the plan; `done` selects those that are flown, or those that are not."""
         chosen = {None: "1", True: "record IS NOT NULL", False: "record IS NULL"}[done]
         for row in self._connection.execute(f"SELECT {_RUN} FROM runs WHERE {chosen} ORDER BY position"):
             yield _run(*row)
+
+    def planned(self) -> list[tuple[str, int]]:
+        """Missions, by environment and seed, of which every run is stored."""
+        return self._connection.execute("SELECT environment, seed FROM missions ORDER BY 1, 2").fetchall()
+
+    def rows(self) -> Iterator[tuple[Row, Flown | None]]:
+        """What is stored, as `plan` and `write` take it, in the order of the plan."""
+        query = f"SELECT {PLANNED}, record, note, wall_s, json_extract(record, '$.status') FROM runs ORDER BY position"
+        for *planned, text, note, wall_s, status in self._connection.execute(query):
+            row = Row(*planned)
+            success = status == MissionStatus.SUCCESS.label
+            yield row, None if text is None else Flown(row.run_id, text, success, note, wall_s)
+
+    def record_text(self, run_id: str) -> str | None:
+        """Record of a run as text; None = it is not flown, or not stored."""
+        found = self._connection.execute("SELECT record FROM runs WHERE run_id = ?", (run_id,)).fetchone()
+        return None if found is None else found[0]
 
     def run(self, run_id: str) -> Run:
         """One row by its id, or by the beginning of it.
@@ -287,18 +307,26 @@ class Store:
             )
         return _run(*rows[0][1:])
 
-    def write(self, run_id: str, record: FlightRecord, note: str, wall_s: float) -> None:
-        """Store what a run left; from then on the run is done, and stays as it is."""
-        query = f"SELECT {PLANNED} FROM runs WHERE run_id = ? AND record IS NULL"
+    def write(self, flown: Iterable[Flown]) -> list[tuple[str, Flown]]:
+        """Store what runs left: from then on they are done, and stay as they are.
+
+        Returns:
+            Those that were not done before, each with its setting.
+        """
+        found = []
         with self._writing():
-            planned = self._connection.execute(query, (run_id,)).fetchone()
-            if planned is None:
-                return
-            result = canonical(record.to_json()), note, wall_s
-            self._connection.execute(
-                "UPDATE runs SET record = ?, note = ?, wall_s = ?, checksum = ? WHERE run_id = ?",
-                (*result, checksum_of(*planned, *result), run_id),
-            )
+            for item in flown:
+                query = f"SELECT {PLANNED} FROM runs WHERE run_id = ? AND record IS NULL"
+                planned = self._connection.execute(query, (item.run_id,)).fetchone()
+                if planned is None:
+                    continue
+                result = item.text, item.note, item.wall_s
+                self._connection.execute(
+                    "UPDATE runs SET record = ?, note = ?, wall_s = ?, checksum = ? WHERE run_id = ?",
+                    (*result, checksum_of(*planned, *result), item.run_id),
+                )
+                found.append((planned[3], item))
+        return found
 
     def counts(self) -> dict[str, tuple[int, int, int]]:
         """Runs by setting: planned, done, done with success."""
@@ -314,16 +342,13 @@ class Store:
         query = "SELECT COUNT(*) FROM runs WHERE json_extract(record, '$.end') = ?"
         return int(self._connection.execute(query, (End.UNKNOWN.value,)).fetchone()[0])
 
-    def setting_of(self, run_id: str) -> str:
-        """Setting of a run that is stored."""
-        query = "SELECT setting FROM runs WHERE run_id = ?"
-        return str(self._connection.execute(query, (run_id,)).fetchone()[0])
-
     @property
     def complete(self) -> bool:
         """Whether every run of every mission is stored and flown."""
         missions = self.meta("missions")
-        return missions is not None and len(self.complete_missions()) == missions
+        stored = self._connection.execute("SELECT COUNT(*) FROM missions").fetchone()[0]
+        left = self._connection.execute("SELECT 1 FROM runs WHERE record IS NULL LIMIT 1").fetchone()
+        return stored == missions and left is None
 
     def digest(self) -> str:
         """SHA-256 over plan and records: the same for any order of completion, any workers, any stop and resume.
@@ -334,11 +359,6 @@ class Store:
         for run_id, spec, record in self._connection.execute("SELECT run_id, spec, record FROM runs ORDER BY position"):
             content.update(f"{run_id}\n{spec}\n{record}\n".encode())
         return content.hexdigest()
-
-
-def canonical(data: Any) -> str:
-    """The one JSON text of plain data."""
-    return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 def checksum_of(*values: str | int | float | None) -> str:

@@ -20,7 +20,7 @@ from mavfi.campaign.analysis.statistics import EventRate, event_rate_by_flight
 from mavfi.campaign.config import TRAINING_SEED
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import versions
+from mavfi.campaign.fingerprint import code, versions
 from mavfi.detectors.model import Model
 from mavfi.detectors.recorder import Recorder, Recording
 from mavfi.errors import BadInputError
@@ -81,17 +81,8 @@ class KeptRecordings:
 
 def _key(scenario: Scenario) -> str:
     """Hash of all that a recording depends on but the seed."""
-    parts = {"scenario": scenario.model_copy(update={"seed": 0}).key(), "versions": versions(), "code": _code()}
+    parts = {"scenario": scenario.model_copy(update={"seed": 0}).key(), "versions": versions(), "code": code()}
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def _code() -> str:
-    """Hash of the package's source."""
-    content = hashlib.sha256()
-    package = Path(__file__).parents[1]
-    for path in sorted(package.rglob("*.py")):
-        content.update(f"{path.relative_to(package)}\n".encode() + path.read_bytes())
-    return content.hexdigest()
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""`mavfi campaign run | status | verify | repair | digest`: fly many missions, prove what came out."""
+"""`mavfi campaign run | status | verify | merge | repair | digest`: fly many missions, prove what came out."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -22,7 +22,7 @@ app = typer.Typer(
 
 
 @app.command("run")
-def run(
+def run(  # noqa: PLR0913 - options
     config: Annotated[
         str, typer.Argument(metavar="CONFIG.yaml", help="A YAML file, or the name of a shipped campaign.")
     ],
@@ -33,6 +33,9 @@ def run(
         ),
     ] = None,
     workers: options.Workers = 2,
+    executor: options.Executor = "local",
+    scheduler: options.Scheduler = "",
+    shard: options.Shard = "1/1",
     scale: Annotated[str, typer.Option(help="quick, or another size that the campaign names, e.g. paper.")] = "quick",
     models: Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")] = None,
     fast_forward: Annotated[
@@ -53,13 +56,12 @@ def run(
     Example: [bold]mavfi campaign run configs/campaigns/states.yaml --out out/states[/bold]
     """
     from mavfi.campaign.config import load_campaign
-    from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.run import run_campaign
     from mavfi.cli.progress import Bar
 
     campaign = load_campaign(config).at_scale(scale)
     ledger = out or Path("out") / campaign.name
-    executor = LocalExecutor(workers)
+    flown_by, part = options.executor_of(executor, scheduler, workers), options.shard_of(shard)
     if dry_run:
         for line in _what(campaign, ledger):
             typer.echo(line)
@@ -67,7 +69,7 @@ def run(
     kept = f"Stopped. What is done is kept in {ledger}; the same command resumes."
     with stoppable(kept), Bar(f"campaign {campaign.name}", "runs") as bar:
         status = run_campaign(
-            campaign, ledger, executor=executor, models_dir=models, fast_forward=fast_forward,
+            campaign, ledger, executor=flown_by, models_dir=models, fast_forward=fast_forward, shard=part,
             progress=bar.show_campaign,
         )  # fmt: skip
     if status.unknown and not allow_unknown:
@@ -75,6 +77,12 @@ def run(
             f"{ledger}: {status.unknown} of {status.total} runs have status unknown: `mavfi runs {ledger} --where "
             "judged=false` lists them; --allow-unknown accepts them"
         )
+    if status.shard:
+        text = (
+            f"Done with shard {status.shard}. All shards: [bold]mavfi campaign merge DIR ... --out {ledger}-all[/bold]"
+        )
+        console().print(text, soft_wrap=True)
+        return
     console().print(f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]", soft_wrap=True)
 
 
@@ -83,13 +91,15 @@ def _what(campaign: "Campaign", ledger: Path) -> list[str]:
     from mavfi.campaign.mission import plan_of, scenarios_of
     from mavfi.campaign.plan import arms_of
     from mavfi.campaign.run import model_hashes
+    from mavfi.campaign.samplers.sampler import draws_of
     from mavfi.campaign.store import FILE, Store
 
     arms = arms_of(campaign)
     scenarios = scenarios_of(campaign, arms)
     plan = plan_of(campaign, model_hashes(campaign, scenarios, None), scenarios)
-    draws = plan.sampler.draws(campaign.environments[0])
-    targets = list(dict.fromkeys(draw.target for draw in draws))
+    blocks = plan.sampler.blocks(campaign.environments[0])
+    draws = draws_of(blocks, range(campaign.missions), campaign.missions)
+    targets = list(dict.fromkeys(draw.target for _, draw in draws))
     done = 0
     if (ledger / FILE).is_file():
         with Store.open(ledger) as store:
@@ -119,7 +129,8 @@ def status(directory: options.Ledger, as_json: options.AsJson = False) -> None:
         write_json({**asdict(found), "complete": found.complete, "settings": settings})
         return
     out = console()
-    out.print(f"{found.done} of {found.total} runs" + (", complete" if found.complete else ""))
+    shard = f" of shard {found.shard}" if found.shard else ""
+    out.print(f"{found.done} of {found.total} runs{shard}" + (", complete" if found.complete else ""))
     out.print(success_counts(found.settings))
 
 
@@ -155,6 +166,24 @@ def verify(
         )
 
 
+@app.command("merge")
+def merge(
+    directories: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of the ledgers.")],
+    out: Annotated[Path, typer.Option(help="Folder of the ledger of all; made if absent.")],
+) -> None:
+    """Join ledgers of one campaign that were flown in parts (`campaign run --shard`), in any order.
+
+    Example: [bold]mavfi campaign merge out/part-* --out out/states[/bold]
+    """
+    from mavfi.campaign.merge import merge as merge_ledgers
+
+    found = merge_ledgers(directories, out)
+    rest = f"complete. Tables and figures: [bold]mavfi report {out}[/bold]"
+    if not found.complete:
+        rest = f"`mavfi campaign run CONFIG --out {out}` flies the rest"
+    console().print(f"{found.done} of {found.total} runs; {rest}", soft_wrap=True)
+
+
 @app.command("repair")
 def repair(directory: options.Ledger) -> None:
     """Keep the intact runs of a damaged ledger; `mavfi campaign run` then flies the missing ones.
@@ -187,10 +216,12 @@ def digest(directory: options.Ledger, as_json: options.AsJson = False) -> None:
         found = store.digest()
     progress = status_of(directory)
     if as_json:
-        partial = not progress.complete
+        partial = not progress.complete or bool(progress.shard)
         write_json({"digest": found, "partial": partial, "done": progress.done, "total": progress.total})
         return
     typer.echo(found)
+    if progress.shard:
+        console(error=True).print(f"partial: shard {progress.shard} of the campaign")
     if not progress.complete:
         text = f"partial: {progress.done} of {progress.total} runs are flown; the rest will change this digest"
         console(error=True).print(text)

@@ -5,7 +5,7 @@ import inspect
 import math
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 import typer
 from pydantic import ValidationError
@@ -15,6 +15,9 @@ from mavfi.config import Vector
 from mavfi.errors import BadInputError
 from mavfi.mission import LARGEST_SEED, MissionSpec
 from mavfi.plugins import known
+
+if TYPE_CHECKING:
+    from mavfi.campaign.executors.executor import Executor as AnyExecutor
 
 _ALIASES = {"autopilot": ("--stack",)}
 """Older names that still work."""
@@ -43,6 +46,17 @@ Ledger = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledge
 RunId = Annotated[str, typer.Argument(metavar="RUN_ID", help="The run, or an unambiguous beginning of its id.")]
 AllTables = Annotated[bool, typer.Option("--all", help="Print all tables, not only the headline.")]
 Workers = Annotated[int, typer.Option(help="Processes; the result does not depend on them.")]
+
+Executor = Annotated[
+    str, typer.Option(help="local: processes of this machine, or dask: the workers of a Dask scheduler.")
+]
+Scheduler = Annotated[
+    str,
+    typer.Option(metavar="ADDRESS", help="Of the Dask scheduler, e.g. tcp://10.0.0.1:8786; otherwise a cluster here."),
+]
+Shard = Annotated[
+    str, typer.Option(metavar="I/N", help="Only every N-th mission, from the I-th on; `merge` joins the ledgers.")
+]
 
 
 def with_mission_options(verb: Callable[..., None], without: Collection[str] = ()) -> Callable[..., None]:
@@ -110,3 +124,24 @@ def _allowed(name: str) -> str:
         return ", ".join(get_args(field.annotation))
     bounds = [getattr(bound, side) for bound in field.metadata for side in ("ge", "le") if hasattr(bound, side)]
     return " to ".join(f"{float(str(bound)):g}" for bound in bounds) or str(field.description)
+
+
+def executor_of(name: str, scheduler: str, workers: int) -> "AnyExecutor":
+    """What flies the missions; a name that is not known, or options that do not fit, are a `BadInputError`."""
+    from mavfi.campaign.executors.dask import DaskExecutor
+    from mavfi.campaign.executors.local import LocalExecutor
+
+    if name not in ("local", "dask"):
+        raise BadInputError(f"--executor: {name!r}: allowed: local, dask")
+    if scheduler and name == "local":
+        raise BadInputError(f"--scheduler: {scheduler}: allowed with --executor dask")
+    local = LocalExecutor(workers)
+    return local if name == "local" else DaskExecutor(scheduler, workers)
+
+
+def shard_of(text: str) -> tuple[int, int]:
+    """(i, n) of "i/n"; anything else is a `BadInputError`."""
+    number, _, of = text.partition("/")
+    if not (number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
+        raise BadInputError(f"--shard: {text}: allowed: I/N with 1 <= I <= N, e.g. 3/16")
+    return int(number), int(of)

@@ -103,7 +103,7 @@ def _mission(campaign: "Campaign") -> "MissionSpec":
 
 def _trained(campaign: "Campaign", folder: Path, flights: int) -> bool:
     """Whether the folder holds the models that training would give."""
-    from mavfi.campaign.run import versions
+    from mavfi.campaign.fingerprint import versions
     from mavfi.detectors.model import Model
 
     here, mission = versions(), _mission(campaign)

@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 
 from mavfi.campaign import mission as mission_module
-from mavfi.campaign.mission import ATTEMPTS_ALONE, Flown, MissionPlan, Planned, fly_mission
+from mavfi.campaign.mission import ATTEMPTS_ALONE, MissionPlan, fly_mission
+from mavfi.campaign.plan import Flown, Planned
 from mavfi.errors import BadInputError
 from mavfi.faults.instruction.forked import WALL_CLOCK, Ended
 from mavfi.flight_record import End

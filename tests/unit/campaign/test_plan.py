@@ -241,3 +241,16 @@ def test_an_estimator_has_sites_of_its_own():
     assert "perception.odometry" in {run.fault.where.state for run in injected}
     _, injected = planned(small(faults=40, arms={}))
     assert "perception.odometry" not in {run.fault.where.state for run in injected}
+
+
+@few
+@given(missions=st.integers(1, 9), faults=st.integers(1, 20), nulls=st.integers(0, 7), shards=st.integers(1, 12))
+def test_shards_share_the_runs(missions, faults, nulls, shards):
+    campaign = small(missions=missions, faults=faults, null_runs=nulls)
+    plan = plan_for(campaign)
+    worlds = [(environment, seed) for environment in campaign.environments for seed in campaign.seeds]
+    for shard in range(1, shards + 1):
+        own = worlds[shard - 1 :: shards]
+        runs = [run for world in own for run in [*plan.golden(*world), *mission_runs(plan, *world, golden_of(1))]]
+        assert plan.count(shard, shards) == len(runs)
+    assert sum(plan.count(shard, shards) for shard in range(1, shards + 1)) == plan.count()

@@ -11,7 +11,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from mavfi.campaign.plan import RunSpec
+from mavfi.campaign.plan import Flown, Planned, RunSpec
 from mavfi.campaign.store import FILE, Store
 from mavfi.errors import BadInputError, MachineError, MavfiError
 from mavfi.flight_record import End, FlightRecord
@@ -24,40 +24,44 @@ INJECTED = RunSpec("injected", "fi", "sparse", 2, "key", target="planning", posi
 @pytest.fixture
 def store(tmp_path):
     with Store.create(tmp_path / "out", IDENTITY) as store:
-        store.plan(SPECS)
+        plan(store, SPECS)
         yield store
 
 
+def plan(store, specs):
+    store.plan(Planned.of(specs, last=True).rows)
+
+
 def write(store, spec, status="success", **record):
-    store.write(spec.run_id, FlightRecord(End.FLOWN, status, **record), "", 0.1)
+    store.write([Flown.of(spec.run_id, FlightRecord(End.FLOWN, status, **record), "", 0.1)])
 
 
 def test_runs_come_in_the_order_of_the_plan_and_are_done_once_written(store):
-    store.plan([RunSpec("golden", "golden", "dense", 9, "key", position=100), INJECTED])
+    plan(store, [RunSpec("golden", "golden", "dense", 9, "key", position=100), INJECTED])
     write(store, SPECS[2], digest="d")
     assert [run.spec for run in store.runs()][:4] == SPECS
     assert [run.spec.position for run in store.runs()] == [0, 1, 2, 3, 4, 100]
     assert [run.spec.position for run in store.runs(done=False)] == [0, 1, 3, 4, 100]
     [done] = store.runs(done=True)
     assert (done.record, done.note, done.wall_s) == (FlightRecord(End.FLOWN, "success", "d"), "", 0.1)
-    assert store.done() == {("sparse", 2): frozenset({SPECS[2].run_id})}
+    assert store.done(("sparse", 2)) == {SPECS[2].run_id}
+    assert store.done(("sparse", 1)) == frozenset()
 
 
 def test_counts_by_setting_in_the_order_of_the_plan(store):
-    store.plan([INJECTED])
+    plan(store, [INJECTED])
     write(store, SPECS[1])
     write(store, SPECS[2], "collision")
-    store.write(SPECS[3].run_id, FlightRecord(End.UNKNOWN, error="E"), "note", 0.1)
+    store.write([Flown.of(SPECS[3].run_id, FlightRecord(End.UNKNOWN, error="E"), "note", 0.1)])
     assert list(store.counts().items()) == [("golden", (4, 3, 1)), ("fi", (1, 0, 0))]
-    assert store.setting_of(INJECTED.run_id) == "fi"
 
 
 def test_what_is_planned_stays_as_it_is(store):
     write(store, SPECS[1], digest="d")
     before = store.digest()
-    store.plan([*SPECS, SPECS[1]])
+    plan(store, [*SPECS, SPECS[1]])
     assert store.digest() == before
-    store.plan([INJECTED])
+    plan(store, [INJECTED])
     assert [run.spec for run in store.runs()].count(INJECTED) == 1 and store.digest() != before
 
 
@@ -72,15 +76,15 @@ def test_a_ledger_is_complete_when_every_mission_is_planned_and_flown(store):
     store.write_meta({"missions": 4})
     for spec in SPECS:
         write(store, spec)
-    assert store.planned() == store.complete_missions() == set()
+    assert not any(map(store.is_planned, worlds)) and not any(map(store.is_complete, worlds))
     for world in worlds - {INJECTED.world}:
         store.end_plan(world)
-    assert store.complete_missions() == worlds - {INJECTED.world}
+    assert {world for world in worlds if store.is_complete(world)} == worlds - {INJECTED.world}
     assert not store.complete, "the faults of one mission are not planned yet"
-    store.plan([INJECTED])
+    plan(store, [INJECTED])
     store.end_plan(INJECTED.world)
     store.end_plan(INJECTED.world)
-    assert store.planned() == worlds and not store.complete
+    assert all(map(store.is_planned, worlds)) and not store.complete
     write(store, INJECTED)
     assert store.complete
 
@@ -89,9 +93,11 @@ def test_digest_does_not_depend_on_order_or_wall_time(tmp_path):
     digests = []
     for name, order in (("a", SPECS), ("b", SPECS[::-1])):
         with Store.create(tmp_path / name, IDENTITY) as store:
-            store.plan(order)
+            plan(store, order)
             for place, spec in enumerate(order):
-                store.write(spec.run_id, FlightRecord(End.FLOWN, digest=spec.run_id), f"note {place}", 0.1 * place)
+                store.write(
+                    [Flown.of(spec.run_id, FlightRecord(End.FLOWN, digest=spec.run_id), f"note {place}", 0.1 * place)]
+                )
             digests.append(store.digest())
     assert digests[0] == digests[1]
 
@@ -102,10 +108,10 @@ def test_digest_depends_on_campaign_plan_and_every_record(store, tmp_path):
         write(store, spec, digest=digest)
         digests.append(store.digest())
     with Store.create(tmp_path / "other", {**IDENTITY, "models": {"g": "abc"}}) as other:
-        other.plan(SPECS)
+        plan(other, SPECS)
         digests.append(other.digest())
     with Store.create(tmp_path / "third", IDENTITY) as third:
-        third.plan(SPECS)
+        plan(third, SPECS)
         assert third.digest() == digests[0]
         write(third, SPECS[0], digest="y")
         digests.append(third.digest())
@@ -114,7 +120,7 @@ def test_digest_depends_on_campaign_plan_and_every_record(store, tmp_path):
 
 def test_another_campaign_is_refused_and_nothing_is_written_over(tmp_path):
     with Store.create(tmp_path, IDENTITY) as store:
-        store.plan(SPECS)
+        plan(store, SPECS)
         digest = store.digest()
     other = {**IDENTITY, "models": {"gaussian": "abc"}}
     with pytest.raises(BadInputError, match=r"holds another campaign \(differs in: models\)"):
@@ -138,7 +144,7 @@ def test_of_two_writers_only_the_younger_commits(tmp_path, seed):
     """The lock is gone (removed, or on a file system without locks), and the first writer goes on after a pause."""
     draw = random.Random(seed)
     older = Store.create(tmp_path, IDENTITY)
-    older.plan(SPECS)
+    plan(older, SPECS)
     before = draw.randrange(len(SPECS))
     for spec in SPECS[:before]:
         write(older, spec, digest="older")
@@ -152,14 +158,14 @@ def test_of_two_writers_only_the_younger_commits(tmp_path, seed):
                 continue
             with pytest.raises(MavfiError, match="another process has taken over this campaign"):
                 draw.choice((
-                    lambda: write(older, left[0], digest="older"), lambda: older.plan([INJECTED]),
+                    lambda: write(older, left[0], digest="older"), lambda: plan(older, [INJECTED]),
                     lambda: older.end_plan(("sparse", 1)), lambda: older.write_meta({"missions": 9}),
                 ))()  # fmt: skip
         told = [run.record.digest for run in younger.runs()]
     assert told == ["older"] * before + ["younger"] * (len(SPECS) - before)
     older.close()
     with Store.open(tmp_path) as store:
-        assert store.meta("missions") is None and store.planned() == set()
+        assert store.meta("missions") is None and not any(store.is_planned(spec.world) for spec in SPECS)
 
 
 def test_directories_that_cannot_be_written_are_bad_input(tmp_path):
@@ -212,7 +218,7 @@ def test_a_run_is_found_by_the_beginning_of_its_id(store):
 def test_an_ambiguous_id_lists_candidates(store):
     with pytest.raises(BadInputError, match="4 runs begin so; allowed, among others: sparse-0-golden-.*, sparse-3-g"):
         store.run("sparse")
-    store.plan([RunSpec("golden", "golden", "sparse", seed, "key", position=seed) for seed in range(10, 100)])
+    plan(store, [RunSpec("golden", "golden", "sparse", seed, "key", position=seed) for seed in range(10, 100)])
     with pytest.raises(BadInputError, match="94 runs begin so") as caught:
         store.run("sparse")
     assert str(caught.value).count("-golden-") == 5
@@ -232,7 +238,7 @@ def test_a_whole_id_is_meant_even_if_another_begins_so(store):
 
 def filled(folder):
     with Store.create(folder, IDENTITY) as store:
-        store.plan([*SPECS, INJECTED])
+        plan(store, [*SPECS, INJECTED])
         store.write_meta({"missions": 4})
         for spec in [*SPECS, INJECTED]:
             write(store, spec, digest=spec.run_id)
@@ -316,7 +322,7 @@ def test_a_disk_without_space_is_a_failure_of_the_machine(store):
     store._connection.execute("PRAGMA max_page_count = 12")  # SQLite's own way to a full disk
     with pytest.raises(MachineError, match=r"campaign.sqlite: cannot be written \(database or disk is full\)"):
         for seed in range(2000):
-            store.plan([RunSpec("golden", "golden", "farm", seed, "key", position=100 + seed)])
+            plan(store, [RunSpec("golden", "golden", "farm", seed, "key", position=100 + seed)])
     assert read(store.directory) is not None
 
 

@@ -81,7 +81,7 @@ def test_recordings_of_another_scenario_or_code_and_broken_ones_are_not_used(tmp
     (kept / f"{seeds[0]}.npz").write_bytes(b"PK")
     (kept / f"{seeds[1]}.npz").write_bytes((kept / f"{seeds[2]}.npz").read_bytes()[:100])
     assert list(disk.load(seeds)) == seeds[2:]
-    monkeypatch.setattr("mavfi.campaign.training._code", lambda: "another")
+    monkeypatch.setattr("mavfi.campaign.training.code", lambda: "another")
     assert KeptRecordings(tmp_path, SCENARIO).load(seeds) == {}
 
 

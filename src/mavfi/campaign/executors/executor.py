@@ -1,7 +1,7 @@
 """What a campaign knows of processes: `Executor.map(function, missions)`."""
 
 import functools
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
@@ -27,17 +27,24 @@ class Lost:
 
 
 class Executor(Protocol):
-    """Runs missions in workers: local processes, or other machines."""
+    """Runs missions in workers: local processes, or other machines.
+
+    Attributes:
+        forks: Whether workers are forked from this process, and so inherit compiled code.
+    """
+
+    forks: bool
 
     def map(
         self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
-    ) -> Generator[tuple[T, R | Done | Lost], None, None]:  # fmt: skip
+    ) -> Generator[tuple[T, Sequence[R | Done | Lost]], None, None]:  # fmt: skip
         """Call a function for every mission; close the iterator, or leave it by an exception, to stop the workers.
 
         The function is a generator function that workers can import; its exceptions are raised here.
 
         Yields:
-            Mission and item, each as soon as the function yields it, and `Done` or `Lost` as the last of a mission.
+            Mission and those of its items that have come since the last time, as soon as there are any; `Done` or
+            `Lost` is the last of a mission.
         """
 
 
@@ -48,11 +55,12 @@ def map_each(executor: Executor, function: Callable[[T], R], items: Iterable[T])
         MavfiError: A worker was lost.
     """
     with closing(executor.map(functools.partial(_once, function), items)) as results:
-        for item, result in results:
-            if isinstance(result, Lost):
-                raise MavfiError(f"{item}: {result.reason}")
-            if not isinstance(result, Done):
-                yield item, result
+        for item, found in results:
+            for result in found:
+                if isinstance(result, Lost):
+                    raise MavfiError(f"{item}: {result.reason}")
+                if not isinstance(result, Done):
+                    yield item, result
 
 
 def _once(function: Callable[[T], R], item: T) -> Iterator[R]:

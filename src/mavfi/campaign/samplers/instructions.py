@@ -9,7 +9,7 @@ from typing import Any
 
 from mavfi.campaign.config import Campaign, InstructionSampling
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
-from mavfi.campaign.samplers.sampler import Draw, Sampled
+from mavfi.campaign.samplers.sampler import Block, Draw, Sampled
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import share_out
@@ -28,6 +28,7 @@ class InstructionSampler:
     def __init__(self, campaign: Campaign) -> None:
         assert isinstance(campaign.sampling, InstructionSampling)  # as `sampler_for` chooses
         self._campaign, self._sampling = campaign, campaign.sampling
+        self._blocks: dict[str, Sequence[Block]] = {}
         planner = campaign.spec(campaign.environments[0], campaign.first_seed).planner
         others = [name for name in self._sampling.kernels if name in PLANNERS and name != planner]
         self.variants: Mapping[str, Mapping[str, Any]] = {name: {"planner": name} for name in others}
@@ -40,17 +41,22 @@ class InstructionSampler:
         if campaign.nulls:
             raise BadInputError(f"null_runs: {campaign.nulls}; allowed: 0 with faults in instructions")
 
-    def draws(self, environment: str) -> list[Draw]:
+    def blocks(self, environment: str) -> Sequence[Block]:
         """Kernel by kernel; where stages share, the seed draws which number falls to which kernel of a stage."""
-        campaign = self._campaign
-        found = []
-        for group in kernel_groups(self._sampling):
-            stage = KERNEL_STAGES[group[0]].value
-            kernels = share_out(dict.fromkeys(group, 1.0), campaign.faults, campaign.first_seed, environment, stage)
-            for index, kernel in enumerate(kernels):
-                variant = kernel if kernel in self.variants else ""
-                found.append(Draw(kernel, index, campaign.first_seed + index % campaign.missions, variant))
-        return found
+        if environment not in self._blocks:
+            groups = enumerate(kernel_groups(self._sampling))
+            self._blocks[environment] = [self._block(environment, *group) for group in groups]
+        return self._blocks[environment]
+
+    def _block(self, environment: str, place: int, group: tuple[str, ...]) -> Block:
+        campaign, stage = self._campaign, KERNEL_STAGES[group[0]].value
+        kernels = share_out(dict.fromkeys(group, 1.0), campaign.faults, campaign.first_seed, environment, stage)
+
+        def draw_one(index: int) -> Draw:
+            variant = kernels[index] if kernels[index] in self.variants else ""
+            return Draw(kernels[index], index, campaign.first_seed + index % campaign.missions, variant)
+
+        return Block(campaign.faults, draw_one, place * campaign.faults)
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup

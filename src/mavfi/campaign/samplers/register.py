@@ -4,11 +4,12 @@ Instruction, register and bit are drawn when the process has been stopped, from 
 first_seed + i.
 """
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mavfi.campaign.config import Campaign, RegisterSampling
-from mavfi.campaign.samplers.sampler import Draw, Sampled
+from mavfi.campaign.samplers.sampler import Block, Draw, Sampled
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.hosts.host import ArmSetup, MissionFlights
 
@@ -24,15 +25,17 @@ class RegisterSampler:
         assert isinstance(campaign.sampling, RegisterSampling)  # as `sampler_for` chooses
         self._campaign, self._sampling = campaign, campaign.sampling
 
-    def draws(self, environment: str) -> list[Draw]:
-        """Kinds of registers in turn; fault i in mission i modulo the number of missions."""
+    def blocks(self, environment: str) -> Sequence[Block]:
+        """Kinds of registers in turn."""
         del environment
-        campaign = self._campaign
+        kinds = self._sampling.registers
         return [
-            Draw(registers, index, campaign.first_seed + index % campaign.missions)
-            for index in range(campaign.faults)
-            for registers in self._sampling.registers
+            Block(self._campaign.faults, functools.partial(self._draw, registers), place, len(kinds))
+            for place, registers in enumerate(kinds)
         ]
+
+    def _draw(self, registers: str, index: int) -> Draw:
+        return Draw(registers, index, self._campaign.first_seed + index % self._campaign.missions)
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup

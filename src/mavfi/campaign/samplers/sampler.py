@@ -1,6 +1,6 @@
 """What a sampler is: how the faults of a campaign are drawn, one sampler for each level."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -21,6 +21,19 @@ class Draw:
     stratum: str = ""  # of its bit; "" = none
 
 
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Faults of an environment that are numbered together; fault i is that of mission i modulo their number.
+
+    A block makes its draws when they are asked for: all those of a million missions would fill the memory.
+    """
+
+    count: int
+    draw: Callable[[int], Draw]  # of fault i
+    first: int  # place of fault 0 in the environment's plan
+    step: int = 1  # between the places of faults i and i + 1
+
+
 @dataclass(slots=True)
 class Sampled:
     """A golden run, and what faults are drawn from."""
@@ -39,8 +52,8 @@ class Sampler(Protocol):
 
     variants: Mapping[str, Mapping[str, Any]]
 
-    def draws(self, environment: str) -> list[Draw]:
-        """All faults of an environment, in the order of the plan."""
+    def blocks(self, environment: str) -> Sequence[Block]:
+        """All faults of an environment."""
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
@@ -55,3 +68,22 @@ class Sampler(Protocol):
 
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
         """The fault of a null run."""
+
+
+def draws_of(blocks: Sequence[Block], missions: range, of: int) -> list[tuple[int, Draw]]:
+    """The faults of some missions of an environment, by number, in the order of the plan, each with its place.
+
+    Args:
+        blocks: Of the environment.
+        missions: Numbers of missions, from 0 on.
+        of: Number of all missions.
+    """
+    return sorted(
+        (
+            (block.first + index * block.step, block.draw(index))
+            for block in blocks
+            for mission in missions
+            for index in range(mission, block.count, of)
+        ),
+        key=lambda found: found[0],
+    )

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from mavfi.campaign.config import Campaign, StateSampling
-from mavfi.campaign.samplers.sampler import Draw, Sampled
+from mavfi.campaign.samplers.sampler import Block, Draw, Sampled
 from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import Target, draw, group_target, share_out, stage_target
 from mavfi.faults.strata import HEADLINE
@@ -32,6 +32,7 @@ class StateSampler:
         self._campaign, self._sampling = campaign, campaign.sampling
         self._autopilot, self._localization = spec.autopilot, spec.localization
         self._targets = {target.name: (target, shares) for target, shares in self._find_targets()}
+        self._blocks: dict[str, Sequence[Block]] = {}
         for target, shares in self._targets.values():
             for stratum in shares:
                 target.within(stratum)
@@ -49,16 +50,20 @@ class StateSampler:
             for stage in PPC_STAGES
         ]
 
-    def draws(self, environment: str) -> list[Draw]:
-        """Target by target; fault i in mission i modulo the number of missions."""
+    def blocks(self, environment: str) -> Sequence[Block]:
+        """Target by target."""
+        if environment not in self._blocks:
+            self._blocks[environment] = [self._block(environment, *target) for target in enumerate(self._targets)]
+        return self._blocks[environment]
+
+    def _block(self, environment: str, place: int, name: str) -> Block:
         campaign = self._campaign
-        return [
-            Draw(name, index, campaign.first_seed + index % campaign.missions, stratum=stratum)
-            for name, (_, shares) in self._targets.items()
-            for index, stratum in enumerate(
-                share_out(shares, campaign.faults, campaign.first_seed, environment, name)
-            )
-        ]  # fmt: skip
+        strata = share_out(self._targets[name][1], campaign.faults, campaign.first_seed, environment, name)
+
+        def draw_one(index: int) -> Draw:
+            return Draw(name, index, campaign.first_seed + index % campaign.missions, stratum=strata[index])
+
+        return Block(campaign.faults, draw_one, place * campaign.faults)
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup

@@ -10,6 +10,7 @@ import pytest
 from mavfi.campaign.executors import local
 from mavfi.campaign.executors.executor import Done, Lost, map_each
 from mavfi.campaign.executors.local import MOST_WORKERS, LocalExecutor
+from mavfi.campaign.executors.process import Worker
 from mavfi.campaign.mission import ATTEMPTS_ALONE, LONGEST_ALONE
 from mavfi.errors import BadInputError, MavfiError
 
@@ -76,13 +77,17 @@ def double(item):
     return None if item is None else 2 * item
 
 
+def flat(batches):
+    return [(mission, item) for mission, items in batches for item in items]
+
+
 def items_of(results, item):
     return [result for mission, result in results if mission == item]
 
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_what_a_mission_gives_comes_in_its_order_and_ends_with_done(workers):
-    results = list(LocalExecutor(workers).map(count_to, range(9)))
+    results = flat(LocalExecutor(workers).map(count_to, range(9)))
     assert len(results) == sum(range(9)) + 9
     for number in range(9):
         assert items_of(results, number) == [*range(number), Done()]
@@ -90,12 +95,12 @@ def test_what_a_mission_gives_comes_in_its_order_and_ends_with_done(workers):
 
 def test_items_are_handed_over_while_the_mission_goes_on():
     results = LocalExecutor(1).map(hang, [60.0])
-    assert next(results) == (60.0, "begun")
+    assert next(results) == (60.0, ["begun"])
     results.close()
 
 
 def test_a_mission_stays_with_its_worker_and_workers_are_used_again():
-    results = list(LocalExecutor(2).map(process, range(8)))
+    results = flat(LocalExecutor(2).map(process, range(8)))
     workers = [{pid for pid in items_of(results, number) if not isinstance(pid, Done)} for number in range(8)]
     assert all(len(own) == 1 for own in workers)
     assert len(set.union(*workers)) == 2
@@ -114,8 +119,9 @@ def mission(number):
         os.kill(os.getpid(), signal.SIGKILL)
     time.sleep(60.0 if number > 1 else 0.3)
 
-for number, item in LocalExecutor(2).map(mission, range(9)):
-    print(number, item, flush=True)
+for number, items in LocalExecutor(2).map(mission, range(9)):
+    for item in items:
+        print(number, item, flush=True)
 """
     parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     workers = {}
@@ -144,7 +150,7 @@ def is_alive(pid):
 
 
 def test_nothing_to_do():
-    assert list(LocalExecutor(1).map(count_to, [])) == []
+    assert flat(LocalExecutor(1).map(count_to, [])) == []
 
 
 def test_no_workers_are_bad_input():
@@ -159,24 +165,24 @@ def test_absurd_numbers_of_workers_are_refused_before_any_is_forked():
 
 
 def test_there_are_never_more_workers_than_missions(monkeypatch):
-    made, really = [], local._Worker
-    monkeypatch.setattr(local, "_Worker", lambda function, others: made.append(function) or really(function, others))
-    assert list(LocalExecutor(MOST_WORKERS).map(count_to, [1])) == [(1, 0), (1, Done())]
+    made, really = [], Worker.forked
+    monkeypatch.setattr(Worker, "forked", lambda function, others: made.append(function) or really(function, others))
+    assert flat(LocalExecutor(MOST_WORKERS).map(count_to, [1])) == [(1, 0), (1, Done())]
     assert len(made) == 1
 
 
 def test_an_exception_comes_through_after_what_was_given_before():
     results = LocalExecutor(1).map(explode, [1])
-    assert next(results) == (1, 1)
+    assert next(results) == (1, [1])
     with pytest.raises(ZeroDivisionError):
         next(results)
 
 
 def test_an_exception_that_cannot_be_sent_comes_through_as_text():
     with pytest.raises(MavfiError, match="PrivateError: 1 and 2"):
-        list(LocalExecutor(1).map(explode_privately, [1]))
+        flat(LocalExecutor(1).map(explode_privately, [1]))
     with pytest.raises((AttributeError, MavfiError), match="lambda"):
-        list(LocalExecutor(1).map(yield_what_no_pipe_takes, [1]))
+        flat(LocalExecutor(1).map(yield_what_no_pipe_takes, [1]))
 
 
 @pytest.mark.parametrize(
@@ -184,7 +190,7 @@ def test_an_exception_that_cannot_be_sent_comes_through_as_text():
 )
 def test_a_worker_that_dies_loses_its_mission_only(how, told):
     missions = [(number, how if number == 2 else None) for number in range(1, 7)]
-    results = list(LocalExecutor(2).map(die, missions))
+    results = flat(LocalExecutor(2).map(die, missions))
     for mission in missions:
         found = items_of(results, mission)
         if mission[1] is None:
@@ -201,14 +207,14 @@ def test_a_worker_that_dies_while_it_is_idle_loses_what_it_is_given_next():
         time.sleep(0.5)
         yield from (2, 3)
 
-    results = list(LocalExecutor(1).map(die_after, slowly()))
+    results = flat(LocalExecutor(1).map(die_after, slowly()))
     assert items_of(results, 1) == [1, Done()]
     assert [result.died for result in items_of(results, 2) if isinstance(result, Lost)] == [True]
     assert items_of(results, 3) == [3, Done()]
 
 
 def test_a_worker_that_gives_nothing_is_lost_but_not_dead():
-    results = list(LocalExecutor(1, time_limit=0.2).map(hang, [60.0, 0.0]))
+    results = flat(LocalExecutor(1, time_limit=0.2).map(hang, [60.0, 0.0]))
     assert items_of(results, 60.0) == ["begun", Lost("its worker gave nothing for 0.2 s", died=False)]
     assert items_of(results, 0.0) == ["begun", "over", Done()]
 
@@ -220,7 +226,7 @@ def test_attempts_in_a_child_end_before_their_worker_counts_as_lost():
 @pytest.mark.parametrize("leave", ["close", "raise"])
 def test_leaving_early_ends_the_workers(leave):
     results = LocalExecutor(2).map(process_and_hang, [0, 1, 2])
-    pids = {next(results)[1], next(results)[1]}
+    pids = {next(results)[1][0], next(results)[1][0]}
     if leave == "close":
         results.close()
     else:

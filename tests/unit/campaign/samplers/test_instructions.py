@@ -9,6 +9,7 @@ from mavfi.campaign.plan import Plan, arms_of
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.samplers import instructions, sampler_for
 from mavfi.campaign.samplers.instruction import Drawn
+from mavfi.campaign.samplers.sampler import draws_of
 from mavfi.campaign.store import Store
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.flight_record import End
@@ -62,6 +63,12 @@ def flown(c):
     return specs, golden
 
 
+def draws_in(campaign, environment):
+    """All faults, in the order of the plan."""
+    blocks = sampler_for(campaign).blocks(environment)
+    return [draw for _, draw in draws_of(blocks, range(campaign.missions), campaign.missions)]
+
+
 @pytest.mark.parametrize("share", ["stage", "kernel"])
 def test_every_place_is_taken_and_every_arm_flies_every_fault(share):
     c = campaign(share)
@@ -79,7 +86,7 @@ def test_every_place_is_taken_and_every_arm_flies_every_fault(share):
 
 def test_kernels_of_a_stage_share_its_faults_equally_and_are_not_tied_to_missions():
     c = campaign()
-    draws = {environment: sampler_for(c).draws(environment) for environment in c.environments}
+    draws = {environment: draws_in(c, environment) for environment in c.environments}
     for order in draws.values():
         assert Counter(draw.target for draw in order) == {**dict.fromkeys(PERCEPTION, 3), "pid": 9}
         assert [draw.index for draw in order] == [*range(9), *range(9)]
@@ -89,7 +96,7 @@ def test_kernels_of_a_stage_share_its_faults_equally_and_are_not_tied_to_mission
 
 
 def test_each_kernel_has_its_own_number_where_kernels_are_compared():
-    order = sampler_for(campaign("kernel")).draws("sparse")
+    order = draws_in(campaign("kernel"), "sparse")
     assert Counter(draw.target for draw in order) == dict.fromkeys((*PERCEPTION, "pid"), 9)
 
 

@@ -1,0 +1,249 @@
+"""Dask workers, on this machine or on many: a mission is a task; only the campaign's process writes.
+
+A Dask worker flies in a process of its own, which a fault may take down.  Items of long missions reach the campaign
+while they are flown, as events; the last ones are the task's result.
+"""
+
+import contextlib
+import itertools
+import threading
+import time
+import uuid
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pickle import dumps, loads
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from mavfi.campaign.executors.executor import Done, Lost
+from mavfi.campaign.executors.local import TIME_LIMIT
+from mavfi.campaign.executors.process import Raised, Worker, is_last
+from mavfi.campaign.fingerprint import difference, fingerprint
+from mavfi.errors import BadInputError, MachineError, MavfiError
+from mavfi.plugins import allow_names, allowed_names
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+LOOPBACK = "127.0.0.1"
+_AHEAD = 2  # tasks for each thread of a worker: one that it flies, and one that waits
+_SEND_EVERY_S = 0.5
+_LOOK_EVERY_S = 1.0
+_PATIENCE_S = 60.0  # for events that a result has counted, and for a scheduler that does not answer
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+class DaskExecutor:
+    """Runs missions on the workers of a Dask scheduler.
+
+    Args:
+        scheduler: Its address, e.g. "tcp://10.0.0.1:8786" or "tls://..." (certificates: Dask's configuration); "" = a
+            cluster of processes on this machine, which listens on the loopback interface only.
+        workers: Number of processes of that cluster.
+
+    Raises:
+        BadInputError: Dask is not installed.
+    """
+
+    forks = False
+
+    def __init__(self, scheduler: str = "", workers: int = 2) -> None:
+        try:
+            import distributed  # noqa: F401 - an extra
+        except ImportError:
+            raise BadInputError("executor 'dask': is not installed; allowed with: pip install mavfi[cluster]") from None
+        self._scheduler = scheduler
+        self._workers = workers
+
+    def map(
+        self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
+    ) -> Generator[tuple[T, Sequence[R | Done | Lost]], None, None]:  # fmt: skip
+        """See `Executor.map`.
+
+        Raises:
+            BadInputError: No scheduler answers, or a worker has other code, other versions or another architecture.
+            MachineError: The scheduler is gone.
+        """
+        with _connected(self._scheduler, self._workers) as client:
+            flights = _Flights(client, function)
+            try:
+                yield from flights.fly(iter(missions))
+            finally:
+                flights.cancel()
+
+
+@contextlib.contextmanager
+def _connected(scheduler: str, workers: int) -> "Iterator[Client]":
+    from distributed import Client, LocalCluster
+
+    with contextlib.ExitStack() as stack:
+        where: Any = scheduler or stack.enter_context(
+            LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                host=LOOPBACK,
+                dashboard_address=f"{LOOPBACK}:0",
+                silence_logs="CRITICAL",
+            )
+        )
+        try:
+            client = stack.enter_context(Client(where, set_as_default=False, timeout=_PATIENCE_S))
+        except (OSError, ValueError) as error:
+            raise BadInputError(
+                f"--scheduler: {scheduler}: no scheduler answers ({' '.join(str(error).split())})"
+            ) from None
+        yield client
+
+
+@dataclass(frozen=True, slots=True)
+class _Result:
+    """What a task returns."""
+
+    attempt: str
+    sent: int  # items that are under way as events
+    items: Sequence[Any]  # the others
+
+
+@dataclass(slots=True)
+class _Ticket:
+    """A mission that was given to the scheduler."""
+
+    mission: Any
+    future: "Future"
+    arrived: dict[str, int] = field(default_factory=dict)  # items that came as events, by attempt
+    result: _Result | None = None
+    since: float = 0.0  # when the result came
+
+
+class _Flights:
+    """The missions of one call of `map`, and what comes of them."""
+
+    def __init__(self, client: "Client", function: Callable[[Any], Iterator[Any]]) -> None:
+        self._client = client
+        self._topic = f"mavfi-{uuid.uuid4().hex}"
+        self._order = dumps((function, fingerprint(), allowed_names(), self._topic))
+        self._news: SimpleQueue[tuple[str, Any]] = SimpleQueue()
+        self._tickets: dict[str, _Ticket] = {}
+        self._most, self._looked = 0, 0.0
+
+    def fly(self, missions: Iterator[Any]) -> Iterator[tuple[Any, Sequence[Any]]]:
+        """Give missions to workers, not many more than these can fly, and take what comes."""
+        self._client.subscribe_topic(self._topic, lambda event: self._news.put(("items", loads(event[1]))))
+        self._submit(missions)
+        while self._tickets:
+            with contextlib.suppress(Empty):
+                kind, what = self._news.get(timeout=_LOOK_EVERY_S)
+                yield from self._events(*what) if kind == "items" else self._ended(what)
+            yield from self._missing()
+            self._submit(missions)
+
+    def cancel(self) -> None:
+        """Take back what is not flown."""
+        self._client.cancel([ticket.future for ticket in self._tickets.values()], force=True)
+
+    def _submit(self, missions: Iterator[Any]) -> None:
+        now = time.monotonic()
+        if now - self._looked > _LOOK_EVERY_S:
+            self._looked, self._most = now, _AHEAD * max(1, sum(self._client.nthreads().values()))
+        for mission in itertools.islice(missions, max(0, self._most - len(self._tickets))):
+            key = f"{self._topic}-{uuid.uuid4().hex}"
+            future = self._client.submit(_fly, self._order, mission, key, key=key, pure=False)
+            self._tickets[key] = _Ticket(mission, future)
+            future.add_done_callback(lambda done: self._news.put(("ended", done.key)))
+
+    def _events(self, key: str, attempt: str, items: Sequence[Any]) -> Iterator[tuple[Any, Sequence[Any]]]:
+        ticket = self._tickets.get(key)
+        if ticket is None:
+            return
+        ticket.arrived[attempt] = ticket.arrived.get(attempt, 0) + len(items)
+        yield ticket.mission, items
+        yield from self._finished(key, ticket)
+
+    def _ended(self, key: str) -> Iterator[tuple[Any, Sequence[Any]]]:
+        """The end of a task.
+
+        Raises:
+            MachineError: The scheduler has forgotten it.
+        """
+        from distributed import KilledWorker
+
+        ticket = self._tickets[key]
+        if ticket.future.status == "finished":
+            ticket.result, ticket.since = ticket.future.result(), time.monotonic()
+            yield from self._finished(key, ticket)
+            return
+        error = ticket.future.exception() if ticket.future.status == "error" else None
+        if error is None:
+            raise MachineError("the Dask scheduler is gone, or has cancelled a mission")
+        if not isinstance(error, KilledWorker):
+            raise error if isinstance(error, MavfiError) else MavfiError(f"a Dask worker failed: {error!r}")
+        del self._tickets[key]
+        yield ticket.mission, [Lost("its Dask workers died", died=True, signal="SIGKILL")]
+
+    def _finished(self, key: str, ticket: _Ticket) -> Iterator[tuple[Any, Sequence[Any]]]:
+        """The last items of a mission, once those before have come."""
+        result = ticket.result
+        if result is None or ticket.arrived.get(result.attempt, 0) < result.sent:
+            return
+        del self._tickets[key]
+        last = result.items[-1]
+        if isinstance(last, Raised):
+            if result.items[:-1]:
+                yield ticket.mission, result.items[:-1]
+            raise last.error
+        yield ticket.mission, result.items
+
+    def _missing(self) -> Iterator[tuple[Any, Sequence[Any]]]:
+        """Missions of which events were lost."""
+        now = time.monotonic()
+        for key, ticket in list(self._tickets.items()):
+            if ticket.result is not None and now - ticket.since > _PATIENCE_S:
+                del self._tickets[key]
+                yield ticket.mission, [Lost("what it gave was lost on the way", died=False)]
+
+
+_THREAD = threading.local()
+"""The flying process of this thread of a Dask worker."""
+
+
+def _fly(order: bytes, mission: Any, key: str) -> _Result:  # noqa: ANN401
+    """Fly a mission on a Dask worker."""
+    from distributed import get_worker
+
+    function, wanted, plugins, topic = loads(order)
+    dask, attempt, sent = get_worker(), uuid.uuid4().hex, 0
+    wrong = difference(wanted, fingerprint())
+    if wrong:
+        return _Result(attempt, 0, [Raised(BadInputError(f"Dask worker {dask.address}: has {wrong}"))])
+    allow_names(plugins)
+    worker = _flyer(function, topic)
+    worker.give(mission)
+    items: list[Any] = []
+    told = time.monotonic()
+    while not items or not is_last(items[-1]):
+        items += worker.take() if worker.pipe.poll(_LOOK_EVERY_S) else worker.overdue(TIME_LIMIT)
+        task = dask.state.tasks.get(key)
+        if task is None or task.state == "cancelled":
+            items.append(Lost("it was cancelled", died=False))
+        now = time.monotonic()
+        if items and not is_last(items[-1]) and now - told > _SEND_EVERY_S:
+            dask.log_event(topic, dumps((key, attempt, items)))
+            sent, told, items = sent + len(items), now, []
+    if isinstance(items[-1], Lost):
+        worker.end()
+        _THREAD.worker = None
+    return _Result(attempt, sent, items)
+
+
+def _flyer(function: Callable[[Any], Iterator[Any]], topic: str) -> Worker[Any]:
+    """The flying process of this thread; each call of `map` has new ones."""
+    if getattr(_THREAD, "topic", "") != topic and getattr(_THREAD, "worker", None) is not None:
+        _THREAD.worker.end()
+        _THREAD.worker = None
+    _THREAD.topic = topic
+    if getattr(_THREAD, "worker", None) is None:
+        _THREAD.worker = Worker.started(function)
+    worker: Worker[Any] = _THREAD.worker
+    return worker

@@ -1,0 +1,183 @@
+"""A process that takes one mission after the other, and streams what it gives; it ends with its parent."""
+
+import contextlib
+import ctypes
+import multiprocessing
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Any, Generic, TypeVar
+
+from mavfi.campaign.executors.executor import Done, Lost
+from mavfi.errors import MavfiError
+
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
+_MOST_ITEMS = 200  # of one batch
+_FORK = multiprocessing.get_context("fork")
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Raised:
+    """An exception of the function."""
+
+    error: Exception
+
+
+def is_last(item: object) -> bool:
+    """Whether it ends a mission."""
+    return isinstance(item, (Done, Lost, Raised))
+
+
+class _Started:
+    """A started process, with the methods of a forked one."""
+
+    def __init__(self, process: "subprocess.Popen[bytes]") -> None:
+        self._process = process
+        self.terminate, self.kill = process.terminate, process.kill
+
+    def is_alive(self) -> bool:
+        return self._process.poll() is None
+
+    def join(self, timeout: float | None = None) -> None:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(timeout)
+
+    @property
+    def exitcode(self) -> int | None:
+        return self._process.returncode
+
+
+class Worker(Generic[T]):
+    """A process, the pipe to it, and its present mission."""
+
+    def __init__(self, process: Any, pipe: Connection) -> None:
+        self.pipe = pipe
+        self.mission: T
+        self._process = process
+        self._since = time.monotonic()
+
+    @staticmethod
+    def forked(
+        function: Callable[[Any], Iterator[Any]], others: "Iterable[Worker[Any]]" = ()
+    ) -> "Worker[Any]":  # fmt: skip
+        """Fork a worker: it has what this process has imported, compiled and set.
+
+        It does not keep the pipe ends of the other workers: each sees end-of-file when the parent dies.
+        """
+        pipe, theirs = _FORK.Pipe()
+        ours = [pipe, *(other.pipe for other in others)]
+        process = _FORK.Process(target=_forked, args=(theirs, ours, function, os.getpid()), daemon=False)
+        process.start()
+        theirs.close()
+        return Worker(process, pipe)
+
+    @staticmethod
+    def started(function: Callable[[Any], Iterator[Any]]) -> "Worker[Any]":
+        """Start a worker in an interpreter of its own, where this process has threads and sockets."""
+        pipe, theirs = multiprocessing.Pipe()
+        command = [sys.executable, "-m", __name__, str(theirs.fileno()), str(os.getpid())]
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()])
+        theirs.close()
+        with contextlib.suppress(OSError):
+            pipe.send(function)
+        return Worker(_Started(process), pipe)
+
+    def give(self, mission: T) -> None:
+        """Send a mission; a process that is gone is noticed by `take`."""
+        self.mission, self._since = mission, time.monotonic()
+        with contextlib.suppress(OSError):
+            self.pipe.send(mission)
+
+    def take(self) -> list[Any]:
+        """Wait for an item, and take all that are there; `Done`, `Lost` (the process is gone) or `Raised` ends them."""
+        self._since = time.monotonic()
+        items: list[Any] = []
+        while not items or (len(items) < _MOST_ITEMS and not is_last(items[-1]) and self.pipe.poll()):
+            items.append(self._receive())
+        return items
+
+    def _receive(self) -> Any:
+        try:
+            return self.pipe.recv()
+        except (EOFError, OSError):
+            self._process.join()
+            code = self._process.exitcode or 0
+            name = signal.Signals(-code).name if -code in {int(s) for s in signal.Signals} else ""
+            return Lost(f"its worker died ({name or f'exit code {code}'})", died=True, signal=name)
+
+    def overdue(self, limit: float) -> list[Any]:
+        """`Lost` if the process has sent nothing for too long (s)."""
+        if time.monotonic() - self._since < limit:
+            return []
+        return [Lost(f"its worker gave nothing for {limit:g} s", died=False)]
+
+    def end(self) -> None:
+        """End the process."""
+        self.pipe.close()
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join(5.0)
+            if self._process.is_alive():
+                self._process.kill()
+        self._process.join()
+
+
+def _forked(
+    pipe: Connection, ours: Iterable[Connection], function: Callable[[Any], Iterator[Any]], parent: int
+) -> None:  # fmt: skip
+    """Main function of a forked worker."""
+    for end in ours:
+        end.close()
+    _work(pipe, function, parent)
+
+
+def _started(handle: int, parent: int) -> None:
+    """Main function of a started worker."""
+    pipe = Connection(handle)
+    with contextlib.suppress(EOFError, OSError):
+        _work(pipe, pipe.recv(), parent)
+
+
+def _work(pipe: Connection, function: Callable[[Any], Iterator[Any]], parent: int) -> None:
+    """Fly missions until there are none, or the parent is gone."""
+    ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent:
+        return
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    while True:
+        try:
+            mission = pipe.recv()
+        except (EOFError, OSError):
+            return
+        try:
+            for item in function(mission):
+                pipe.send(item)
+            pipe.send(Done())
+        except BrokenPipeError:
+            return
+        except Exception as error:  # whoever asked raises it
+            pipe.send(Raised(_portable(error)))
+
+
+def _portable(error: Exception) -> Exception:
+    """The exception if another process can unpickle it, else its text."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # whatever a class of somebody else's does with its arguments
+        return MavfiError(f"{type(error).__name__}: {error}")
+    return error
+
+
+if __name__ == "__main__":
+    from mavfi.campaign.executors import process
+
+    process._started(int(sys.argv[1]), int(sys.argv[2]))  # in the module that the parent's items are pickled with

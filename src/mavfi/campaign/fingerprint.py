@@ -1,0 +1,56 @@
+"""What decides the bits of a flight besides its scenario: versions, code, shipped files, kind of processor."""
+
+import functools
+import hashlib
+import platform
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from mavfi.config import config_root
+from mavfi.version import __version__
+
+_PACKAGES = ("numpy", "numba", "llvmlite", "mujoco-core", "scikit-learn")
+
+
+def versions() -> dict[str, str]:
+    """Versions that decide the bits of a flight."""
+    found = {"mavfi": __version__}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "absent"
+    return found
+
+
+def code() -> str:
+    """Hash of the package's source."""
+    return _hash(Path(__file__).parents[1], "*.py")
+
+
+@functools.cache
+def fingerprint() -> Mapping[str, str]:
+    """What must be equal on machines that fly missions of one campaign.
+
+    All x86-64 processors give the same bits; another architecture is not tested.
+    """
+    return {
+        **versions(), "python": platform.python_version(), "architecture": platform.machine(), "code": code(),
+        "configs": _hash(config_root(), "*.yaml"),
+    }  # fmt: skip
+
+
+def difference(wanted: Mapping[str, str], here: Mapping[str, str]) -> str:
+    """The first thing that differs, in words; "" = nothing does."""
+    for name, value in wanted.items():
+        if here.get(name) != value:
+            return f"{name} {here.get(name, 'absent')[:12]}, the campaign {value[:12]}"
+    return ""
+
+
+def _hash(folder: Path, pattern: str) -> str:
+    content = hashlib.sha256()
+    for path in sorted(folder.rglob(pattern)):
+        content.update(f"{path.relative_to(folder)}\n".encode() + path.read_bytes())
+    return content.hexdigest()
