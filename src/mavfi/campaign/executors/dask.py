@@ -1,7 +1,7 @@
 """Dask workers, on this machine or on many: a mission is a task; only the campaign's process writes.
 
-A Dask worker flies in a process of its own, which a fault may take down.  Items of long missions reach the campaign
-while they are flown, as events; the last ones are the task's result.
+A Dask worker flies in a process of its own, which a fault may take down.  What a mission gives reaches the campaign as
+events, while it is flown.
 """
 
 import contextlib
@@ -10,7 +10,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pickle import dumps, loads
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -29,7 +29,7 @@ LOOPBACK = "127.0.0.1"
 _AHEAD = 2  # tasks for each thread of a worker: one that it flies, and one that waits
 _SEND_EVERY_S = 0.5
 _LOOK_EVERY_S = 1.0
-_PATIENCE_S = 60.0  # for events that a result has counted, and for a scheduler that does not answer
+_PATIENCE_S = 60.0  # for the last items of a task that has ended, and for a scheduler that does not answer
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -97,24 +97,13 @@ def _connected(scheduler: str, workers: int) -> "Iterator[Client]":
         yield client
 
 
-@dataclass(frozen=True, slots=True)
-class _Result:
-    """What a task returns."""
-
-    attempt: str
-    sent: int  # items that are under way as events
-    items: Sequence[Any]  # the others
-
-
 @dataclass(slots=True)
 class _Ticket:
     """A mission that was given to the scheduler."""
 
     mission: Any
     future: "Future"
-    arrived: dict[str, int] = field(default_factory=dict)  # items that came as events, by attempt
-    result: _Result | None = None
-    since: float = 0.0  # when the result came
+    ended: float = 0.0  # when its task ended; its last items may still be under way
 
 
 class _Flights:
@@ -124,99 +113,101 @@ class _Flights:
         self._client = client
         self._topic = f"mavfi-{uuid.uuid4().hex}"
         self._order = dumps((function, fingerprint(), allowed_names(), self._topic))
-        self._news: SimpleQueue[tuple[str, Any]] = SimpleQueue()
+        self._news: SimpleQueue[tuple[str, Sequence[Any] | None]] = SimpleQueue()
         self._tickets: dict[str, _Ticket] = {}
-        self._most, self._looked = 0, 0.0
+        self._threads, self._looked = 1, -_LOOK_EVERY_S
 
     def fly(self, missions: Iterator[Any]) -> Iterator[tuple[Any, Sequence[Any]]]:
         """Give missions to workers, not many more than these can fly, and take what comes."""
-        self._client.subscribe_topic(self._topic, lambda event: self._news.put(("items", loads(event[1]))))
+        self._client.subscribe_topic(self._topic, lambda event: self._news.put(loads(event[1])))
         self._submit(missions)
         while self._tickets:
             with contextlib.suppress(Empty):
-                kind, what = self._news.get(timeout=_LOOK_EVERY_S)
-                yield from self._events(*what) if kind == "items" else self._ended(what)
-            yield from self._missing()
+                key, items = self._news.get(timeout=_LOOK_EVERY_S)
+                yield from self._ended(key) if items is None else self._items(key, items)
             self._submit(missions)
+            if time.monotonic() - self._looked > _LOOK_EVERY_S:
+                yield from self._look()
 
     def cancel(self) -> None:
         """Take back what is not flown."""
         self._client.cancel([ticket.future for ticket in self._tickets.values()], force=True)
 
     def _submit(self, missions: Iterator[Any]) -> None:
-        now = time.monotonic()
-        if now - self._looked > _LOOK_EVERY_S:
-            self._looked, self._most = now, _AHEAD * max(1, sum(self._client.nthreads().values()))
-        for mission in itertools.islice(missions, max(0, self._most - len(self._tickets))):
-            key = f"{self._topic}-{uuid.uuid4().hex}"
-            future = self._client.submit(_fly, self._order, mission, key, key=key, pure=False)
-            self._tickets[key] = _Ticket(mission, future)
-            future.add_done_callback(lambda done: self._news.put(("ended", done.key)))
-
-    def _events(self, key: str, attempt: str, items: Sequence[Any]) -> Iterator[tuple[Any, Sequence[Any]]]:
-        ticket = self._tickets.get(key)
-        if ticket is None:
+        """Fill the workers up, many missions at once where there are many workers."""
+        free = _AHEAD * self._threads - len(self._tickets)
+        if free < self._threads and self._tickets:
             return
-        ticket.arrived[attempt] = ticket.arrived.get(attempt, 0) + len(items)
-        yield ticket.mission, items
-        yield from self._finished(key, ticket)
+        given = {f"{self._topic}-{uuid.uuid4().hex}": mission for mission in itertools.islice(missions, free)}
+        if not given:
+            return
+        futures = self._client.map(
+            _fly, list(given.values()), list(given), order=self._order, key=list(given), pure=False
+        )
+        for (key, mission), future in zip(given.items(), futures, strict=True):
+            self._tickets[key] = _Ticket(mission, future)
+            future.add_done_callback(lambda done: self._news.put((done.key, None)))
+
+    def _items(self, key: str, items: Sequence[Any]) -> Iterator[tuple[Any, Sequence[Any]]]:
+        if key not in self._tickets:
+            return
+        mission, last = self._tickets[key].mission, items[-1]
+        if is_last(last):
+            del self._tickets[key]
+        if not isinstance(last, Raised):
+            yield mission, items
+            return
+        if items[:-1]:
+            yield mission, items[:-1]
+        raise last.error
 
     def _ended(self, key: str) -> Iterator[tuple[Any, Sequence[Any]]]:
-        """The end of a task.
+        """The end of a task, not always after its last items.
 
         Raises:
             MachineError: The scheduler has forgotten it.
         """
         from distributed import KilledWorker
 
-        ticket = self._tickets[key]
+        ticket = self._tickets.get(key)
+        if ticket is None:
+            return
+        ticket.ended = time.monotonic()
         if ticket.future.status == "finished":
-            ticket.result, ticket.since = ticket.future.result(), time.monotonic()
-            yield from self._finished(key, ticket)
             return
         error = ticket.future.exception() if ticket.future.status == "error" else None
         if error is None:
             raise MachineError("the Dask scheduler is gone, or has cancelled a mission")
         if not isinstance(error, KilledWorker):
-            raise error if isinstance(error, MavfiError) else MavfiError(f"a Dask worker failed: {error!r}")
+            raise MavfiError(f"a Dask worker failed: {error!r}")
         del self._tickets[key]
         yield ticket.mission, [Lost("its Dask workers died", died=True, signal="SIGKILL")]
 
-    def _finished(self, key: str, ticket: _Ticket) -> Iterator[tuple[Any, Sequence[Any]]]:
-        """The last items of a mission, once those before have come."""
-        result = ticket.result
-        if result is None or ticket.arrived.get(result.attempt, 0) < result.sent:
-            return
-        del self._tickets[key]
-        last = result.items[-1]
-        if isinstance(last, Raised):
-            if result.items[:-1]:
-                yield ticket.mission, result.items[:-1]
-            raise last.error
-        yield ticket.mission, result.items
-
-    def _missing(self) -> Iterator[tuple[Any, Sequence[Any]]]:
-        """Missions of which events were lost."""
-        now = time.monotonic()
+    def _look(self) -> Iterator[tuple[Any, Sequence[Any]]]:
+        """Count the workers, and give up missions whose last items were lost on the way."""
+        self._looked = time.monotonic()
+        self._threads = max(1, sum(self._client.nthreads().values()))
         for key, ticket in list(self._tickets.items()):
-            if ticket.result is not None and now - ticket.since > _PATIENCE_S:
+            if ticket.ended and self._looked - ticket.ended > _PATIENCE_S:
                 del self._tickets[key]
-                yield ticket.mission, [Lost("what it gave was lost on the way", died=False)]
+                yield ticket.mission, [Lost("its last items were lost on the way", died=False)]
 
 
 _THREAD = threading.local()
 """The flying process of this thread of a Dask worker."""
 
 
-def _fly(order: bytes, mission: Any, key: str) -> _Result:  # noqa: ANN401
-    """Fly a mission on a Dask worker."""
+def _fly(mission: Any, key: str, order: bytes) -> None:  # noqa: ANN401
+    """Fly a mission on a Dask worker, and send what it gives."""
     from distributed import get_worker
 
     function, wanted, plugins, topic = loads(order)
-    dask, attempt, sent = get_worker(), uuid.uuid4().hex, 0
+    dask = get_worker()
     wrong = difference(wanted, fingerprint())
     if wrong:
-        return _Result(attempt, 0, [Raised(BadInputError(f"Dask worker {dask.address}: has {wrong}"))])
+        refused = BadInputError(f"Dask worker {dask.address}: has {wrong}")
+        dask.log_event(topic, dumps((key, [Raised(refused)])))
+        return
     allow_names(plugins)
     worker = _flyer(function, topic)
     worker.give(mission)
@@ -226,15 +217,14 @@ def _fly(order: bytes, mission: Any, key: str) -> _Result:  # noqa: ANN401
         items += worker.take() if worker.pipe.poll(_LOOK_EVERY_S) else worker.overdue(TIME_LIMIT)
         task = dask.state.tasks.get(key)
         if task is None or task.state == "cancelled":
-            items.append(Lost("it was cancelled", died=False))
-        now = time.monotonic()
-        if items and not is_last(items[-1]) and now - told > _SEND_EVERY_S:
-            dask.log_event(topic, dumps((key, attempt, items)))
-            sent, told, items = sent + len(items), now, []
+            items = [Lost("it was cancelled", died=False)]
+        elif items and not is_last(items[-1]) and time.monotonic() - told > _SEND_EVERY_S:
+            dask.log_event(topic, dumps((key, items)))
+            told, items = time.monotonic(), []
     if isinstance(items[-1], Lost):
         worker.end()
         _THREAD.worker = None
-    return _Result(attempt, sent, items)
+    dask.log_event(topic, dumps((key, items)))
 
 
 def _flyer(function: Callable[[Any], Iterator[Any]], topic: str) -> Worker[Any]:

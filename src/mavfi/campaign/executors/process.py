@@ -143,7 +143,13 @@ def _started(handle: int, parent: int) -> None:
     """Main function of a started worker."""
     pipe = Connection(handle)
     with contextlib.suppress(EOFError, OSError):
-        _work(pipe, pipe.recv(), parent)
+        try:
+            function = pipe.recv()
+        except (AttributeError, ImportError) as error:
+            pipe.recv_bytes()
+            pipe.send(Raised(MavfiError(f"workers cannot import what they should call: {error}")))
+            return
+        _work(pipe, function, parent)
 
 
 def _work(pipe: Connection, function: Callable[[Any], Iterator[Any]], parent: int) -> None:
