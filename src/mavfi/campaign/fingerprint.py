@@ -24,6 +24,18 @@ def versions() -> dict[str, str]:
     return found
 
 
+def versions_for(level: str) -> dict[str, str]:
+    """Versions that decide the bits of a campaign of a fault level.
+
+    Numba compiles Python's bytecode, so what can be injected into differs from one Python to the next; results do not.
+    """
+    return versions() | ({"python": _python()} if level == "instruction" else {})
+
+
+def _python() -> str:
+    return ".".join(platform.python_version_tuple()[:2])
+
+
 def code() -> str:
     """Hash of the package's source."""
     return _hash(Path(__file__).parents[1], "*.py")
@@ -36,7 +48,7 @@ def fingerprint() -> Mapping[str, str]:
     All x86-64 processors give the same bits; another architecture is not tested.
     """
     return {
-        **versions(), "python": platform.python_version(), "architecture": platform.machine(), "code": code(),
+        **versions(), "python": _python(), "architecture": platform.machine(), "code": code(),
         "configs": _hash(config_root(), "*.yaml"),
     }  # fmt: skip
 

@@ -14,7 +14,7 @@ from typing import Any
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.fingerprint import versions
+from mavfi.campaign.fingerprint import versions_for
 from mavfi.campaign.mission import MissionPlan, fly_mission, host_of, plan_of, scenarios_of
 from mavfi.campaign.plan import Flown, Plan, Planned, arms_of
 from mavfi.campaign.store import Store
@@ -190,7 +190,7 @@ def run_campaign(
     plan = plan_of(campaign, models, scenarios)
     executor = executor or LocalExecutor(2)
     with Store.create(directory, identity_of(campaign, scenarios, models)) as store:
-        _check_versions(store)
+        _check_versions(store, versions_for(campaign.sampling.level))
         _check_shard(store, shard)
         store.write_meta({
             "models_dir": None if models_dir is None else str(models_dir.absolute()),
@@ -274,12 +274,11 @@ def _check_shard(store: Store, shard: tuple[int, int]) -> None:
         raise BadInputError(f"{store.directory}: holds {text}, not {wanted}; choose another directory")
 
 
-def _check_versions(store: Store) -> None:
+def _check_versions(store: Store, here: Mapping[str, str]) -> None:
     """Note the versions that matter; a ledger with runs left to do that was begun with others is a BadInputError."""
-    here = versions()
     held: dict[str, Any] | None = store.meta("versions")
     if held is None:
-        store.write_meta({"versions": here})
+        store.write_meta({"versions": dict(here)})
         return
     differing = [name for name in here if held.get(name) != here[name]]
     if differing and not store.complete:

@@ -244,6 +244,17 @@ def test_versions_are_not_mixed_within_a_campaign(flown, tmp_path, monkeypatch):
     flown_into(flown[0])  # nothing is left to fly, so nothing is mixed
 
 
+def test_another_python_goes_on_with_faults_in_states_but_not_in_instructions(tmp_path, monkeypatch):
+    instructions = small(sampling=INSTRUCTIONS, null_runs=0, arms={})
+    for name, campaign in (("state", small()), ("instruction", instructions)):
+        with pytest.raises(KeyboardInterrupt):
+            flown_into(tmp_path / name, campaign, progress=stop_at(3))
+    monkeypatch.setattr(fingerprint, "_python", lambda: "3.99")
+    assert flown_into(tmp_path / "state").complete
+    with pytest.raises(BadInputError, match=r"was begun with python 3\.\d+, here is 3.99; runs cannot be mixed"):
+        flown_into(tmp_path / "instruction", instructions)
+
+
 def test_a_ledger_of_schema_1_is_refused_and_left_as_it_is(tmp_path):
     with sqlite3.connect(tmp_path / FILE) as connection:
         connection.execute("PRAGMA user_version = 1")
