@@ -1,8 +1,8 @@
 """Signals to random processes of a campaign at random instants; it is resumed until it is done, and must be the same.
 
-    python -m tests.robustness.chaos        (N=500 ONLY=instruction SEED=1)
+    python -m tests.robustness.chaos        (N=500 ONLY="state instruction dask ros" SEED=1)
 
-Targets are the command, its workers and the forked flights; signals are KILL, TERM, HUP, and STOP, after which the
+Targets are the command, its workers (also those of Dask) and the flights that they have started; signals are KILL, TERM, HUP, and STOP, after which the
 process continues (CONT).  In the end the ledger has the digest of a campaign that nobody disturbed, no process of the
 command lives 5 s after it, and no file is left beside the ledger's.
 """
@@ -28,7 +28,10 @@ CAMPAIGNS = {
         "sampling": {"level": "instruction", "kernels": ["pid", "point_cloud", "rrt_connect"]}, "missions": 4,
         "faults": 4,
     },
+    "dask": {"sampling": {"level": "state"}, "missions": 4, "faults": 6, "null_runs": 1},
+    "ros": {"host": "ros1", "sampling": {"level": "state"}, "missions": 1, "faults": 1, "null_runs": 0},
 }  # fmt: skip
+OPTIONS = {"dask": ["--executor", "dask"]}
 ROLES = ("command", "worker", "flight")
 SIGNALS = (signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGSTOP)
 PATIENCE_S = 5.0
@@ -40,7 +43,7 @@ class Campaign:
     """A campaign in a folder, as a command; `seen` are all processes that it has started."""
 
     def __init__(self, level, folder):
-        self.folder, self.ledger, self.scratch = folder, folder / "ledger", folder / "tmp"
+        self.level, self.folder, self.ledger, self.scratch = level, folder, folder / "ledger", folder / "tmp"
         self.scratch.mkdir(parents=True)
         content = {"name": level, "environments": ["sparse"], "first_seed": 7, "mission": SHORT, **CAMPAIGNS[level]}
         (folder / "campaign.yaml").write_text(yaml.safe_dump(content), encoding="utf-8")
@@ -51,7 +54,7 @@ class Campaign:
         """Start or resume it."""
         command = [
             sys.executable, "-m", "mavfi", "campaign", "run", str(self.folder / "campaign.yaml"), "--out",
-            str(self.ledger), "--workers", "2",
+            str(self.ledger), "--workers", "2", *OPTIONS.get(self.level, []),
         ]  # fmt: skip
         with (self.folder / "log").open("ab") as log:
             self.process = subprocess.Popen(
@@ -63,7 +66,7 @@ class Campaign:
         """Living processes by role; the command's children are workers, theirs are flights."""
         workers = children(self.process.pid)
         found = {"command": [self.process.pid], "worker": workers, "flight": sum(map(children, workers), [])}
-        for pid in sum(found.values(), []):
+        for pid in [self.process.pid, *descendants(self.process.pid)]:
             self.seen[pid] = begun(pid)
         return found
 
@@ -124,6 +127,11 @@ def children(pid):
         except OSError:
             continue
     return found
+
+
+def descendants(pid):
+    """Processes that a process has started, and theirs."""
+    return [one for child in children(pid) for one in (child, *descendants(child))]
 
 
 def strike(campaign, draw):
@@ -215,7 +223,7 @@ def say(text):
 def main():
     """Disturb until there were N kills."""
     kills, seed = int(os.environ.get("N", "500")), int(os.environ.get("SEED", "1"))
-    levels = [level for level in CAMPAIGNS if os.environ.get("ONLY", "") in ("", level)]
+    levels = os.environ.get("ONLY", "state instruction dask").split()
     draw, hits, wrong = random.Random(seed), Counter(), []
     with tempfile.TemporaryDirectory(prefix="mavfi-chaos-") as folder:
         references = {level: undisturbed(level, Path(folder) / f"golden-{level}") for level in levels}
