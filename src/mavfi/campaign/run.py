@@ -25,6 +25,7 @@ from mavfi.campaign.mission import (
 )
 from mavfi.campaign.plan import Plan, arms_of
 from mavfi.campaign.store import Store
+from mavfi.config import parse
 from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import require_level
@@ -256,8 +257,8 @@ def status(directory: Path) -> Status:
 
 
 def stored_campaign(store: Store) -> Campaign:
-    """The campaign of a ledger."""
-    return Campaign.model_validate(store.meta("identity")["campaign"])
+    """The campaign of a ledger; a BadInputError if it is none."""
+    return parse(Campaign, store.meta("identity")["campaign"], str(store.directory))
 
 
 def versions() -> dict[str, str]:
