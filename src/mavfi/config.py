@@ -1,15 +1,21 @@
 """Configuration: YAML files become frozen, validated models; an unknown key is an error that names file and key."""
 
 import math
+from functools import cache
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, field_validator
 
 from mavfi.errors import BadInputError
+from mavfi.files import LARGEST_TEXT, read_file
 
 Vector = tuple[float, float, float]
+_Part = Annotated[float, Field(ge=0, le=1e6)]
+NotNegative = tuple[_Part, _Part, _Part]
+Gain = Annotated[float, Field(ge=-1e3, le=1e3)]
+Gains = tuple[Gain, Gain, Gain]
 STRONGEST_WIND = 30.0
 """Largest gust and mean wind (m/s)."""
 
@@ -21,6 +27,7 @@ class Config(BaseModel):
 
 
 ConfigType = TypeVar("ConfigType", bound=Config)
+Checked = TypeVar("Checked")
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
@@ -30,11 +37,42 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         """Keys and values; duplicate keys are an error."""
         seen = set()
         for key, _ in node.value:
-            if key.value in seen and isinstance(key, yaml.ScalarNode):
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
                 raise yaml.YAMLError(f"key {key.value!r} twice, again in line {key.start_mark.line + 1}")
             seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
         mapping: dict[Any, Any] = super().construct_mapping(node, deep)
         return mapping
+
+    def get_single_data(self) -> Any:
+        """The document; one that its aliases make too large, or endless, is an error."""
+        node = self.get_single_node()
+        if node is None:
+            return None
+        if _size(node, {}) > _MOST_NODES:
+            raise yaml.YAMLError(f"aliases make more than {_MOST_NODES:,} values of it")
+        return self.construct_document(node)
+
+
+def _integer(loader: _Loader, node: yaml.ScalarNode) -> int:
+    """An integer; Python cannot print those that are much larger than any float."""
+    value: int = loader.construct_yaml_int(node)
+    if value.bit_length() > _MOST_BITS:
+        raise yaml.YAMLError(f"integer of {value.bit_length()} bits in line {node.start_mark.line + 1}")
+    return value
+
+
+_Loader.add_constructor("tag:yaml.org,2002:int", _integer)
+
+
+def _size(node: yaml.Node, known: dict[int, float]) -> float:
+    """Number of values in a node once its aliases are written out; infinite if it holds itself."""
+    if isinstance(node, yaml.ScalarNode):
+        return 1
+    if id(node) not in known:
+        known[id(node)] = math.inf
+        parts = node.value if isinstance(node, yaml.SequenceNode) else [part for pair in node.value for part in pair]
+        known[id(node)] = 1 + sum(_size(part, known) for part in parts)
+    return known[id(node)]
 
 
 class VehicleConfig(Config):
@@ -44,32 +82,40 @@ class VehicleConfig(Config):
     """
 
     name: str
-    mass: float = Field(gt=0, description="kg")
+    mass: float = Field(gt=0, le=1e4, description="kg")
     inertia: Vector = Field(description="kg m^2, principal, body frame")
-    arm_length: float = Field(gt=0, description="m, rotor axis to centre")
-    hull_radius: float = Field(gt=0, description="m, collision radius")
-    max_rotor_thrust: float = Field(gt=0, description="N, one rotor")
-    rotor_torque_ratio: float = Field(gt=0, description="m, torque / thrust")
-    rotor_time_constant: float = Field(ge=0, description="s")
-    drag: Vector = Field(description="N s^2/m^2 along body x, y, z: force = -drag v|v|")
-    velocity_gain: float = Field(2.5, gt=0, description="1/s")
-    attitude_gain: float = Field(8.0, gt=0, description="1/s")
-    rate_gain: Vector = Field((18.0, 18.0, 6.0), description="1/s, body rates")
-    vertical_integral_gain: float = Field(0.3, ge=0, description="1/s^2; there is no x/y integrator")
-    max_tilt: float = Field(0.5712, gt=0, description="rad")
-    max_acceleration: float = Field(6.0, gt=0, description="m/s^2, horizontal")
-    max_yaw_rate: float = Field(2.0, gt=0, description="rad/s")
-    setpoint_limit: float = Field(1.33, gt=1, description="largest accepted velocity set-point / v_max")
+    arm_length: float = Field(gt=0, le=100, description="m, rotor axis to centre")
+    hull_radius: float = Field(gt=0, le=5, description="m, collision radius")
+    max_rotor_thrust: float = Field(gt=0, le=1e6, description="N, one rotor")
+    rotor_torque_ratio: float = Field(gt=0, le=100, description="m, torque / thrust")
+    rotor_time_constant: float = Field(ge=0, le=10, description="s")
+    drag: NotNegative = Field(description="N s^2/m^2 along body x, y, z: force = -drag v|v|")
+    velocity_gain: float = Field(2.5, gt=0, le=1e3, description="1/s")
+    attitude_gain: float = Field(8.0, gt=0, le=1e4, description="1/s")
+    rate_gain: NotNegative = Field((18.0, 18.0, 6.0), description="1/s, body rates")
+    vertical_integral_gain: float = Field(0.3, ge=0, le=1e3, description="1/s^2; there is no x/y integrator")
+    max_tilt: float = Field(0.5712, gt=0, le=1.5, description="rad")
+    max_acceleration: float = Field(6.0, gt=0, le=1e3, description="m/s^2, horizontal")
+    max_yaw_rate: float = Field(2.0, gt=0, le=100, description="rad/s")
+    setpoint_limit: float = Field(1.33, gt=1, le=100, description="largest accepted velocity set-point / v_max")
     mjcf: str | None = Field(None, description="MJCF file of the body; its mass and inertia are flown")
+
+    @field_validator("inertia")
+    @classmethod
+    def _of_a_rigid_body(cls, inertia: Vector) -> Vector:
+        low, middle, high = sorted(inertia)
+        if not (low > 0 and high <= low + middle):
+            raise ValueError(f"{inertia}: allowed: above 0, and none larger than the other two together")
+        return inertia
 
 
 class CameraConfig(Config):
     """Depth camera, looking forward."""
 
-    width: int = Field(64, ge=2, description="pixels")
-    height: int = Field(48, ge=2, description="pixels")
+    width: int = Field(64, ge=2, le=4096, description="pixels")
+    height: int = Field(48, ge=2, le=4096, description="pixels")
     field_of_view: float = Field(1.5707963267948966, gt=0, lt=3.1, description="rad, horizontal")
-    range: float = Field(20.0, gt=0, description="m")
+    range: float = Field(20.0, gt=0, le=1e3, description="m")
     period_us: int = Field(100_000, gt=0, description="shortest time between two images")
     noise: float = Field(0.0, ge=0, description="standard deviation / range")
 
@@ -118,22 +164,22 @@ class PlannerConfig(Config):
     """Sampling planner and path improvement.  What suits each shipped planner is in configs/planners."""
 
     name: str = "rrt_connect"
-    range: float = Field(4.0, gt=0, description="m, longest extension; of RRT* the largest near set, too")
+    range: float = Field(4.0, gt=0, le=1e3, description="m, longest extension; of RRT* the largest near set, too")
     goal_bias: float = Field(0.05, ge=0, le=1, description="probability of drawing the goal; not used by RRT-Connect")
     iterations: int = Field(4000, gt=0, le=100_000, description="per run")
     restarts: int = Field(
         6, gt=0, le=100, description="runs, of which the shortest path is kept; RRT*: most budgets of its one run"
     )
-    shortcuts: int = Field(80, ge=0, description="random shortcuts after the greedy ones")
+    shortcuts: int = Field(80, ge=0, le=100_000, description="random shortcuts after the greedy ones")
 
 
 class PlatformConfig(Config):
     """A computer: what each kernel's result costs in simulated time (modelled, not measured on that hardware)."""
 
     name: str
-    latency_us: dict[str, int] = Field(description="by kernel")
-    tracker_slowdown: float = Field(1.0, ge=1, description="control loop time / reference time it advances")
-    time_limit_factor: float = Field(1.0, ge=1)
+    latency_us: dict[str, Annotated[int, Field(ge=0, le=60_000_000)]] = Field(description="by kernel")
+    tracker_slowdown: float = Field(1.0, ge=1, le=1e3, description="control loop time / reference time it advances")
+    time_limit_factor: float = Field(1.0, ge=1, le=1e3)
 
 
 class StackConfig(Config):
@@ -141,32 +187,36 @@ class StackConfig(Config):
 
     name: str
     sampling: Literal["held", "interpolated"] = Field(description="trajectory points: every 0.5 s and held, or dense")
-    point_period: float = Field(gt=0, description="s between trajectory points")
-    look_ahead: float = Field(ge=0, description="s, velocity reference")
-    gain_p: Vector = Field(description="1/s")
-    gain_i: Vector = (0.0, 0.0, 0.0)
-    gain_d: Vector = (0.0, 0.0, 0.0)
-    integral_limit: float = Field(1.0, ge=0, description="m s")
-    velocity_feed_forward: float = 1.0
-    acceleration_feed_forward: float = 0.0
-    command_limit: float = Field(gt=0, description="largest command / v_max")
-    slowdown_cap: float = Field(ge=1, description="largest slow-down of reference time on saturation; 1 = none")
-    plan_radius: float = Field(gt=0, description="m, for a collision radius of 0.35 m; grows with it")
-    check_radius: float = Field(gt=0, description="m, for a collision radius of 0.35 m; grows with it")
+    point_period: float = Field(ge=1e-3, le=10, description="s between trajectory points")
+    look_ahead: float = Field(ge=0, le=60, description="s, velocity reference")
+    gain_p: Gains = Field(description="1/s")
+    gain_i: Gains = (0.0, 0.0, 0.0)
+    gain_d: Gains = (0.0, 0.0, 0.0)
+    integral_limit: float = Field(1.0, ge=0, le=1e3, description="m s")
+    velocity_feed_forward: Gain = 1.0
+    acceleration_feed_forward: Gain = 0.0
+    command_limit: float = Field(gt=0, le=100, description="largest command / v_max")
+    slowdown_cap: float = Field(ge=1, le=1e3, description="largest slow-down of reference time on saturation; 1 = none")
+    plan_radius: float = Field(gt=0, le=10, description="m, for a collision radius of 0.35 m; grows with it")
+    check_radius: float = Field(gt=0, le=10, description="m, for a collision radius of 0.35 m; grows with it")
     distance: Literal["centres", "boxes"] = Field(description="between which points of voxels a radius is measured")
     replanning: Literal["event", "every_map"]
     smoothing: Literal["blends", "minimum_snap"] = Field(
         "blends", description="rounded corners with a speed profile, or polynomials of degree 7"
     )
-    searches: int = Field(1, gt=0, description="searches per plan, of which the quickest path is flown; every_map only")
-    grace: float = Field(ge=0, description="s")
+    searches: int = Field(
+        1, gt=0, le=1000, description="searches per plan, of which the quickest path is flown; every_map only"
+    )
+    grace: float = Field(ge=0, le=1e6, description="s")
     known_space_limit: bool = Field(description="clock governed by known free space")
     geofence: bool = Field(description="outside of the mapped volume counts as blocked in the check")
-    deviation_limit: float = Field(ge=0, description="m from the reference that stops and replans; 0 = off")
-    progress_timeout: float = Field(ge=0, description="s without progress that stop and replan; 0 = off")
+    deviation_limit: float = Field(ge=0, le=1e6, description="m from the reference that stops and replans; 0 = off")
+    progress_timeout: float = Field(ge=0, le=1e6, description="s without progress that stop and replan; 0 = off")
     consumer_check: bool = Field(description="trajectories are checked for sanity before they are adopted")
-    epoch_liveness: float = Field(ge=0, description="s after which a rejected sequence number is forgotten; 0 = off")
-    max_failed_plans: int = Field(40, gt=0)
+    epoch_liveness: float = Field(
+        ge=0, le=1e6, description="s after which a rejected sequence number is forgotten; 0 = off"
+    )
+    max_failed_plans: int = Field(40, gt=0, le=1_000_000)
 
 
 class EnvironmentConfig(Config):
@@ -176,14 +226,16 @@ class EnvironmentConfig(Config):
     generator: str = Field(description="entry point of the group mavfi.environments")
     parameters: dict[str, Any] = Field(default_factory=dict)
     vehicle: str = "airsim_quad"
-    v_max: float | None = Field(None, gt=0, description="m/s, default of this environment")
-    map_resolution: float | None = Field(None, gt=0)
-    camera_range: float | None = Field(None, gt=0)
+    v_max: float | None = Field(None, ge=0.1, le=20, description="m/s, default of this environment")
+    map_resolution: float | None = Field(None, ge=0.02, le=5, description="m, voxel edge")
+    camera_range: float | None = Field(None, gt=0, le=1e3, description="m")
 
 
 _OPENINGS = ("[", "{", "- ", "? ")
 _MOST_OPENINGS = 10_000
 """The compiled parser is recursive, and crashes at a nesting depth of some 50,000."""
+_MOST_NODES = 100_000
+_MOST_BITS = 1024
 
 
 def config_root() -> Path:
@@ -200,17 +252,21 @@ def read_yaml(path: Path) -> dict[str, Any]:
         BadInputError: The file is absent, not YAML, or not a mapping.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_file(path, LARGEST_TEXT).decode()
         if sum(map(text.count, _OPENINGS)) > _MOST_OPENINGS:
             raise BadInputError(f"{path}: is too long; allowed: {_MOST_OPENINGS:,} lists and mappings")
         data = yaml.load(text, _Loader)
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:  # ValueError: a date that is none
-        raise BadInputError(f"{path}: not a YAML file ({str(error).splitlines()[0]})") from None
+    except RecursionError:
+        raise BadInputError(f"{path}: not a YAML file (too many lists and mappings within each other)") from None
+    except (yaml.YAMLError, LookupError, TypeError, ValueError) as error:  # of tags that do not suit their value, too
+        raise BadInputError(f"{path}: not a YAML file ({_first_line(error)})") from None
     if not isinstance(data, dict):
         raise BadInputError(f"{path}: must hold keys and values, holds {type(data).__name__}")
     return data
+
+
+def _first_line(error: Exception) -> str:
+    return next(iter(str(error).splitlines()), type(error).__name__)
 
 
 def parse(model: type[ConfigType], data: dict[str, Any], source: str) -> ConfigType:
@@ -223,6 +279,36 @@ def parse(model: type[ConfigType], data: dict[str, Any], source: str) -> ConfigT
         return model.model_validate(data)
     except ValidationError as error:
         raise BadInputError(f"{source}: {_told(model, {**error.errors()[0]})}") from None
+
+
+def checked(kind: type[Checked], data: object, source: str) -> Checked:
+    """Validate data from a source (a name for messages) into a dataclass.
+
+    Raises:
+        BadInputError: One line that names source, key, value and what is allowed.
+    """
+    try:
+        found: Checked = _adapter(kind).validate_python(data)  # type: ignore[arg-type] # classes are hashable
+    except ValidationError as error:
+        raise BadInputError(f"{source}: {finding(error)}") from None
+    return found
+
+
+@cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:  # noqa: ANN401 - a dataclass
+    return TypeAdapter(kind)
+
+
+def finding(error: ValidationError) -> str:
+    """The first of pydantic's findings: key, value and what is allowed."""
+    first = error.errors()[0]
+    key, value = ".".join(map(str, first["loc"])), first["input"]
+    return f"key {key!r}: {_shown(value)}: {first['msg']}"
+
+
+def _shown(value: object) -> str:
+    """The value, or its type where it is long."""
+    return type(value).__name__ if isinstance(value, (dict, list, tuple)) else repr(value)
 
 
 def _told(model: type[BaseModel], error: dict[str, Any]) -> str:
@@ -240,7 +326,7 @@ def _told(model: type[BaseModel], error: dict[str, Any]) -> str:
         allowed = get_args(field.annotation) if field is not None and get_origin(field.annotation) is Literal else ()
         return f"key {key!r}: is required" + (f"; allowed: {', '.join(map(str, allowed))}" if allowed else "")
     value = error["input"]
-    shown = type(value).__name__ if isinstance(value, (dict, list, tuple)) else repr(value)
+    shown = _shown(value)
     if kind == "literal_error":
         return f"key {key!r}: {shown}: not known; allowed: {error['ctx']['expected']}"
     return f"key {key!r}: {message}" if kind == "value_error" else f"key {key!r}: {shown}: {message}"

@@ -4,16 +4,17 @@ import hashlib
 import io
 import json
 import math
-import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import ZipFile
 
 import numpy as np
 
+from mavfi.config import checked
 from mavfi.errors import BadInputError, writing
+from mavfi.files import read_file
 from mavfi.mission import MissionStatus
 
 COLUMNS = (
@@ -21,6 +22,9 @@ COLUMNS = (
     "command_vx", "command_vy", "command_vz", "command_yaw_rate", "reference_x", "reference_y", "reference_z",
 )  # fmt: skip
 """Columns of `FlightLog.rows`: s, m, m/s, unit quaternion, rad/s (body), m/s and rad/s, m."""
+LATEST_S = 1e9
+"""Latest instant of a flight (s)."""
+_LARGEST_FILE, _LARGEST_CONTENT = 1 << 27, 1 << 28
 _DIGESTED = len(COLUMNS) - 3
 
 
@@ -67,8 +71,8 @@ class Injection:
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> "Injection":
-        """Inverse of `to_json`; values that JSON cannot hold stay text."""
-        return Injection(**data)
+        """Inverse of `to_json`, a BadInputError if it is none; values that JSON cannot hold stay text."""
+        return checked(Injection, data, "injection")
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +105,8 @@ class AlarmRecord:
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> "AlarmRecord":
-        """Inverse of `to_json`."""
-        return AlarmRecord(**{**data, "fields": tuple(data["fields"]), "score": float(data["score"])})
+        """Inverse of `to_json`; a BadInputError if it is none."""
+        return checked(AlarmRecord, data, "alarm")
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,15 +231,57 @@ class FlightLog:
             BadInputError: The file is absent or is no flight log.
         """
         try:
-            with np.load(io.BytesIO(Path(path).read_bytes())) as archive:
-                rows, data = np.column_stack([archive[name] for name in COLUMNS]), json.loads(str(archive["record"]))
-            events = [Event(*event) for event in data["events"]]
-            kernel = data["kernel"]
-            return FlightLog(
-                rows, MissionStatus[data["status"]], events,
-                [Injection.from_json(item) for item in data["injections"]],
-                [AlarmRecord.from_json(item) for item in data["alarms"]], data["meta"],
-                None if kernel is None else KernelEffect(**kernel),
-            )  # fmt: skip
-        except (OSError, EOFError, LookupError, ValueError, TypeError, RuntimeError, BadZipFile, zlib.error) as error:
-            raise BadInputError(f"{path}: is not a flight log ({error})") from None
+            arrays = read_arrays(Path(path))
+            rows, told = _table(arrays), checked(_Told, json.loads(str(arrays["record"])), "record")
+            status, events = MissionStatus[told.status], [Event(*event) for event in told.events]
+        except (BadInputError, LookupError, RecursionError, ValueError) as error:
+            why = str(error).removeprefix(f"{path}: ")
+            raise BadInputError(f"{path}: is not a flight log ({why})") from None
+        times = [1e-6 * event.time_us for event in events]
+        times += [item.time_s for item in told.injections] + [item.time_s for item in told.alarms]
+        if any(LATEST_S < abs(time) < math.inf for time in times) or not (abs(rows[:, 0]) <= LATEST_S).all():
+            raise BadInputError(f"{path}: is not a flight log (times: allowed: {LATEST_S:g} s at most)")
+        return FlightLog(rows, status, events, told.injections, told.alarms, told.meta, told.kernel)
+
+
+@dataclass(frozen=True, slots=True)
+class _Told:
+    """What `FlightLog.save` writes beside the columns."""
+
+    status: str
+    events: list[tuple[int, str, dict[str, Any]]]
+    injections: list[Injection]
+    alarms: list[AlarmRecord]
+    meta: dict[str, Any]
+    kernel: KernelEffect | None
+
+
+def _table(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The columns as one table; a ValueError if they are none."""
+    columns = [arrays[name] for name in COLUMNS]
+    if any(column.ndim != 1 or column.dtype.kind not in "fiu" for column in columns) or not len(columns[0]):
+        raise ValueError("columns: allowed: one number per control tick, one tick or more")
+    return np.column_stack(columns).astype(np.float64)
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Arrays of an .npz file; objects are not unpickled.
+
+    Raises:
+        BadInputError: The file cannot be read, is no such file, or is too large when decompressed.
+    """
+    content = read_file(path, _LARGEST_FILE)
+    try:
+        with ZipFile(io.BytesIO(content)) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size > _LARGEST_CONTENT:
+            raise BadInputError(f"{path}: {size:,} bytes when decompressed; allowed: {_LARGEST_CONTENT:,}")
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            found = {name: arrays[name] for name in arrays.files}
+        if not all(isinstance(array, np.ndarray) for array in found.values()):
+            raise BadInputError(f"{path}: holds members that are no arrays")
+        return found
+    except BadInputError:
+        raise
+    except Exception as error:  # noqa: BLE001 - whatever NumPy and zipfile raise at a damaged file
+        raise BadInputError(f"{path}: is not an archive of arrays ({type(error).__name__}: {error})") from None

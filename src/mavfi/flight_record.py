@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from mavfi.config import checked
 from mavfi.flight_log import AlarmRecord, FlightLog, Injection, KernelEffect
 
 MOST_ALARMS = 20
@@ -136,16 +137,8 @@ class FlightRecord:
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> "FlightRecord":
-        """Inverse of `to_json`."""
-        given = dict(data)
-        given["end"] = End(given["end"])
-        if "energy" in given:
-            given["energy"] = EnergyTerms(**given["energy"])
-        if "kernel" in given:
-            given["kernel"] = KernelEffect(**given["kernel"])
-        given["injections"] = tuple(Injection.from_json(item) for item in given.get("injections", ()))
-        given["alarms"] = tuple(AlarmRecord.from_json(item) for item in given.get("alarms", ()))
-        return FlightRecord(**given)
+        """Inverse of `to_json`; a BadInputError if it is none."""
+        return checked(FlightRecord, data, "record")
 
 
 _DEFAULTS: dict[str, Any] = {f.name: getattr(FlightRecord(End.FLOWN), f.name) for f in fields(FlightRecord)}

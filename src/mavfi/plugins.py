@@ -5,6 +5,7 @@ passing it to the Python API, or by allowing all plug-ins.  A name in a file tha
 """
 
 import importlib
+import inspect
 import os
 import re
 import sys
@@ -89,11 +90,23 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
         found = getattr(importlib.import_module(module), attribute)
     except MavfiError:
         raise
-    except Exception as error:  # noqa: BLE001 - whatever a user's module raises while it is imported
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's module raises while it is imported
         raise BadInputError(f"{what} {name!r}: cannot be imported ({reason(error)})") from None
     if not callable(found):
         raise BadInputError(f"{what} {name!r}: cannot be called; allowed: a class or a function")
     return found
+
+
+def parameters_of(what: str, name: str, factory: Any) -> list[str]:  # noqa: ANN401 - a user's own
+    """Names of the parameters of a user's own class or function; kind (`what`) and name are for messages.
+
+    Raises:
+        BadInputError: It does not say them, as some of Python's own do not.
+    """
+    try:
+        return list(inspect.signature(factory).parameters)
+    except ValueError as error:
+        raise BadInputError(f"{what} {name!r}: its parameters are not known ({error})") from None
 
 
 def build(
@@ -108,7 +121,7 @@ def build(
         made = factory(*arguments, **options)
     except MavfiError:
         raise
-    except Exception as error:  # noqa: BLE001 - whatever a user's constructor raises
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever a user's constructor raises
         raise BadInputError(f"{what} {name!r}: cannot be built ({reason(error)})") from None
     lacking = [method for method in needs if not callable(getattr(made, method, None))]
     if lacking:
@@ -116,6 +129,6 @@ def build(
     return made
 
 
-def reason(error: Exception) -> str:
+def reason(error: BaseException) -> str:
     """What a user's code raised, on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"

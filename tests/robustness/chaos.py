@@ -2,9 +2,9 @@
 
     python -m tests.robustness.chaos        (N=500 ONLY="state instruction dask ros" SEED=1)
 
-Targets are the command, its workers (also those of Dask) and the flights that they have started; signals are KILL, TERM, HUP, and STOP, after which the
-process continues (CONT).  In the end the ledger has the digest of a campaign that nobody disturbed, no process of the
-command lives 5 s after it, and no file is left beside the ledger's.
+Targets are the command, its workers (also those of Dask) and the flights that they started; signals are KILL, TERM,
+HUP, and STOP, after which the process continues (CONT).  In the end the ledger has the digest of a campaign that nobody
+disturbed, no process of the command lives 5 s after it, and no file is left beside the ledger's.
 """
 
 import os

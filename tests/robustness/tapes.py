@@ -112,7 +112,7 @@ def record(seed=3, recorders=()):
     return tapes
 
 
-# ---- bits -----------------------------------------------------------------------------------------------------------
+# ---- bits --------------------------------------------------------------------------------------------------------
 def flip_array(array, random):
     """Flip one bit of one element; says where."""
     element = int(random.integers(array.size))
@@ -220,7 +220,7 @@ def flip_record(array, random):
     return f".{name}{where}"
 
 
-# ---- playing --------------------------------------------------------------------------------------------------------
+# ---- playing -----------------------------------------------------------------------------------------------------
 def play(tape, random):
     """Play a tape with one bit flipped; yields the label of the strike first, then what each step gives."""
     kernel = copy.deepcopy(tape.kernel, constants(tape.kernel))

@@ -17,6 +17,7 @@ from mavfi.states import INJECTABLE, MONITORED_SETS, PLANNERS
 
 DESIGN_SEEDS = range(10_000)  # seeds that the autopilot profiles were tuned on
 TRAINING_SEED = 1_000_000  # first seed of the flights that detectors are trained on; no campaign flies these
+MOST_FAULTS = 100_000  # per environment and target
 NULL_RUNS = 3  # null runs per environment, where faults are in states and the campaign does not say
 
 _RENAMED = {
@@ -143,7 +144,7 @@ class Scale(Config):
     """Another size of a campaign."""
 
     missions: int | None = Field(None, ge=1)
-    faults: int | None = Field(None, ge=1)
+    faults: int | None = Field(None, ge=1, le=MOST_FAULTS)
 
 
 class Campaign(Config):
@@ -158,12 +159,14 @@ class Campaign(Config):
     environments: tuple[str, ...] = Field(min_length=1)
     first_seed: int = Field(10_000, ge=0)
     missions: int = Field(30, ge=1, description="per environment")
-    faults: int = Field(30, ge=1, description="per environment and target")
+    faults: int = Field(30, ge=1, le=MOST_FAULTS, description="per environment and target")
     scales: dict[str, Scale] = Field(default_factory=dict, description="other sizes, by name")
     mission: dict[str, Any] = Field(default_factory=dict, description="keys of a mission, for all arms")
     sampling: Sampling = Field(default_factory=StateSampling)
     monitored_set: str = Field("paper-13", description="fields that count as watched")
-    null_runs: int | None = Field(None, ge=0, description="per environment; each arm in turn; default 3 for states")
+    null_runs: int | None = Field(
+        None, ge=0, le=MOST_FAULTS, description="per environment; each arm in turn; default 3 for states"
+    )
     arms: dict[str, ArmConfig] = Field(default_factory=dict, description="by name")
     node: NodeConfig | None = Field(None, description="the node under test, with host node")
 

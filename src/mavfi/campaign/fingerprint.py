@@ -24,15 +24,8 @@ def versions() -> dict[str, str]:
     return found
 
 
-def versions_for(level: str) -> dict[str, str]:
-    """Versions that decide the bits of a campaign of a fault level.
-
-    Numba compiles Python's bytecode, so what can be injected into differs from one Python to the next; results do not.
-    """
-    return versions() | ({"python": _python()} if level == "instruction" else {})
-
-
-def _python() -> str:
+def python() -> str:
+    """Version of Python whose bytecode is compiled, e.g. "3.11"."""
     return ".".join(platform.python_version_tuple()[:2])
 
 
@@ -48,7 +41,7 @@ def fingerprint() -> Mapping[str, str]:
     All x86-64 processors give the same bits; another architecture is not tested.
     """
     return {
-        **versions(), "python": _python(), "architecture": platform.machine(), "code": code(),
+        **versions(), "python": python(), "architecture": platform.machine(), "code": code(),
         "configs": _hash(config_root(), "*.yaml"),
     }  # fmt: skip
 

@@ -15,6 +15,7 @@ from typing import Any, Literal, NamedTuple
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Draw, Sampler, draws_of
+from mavfi.config import checked
 from mavfi.faults.fault import Fault, fault_from_json
 from mavfi.flight_record import FlightRecord, canonical
 from mavfi.mission import MissionStatus
@@ -79,9 +80,9 @@ class RunSpec:
 
     @staticmethod
     def from_json(data: dict[str, Any]) -> "RunSpec":
-        """Inverse of `to_json`."""
-        fault = data["fault"]
-        return RunSpec(**{**data, "fault": None if fault is None else fault_from_json(fault)})
+        """Inverse of `to_json`; a BadInputError if it is none."""
+        fault = data.get("fault") if isinstance(data, dict) else None
+        return checked(RunSpec, data if fault is None else {**data, "fault": fault_from_json(fault)}, "run")
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mavfi.campaign.store import FILE, PLANNED, SCHEMA, TABLES, checksum_of, connect, mission_checksum
+from mavfi.campaign.soundness import PLANNED, TABLES, checksum_of, mission_checksum, strange_schema
+from mavfi.campaign.store import FILE, SCHEMA, connect
 from mavfi.errors import BadInputError, writing
 
 DAMAGED = "campaign.damaged.sqlite"
@@ -35,6 +36,9 @@ def repair(directory: Path) -> Repair:
     if damaged.exists():
         raise BadInputError(f"{damaged}: exists already, from an earlier repair; move it away first")
     with closing(connect(path, "ro")) as source:
+        with suppress(sqlite3.DatabaseError):  # damaged, too: rows that can be read are kept
+            if strange := strange_schema(source):
+                raise BadInputError(f"{path}: {strange}")
         described = [row for row in _rows(source, "SELECT key, value, checksum FROM meta") if _sound(row)]
         runs = list(_rows(source, f"SELECT {_RUNS} FROM runs"))
         missions = list(_rows(source, "SELECT environment, seed, checksum FROM missions"))

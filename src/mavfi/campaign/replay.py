@@ -66,12 +66,14 @@ def _setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
     host = host_of(campaign)
     if not host.deterministic:
         raise BadInputError(f"{store.directory}: host {host.name} is not deterministic: runs cannot be flown again")
-    arm = next(arm for arm in arms_of(campaign) if arm.name == spec.arm)
+    arms = {arm.name: arm for arm in arms_of(campaign)}
+    if spec.arm not in arms:
+        raise BadInputError(f"{store.directory}: run {spec.run_id}: arm {spec.arm!r}: allowed: {', '.join(arms)}")
     models_dir = store.meta("models_dir")
     mission = MissionPlan(
         campaign, *spec.world, None if models_dir is None else Path(models_dir), store.meta("identity")["models"]
     )
-    return host, setup_of(mission, arm, host)
+    return host, setup_of(mission, arms[spec.arm], host)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,11 +14,12 @@ from typing import Any
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.fingerprint import versions_for
+from mavfi.campaign.fingerprint import versions
 from mavfi.campaign.mission import MissionPlan, fly_mission, host_of, plan_of, scenarios_of
 from mavfi.campaign.plan import Flown, Plan, Planned, arms_of
 from mavfi.campaign.store import Store
 from mavfi.campaign.warm_up import fly_mission_anywhere, warm_up
+from mavfi.config import parse
 from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import require_level
@@ -190,7 +191,7 @@ def run_campaign(
     plan = plan_of(campaign, models, scenarios)
     executor = executor or LocalExecutor(2)
     with Store.create(directory, identity_of(campaign, scenarios, models)) as store:
-        _check_versions(store, versions_for(campaign.sampling.level))
+        _check_versions(store, {**versions(), **plan.sampler.versions})
         _check_shard(store, shard)
         store.write_meta({
             "models_dir": None if models_dir is None else str(models_dir.absolute()),
@@ -260,8 +261,8 @@ def status(directory: Path) -> Status:
 
 
 def stored_campaign(store: Store) -> Campaign:
-    """The campaign of a ledger."""
-    return Campaign.model_validate(store.meta("identity")["campaign"])
+    """The campaign of a ledger; a BadInputError if it is none."""
+    return parse(Campaign, store.meta("identity")["campaign"], str(store.directory))
 
 
 def _check_shard(store: Store, shard: tuple[int, int]) -> None:

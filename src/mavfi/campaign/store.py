@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from mavfi.campaign.plan import Flown, Row, RunSpec
+from mavfi.campaign.soundness import INDEX, PLANNED, TABLES, checksum_of, damage, mission_checksum
 from mavfi.errors import BadInputError, MachineError, MavfiError
 from mavfi.flight_record import End, FlightRecord, canonical
 from mavfi.mission import MissionStatus
@@ -23,32 +24,12 @@ from mavfi.mission import MissionStatus
 SCHEMA = 3
 FILE = "campaign.sqlite"
 LOCK = "campaign.lock"
-TABLES = """
-CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL, checksum TEXT NOT NULL);
-CREATE TABLE runs (
-    run_id TEXT PRIMARY KEY,
-    position INTEGER NOT NULL UNIQUE,
-    kind TEXT NOT NULL,
-    setting TEXT NOT NULL,
-    environment TEXT NOT NULL,
-    seed INTEGER NOT NULL,
-    spec TEXT NOT NULL,
-    record TEXT,
-    note TEXT NOT NULL DEFAULT '',
-    wall_s REAL,
-    checksum TEXT NOT NULL
-);
-CREATE TABLE missions (environment TEXT, seed INTEGER, checksum TEXT NOT NULL, PRIMARY KEY (environment, seed));
-"""
-_INDEX = "CREATE INDEX IF NOT EXISTS runs_by_mission ON runs (environment, seed, position)"
-"""Without it, to look for the runs of a mission is to read all runs."""
 _CANDIDATES = 5
 _GENERATION = "generation"
 _MACHINE_CODES = (
     sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_NOMEM,
 )  # fmt: skip
 _RUN = "spec, record, note, wall_s"
-PLANNED = "run_id, position, kind, setting, environment, seed, spec"
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +94,7 @@ class Store:
             else:
                 store._check(identity)
             store._connection.execute("PRAGMA journal_mode = WAL")
-            store._connection.execute(_INDEX)
+            store._connection.execute(INDEX.replace("INDEX", "INDEX IF NOT EXISTS"))
             store._has_log = True
             store._connection.execute("PRAGMA synchronous = NORMAL")
             store._take_over()
@@ -168,32 +149,9 @@ class Store:
 
     def _check_content(self) -> None:
         """Refuse a ledger that fails its integrity check."""
-        try:
-            wrong = self._damage()
-        except (sqlite3.DatabaseError, TypeError, UnicodeDecodeError) as error:  # TypeError: a value has the wrong type
-            wrong = f"{error}"
+        wrong = damage(self._connection)
         if wrong:
             raise BadInputError(f"{self.directory / FILE}: is damaged: {wrong}")
-
-    def _damage(self) -> str:
-        """The first integrity violation, "" = none."""
-        sound = self._connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
-        if sound != "ok":
-            return str(sound).splitlines()[-1]
-        for key, value, checksum in self._connection.execute("SELECT key, value, checksum FROM meta"):
-            if checksum != checksum_of(key, value):
-                return f"metadata {key!r}: checksum mismatch"
-        if self.meta("identity") is None:
-            return "metadata are missing"
-        for run_id, *rest, checksum in self._connection.execute(
-            f"SELECT {PLANNED}, record, note, wall_s, checksum FROM runs"
-        ):
-            if checksum != checksum_of(run_id, *rest):
-                return f"run {run_id!r}: checksum mismatch"
-        for environment, seed, checksum in self._connection.execute("SELECT * FROM missions ORDER BY 1, 2"):
-            if checksum != mission_checksum(self._connection, (environment, seed)):
-                return f"mission {environment}-{seed}: runs are missing or were added"
-        return ""
 
     def _take_over(self) -> None:
         """Become the one that writes."""
@@ -270,7 +228,7 @@ class Store:
         """Rows in the order of the plan; `done` selects those that are flown, or those that are not."""
         chosen = {None: "1", True: "record IS NOT NULL", False: "record IS NULL"}[done]
         for row in self._connection.execute(f"SELECT {_RUN} FROM runs WHERE {chosen} ORDER BY position"):
-            yield _run(*row)
+            yield self._run(*row)
 
     def planned(self) -> list[tuple[str, int]]:
         """Missions, by environment and seed, of which every run is stored."""
@@ -305,7 +263,14 @@ class Store:
             raise BadInputError(
                 f"{self.directory}: run {run_id!r}: {len(rows)} runs begin so; allowed, among others: {some}"
             )
-        return _run(*rows[0][1:])
+        return self._run(*rows[0][1:])
+
+    def _run(self, spec: str, record: str | None, note: str, wall_s: float | None) -> Run:
+        try:
+            parsed = None if record is None else FlightRecord.from_json(json.loads(record))
+            return Run(RunSpec.from_json(json.loads(spec)), parsed, note, wall_s)
+        except (BadInputError, RecursionError, ValueError) as error:  # ValueError: too large a number
+            raise BadInputError(f"{self.directory / FILE}: {error}") from None
 
     def write(self, flown: Iterable[Flown]) -> list[tuple[str, Flown]]:
         """Store what runs left: from then on they are done, and stay as they are.
@@ -359,22 +324,6 @@ class Store:
         for run_id, spec, record in self._connection.execute("SELECT run_id, spec, record FROM runs ORDER BY position"):
             content.update(f"{run_id}\n{spec}\n{record}\n".encode())
         return content.hexdigest()
-
-
-def checksum_of(*values: str | int | float | None) -> str:
-    """Checksum of the values of a row, types included."""
-    return hashlib.sha256(repr(values).encode()).hexdigest()[:32]
-
-
-def mission_checksum(connection: sqlite3.Connection, world: tuple[Any, ...]) -> str:
-    """Checksum of the planned runs of a mission, given by environment and seed."""
-    query = "SELECT run_id, position FROM runs WHERE environment = ? AND seed = ? ORDER BY position"
-    return checksum_of(*world, *(part for row in connection.execute(query, world) for part in row))
-
-
-def _run(spec: str, record: str | None, note: str, wall_s: float | None) -> Run:
-    parsed = None if record is None else FlightRecord.from_json(json.loads(record))
-    return Run(RunSpec.from_json(json.loads(spec)), parsed, note, wall_s)
 
 
 def connect(path: Path, mode: str) -> sqlite3.Connection:

@@ -5,14 +5,12 @@ Recordings stay on disk until the models are saved, so that training can be resu
 
 import contextlib
 import hashlib
-import io
 import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -21,9 +19,11 @@ from mavfi.campaign.config import TRAINING_SEED
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import code, versions
+from mavfi.detectors import features
 from mavfi.detectors.model import Model
-from mavfi.detectors.recorder import Recorder, Recording
+from mavfi.detectors.recorder import WATCHED, Recorder, Recording
 from mavfi.errors import BadInputError
+from mavfi.flight_log import read_arrays
 from mavfi.hosts.local.flight import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.watching import detector_for
@@ -51,10 +51,12 @@ class KeptRecordings:
         found = {}
         for seed in seeds:
             try:
-                with np.load(io.BytesIO(self._path(seed).read_bytes())) as archive:
-                    found[seed] = Recording(*(archive[name] for name in _PARTS))
-            except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+                arrays = read_arrays(self._path(seed))
+                recording = Recording(*(arrays[name] for name in _PARTS))
+            except (BadInputError, KeyError):
                 continue
+            if _is_whole(recording):
+                found[seed] = recording
         return found
 
     def save(self, seed: int, recording: Recording) -> None:
@@ -77,6 +79,17 @@ class KeptRecordings:
 
     def _path(self, seed: int) -> Path:
         return self._folder / f"{seed}.npz"
+
+
+def _is_whole(recording: Recording) -> bool:
+    """Whether the parts have the types of a recording, and fit together."""
+    parts = recording.kinds, recording.times_us, recording.content
+    if [part.dtype for part in parts] != [np.int8, np.int64, np.uint8] or any(part.ndim != 1 for part in parts):
+        return False
+    kinds, ends = recording.kinds, len(WATCHED)
+    if len(kinds) != len(recording.times_us) or ((kinds < features.ODOMETRY) | (kinds >= ends)).any():
+        return False
+    return int(recording.ends[-1]) == len(recording.content) if len(kinds) else not len(recording.content)
 
 
 def _key(scenario: Scenario) -> str:

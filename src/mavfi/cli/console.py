@@ -17,6 +17,8 @@ from mavfi.mission import LARGEST_SEED
 
 WIDE = 140
 """Columns where the output is no terminal: tables in a file are not folded."""
+LONGEST_LINE = 2000
+"""Characters of an error's line."""
 FLIGHTS, PICTURES = (".npz",), (".png", ".svg", ".pdf")
 """Endings of files."""
 
@@ -33,9 +35,18 @@ def titled_table(title: str, **more: Any) -> Table:
     return Table(title=title, title_style="bold", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, **more)
 
 
+def one_line(text: str) -> str:
+    """The text as one line for a terminal: what cannot be printed is escaped, the middle of a long one is left out."""
+    line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
+    if len(line) <= LONGEST_LINE:
+        return line
+    half = LONGEST_LINE // 2 - 3
+    return f"{line[:half]} ... {line[-half:]}"
+
+
 def complain(text: str, code: int) -> int:
     """Write one line to stderr, and answer the exit code."""
-    typer.echo(f"mavfi: {' '.join(text.split())}", err=True)
+    typer.echo(f"mavfi: {one_line(text)}", err=True)
     return code
 
 

@@ -56,7 +56,7 @@ def export(
         raise BadInputError(f"{flight}: is not the folder of a campaign, so there is no run {run_id!r}")
     check_writable(to)
     log = _log(flight, run_id)
-    count, unit = _write(log, to), "rows" if to.suffix == ".csv" else "messages"
+    count, unit = _write(log, to, str(flight)), "rows" if to.suffix == ".csv" else "messages"
     if as_json:
         write_json({"file": str(to), "written": count, "unit": unit})
         return
@@ -90,7 +90,7 @@ def _log(flight: Path, run_id: str) -> FlightLog:
     return FlightLog.load(flight)
 
 
-def _write(log: FlightLog, to: Path) -> int:
+def _write(log: FlightLog, to: Path, source: str) -> int:
     from mavfi.reports.export.files import write_bag, write_csv, write_mcap
 
     if to.suffix == ".csv":
@@ -100,7 +100,7 @@ def _write(log: FlightLog, to: Path) -> int:
     from mavfi.reports.export.timeline import timeline
     from mavfi.sim.environments import build_world
 
-    scenario = parse(Scenario, log.meta.get("scenario", {}), "flight log, scenario")
+    scenario = parse(Scenario, log.meta.get("scenario", {}), f"{source}: scenario")
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
     write = write_bag if to.suffix == ".bag" else write_mcap
     return write(timeline(log, world), to)

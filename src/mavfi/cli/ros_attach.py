@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,6 +19,7 @@ from mavfi.errors import BadInputError, MavfiError
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
+    from mavfi.faults.message.definition import Definition
     from mavfi.faults.message.injector import MessageInjector
     from mavfi.flight_log import Injection
     from mavfi.hosts.node.relay import Relay
@@ -205,7 +207,6 @@ def _trained(
 ) -> tuple[dict[str, Probe], Detector, int]:
     """Watched numbers, trained detector, and number of messages that it has learned from."""
     from mavfi.detectors.registry import trainable
-    from mavfi.flight_logs import open_flight_log
     from mavfi.hosts.node.watch import make_probes, train
 
     check_name("--detector", chosen[0], trainable())
@@ -213,11 +214,33 @@ def _trained(
     if source == "online":
         probes = make_probes(listener.first(), fields)
         return probes, train(*chosen, probes, listener.take(seconds), used.append), used[0]
-    messages = list(open_flight_log(Path(source)).messages(listener.topics))
-    first = {message.topic: (message.layout, message.data) for message in reversed(messages)}
-    for topic, definition in listener.definitions.items():
-        if topic in first and definition != first[topic][0]:
-            raise BadInputError(f"{source}: {topic} has another type there than now ({definition.kind})")
-    probes = make_probes(first, fields)
-    parts = ((message.topic, message.data) for message in messages)
-    return probes, train(*chosen, probes, parts, used.append), used[0]
+    return trained_on_file(Path(source), listener.topics, listener.definitions, chosen, fields)
+
+
+def trained_on_file(
+    source: Path,
+    topics: Sequence[str],
+    definitions: Mapping[str, Definition],
+    chosen: tuple[str, str],
+    fields: list[str],
+) -> tuple[dict[str, Probe], Detector, int]:
+    """The same, from a file.
+
+    Raises:
+        BadInputError: It cannot be read, lacks a topic or has another type there, or a message is not of its type.
+    """
+    from mavfi.flight_logs import open_flight_log
+    from mavfi.hosts.node.watch import make_probes, train
+
+    used: list[int] = []
+    try:
+        messages = list(open_flight_log(source).messages(topics))
+        first = {message.topic: (message.layout, message.data) for message in reversed(messages)}
+        for topic, definition in definitions.items():
+            if topic in first and definition != first[topic][0]:
+                raise BadInputError(f"{topic} has another type there than now ({definition.kind})")
+        probes = make_probes(first, fields)
+        parts = ((message.topic, message.data) for message in messages)
+        return probes, train(*chosen, probes, parts, used.append), used[0]
+    except MavfiError as error:
+        raise BadInputError(f"{source}: {str(error).removeprefix(f'{source}: ')}") from None

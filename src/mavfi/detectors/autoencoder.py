@@ -8,10 +8,11 @@ import numpy as np
 
 from mavfi.detectors import features
 from mavfi.detectors.features import Watch
-from mavfi.detectors.model import Model
+from mavfi.detectors.model import SMALLEST_LIMIT, Model
 from mavfi.detectors.parts import ScoringDetector, Threshold, Verdict, find_policy
 from mavfi.detectors.preprocess import DeltaScorer, Preprocessor
 from mavfi.detectors.samples import Sample, regime_limits
+from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import tanh
 from mavfi.numerics.jit import kernel_jit
 
@@ -24,6 +25,7 @@ INPUT_LIMIT = 10.0
 WEIGHT_DIGITS = 8
 """Significant digits of weights that are kept; those after them depend on the linear algebra of the machine."""
 _TRAINING_STREAM = 4
+_WIDEST = 10_000
 
 
 class Network(NamedTuple):
@@ -133,16 +135,28 @@ class AutoencoderDetector(ScoringDetector):
 
     def __init__(self, model: Model, policy: str = "keyed", preprocessor: Preprocessor | None = None) -> None:
         deltas = preprocessor or Preprocessor(model.monitored, model.profile, model.prediction)
-        numbers = {name: np.array(values, np.float64) for name, values in model.parameters.items() if name != "sizes"}
-        sizes = np.array(model.parameters["sizes"], np.int64)
-        network = Network(numbers["scale"], sizes, numbers["weights"], np.zeros((3, int(sizes.max()))))
-        threshold = Threshold(numbers["limit"], len(deltas.fields), numbers["key"])
+        count = len(deltas.fields)
+        sizes = _layers(model, count)
+        weights = model.numbers("weights", int((sizes[:-1] * sizes[1:] + sizes[1:]).sum()))
+        network = Network(model.numbers("scale", count, least=1.0), sizes, weights, np.zeros((3, int(sizes.max()))))
+        one = model.profile == "paper"
+        limit = model.numbers("limit", *((1, 1) if one else (count, features.REGIMES)), least=SMALLEST_LIMIT)
+        threshold = Threshold(limit, count, model.numbers("key", count, least=SMALLEST_LIMIT))
         super().__init__(SOURCE, AutoencoderScorer(deltas, network), threshold, find_policy(policy))
 
     @staticmethod
     def fit(sample: Sample, preprocessor: Preprocessor, figures: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters of a model, see `fit_autoencoder`."""
         return fit_autoencoder(sample, **figures)
+
+
+def _layers(model: Model, fields: int) -> np.ndarray:
+    """Neurons per layer of a model for so many fields."""
+    given = model.parameters.get("sizes")
+    sizes = model.numbers("sizes", len(given) if isinstance(given, list) else 0, least=1.0)
+    if len(sizes) < 2 or (sizes > _WIDEST).any() or (sizes % 1 != 0).any() or not sizes[0] == sizes[-1] == fields:
+        raise BadInputError(f"parameter 'sizes': {given}; allowed: neurons per layer, {fields}, ..., {fields}")
+    return sizes.astype(np.int64)
 
 
 def fit_autoencoder(  # noqa: PLR0913 - the figures of a YAML file

@@ -7,7 +7,7 @@ import numpy as np
 
 from mavfi.detectors import features
 from mavfi.detectors.features import Watch
-from mavfi.detectors.model import Model
+from mavfi.detectors.model import SMALLEST_LIMIT, Model
 from mavfi.detectors.parts import NOT_FINITE, ScoringDetector, Threshold, Verdict
 from mavfi.detectors.preprocess import DeltaScorer, Preprocessor
 from mavfi.detectors.samples import Sample, regime_limits
@@ -116,14 +116,15 @@ class GaussianDetector(ScoringDetector):
 
     def __init__(self, model: Model, sigmas: float | None = None, preprocessor: Preprocessor | None = None) -> None:
         deltas = preprocessor or Preprocessor(model.monitored, model.profile, model.prediction)
-        parameters, size = model.parameters, len(deltas.fields)
-        if "statistics" in parameters:
-            statistics = np.array(parameters["statistics"], np.float64)
-            scorer: DeltaScorer = OnlineScorer(deltas, statistics, float(parameters["min_count"]))
-            limit = np.full((size, features.REGIMES), float(parameters["sigmas"] if sigmas is None else sigmas))
+        size = len(deltas.fields)
+        if "statistics" in model.parameters:
+            statistics = model.numbers("statistics", size, 3)
+            scorer: DeltaScorer = OnlineScorer(deltas, statistics, float(model.numbers("min_count", least=0.0)))
+            used = float(model.numbers("sigmas", least=SMALLEST_LIMIT)) if sigmas is None else sigmas
+            limit = np.full((size, features.REGIMES), used)
         else:
-            scorer = FrozenScorer(deltas, np.array(parameters["centre"], np.float64))
-            limit = np.array(parameters["limit"], np.float64)
+            scorer = FrozenScorer(deltas, model.numbers("centre", size, features.REGIMES))
+            limit = model.numbers("limit", size, features.REGIMES, least=SMALLEST_LIMIT)
         super().__init__(SOURCE, scorer, Threshold(limit, size))
 
     @staticmethod

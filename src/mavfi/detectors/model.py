@@ -8,9 +8,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from mavfi.errors import BadInputError, SpecMismatchError, writing
+from mavfi.files import LARGEST_TEXT, read_file
 
 FORMAT = 1
+SMALLEST_LIMIT = 1e-30
+"""Smallest limit of a score that a model may have."""
+_TEXTS = ("kind", "profile", "monitored", "prediction")
+_LARGEST = 1e18
+"""Largest magnitude of a parameter."""
 FITTED_TO = ("stack", "platform", "v_max", "planner")
 """What a model must have been trained for to be used: keys of its provenance, and of what it is checked against."""
 
@@ -63,9 +71,32 @@ class Model:
             raise BadInputError(f"{source}: the content does not match its sha256; train the model again")
         del content["format"]
         try:
-            return Model(**content)
+            model = Model(**content)
         except TypeError as error:
             raise BadInputError(f"{source}: not a model ({error})") from None
+        for key in _TEXTS:
+            if not isinstance(content[key], str):
+                raise BadInputError(f"{source}: key {key!r}: {content[key]!r}; allowed: text")
+        if not isinstance(model.parameters, dict):
+            raise BadInputError(f"{source}: key 'parameters': allowed: numbers by name")
+        if not isinstance(model.provenance, dict) or not set(FITTED_TO) <= set(model.provenance):
+            raise BadInputError(f"{source}: key 'provenance': allowed: values of {', '.join(FITTED_TO)}")
+        return model
+
+    def numbers(self, key: str, *shape: int, least: float = -_LARGEST) -> np.ndarray:
+        """Numbers of a parameter, of this shape.
+
+        Raises:
+            BadInputError: It is absent, has another shape, or holds something else than numbers from `least` on.
+        """
+        try:
+            found = np.array(self.parameters[key], np.float64)
+        except (KeyError, OverflowError, TypeError, ValueError):
+            found = np.full(shape, np.nan)
+        if found.shape != shape or not ((found >= least) & (found <= _LARGEST)).all():
+            size = " x ".join(map(str, shape)) or "one"
+            raise BadInputError(f"parameter {key!r}: allowed: {size} numbers from {least:g} to {_LARGEST:g}")
+        return found
 
     def _content(self) -> dict[str, Any]:
         return {"format": FORMAT, **asdict(self)}
@@ -90,14 +121,12 @@ class Model:
             BadInputError: The file is absent, is no model, or was changed.
         """
         try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
-        except ValueError as error:
+            data = json.loads(read_file(path, LARGEST_TEXT))
+            if not isinstance(data, dict):
+                raise BadInputError(f"{path}: not a model (holds {type(data).__name__})")
+            return Model.from_json(data, str(path))
+        except (RecursionError, ValueError) as error:
             raise BadInputError(f"{path}: not a model ({error})") from None
-        if not isinstance(data, dict):
-            raise BadInputError(f"{path}: not a model (holds {type(data).__name__})")
-        return Model.from_json(data, str(path))
 
 
 def model_name(stack: str, platform: str, kind: str, profile: str) -> str:

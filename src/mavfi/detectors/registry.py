@@ -1,6 +1,5 @@
 """Detectors by name: the two of the paper, those of other packages, and `package:Class`."""
 
-import inspect
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -14,7 +13,7 @@ from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
 from mavfi.detectors.parts import Chain
 from mavfi.detectors.preprocess import PROFILES
 from mavfi.errors import BadInputError
-from mavfi.plugins import build, known, load_object
+from mavfi.plugins import build, known, load_object, parameters_of
 
 GROUP = "mavfi.detectors"
 """Entry points of this group are detectors: classes without arguments; or, where a class says its `model_kind`, with a
@@ -102,15 +101,18 @@ def load_detector(
     kind = getattr(factory, "model_kind", None)
     if kind is None:
         return _build(name, factory), ""
-    model = _load_model(str(kind), profile, models_dir or SHIPPED_MODELS, fits)
-    detector = _build(name, factory, model, policy=policy or settings.policy, sigmas=sigmas)
+    path = (models_dir or SHIPPED_MODELS) / f"{model_name(fits['stack'], fits['platform'], str(kind), profile)}.json"
+    model = _load_model(path, str(kind), profile, fits)
+    try:
+        detector = _build(name, factory, model, policy=policy or settings.policy, sigmas=sigmas)
+    except BadInputError as error:
+        raise BadInputError(f"{path}: {error}") from None
     if settings.gate if gate is None else gate:
         detector = Chain(PhysicsGate(float(fits["v_max"]), fits.get("arena", UNKNOWN_ARENA)), detector)
     return detector, model.sha256
 
 
-def _load_model(kind: str, profile: str, folder: Path, fits: Mapping[str, Any]) -> Model:
-    path = folder / f"{model_name(fits['stack'], fits['platform'], kind, profile)}.json"
+def _load_model(path: Path, kind: str, profile: str, fits: Mapping[str, Any]) -> Model:
     if not path.is_file():
         raise BadInputError(f"{path}: no model is trained for this stack and platform; train one with `mavfi train`")
     model = Model.load(path)
@@ -122,7 +124,7 @@ def _load_model(kind: str, profile: str, folder: Path, fits: Mapping[str, Any]) 
 
 def _build(name: str, factory: Any, *arguments: Model, **options: object) -> Detector:  # noqa: ANN401
     given = {key: value for key, value in options.items() if value is not None}
-    unknown = set(given) - set(inspect.signature(factory).parameters)
+    unknown = set(given) - set(parameters_of("detector", name, factory))
     if unknown:
         raise BadInputError(f"detector {name!r}: has no option {', '.join(sorted(unknown))}")
     made = build("detector", name, factory, *arguments, needs=("start", "check", "accept"), **given)

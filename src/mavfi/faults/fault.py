@@ -8,9 +8,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Literal, Self, get_args
 
+from mavfi.config import checked
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
-from mavfi.states import STATES
+from mavfi.states import STATES, find_state
 
 NO_SITE = -1
 """`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden flight has no site."""
@@ -62,8 +63,8 @@ class _Planned:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """Inverse of `to_json`, without the level."""
-        return cls(**data)
+        """Inverse of `to_json`, without the level; a BadInputError if it is none."""
+        return checked(cls, data, f"fault of level {cls.level}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +107,12 @@ class StateFault(_Planned):
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """Inverse of `to_json`, without the level."""
-        return cls(**{**data, "where": FaultSite(**data["where"])})
+        """Inverse of `to_json`, without the level; a BadInputError if there is no such field or bit."""
+        fault = checked(cls, data, "fault of level state")
+        bits = strata.WORD_BITS[find_state(fault.where.state).find(fault.where.field).dtype]
+        if fault.bit is not None and not 0 <= fault.bit < bits:
+            raise BadInputError(f"fault in {fault.site}: bit {fault.bit}; allowed: 0 to {bits - 1}")
+        return fault
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,8 +190,12 @@ class InstructionFault(_Planned):
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """Inverse of `to_json`, without the level."""
-        return cls(**{**data, "bits": tuple(data["bits"]), "value": int(data["value"], 16)})
+        """Inverse of `to_json`, without the level; a BadInputError if it is none."""
+        try:
+            value = int(data["value"], 16)
+        except (KeyError, TypeError, ValueError):
+            raise BadInputError("fault of level instruction: key 'value': allowed: a hexadecimal number") from None
+        return checked(cls, {**data, "value": value}, "fault of level instruction")
 
 
 @dataclass(frozen=True, slots=True)
@@ -300,8 +309,8 @@ LEVELS: dict[str, type[Fault]] = {
 
 def fault_from_json(data: dict[str, Any]) -> Fault:
     """Inverse of `to_json` of any fault; raises a BadInputError if there is no such level."""
-    given = dict(data)
+    given = dict(data) if isinstance(data, dict) else {}
     level = given.pop("level", None)
-    if level not in LEVELS:
+    if not isinstance(level, str) or level not in LEVELS:
         raise BadInputError(f"fault: level {level!r}: not known; allowed: {', '.join(LEVELS)}")
     return LEVELS[level].from_json(given)

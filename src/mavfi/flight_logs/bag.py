@@ -3,11 +3,13 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from rosbags.rosbag1 import Reader, ReaderError
+from rosbags.rosbag1 import Reader
 
-from mavfi.errors import BadInputError, allowed
+from mavfi.errors import BadInputError, MavfiError, allowed
 from mavfi.faults.message.definition import Definition
+from mavfi.files import check_regular
 from mavfi.flight_logs.reader import LoggedMessage
+from mavfi.plugins import reason
 
 
 class BagReader:
@@ -19,6 +21,7 @@ class BagReader:
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
         """See `FlightLogReader`."""
         path = self._path
+        check_regular(path)
         try:
             with Reader(path) as reader:
                 chosen = [connection for connection in reader.connections if connection.topic in topics]
@@ -31,5 +34,7 @@ class BagReader:
                 }
                 for connection, time_ns, data in reader.messages(chosen):
                     yield LoggedMessage(connection.topic, time_ns // 1000, layouts[connection.id], bytes(data))
-        except (OSError, ReaderError) as error:
-            raise BadInputError(f"{path}: is not a ROS 1 bag that can be read ({error})") from None
+        except MavfiError:
+            raise
+        except Exception as error:  # noqa: BLE001 - whatever the library raises at a damaged file
+            raise BadInputError(f"{path}: is not a ROS 1 bag that can be read ({reason(error)})") from None

@@ -1,5 +1,8 @@
 """A user's own vehicle: a YAML file that names an MJCF body, from which mass, inertia and looks are taken."""
 
+import math
+import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,12 +12,15 @@ import numpy as np
 
 from mavfi.config import VehicleConfig, parse, read_yaml, shipped
 from mavfi.errors import BadInputError
+from mavfi.files import LARGEST_TEXT, check_regular, read_file
 from mavfi.numerics.vectors import length, product
 from mavfi.sim.engine import GRAVITY, keep_quiet
 
 ROTORS = 4
 _TOLERANCE = 0.01
 """Share by which a mass or an inertia in the YAML file may differ from the model's, as rounding does."""
+_MOST_COPIES = 10_000
+_COUNT, _FILE = (re.compile(rb"""\b%s\s*=\s*["']([^"']*)["']""" % word) for word in (b"count", b"file"))
 _OPTIONS = [name for name in dir(mujoco.MjOption) if not name.startswith("_")]
 
 
@@ -153,11 +159,29 @@ def attach(vehicle: VehicleConfig, scene: Any, holder: Any) -> None:
 def _read(path: Path) -> Any:
     if not path.is_file():
         raise BadInputError(f"{path}: there is no such file")
+    if _copies(path, set()) > _MOST_COPIES:
+        raise BadInputError(f"{path}: attributes 'count' ask for too many copies; allowed: {_MOST_COPIES:,} in all")
     keep_quiet()
     try:
         return mujoco.MjSpec.from_file(str(path))
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, RuntimeError) as error:
         raise BadInputError(f"{path}: not an MJCF file ({_line(error)})") from None
+
+
+def _copies(path: Path, seen: set[Path]) -> float:
+    """Product of all counts in a model and in what it includes; every file that it names must be a regular one."""
+    seen.add(path)
+    content = read_file(path, LARGEST_TEXT)
+    product_of_counts = 1.0
+    for text in _COUNT.findall(content):
+        for word in text.split():
+            product_of_counts *= float(word) if word.isdigit() else math.inf
+    for name in _FILE.findall(content):
+        named = path.parent / os.fsdecode(name)
+        if name and named not in seen and named.exists():
+            check_regular(named)
+            product_of_counts *= _copies(named, seen) if named.suffix == ".xml" else 1.0
+    return product_of_counts
 
 
 def _free_body(spec: Any, path: Path) -> Any:
@@ -175,7 +199,7 @@ def _free_body(spec: Any, path: Path) -> Any:
 def _compile(spec: Any, path: Path) -> Any:
     try:
         return spec.compile()
-    except ValueError as error:
+    except (ValueError, RuntimeError) as error:
         reason = _line(error)
         allowed = "; allowed: a mass and an inertia above 0" if "mass and inertia" in reason else ""
         raise BadInputError(f"{path}: cannot be compiled ({reason}){allowed}") from None

@@ -25,6 +25,7 @@ from mavfi.faults.fault import (
     StateFault,
     fault_from_json,
 )
+from mavfi.faults.strata import WORD_BITS
 from mavfi.states import STATES
 
 seeds = st.integers(0, 2**63 - 1)
@@ -32,10 +33,16 @@ fields = [(spec.name, field.name) for spec in STATES.values() for field in spec.
 sites = st.builds(
     lambda place, element: FaultSite(*place, element), st.sampled_from(fields), st.none() | st.integers(0, 99)
 )
+
+
+def _field(fault):
+    return STATES[fault.where.state].find(fault.where.field)
+
+
 state_faults = st.builds(
     StateFault, sites, st.just(NO_SITE) | st.integers(0, 10**9), st.none() | st.integers(0, 63),
     st.sampled_from(["", "mantissa"]), st.floats(0, 1), seeds,
-)  # fmt: skip
+).filter(lambda fault: fault.bit is None or fault.bit < WORD_BITS[_field(fault).dtype])  # fmt: skip
 instruction_faults = st.builds(
     InstructionFault, st.text(), st.text(), st.integers(0), st.just(NO_SITE) | st.integers(0),
     st.lists(st.integers(0, 127), max_size=3).map(tuple), st.integers(0, 2**128), st.integers(0),

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mavfi.campaign.config import Campaign, InstructionSampling
+from mavfi.campaign.fingerprint import python
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.campaign.samplers.sampler import Block, Draw, Sampled
 from mavfi.errors import BadInputError
@@ -28,6 +29,9 @@ class InstructionSampler:
     def __init__(self, campaign: Campaign) -> None:
         assert isinstance(campaign.sampling, InstructionSampling)  # as `sampler_for` chooses
         self._campaign, self._sampling = campaign, campaign.sampling
+        self.versions: Mapping[str, str] = {
+            "python": python()
+        }  # Numba compiles its bytecode, which decides what can be injected into
         self._blocks: dict[str, Sequence[Block]] = {}
         planner = campaign.spec(campaign.environments[0], campaign.first_seed).planner
         others = [name for name in self._sampling.kernels if name in PLANNERS and name != planner]

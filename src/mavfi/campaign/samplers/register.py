@@ -20,6 +20,7 @@ class RegisterSampler:
     """Draws one bit of a register that an instruction reads or writes."""
 
     variants: Mapping[str, Mapping[str, Any]] = {}
+    versions: Mapping[str, str] = {}
 
     def __init__(self, campaign: Campaign) -> None:
         assert isinstance(campaign.sampling, RegisterSampling)  # as `sampler_for` chooses

@@ -48,9 +48,11 @@ class Sampler(Protocol):
 
     Attributes:
         variants: Missions that are flown besides its own because a kernel runs in them only: overrides.
+        versions: What its draws depend on besides the versions that decide the bits of a flight.
     """
 
     variants: Mapping[str, Mapping[str, Any]]
+    versions: Mapping[str, str]
 
     def blocks(self, environment: str) -> Sequence[Block]:
         """All faults of an environment."""

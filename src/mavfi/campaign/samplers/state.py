@@ -25,6 +25,7 @@ class StateSampler:
     """
 
     variants: Mapping[str, Mapping[str, Any]] = {}
+    versions: Mapping[str, str] = {}
 
     def __init__(self, campaign: Campaign) -> None:
         assert isinstance(campaign.sampling, StateSampling)  # as `sampler_for` chooses

@@ -76,8 +76,17 @@ class Definition:
             for member in members:
                 if member.kind not in FORMATS and member.kind != _STRING and member.kind not in self.types:
                     raise BadInputError(f"type {kind}: its definition lacks {member.kind}")
+        self._check_finite(kind, [], set())
         self._sizes: dict[str, int | None] = {name: struct.calcsize(form) for name, form in FORMATS.items()}
         self._sizes[_STRING] = None
+
+    def _check_finite(self, kind: str, within: list[str], done: set[str]) -> None:
+        if kind in within:
+            raise BadInputError(f"type {self.kind}: its definition has a {kind} within a {kind}")
+        for member in self.types[kind]:
+            if member.kind in self.types and member.kind not in done:
+                self._check_finite(member.kind, [*within, kind], done)
+        done.add(kind)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Definition) and self.types == other.types
@@ -152,8 +161,11 @@ class Definition:
             leaf = Leaf(offset, kind)
             leaf.value(data)
         except struct.error:
-            raise MavfiError(f"a message of {len(data)} bytes is not a {self.kind}: it is too short") from None
+            raise self._too_short(data) from None
         return leaf
+
+    def _too_short(self, data: bytes) -> MavfiError:
+        return MavfiError(f"a message of {len(data)} bytes is not a {self.kind}: it is too short")
 
     def _element(self, member: Member, data: bytes, offset: int, index: int, path: str) -> int:
         count, offset = self._count(member, data, offset)
@@ -198,8 +210,15 @@ class Definition:
 
     # ---- whole messages ---------------------------------------------------------------------------------------------
     def numbers(self, data: bytes, longest_list: int) -> list[str]:
-        """Paths of the numbers of a message, without headers, and without lists longer than `longest_list`."""
-        return self._walk(Member("", self.kind), data, 0, "", longest_list)[0]
+        """Paths of the numbers of a message, without headers, and without lists longer than `longest_list`.
+
+        Raises:
+            MavfiError: The message is not of this type.
+        """
+        try:
+            return self._walk(Member("", self.kind), data, 0, "", longest_list)[0]
+        except struct.error:
+            raise self._too_short(data) from None
 
     def _walk(self, member: Member, data: bytes, offset: int, path: str, longest: int) -> tuple[list[str], int]:
         """Paths of the numbers within a member, and where the member ends."""

@@ -32,8 +32,8 @@ class NodeConfig(Config):
     parameters: dict[str, Any] = Field(default_factory=dict, description="of the parameter server, set before")
     inputs: NodeInputs
     outputs: NodeOutputs
-    golden_runs: int = Field(3, ge=1, description="error-free trials of a mission; their outputs must agree")
-    cycles: int = Field(3, ge=1, description="how often all inputs are sent after the injection")
+    golden_runs: int = Field(3, ge=1, le=1000, description="error-free trials of a mission; their outputs must agree")
+    cycles: int = Field(3, ge=1, le=100_000, description="how often all inputs are sent after the injection")
     patience_s: float = Field(2.0, gt=0, le=60, description="without output for so long, the node hangs")
 
     def to_json(self) -> dict[str, Any]:

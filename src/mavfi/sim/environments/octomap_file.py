@@ -18,6 +18,7 @@ from scipy import ndimage
 
 from mavfi.config import Vector
 from mavfi.errors import BadInputError
+from mavfi.files import read_file
 from mavfi.numerics.jit import kernel_jit
 from mavfi.sim.environments.arena import checked_number
 from mavfi.sim.environments.world import Voxels, World
@@ -25,7 +26,8 @@ from mavfi.sim.environments.world import Voxels, World
 _DEPTH = 16
 _HALF_RANGE = 1 << (_DEPTH - 1)
 _MARGIN = 1
-_LARGEST_GRID = 1 << 30
+_LARGEST_GRID = 1 << 26
+_LARGEST_FILE = 1 << 28
 _HEADERS = {b"# Octomap OcTree binary file": False, b"# Octomap OcTree file": True}
 _TRUNCATED, _TOO_DEEP = -1, -2
 _PASSAGE, _NEAR = 0.2, 1.0
@@ -156,10 +158,7 @@ def read_octree(path: Path) -> tuple[Leaves, float]:
     Raises:
         BadInputError: The file cannot be read, is no OcTree of OctoMap, or is truncated.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
+    content = read_file(path, _LARGEST_FILE)
     has_values, resolution, offset = _read_header(path, content)
     nodes = np.frombuffer(content, np.uint8, offset=offset)
     parse = _parse_values if has_values else _parse_bits

@@ -11,7 +11,7 @@ import numpy as np
 from mavfi.config import EnvironmentConfig, Vector
 from mavfi.errors import BadInputError
 from mavfi.mission import ARRIVAL_RADIUS
-from mavfi.plugins import load_object
+from mavfi.plugins import load_object, parameters_of
 from mavfi.sim.environments.world import World
 from mavfi.sim.mjcf import find_vehicle
 
@@ -45,7 +45,7 @@ def build_world(
             lies in an obstacle or outside of the flight volume.
     """
     generator = find_generator(environment.generator)
-    known = list(inspect.signature(generator).parameters)[1:]
+    known = parameters_of("generator", environment.generator, generator)[1:]
     ends = {"start": start, "goal": goal} if {"start", "goal"} <= set(known) else {}
     source = f"environment {environment.name!r}"
     try:
@@ -57,6 +57,10 @@ def build_world(
         world = generator(seed, **environment.parameters, **ends)
     except BadInputError as error:
         raise BadInputError(f"{source}: {error}") from None
+    if not isinstance(world, World):
+        raise BadInputError(
+            f"{source}: generator {environment.generator}: gives no World, but a {type(world).__name__}"
+        )
     if start is not None or goal is not None:
         world = _with_ends(world, start, goal)
     radius = _hull_radius(environment.vehicle)

@@ -1,0 +1,123 @@
+"""What a sound ledger holds: its tables and no others, values of the right types, checksums that agree.
+
+Checksums find damage; whoever writes a ledger can make them right.  So types are checked as well.
+"""
+
+import hashlib
+import json
+import sqlite3
+from dataclasses import dataclass
+from typing import Any
+
+from mavfi.config import checked
+from mavfi.errors import BadInputError
+
+INDEX = "CREATE INDEX runs_by_mission ON runs (environment, seed, position)"
+"""Without it, to look for the runs of a mission is to read all runs; ledgers of earlier versions get it."""
+TABLES = f"""
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL, checksum TEXT NOT NULL);
+CREATE TABLE runs (
+    run_id TEXT PRIMARY KEY,
+    position INTEGER NOT NULL UNIQUE,
+    kind TEXT NOT NULL,
+    setting TEXT NOT NULL,
+    environment TEXT NOT NULL,
+    seed INTEGER NOT NULL,
+    spec TEXT NOT NULL,
+    record TEXT,
+    note TEXT NOT NULL DEFAULT '',
+    wall_s REAL,
+    checksum TEXT NOT NULL
+);
+CREATE TABLE missions (environment TEXT, seed INTEGER, checksum TEXT NOT NULL, PRIMARY KEY (environment, seed));
+{INDEX};
+"""
+PLANNED = "run_id, position, kind, setting, environment, seed, spec"
+_TYPES = {
+    "run_id": "text", "position": "integer", "kind": "text", "setting": "text", "environment": "text",
+    "seed": "integer", "spec": "text", "record": "text null", "note": "text", "wall_s": "real null",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Identity:
+    campaign: dict[str, Any]
+    models: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class _Meta:
+    identity: _Identity
+    versions: dict[str, str] | None = None
+    missions: int | None = None
+    models_dir: str | None = None
+    generation: int | None = None
+    shard: list[int] | None = None
+
+
+def checksum_of(*values: str | int | float | None) -> str:
+    """Checksum of the values of a row, types included."""
+    return hashlib.sha256(repr(values).encode()).hexdigest()[:32]
+
+
+def mission_checksum(connection: sqlite3.Connection, world: tuple[Any, ...]) -> str:
+    """Checksum of the planned runs of a mission, given by environment and seed."""
+    query = "SELECT run_id, position FROM runs WHERE environment = ? AND seed = ? ORDER BY position"
+    return checksum_of(*world, *(part for row in connection.execute(query, world) for part in row))
+
+
+def damage(connection: sqlite3.Connection) -> str:
+    """The first violation of integrity, "" = none."""
+    try:
+        return strange_schema(connection) or _structure(connection) or _checksums(connection) or _types(connection)
+    except (sqlite3.DatabaseError, TypeError, UnicodeDecodeError) as error:  # TypeError: a value has the wrong type
+        return f"{error}"
+
+
+def strange_schema(connection: sqlite3.Connection) -> str:
+    """What is not of a ledger, "" = nothing: whoever reads a view that stands in a table's place runs it."""
+    held = connection.execute("SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL").fetchall()
+    wanted = {statement.strip() for statement in TABLES.split(";")}
+    for kind, name, sql in held:
+        if sql not in wanted:
+            return f"{kind} {name!r} is not of a ledger"
+    return ""
+
+
+def _structure(connection: sqlite3.Connection) -> str:
+    sound = connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
+    return "" if sound == "ok" else str(sound).splitlines()[-1]
+
+
+def _checksums(connection: sqlite3.Connection) -> str:
+    for key, value, checksum in connection.execute("SELECT key, value, checksum FROM meta"):
+        if checksum != checksum_of(key, value):
+            return f"metadata {key!r}: checksum mismatch"
+    rows = connection.execute(f"SELECT {PLANNED}, record, note, wall_s, checksum FROM runs")
+    for run_id, *rest, checksum in rows:
+        if checksum != checksum_of(run_id, *rest):
+            return f"run {run_id!r}: checksum mismatch"
+    for environment, seed, checksum in connection.execute("SELECT * FROM missions ORDER BY 1, 2"):
+        if checksum != mission_checksum(connection, (environment, seed)):
+            return f"mission {environment}-{seed}: runs are missing or were added"
+    return ""
+
+
+def _types(connection: sqlite3.Connection) -> str:
+    """The first value that is not of its type."""
+    try:
+        items = {key: json.loads(value) for key, value in connection.execute("SELECT key, value FROM meta")}
+        if "identity" not in items:
+            return "metadata are missing"
+        json.dumps(items, allow_nan=False)
+        checked(_Meta, items, "metadata")
+    except (BadInputError, RecursionError, ValueError) as error:
+        return f"{error}"
+    for column, kinds in _TYPES.items():
+        allowed = ", ".join(f"'{kind}'" for kind in kinds.split())
+        json_too = f" OR {column} IS NOT NULL AND NOT json_valid({column})" if column in ("spec", "record") else ""
+        query = f"SELECT run_id FROM runs WHERE typeof({column}) NOT IN ({allowed}){json_too} LIMIT 1"
+        row = connection.execute(query).fetchone()
+        if row is not None:
+            return f"run {row[0]!r}: key {column!r}: allowed: {kinds.replace(' ', ' or ')}"
+    return ""

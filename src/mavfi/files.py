@@ -1,0 +1,38 @@
+"""Reads files that others may have written: regular ones, of a bounded size."""
+
+import stat
+from pathlib import Path
+
+from mavfi.errors import BadInputError
+
+LARGEST_TEXT = 1 << 22
+"""Most bytes of a file of text."""
+
+
+def read_file(path: Path, most: int) -> bytes:
+    """Content of a file of at most so many bytes.
+
+    Raises:
+        BadInputError: It cannot be read, is larger, or is a device or a pipe, which may have no end.
+    """
+    check_regular(path)
+    try:
+        with path.open("rb") as file:
+            content = file.read(most + 1)
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
+    if len(content) > most:
+        raise BadInputError(f"{path}: is too large; allowed: {most:,} bytes")
+    return content
+
+
+def check_regular(path: Path) -> None:
+    """Raise a `BadInputError` where there is a device or a pipe, or nothing; folders pass."""
+    try:
+        mode = path.stat().st_mode
+    except OSError as error:
+        raise BadInputError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError as error:  # a name with a NUL
+        raise BadInputError(f"{path}: no name of a file ({error})") from None
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
+        raise BadInputError(f"{path}: is a device or a pipe; allowed: a regular file")
