@@ -67,10 +67,7 @@ def _setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
     if not host.deterministic:
         raise BadInputError(f"{store.directory}: host {host.name} is not deterministic: runs cannot be flown again")
     arm = next(arm for arm in arms_of(campaign) if arm.name == spec.arm)
-    models_dir = store.meta("models_dir")
-    mission = MissionPlan(
-        campaign, *spec.world, None if models_dir is None else Path(models_dir), store.meta("identity")["models"]
-    )
+    mission = MissionPlan(campaign, *spec.world, store.models_dir, store.meta("identity")["models"])
     return host, setup_of(mission, arm, host)
 
 

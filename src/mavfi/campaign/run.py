@@ -3,9 +3,10 @@
 A worker that dies loses one mission, which is flown again with each run with a fault in a child of its own.
 """
 
+import json
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -24,7 +25,7 @@ from mavfi.campaign.mission import (
     scenarios_of,
 )
 from mavfi.campaign.plan import Plan, arms_of
-from mavfi.campaign.store import Store
+from mavfi.campaign.store import Store, held
 from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import require_level
@@ -33,6 +34,8 @@ from mavfi.mission import MissionStatus, Scenario
 from mavfi.version import __version__
 
 _PACKAGES = ("numpy", "numba", "llvmlite", "mujoco-core", "scikit-learn")
+_ORDERED = "campaign"
+"""Metadata: the campaign as JSON text; the identity has sorted keys."""
 ATTEMPTS = 3  # how often a mission that takes its worker with it, golden runs included, is begun
 PAUSE_S = 1.0  # between retries after a machine failure
 
@@ -176,7 +179,7 @@ def run_campaign(
         campaign: What to fly.
         directory: Where its ledger is, or will be.
         executor: Runs the missions; None = two local processes.
-        models_dir: Folder of trained models; None = the shipped ones.
+        models_dir: Folder of trained models; None = that of the ledger, or the shipped ones.
         fast_forward: Whether runs may begin at checkpoints of their golden run; the ledger is the same either way.
         progress: Called after every run, in this process.
 
@@ -184,6 +187,7 @@ def run_campaign(
         BadInputError: A directory that cannot be written or holds another campaign; a name that is not known; a model
             that does not fit; versions that differ from those that the ledger was begun with.
     """
+    campaign, models_dir = _as_begun(campaign, directory), models_dir or _models_dir(directory)
     host = host_of(campaign)
     require_level(host, campaign.sampling.level)
     scenarios = scenarios_of(campaign, arms_of(campaign))
@@ -192,7 +196,8 @@ def run_campaign(
     with Store.create(directory, identity_of(campaign, scenarios, models)) as store:
         _check_versions(store)
         store.write_meta({
-            "models_dir": None if models_dir is None else str(models_dir.absolute()),
+            _ORDERED: campaign.model_dump_json(),
+            "models_dir": None if models_dir is None else _as_held(models_dir, directory),
             "missions": len(campaign.environments) * campaign.missions,
         })  # fmt: skip
         session = _Session(plan, store, models_dir, fast_forward, progress or (lambda _: None))
@@ -205,6 +210,25 @@ def run_campaign(
                 _warm_up(missions[0])
         session.fly(executor or LocalExecutor(2), missions)
         return status(directory)
+
+
+def _as_begun(campaign: Campaign, directory: Path) -> Campaign:
+    """The campaign with its keys in the order in which its ledger was begun: draws and places of runs follow it."""
+    with suppress(ValueError):  # none, or damaged, which is told when the ledger is opened
+        begun = Campaign.model_validate_json(held(directory, _ORDERED) or "")
+        return begun if begun == campaign else campaign
+    return campaign
+
+
+def _models_dir(directory: Path) -> Path | None:
+    path = held(directory, "models_dir")
+    return None if path is None else directory / path
+
+
+def _as_held(models_dir: Path, directory: Path) -> str:
+    """The path as a ledger holds it: relative to its own folder within it, so that both can be moved."""
+    path, own = models_dir.absolute(), directory.absolute()
+    return str(path.relative_to(own) if path.is_relative_to(own) else path)
 
 
 def _warm_up(mission: MissionPlan) -> None:
@@ -248,16 +272,22 @@ def status(directory: Path) -> Status:
         BadInputError: There is none.
     """
     with Store.open(directory) as store:
-        counts = store.counts()
-        done = sum(number for _, number, _ in counts.values())
-        total = sum(planned for planned, _, _ in counts.values())
-        total = total if store.complete else plan_of(stored_campaign(store), {}, {}).count()
-        return Status(done, total, counts, store.unknown())
+        return status_of(store)
+
+
+def status_of(store: Store) -> Status:
+    """How far the campaign of a ledger is."""
+    counts = store.counts()
+    done = sum(number for _, number, _ in counts.values())
+    total = sum(planned for planned, _, _ in counts.values())
+    total = total if store.complete else plan_of(stored_campaign(store), {}, {}).count()
+    return Status(done, total, counts, store.unknown())
 
 
 def stored_campaign(store: Store) -> Campaign:
-    """The campaign of a ledger."""
-    return Campaign.model_validate(store.meta("identity")["campaign"])
+    """The campaign of a ledger; of an older one the order of keys is lost."""
+    text = store.meta(_ORDERED)
+    return Campaign.model_validate(store.meta("identity")["campaign"] if text is None else json.loads(text))
 
 
 def versions() -> dict[str, str]:

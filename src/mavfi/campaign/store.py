@@ -10,7 +10,7 @@ import json
 import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -109,8 +109,7 @@ class Store:
                 store.write_meta({"identity": identity})
             else:
                 store._check(identity)
-            store._connection.execute("PRAGMA journal_mode = WAL")
-            store._has_log = True
+            store._begin_log()
             store._connection.execute("PRAGMA synchronous = NORMAL")
             store._take_over()
         except BaseException:
@@ -190,6 +189,15 @@ class Store:
             if checksum != mission_checksum(self._connection, (environment, seed)):
                 return f"mission {environment}-{seed}: runs are missing or were added"
         return ""
+
+    def _begin_log(self) -> None:
+        try:
+            self._connection.execute("PRAGMA journal_mode = WAL")
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY:
+                raise
+            raise BadInputError(f"{self.directory / FILE}: another process reads it; try again later") from None
+        self._has_log = True
 
     def _take_over(self) -> None:
         """Become the one that writes."""
@@ -300,6 +308,27 @@ class Store:
                 (*result, checksum_of(*planned, *result), run_id),
             )
 
+    @property
+    def models_dir(self) -> Path | None:
+        """Folder of the trained models that the campaign flies with; None = the shipped ones."""
+        held = self.meta("models_dir")
+        return None if held is None else self.directory / held
+
+    @contextmanager
+    def snapshot(self) -> Iterator[None]:
+        """See one state of the ledger, whatever another process writes meanwhile."""
+        self._connection.execute("BEGIN")
+        try:
+            yield
+        finally:
+            self._connection.rollback()
+
+    def rows(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
+        """Every row with its table's name, in an order that does not depend on that of the flights."""
+        for table, order in (("meta", "key"), ("runs", "position"), ("missions", "environment, seed")):
+            for row in self._connection.execute(f"SELECT * FROM {table} ORDER BY {order}"):
+                yield table, row
+
     def counts(self) -> dict[str, tuple[int, int, int]]:
         """Runs by setting: planned, done, done with success."""
         query = (
@@ -334,6 +363,15 @@ class Store:
         for run_id, spec, record in self._connection.execute("SELECT run_id, spec, record FROM runs ORDER BY position"):
             content.update(f"{run_id}\n{spec}\n{record}\n".encode())
         return content.hexdigest()
+
+
+def held(directory: Path, key: str) -> Any:
+    """`Store.meta` of a ledger that may be absent, empty or damaged (None)."""
+    if not (directory / FILE).is_file():
+        return None
+    with suppress(sqlite3.DatabaseError, ValueError), closing(connect(directory / FILE, "ro")) as connection:
+        return Store(directory, connection).meta(key)
+    return None
 
 
 def canonical(data: Any) -> str:
