@@ -4,9 +4,10 @@ A worker that dies loses one mission, which is flown again with each run with a 
 """
 
 import json
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.log import Log
 from mavfi.campaign.mission import (
     Flown,
     MissionPlan,
@@ -84,6 +86,7 @@ class _Session:
     models_dir: Path | None
     fast_forward: bool
     report: Callable[[Progress], None]
+    log: Log
     started: float = 0.0
     flown: int = 0
     counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)
@@ -106,7 +109,8 @@ class _Session:
         for attempt in range(1 + ATTEMPTS):
             try:
                 lost = {mission.world: (mission, end) for mission, end in self._fly_once(executor, missions)}
-            except MachineError:
+            except MachineError as error:
+                self.log.note("retry", attempt=attempt + 1, of=1 + ATTEMPTS, reason=str(error))
                 if attempt == ATTEMPTS:
                     raise
                 time.sleep(PAUSE_S)
@@ -121,7 +125,7 @@ class _Session:
 
     def _fly_once(self, executor: Executor, missions: list[MissionPlan]) -> Iterator[tuple[MissionPlan, Lost]]:
         with closing(executor.map(fly_mission, missions)) as items:
-            for mission, item in items:
+            for mission, item in self.log.following(items):
                 match item:
                     case Lost():
                         yield mission, item
@@ -155,14 +159,36 @@ class _Session:
         """
         if lost.signal in FROM_OUTSIDE:
             raise MachineError(f"mission {mission.environment}-{mission.seed}: {lost.reason}")
+        self.log.note("gave_up", mission=f"{mission.environment}-{mission.seed}", reason=lost.reason)
         self._plan(mission, Planned(tuple(self.plan.golden(*mission.world)), last=True))
         for spec in [run.spec for run in self.store.runs(done=False) if run.spec.world == mission.world]:
             end = End.DUE if lost.died and spec.kind == "golden" else End.UNKNOWN
-            self._write(Flown(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason))
+            flown = Flown(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason)
+            self.log.flown(flown)
+            self._write(flown)
+
+    @contextmanager
+    def logged(self, executor: Executor, missions: list[MissionPlan]) -> Iterator[None]:
+        """Note begin and end in the log."""
+        total = self.plan.count()
+        self.log.note(
+            "begin", campaign=self.plan.campaign.name, versions=versions(), pid=os.getpid(),
+            workers=getattr(executor, "workers", None), missions_left=len(missions), runs_left=total - self._done,
+        )  # fmt: skip
+        try:
+            yield
+        except BaseException as error:
+            self.log.end(error, done=self._done, total=total)
+            raise
+        self.log.end(None, done=self._done, total=self._done, digest=self.store.digest())
+
+    @property
+    def _done(self) -> int:
+        return sum(number for _, number, _ in self.counts.values())
 
     def tell(self, *, compiling: bool = False) -> None:
         """Report how far it is."""
-        done = sum(number for _, number, _ in self.counts.values())
+        done = self._done
         seconds = time.perf_counter() - self.started if self.started else 0.0
         self.report(
             Progress(done, self.plan.count(), dict(self.counts), flown=self.flown, seconds=seconds, compiling=compiling)
@@ -200,15 +226,17 @@ def run_campaign(
             "models_dir": None if models_dir is None else _as_held(models_dir, directory),
             "missions": len(campaign.environments) * campaign.missions,
         })  # fmt: skip
-        session = _Session(plan, store, models_dir, fast_forward, progress or (lambda _: None))
+        session = _Session(plan, store, models_dir, fast_forward, progress or (lambda _: None), Log(directory))
         missions = session.missions()
         session.counts = store.counts()
-        if missions:
-            host.check()
-            if host.in_process:
-                session.tell(compiling=True)
-                _warm_up(missions[0])
-        session.fly(executor or LocalExecutor(2), missions)
+        executor = executor or LocalExecutor(2)
+        with session.logged(executor, missions):
+            if missions:
+                host.check()
+                if host.in_process:
+                    session.tell(compiling=True)
+                    _warm_up(missions[0])
+            session.fly(executor, missions)
         return status(directory)
 
 

@@ -6,6 +6,7 @@ import itertools
 import multiprocessing
 import os
 import pickle
+import resource
 import signal
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator
@@ -41,7 +42,7 @@ class LocalExecutor:
     def __init__(self, workers: int, time_limit: float = TIME_LIMIT) -> None:
         if not 1 <= workers <= MOST_WORKERS:
             raise BadInputError(f"workers: {workers}; allowed: 1 to {MOST_WORKERS} (4 per processor)")
-        self._workers = workers
+        self.workers = workers
         self._time_limit = time_limit
 
     def map(
@@ -51,7 +52,7 @@ class LocalExecutor:
         waiting = iter(missions)
         workers: list[_Worker[T]] = []
         try:
-            for mission in itertools.islice(waiting, self._workers):
+            for mission in itertools.islice(waiting, self.workers):
                 workers.append(_Worker(function, workers))
                 workers[-1].give(mission)
             while workers:
@@ -164,7 +165,7 @@ def _work(
         try:
             for item in function(mission):
                 pipe.send(item)
-            pipe.send(Done())
+            pipe.send(Done(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss))
         except BrokenPipeError:
             return
         except Exception as error:  # whoever asked raises it
