@@ -80,6 +80,11 @@ def _with_arm(setting: str, arm: str) -> str:
     return f"{setting}_{arm}" if arm else setting
 
 
+def is_golden(setting: str) -> bool:
+    """Whether the runs of a setting are golden."""
+    return setting == GOLDEN or setting.startswith(f"{GOLDEN}_")
+
+
 @dataclass(frozen=True, slots=True)
 class Plan:
     """The runs of a campaign before any of them is flown."""
@@ -132,7 +137,7 @@ class Plan:
         return [
             self._run(
                 kind, setting, environment, draw.seed, arm, target=draw.target, index=draw.index, fault=fault,
-                position=self._golden_count + place + number,
+                position=self.golden_count + place + number,
             )
             for number, (arm, setting) in enumerate(settings)
         ]  # fmt: skip
@@ -141,10 +146,11 @@ class Plan:
         """How many runs the campaign has at most; faults that cannot be drawn have none."""
         campaign = self.campaign
         draws = sum(len(self.sampler.draws(environment)) for environment in campaign.environments)
-        return self._golden_count + draws * (1 + len(self.watching)) + len(campaign.environments) * campaign.nulls
+        return self.golden_count + draws * (1 + len(self.watching)) + len(campaign.environments) * campaign.nulls
 
     @property
-    def _golden_count(self) -> int:
+    def golden_count(self) -> int:
+        """How many of them are golden."""
         return len(self.campaign.environments) * self.campaign.missions * len(self.arms)
 
     def _run(self, kind: Kind, setting: str, environment: str, seed: int, arm: Arm, **more: Any) -> RunSpec:

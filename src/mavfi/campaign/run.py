@@ -4,6 +4,7 @@ A worker that dies loses one mission, which is flown again with each run with a 
 """
 
 import json
+import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.executors.executor import Executor, Lost
+from mavfi.campaign.executors.executor import Done, Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.log import Log
 from mavfi.campaign.mission import (
@@ -26,7 +27,8 @@ from mavfi.campaign.mission import (
     plan_of,
     scenarios_of,
 )
-from mavfi.campaign.plan import Plan, arms_of
+from mavfi.campaign.pace import Pace
+from mavfi.campaign.plan import Plan, arms_of, is_golden
 from mavfi.campaign.store import Store, held
 from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError
 from mavfi.flight_record import End, FlightRecord
@@ -63,18 +65,9 @@ class Progress(Status):
     """How far a campaign is while it is flown."""
 
     flown: int = 0  # runs done in this session
-    seconds: float = 0.0  # wall time since the first run of this session was done
+    rate: float = 0.0  # runs per second over the last runs; 0 = not known yet
+    remaining_s: float = math.inf  # wall time that is left (s); infinite = not known yet
     compiling: bool = False  # nothing is flown yet: kernels are being compiled
-
-    @property
-    def rate(self) -> float:
-        """Runs per second in this session, from its first run on."""
-        return (self.flown - 1) / self.seconds if self.seconds > 0 else 0.0
-
-    @property
-    def remaining_s(self) -> float:
-        """Wall time that is left at this rate (s); infinite before the first run."""
-        return (self.total - self.done) / self.rate if self.rate > 0 else float("inf")
 
 
 @dataclass(slots=True)
@@ -87,7 +80,8 @@ class _Session:
     fast_forward: bool
     report: Callable[[Progress], None]
     log: Log
-    started: float = 0.0
+    pace: Pace = field(default_factory=lambda: Pace(time.perf_counter()))
+    flying: set[tuple[str, int]] = field(default_factory=set)
     flown: int = 0
     counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)
 
@@ -105,6 +99,7 @@ class _Session:
 
     def fly(self, executor: Executor, missions: list[MissionPlan]) -> None:
         """Fly missions; each item is in the ledger before the next one is taken."""
+        self.pace = Pace(time.perf_counter())
         self.tell()
         for attempt in range(1 + ATTEMPTS):
             try:
@@ -124,15 +119,21 @@ class _Session:
             self._give_up(mission, lost[mission.world][1])
 
     def _fly_once(self, executor: Executor, missions: list[MissionPlan]) -> Iterator[tuple[MissionPlan, Lost]]:
+        self.flying.clear()
         with closing(executor.map(fly_mission, missions)) as items:
             for mission, item in self.log.following(items):
+                self.flying.add(mission.world)
                 match item:
+                    case Done():
+                        self.flying.discard(mission.world)
+                        self.pace.over(mission.world)
                     case Lost():
+                        self.flying.discard(mission.world)
                         yield mission, item
                     case Planned():
                         self._plan(mission, item)
                     case Flown():
-                        self._write(item)
+                        self._write(mission, item)
 
     def _plan(self, mission: MissionPlan, planned: Planned) -> None:
         self.store.plan(planned.specs)
@@ -140,11 +141,11 @@ class _Session:
             self.store.end_plan(mission.world)
         self.counts = self.store.counts()
 
-    def _write(self, flown: Flown) -> None:
+    def _write(self, mission: MissionPlan, flown: Flown) -> None:
         self.store.write(flown.run_id, flown.record, flown.note, flown.wall_s)
-        self.started = self.started or time.perf_counter()
         self.flown += 1
         setting = self.store.setting_of(flown.run_id)
+        self.pace.note(time.perf_counter(), mission.world, is_golden(setting), flown.wall_s)
         planned, done, success = self.counts[setting]
         self.counts[setting] = planned, done + 1, success + (flown.record.status == MissionStatus.SUCCESS.label)
         self.tell()
@@ -165,7 +166,7 @@ class _Session:
             end = End.DUE if lost.died and spec.kind == "golden" else End.UNKNOWN
             flown = Flown(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason)
             self.log.flown(flown)
-            self._write(flown)
+            self._write(mission, flown)
 
     @contextmanager
     def logged(self, executor: Executor, missions: list[MissionPlan]) -> Iterator[None]:
@@ -188,11 +189,16 @@ class _Session:
 
     def tell(self, *, compiling: bool = False) -> None:
         """Report how far it is."""
-        done = self._done
-        seconds = time.perf_counter() - self.started if self.started else 0.0
+        done, total = self._done, self.plan.count()
+        golden_left = self.plan.golden_count - golden_done(self.counts)
+        left = {True: golden_left, False: total - done - golden_left}
+        remaining_s = self.pace.remaining_s(left, len(self.flying))
         self.report(
-            Progress(done, self.plan.count(), dict(self.counts), flown=self.flown, seconds=seconds, compiling=compiling)
-        )
+            Progress(
+                done, total, dict(self.counts), flown=self.flown, rate=self.pace.rate, remaining_s=remaining_s,
+                compiling=compiling,
+            )
+        )  # fmt: skip
 
 
 def run_campaign(
@@ -301,6 +307,11 @@ def status(directory: Path) -> Status:
     """
     with Store.open(directory) as store:
         return status_of(store)
+
+
+def golden_done(counts: Mapping[str, tuple[int, int, int]]) -> int:
+    """Golden runs that are done, of the counts by setting."""
+    return sum(done for setting, (_, done, _) in counts.items() if is_golden(setting))
 
 
 def status_of(store: Store) -> Status:

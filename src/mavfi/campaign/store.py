@@ -9,6 +9,7 @@ import hashlib
 import json
 import os
 import sqlite3
+import struct
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
@@ -40,6 +41,7 @@ CREATE TABLE runs (
 CREATE TABLE missions (environment TEXT, seed INTEGER, checksum TEXT NOT NULL, PRIMARY KEY (environment, seed));
 """
 _CANDIDATES = 5
+_FLOCK = "hhqqi0q"  # struct flock of fcntl(2) on 64-bit Linux: type, whence, start, length, pid
 _GENERATION = "generation"
 _MACHINE_CODES = (
     sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_NOMEM,
@@ -118,11 +120,15 @@ class Store:
         return store
 
     @staticmethod
-    def open(directory: Path) -> "Store":
+    def open(directory: Path, *, check: bool = True) -> "Store":
         """Open a ledger for reading.
 
+        Args:
+            directory: Where it is.
+            check: Whether to verify every checksum; without, for who has done so a moment ago.
+
         Raises:
-            BadInputError: There is none, or one of another version.
+            BadInputError: There is none, one of another version, or a damaged one.
         """
         path = directory / FILE
         if not path.is_file():
@@ -130,7 +136,8 @@ class Store:
         store = Store(directory, connect(path, "ro"))
         try:
             store._check_schema()
-            store._check_content()
+            if check:
+                store._check_content()
         except BaseException:
             store.close()
             raise
@@ -308,6 +315,11 @@ class Store:
                 (*result, checksum_of(*planned, *result), run_id),
             )
 
+    def wall_times(self) -> dict[bool, tuple[int, float]]:
+        """Done runs, and their wall time together (s), by whether they are golden."""
+        query = "SELECT kind = 'golden', COUNT(*), TOTAL(wall_s) FROM runs WHERE record IS NOT NULL GROUP BY 1"
+        return {bool(golden): (number, wall_s) for golden, number, wall_s in self._connection.execute(query)}
+
     @property
     def models_dir(self) -> Path | None:
         """Folder of the trained models that the campaign flies with; None = the shipped ones."""
@@ -363,6 +375,14 @@ class Store:
         for run_id, spec, record in self._connection.execute("SELECT run_id, spec, record FROM runs ORDER BY position"):
             content.update(f"{run_id}\n{spec}\n{record}\n".encode())
         return content.hexdigest()
+
+
+def is_written(directory: Path) -> bool:
+    """Whether another process writes the campaign; nothing is locked in order to ask."""
+    with suppress(OSError), (directory / LOCK).open("rb") as lock:
+        asked = struct.pack(_FLOCK, fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
+        return bool(struct.unpack(_FLOCK, fcntl.fcntl(lock, fcntl.F_GETLK, asked))[0] != fcntl.F_UNLCK)
+    return False
 
 
 def held(directory: Path, key: str) -> Any:

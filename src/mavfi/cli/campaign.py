@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mavfi.cli import options
-from mavfi.cli.console import console, write_json
+from mavfi.cli.console import check_number, console, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import MavfiError
+from mavfi.errors import BadInputError, MavfiError
 
 if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
@@ -104,11 +104,24 @@ def _what(campaign: "Campaign", ledger: Path) -> list[str]:
 
 
 @app.command("status")
-def status(directory: options.Ledger, as_json: options.AsJson = False) -> None:
+def status(
+    directory: options.Ledger,
+    watch: Annotated[bool, typer.Option("--watch", help="Redraw until the campaign is complete, or Ctrl-C.")] = False,
+    every: Annotated[float, typer.Option(help="Seconds between two looks of --watch.")] = 2.0,
+    as_json: options.AsJson = False,
+) -> None:
     """Print how far a campaign is, and how many missions succeeded in each setting.
 
-    Example: [bold]mavfi campaign status out/states[/bold]
+    Example: [bold]mavfi campaign status out/states --watch[/bold]
     """
+    check_number("--every", every, 0.1, 3600.0)
+    if watch:
+        from mavfi.cli.watch import watch as watch_campaign
+
+        if as_json:
+            raise BadInputError("--watch: cannot be given with --json")
+        watch_campaign(directory, every)
+        return
     from mavfi.campaign.run import status as status_of
     from mavfi.cli.progress import success_counts
 
