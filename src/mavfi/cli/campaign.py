@@ -61,7 +61,7 @@ def run(
     ledger = out or Path("out") / campaign.name
     executor = LocalExecutor(workers)
     if dry_run:
-        for line in _what(campaign, ledger):
+        for line in _what(campaign, ledger, workers, models):
             typer.echo(line)
         return
     kept = f"Stopped. What is done is kept in {ledger}; the same command resumes."
@@ -78,16 +78,17 @@ def run(
     console().print(f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]", soft_wrap=True)
 
 
-def _what(campaign: "Campaign", ledger: Path) -> list[str]:
+def _what(campaign: "Campaign", ledger: Path, workers: int, models: Path | None) -> list[str]:
     """Lines about what a campaign would fly; names are checked, nothing is written."""
     from mavfi.campaign.mission import plan_of, scenarios_of
     from mavfi.campaign.plan import arms_of
     from mavfi.campaign.run import model_hashes
     from mavfi.campaign.store import FILE, Store
+    from mavfi.cli.forecast import forecast_lines
 
     arms = arms_of(campaign)
     scenarios = scenarios_of(campaign, arms)
-    plan = plan_of(campaign, model_hashes(campaign, scenarios, None), scenarios)
+    plan = plan_of(campaign, model_hashes(campaign, scenarios, models), scenarios)
     draws = plan.sampler.draws(campaign.environments[0])
     targets = list(dict.fromkeys(draw.target for draw in draws))
     done = 0
@@ -100,6 +101,7 @@ def _what(campaign: "Campaign", ledger: Path) -> list[str]:
         f" · seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}",
         f"faults of level {campaign.sampling.level}, {len(draws)} per environment: {', '.join(targets)}",
         f"arms: {', '.join(arm.name or 'golden and fi' for arm in arms)} · null runs per environment: {campaign.nulls}",
+        *forecast_lines(plan, ledger, workers),
     ]
 
 

@@ -111,9 +111,29 @@ def test_a_dry_run_says_what_would_be_flown_and_writes_nothing(capsys, config, f
     assert text.startswith("5 runs at most, 0 of them done")
     assert "1 missions in each of: sparse · seeds 10000 to 10000" in text
     assert "faults of level state, 3 per environment: perception, planning, control" in text
+    assert "1 missions · 1 golden runs, 4 with a fault or null" in text
+    assert f"time and size of the ledger: not known before runs on host {HOST} are in it" in text
     assert not (tmp_path / "out").exists()
     assert run(["campaign", "run", str(config), "--out", str(flown), "--dry-run"]) == 0
-    assert capsys.readouterr().out.startswith("5 runs at most, 5 of them done")
+    text = capsys.readouterr().out
+    assert text.startswith("5 runs at most, 5 of them done")
+    assert "about 0 s left with 2 workers, ledger about 0.0 MB (measured in this ledger)" in text
+
+
+def test_a_dry_run_assumes_a_time_where_nothing_is_measured_and_says_so(capsys, tmp_path):
+    path = tmp_path / "tiny.yaml"
+    path.write_text(CAMPAIGN.format(missions=100).replace("faults: 1", "faults: 1000"))
+    assert run(["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--dry-run", "--workers", "1"]) == 0
+    told = "ledger about 7.8 MB (assumed from the shipped campaigns, not measured here)"
+    assert f"about 26 min 40 s left with 1 worker, {told}" in capsys.readouterr().out
+
+
+def test_runs_are_sorted_and_an_ambiguous_id_lists_its_candidates(capsys, flown):
+    rows = _json(capsys, "runs", str(flown), "--sort", "-run_id")["rows"]
+    assert [row["run_id"] for row in rows] == sorted((row["run_id"] for row in rows), reverse=True)
+    assert run(["explain", str(flown), "sparse-10000-fi"]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and "3 runs begin so; allowed, among others: sparse-10000-fi-" in told
 
 
 @pytest.mark.slow
