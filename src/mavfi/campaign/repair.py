@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mavfi.campaign.store import FILE, PLANNED, SCHEMA, TABLES, checksum_of, connect, mission_checksum
+from mavfi.campaign.connection import connect
+from mavfi.campaign.store import FILE, PLANNED, SCHEMA, TABLES, checksum_of, mission_checksum
 from mavfi.errors import BadInputError, writing
 
 DAMAGED = "campaign.damaged.sqlite"

@@ -27,9 +27,10 @@ from mavfi.campaign.mission import (
     plan_of,
     scenarios_of,
 )
+from mavfi.campaign.outside import held
 from mavfi.campaign.pace import Pace
 from mavfi.campaign.plan import Plan, arms_of, is_golden
-from mavfi.campaign.store import Store, held
+from mavfi.campaign.store import Store
 from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import require_level

@@ -7,15 +7,14 @@ Every process that writes has a number (generation); an older one that lives on,
 import fcntl
 import hashlib
 import json
-import os
 import sqlite3
-import struct
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from mavfi.campaign.connection import connect
 from mavfi.campaign.plan import RunSpec
 from mavfi.errors import BadInputError, MachineError, MavfiError
 from mavfi.flight_record import End, FlightRecord
@@ -41,7 +40,6 @@ CREATE TABLE runs (
 CREATE TABLE missions (environment TEXT, seed INTEGER, checksum TEXT NOT NULL, PRIMARY KEY (environment, seed));
 """
 _CANDIDATES = 5
-_FLOCK = "hhqqi0q"  # struct flock of fcntl(2) on 64-bit Linux: type, whence, start, length, pid
 _GENERATION = "generation"
 _MACHINE_CODES = (
     sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_NOMEM,
@@ -377,23 +375,6 @@ class Store:
         return content.hexdigest()
 
 
-def is_written(directory: Path) -> bool:
-    """Whether another process writes the campaign; nothing is locked in order to ask."""
-    with suppress(OSError), (directory / LOCK).open("rb") as lock:
-        asked = struct.pack(_FLOCK, fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
-        return bool(struct.unpack(_FLOCK, fcntl.fcntl(lock, fcntl.F_GETLK, asked))[0] != fcntl.F_UNLCK)
-    return False
-
-
-def held(directory: Path, key: str) -> Any:
-    """`Store.meta` of a ledger that may be absent, empty or damaged (None)."""
-    if not (directory / FILE).is_file():
-        return None
-    with suppress(sqlite3.DatabaseError, ValueError), closing(connect(directory / FILE, "ro")) as connection:
-        return Store(directory, connection).meta(key)
-    return None
-
-
 def canonical(data: Any) -> str:
     """The one JSON text of plain data."""
     return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
@@ -413,21 +394,3 @@ def mission_checksum(connection: sqlite3.Connection, world: tuple[Any, ...]) -> 
 def _run(spec: str, record: str | None, note: str, wall_s: float | None) -> Run:
     parsed = None if record is None else FlightRecord.from_json(json.loads(record))
     return Run(RunSpec.from_json(json.loads(spec)), parsed, note, wall_s)
-
-
-def connect(path: Path, mode: str) -> sqlite3.Connection:
-    """Open a ledger's file, also on read-only media.
-
-    Raises:
-        BadInputError: It cannot be opened.
-    """
-    options = f"mode={mode}"
-    if mode == "ro" and not os.access(path.parent, os.W_OK):  # SQLite cannot create its auxiliary files
-        log = path.with_name(f"{path.name}-wal")
-        if log.exists() and log.stat().st_size > 0:
-            raise BadInputError(f"{path}: was not closed; open it once on writable media")
-        options += "&immutable=1"
-    try:
-        return sqlite3.connect(f"{path.absolute().as_uri()}?{options}", uri=True)
-    except sqlite3.OperationalError as error:
-        raise BadInputError(f"{path}: cannot be opened ({error})") from None

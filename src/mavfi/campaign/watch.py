@@ -10,9 +10,10 @@ from typing import Any
 
 from mavfi.campaign.log import entries
 from mavfi.campaign.mission import plan_of
+from mavfi.campaign.outside import is_written
 from mavfi.campaign.pace import left_s
 from mavfi.campaign.run import Status, golden_done, status_of, stored_campaign
-from mavfi.campaign.store import Store, is_written
+from mavfi.campaign.store import Store
 
 WINDOW_S = 300.0
 """Rates are those of the last minutes (s)."""

@@ -11,8 +11,8 @@ import yaml
 from mavfi.campaign import watch as watch_module
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.log import Log
+from mavfi.campaign.outside import is_written
 from mavfi.campaign.run import run_campaign
-from mavfi.campaign.store import is_written
 from mavfi.campaign.watch import Watch, errors_of, flying_missions, session_of
 from mavfi.cli import run
 from tests.unit.campaign.fakes import HOST, small
