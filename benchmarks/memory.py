@@ -2,26 +2,29 @@
 
     python -m benchmarks.memory [--flights 1500] [--injections 300]
 
-One worker flies two campaigns of short missions, one with faults in states, one with faults in instructions.  Its
-resident memory is read at the begin of each mission, after the golden run, and at its largest.  Growth is the slope of
-a straight line through the second half: caches fill in the first.
+One worker flies the short missions of two campaigns, one with faults in states, one with faults in instructions.  It
+reads its resident memory at the begin of each mission, when that of the last one is free.  Growth is the slope of a
+straight line through the second half: caches fill in the first.
 """
 
 import argparse
 import os
+import resource
 import sys
-import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mavfi.campaign.config import Campaign
+from mavfi.campaign.executors.executor import Lost
 from mavfi.campaign.executors.local import LocalExecutor
-from mavfi.campaign.run import Progress, run_campaign
+from mavfi.campaign.mission import Flown, MissionPlan, fly_mission
+from mavfi.errors import MavfiError
 
 MOST_GROWTH_KIB = 1024.0
 """Growth that is no leak (KiB per 100 runs): pages of the heap that cannot be returned, as a part of them is in use."""
@@ -40,7 +43,7 @@ class Look:
 
     runs: int  # since it began
     memory_kib: float  # resident
-    largest_kib: float  # so far
+    peak_kib: float  # largest resident memory so far
 
 
 def campaign_of(level: str, runs: int) -> Campaign:
@@ -51,27 +54,26 @@ def campaign_of(level: str, runs: int) -> Campaign:
     return Campaign.model_validate({**content, **_LEVELS[level], "missions": missions, "faults": faults})
 
 
-def fly(campaign: Campaign, directory: Path) -> list[Look]:
-    """Fly a campaign with one worker; what it had at the begin of each mission, after the golden run."""
+def fly(campaign: Campaign) -> list[Look]:
+    """Fly a campaign with one worker; what it had at the begin of each mission."""
+    missions = [MissionPlan(campaign, *place) for place in product(campaign.environments, campaign.seeds)]
     seen: list[Look] = []
-    largest = 0.0
-
-    def note(progress: Progress) -> None:
-        nonlocal largest
-        memory = max(map(resident_kib, children()), default=0.0)
-        largest = max(largest, memory)
-        if progress.settings.get("golden", (0, 0, 0))[1] > len(seen) and memory:
-            seen.append(Look(progress.flown, memory, largest))
-
-    run_campaign(campaign, directory, executor=LocalExecutor(1), progress=note)
+    runs = 0
+    for _, item in LocalExecutor(1).map(_fly, missions):
+        match item:
+            case Lost():
+                raise MavfiError(item.reason)
+            case int():
+                runs += item
+            case (memory, peak):
+                seen.append(Look(runs, memory, peak))
     return seen
 
 
-def children() -> list[int]:
-    """Processes that this one has started."""
-    return [
-        int(word) for path in Path("/proc/self/task").glob("*/children") for word in path.read_text("ascii").split()
-    ]
+def _fly(mission: MissionPlan) -> Iterator[tuple[float, float] | int]:
+    """Memory before a mission, now and at its largest (KiB), and the number of its runs."""
+    yield resident_kib(os.getpid()), float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+    yield sum(isinstance(item, Flown) for item in fly_mission(mission))
 
 
 def resident_kib(pid: int) -> float:
@@ -100,12 +102,11 @@ def main() -> int:
         if runs < 1:
             continue
         start = time.perf_counter()
-        with tempfile.TemporaryDirectory(prefix="mavfi-memory-") as folder:
-            seen = fly(campaign_of(level, runs), Path(folder))
+        seen = fly(campaign_of(level, runs))
         print(f"{level}: {len(seen)} missions in {time.perf_counter() - start:.0f} s")
-        print(f"{'runs':>8} {'memory MiB':>11} {'largest MiB':>12}")
+        print(f"{'runs':>8} {'memory MiB':>11} {'peak MiB':>10}")
         for look in [*seen[: -1 : max(1, len(seen) // _LINES)], seen[-1]]:
-            print(f"{look.runs:>8} {look.memory_kib / 1024:>11.1f} {look.largest_kib / 1024:>12.1f}")
+            print(f"{look.runs:>8} {look.memory_kib / 1024:>11.1f} {look.peak_kib / 1024:>10.1f}")
         found = growth(seen)
         grows |= found > MOST_GROWTH_KIB
         print(f"growth in the second half: {found:.0f} KiB per 100 runs; allowed: {MOST_GROWTH_KIB:.0f}")

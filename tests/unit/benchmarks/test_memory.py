@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from benchmarks.memory import MOST_GROWTH_KIB, Look, campaign_of, children, fly, growth, resident_kib
+from benchmarks.memory import MOST_GROWTH_KIB, Look, campaign_of, fly, growth, resident_kib
 
 ROOM_KIB = 16 * 1024
 """Growth of a worker in a few missions that is no leak: caches of environments and of compiled code fill."""
@@ -24,12 +24,11 @@ def test_memory_is_that_of_a_process():
     held[::4096] = b"x" * (len(held) // 4096)
     assert 60 * 1024 < resident_kib(os.getpid()) - before < 80 * 1024
     assert resident_kib(2**22 + 1) == 0.0
-    assert children() == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("level", "runs"), [("state", 60), ("instruction", 30)])
-def test_a_worker_that_flies_mission_after_mission_keeps_its_size(tmp_path, level, runs):
-    seen = fly(campaign_of(level, runs), tmp_path)
-    assert len(seen) >= 10 and seen[-1].runs > runs
+def test_a_worker_that_flies_mission_after_mission_keeps_its_size(level, runs):
+    seen = fly(campaign_of(level, runs))
+    assert len(seen) >= 10 and seen[-1].runs >= runs
     assert seen[-1].memory_kib - seen[len(seen) // 3].memory_kib < ROOM_KIB

@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import gc
 import itertools
 import multiprocessing
 import os
@@ -165,8 +166,8 @@ def _work(
         try:
             for item in function(mission):
                 pipe.send(item)
-            _return_memory()
             pipe.send(Done(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss))
+            _return_memory()
         except BrokenPipeError:
             return
         except Exception as error:  # whoever asked raises it
@@ -174,7 +175,11 @@ def _work(
 
 
 def _return_memory() -> None:
-    """Give free memory back to the system: the heap keeps what its largest mission took, and forks copy its pages."""
+    """Collect what refers to itself, flights with all their arrays, and give free memory back to the system.
+
+    Few but large objects do not start a collection, the heap keeps what its largest mission took, and forks copy all.
+    """
+    gc.collect()
     with contextlib.suppress(AttributeError):  # glibc has it
         ctypes.CDLL(None).malloc_trim(0)
 
