@@ -20,7 +20,7 @@ def merge(sources: Sequence[Path], out: Path) -> Status:
     """
     for directory in sources:
         with Store.open(directory) as source:
-            campaign, held = stored_campaign(source), source.meta("versions")
+            campaign, held, models = stored_campaign(source), source.meta("versions"), source.models_dir
             with Store.create(out, source.meta("identity")) as target:
                 merged = target.meta("versions")
                 if merged not in (None, held):
@@ -30,7 +30,8 @@ def merge(sources: Sequence[Path], out: Path) -> Status:
                         "be mixed"
                     )
                 target.write_meta({
-                    "versions": held, "models_dir": source.meta("models_dir"), "missions": campaign.total_missions,
+                    "versions": held, "models_dir": models and str(models.absolute()),
+                    "campaign": source.meta("campaign"), "missions": campaign.total_missions,
                     SHARD: (1, 1),
                 })  # fmt: skip
                 _copy(source, target)

@@ -17,7 +17,7 @@ from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Draw, Sampler, draws_of
 from mavfi.config import checked
 from mavfi.faults.fault import Fault, fault_from_json
-from mavfi.flight_record import FlightRecord, canonical
+from mavfi.flight_record import End, FlightRecord, canonical
 from mavfi.mission import MissionStatus
 
 GOLDEN, FI, RECOVERY = "golden", "fi", "dr"
@@ -121,6 +121,7 @@ class Flown:
     run_id: str
     text: str  # of the record, as in the ledger: made by workers, since it takes longer than all that the ledger does
     success: bool
+    unknown: bool = False  # no flight to judge, because of us
     note: str = ""
     wall_s: float = field(default=0.0, compare=False)
 
@@ -128,7 +129,7 @@ class Flown:
     def of(run_id: str, record: FlightRecord, note: str = "", wall_s: float = 0.0) -> "Flown":
         """A run with a record."""
         success = record.status == MissionStatus.SUCCESS.label
-        return Flown(run_id, canonical(record.to_json()), success, note, wall_s)
+        return Flown(run_id, canonical(record.to_json()), success, record.end is End.UNKNOWN, note, wall_s)
 
     @property
     def record(self) -> FlightRecord:
@@ -138,6 +139,11 @@ class Flown:
 
 def _with_arm(setting: str, arm: str) -> str:
     return f"{setting}_{arm}" if arm else setting
+
+
+def is_golden(setting: str) -> bool:
+    """Whether the runs of a setting are golden."""
+    return setting == GOLDEN or setting.startswith(f"{GOLDEN}_")
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +196,7 @@ class Plan:
         return [
             self._run(
                 kind, setting, environment, draw.seed, arm, target=draw.target, index=draw.index, fault=fault,
-                position=self._golden_count + place + number,
+                position=self.golden_count + place + number,
             )
             for number, (arm, setting) in enumerate(settings)
         ]  # fmt: skip
@@ -212,8 +218,9 @@ class Plan:
         return {arm.name: self.scenarios[environment, arm.name] for arm in self.arms}
 
     @property
-    def _golden_count(self) -> int:
-        return len(self.campaign.environments) * self.campaign.missions * len(self.arms)
+    def golden_count(self) -> int:
+        """How many of them are golden."""
+        return self.campaign.total_missions * len(self.arms)
 
     def _run(self, kind: Kind, setting: str, environment: str, seed: int, arm: Arm, **more: Any) -> RunSpec:
         return RunSpec(

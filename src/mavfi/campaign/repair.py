@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mavfi.campaign.connection import connect
 from mavfi.campaign.soundness import PLANNED, TABLES, checksum_of, mission_checksum, strange_schema
-from mavfi.campaign.store import FILE, SCHEMA, connect
+from mavfi.campaign.store import FILE, SCHEMA
 from mavfi.errors import BadInputError, writing
 
 DAMAGED = "campaign.damaged.sqlite"

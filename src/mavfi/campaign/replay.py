@@ -69,10 +69,7 @@ def _setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
     arms = {arm.name: arm for arm in arms_of(campaign)}
     if spec.arm not in arms:
         raise BadInputError(f"{store.directory}: run {spec.run_id}: arm {spec.arm!r}: allowed: {', '.join(arms)}")
-    models_dir = store.meta("models_dir")
-    mission = MissionPlan(
-        campaign, *spec.world, None if models_dir is None else Path(models_dir), store.meta("identity")["models"]
-    )
+    mission = MissionPlan(campaign, *spec.world, store.models_dir, store.meta("identity")["models"])
     return host, setup_of(mission, arms[spec.arm], host)
 
 

@@ -4,19 +4,25 @@ A worker that dies loses one mission, which is flown again with each run with a 
 """
 
 import itertools
+import json
+import math
+import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.executors.executor import Executor, Lost
+from mavfi.campaign.executors.executor import Done, Executor, Lost
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import versions
+from mavfi.campaign.log import Log
 from mavfi.campaign.mission import MissionPlan, fly_mission, host_of, plan_of, scenarios_of
-from mavfi.campaign.plan import Flown, Plan, Planned, arms_of
+from mavfi.campaign.outside import held
+from mavfi.campaign.pace import Pace
+from mavfi.campaign.plan import Flown, Plan, Planned, arms_of, is_golden
 from mavfi.campaign.store import Store
 from mavfi.campaign.warm_up import fly_mission_anywhere, warm_up
 from mavfi.config import parse
@@ -27,6 +33,8 @@ from mavfi.hosts.watching import detector_for
 from mavfi.mission import Scenario
 
 SHARD = "shard"
+_ORDERED = "campaign"
+"""Metadata: the campaign as JSON text; the identity has sorted keys."""
 ATTEMPTS = 3  # how often a mission that takes its worker with it, golden runs included, is begun
 PAUSE_S = 1.0  # between retries after a machine failure
 
@@ -53,18 +61,9 @@ class Progress(Status):
     """How far a campaign is while it is flown."""
 
     flown: int = 0  # runs done in this session
-    seconds: float = 0.0  # wall time since the first run of this session was done
+    rate: float = 0.0  # runs per second over the last runs; 0 = not known yet
+    remaining_s: float = math.inf  # wall time that is left (s); infinite = not known yet
     compiling: bool = False  # nothing is flown yet: kernels are being compiled
-
-    @property
-    def rate(self) -> float:
-        """Runs per second in this session, from its first run on."""
-        return (self.flown - 1) / self.seconds if self.seconds > 0 else 0.0
-
-    @property
-    def remaining_s(self) -> float:
-        """Wall time that is left at this rate (s); infinite before the first run."""
-        return (self.total - self.done) / self.rate if self.rate > 0 else float("inf")
 
 
 @dataclass(slots=True)
@@ -77,8 +76,11 @@ class _Session:
     fast_forward: bool
     shard: tuple[int, int]
     report: Callable[[Progress], None]
+    log: Log
     total: int  # runs
-    started: float = 0.0
+    golden: int  # of them
+    pace: Pace = field(default_factory=lambda: Pace(time.perf_counter()))
+    flying: set[tuple[str, int]] = field(default_factory=set)
     flown: int = 0
     counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)
 
@@ -95,12 +97,14 @@ class _Session:
 
     def fly(self, executor: Executor) -> None:
         """Fly what is left; items are in the ledger before the next ones are taken."""
+        self.pace = Pace(time.perf_counter())
         self.tell()
         missions: Iterable[MissionPlan] = self.missions()
         for attempt in range(1 + ATTEMPTS):
             try:
                 lost = {mission.world: (mission, end) for mission, end in self._fly_once(executor, missions)}
-            except MachineError:
+            except MachineError as error:
+                self.log.note("retry", attempt=attempt + 1, of=1 + ATTEMPTS, reason=str(error))
                 if attempt == ATTEMPTS:
                     raise
                 time.sleep(PAUSE_S)
@@ -115,14 +119,22 @@ class _Session:
     def _fly_once(
         self, executor: Executor, missions: Iterable[MissionPlan]
     ) -> Iterator[tuple[MissionPlan, Lost]]:  # fmt: skip
+        self.flying.clear()
         function = fly_mission if executor.forks else fly_mission_anywhere
         with closing(executor.map(function, missions)) as batches:
-            for mission, items in batches:
+            for mission, items in self.log.following(batches):
+                self.flying.add(mission.world)
                 for planned in items:
                     if isinstance(planned, Planned):
                         self._plan(mission, planned)
-                self._write([item for item in items if isinstance(item, Flown)])
-                yield from ((mission, item) for item in items if isinstance(item, Lost))
+                self._write(mission, [item for item in items if isinstance(item, Flown)])
+                last = items[-1]
+                if isinstance(last, (Done, Lost)):
+                    self.flying.discard(mission.world)
+                if isinstance(last, Done):
+                    self.pace.over(mission.world)
+                if isinstance(last, Lost):
+                    yield mission, last
 
     def _plan(self, mission: MissionPlan, planned: Planned) -> None:
         for row in self.store.plan(planned.rows):
@@ -130,10 +142,10 @@ class _Session:
         if planned.last:
             self.store.end_plan(mission.world)
 
-    def _write(self, flown: Sequence[Flown]) -> None:
+    def _write(self, mission: MissionPlan, flown: Sequence[Flown]) -> None:
         for setting, item in self.store.write(flown) if flown else ():
             self._count(setting, 0, 1, item.success)
-            self.started = self.started or time.perf_counter()
+            self.pace.note(time.perf_counter(), mission.world, is_golden(setting), item.wall_s)
             self.flown += 1
             self.tell()
 
@@ -151,18 +163,44 @@ class _Session:
         """
         if lost.signal in FROM_OUTSIDE:
             raise MachineError(f"mission {mission.environment}-{mission.seed}: {lost.reason}")
+        self.log.note("gave_up", mission=f"{mission.environment}-{mission.seed}", reason=lost.reason)
         self._plan(mission, Planned.of(self.plan.golden(*mission.world), last=True))
         for spec in [run.spec for run in self.store.runs(done=False) if run.spec.world == mission.world]:
             end = End.DUE if lost.died and spec.kind == "golden" else End.UNKNOWN
-            self._write([Flown.of(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason)])
+            flown = Flown.of(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason)
+            self.log.flown(flown)
+            self._write(mission, [flown])
+
+    @contextmanager
+    def logged(self, executor: Executor) -> Iterator[None]:
+        """Note begin and end in the log."""
+        self.log.note(
+            "begin", campaign=self.plan.campaign.name, versions=versions(), pid=os.getpid(),
+            workers=executor.workers, runs_left=self.total - self._done,
+        )  # fmt: skip
+        try:
+            yield
+        except BaseException as error:
+            self.log.end(error, done=self._done, total=self.total)
+            raise
+        self.log.end(None, done=self._done, total=self._done, digest=self.store.digest())
+
+    @property
+    def _done(self) -> int:
+        return sum(number for _, number, _ in self.counts.values())
 
     def tell(self, *, compiling: bool = False) -> None:
         """Report how far it is."""
-        done = sum(number for _, number, _ in self.counts.values())
-        seconds = time.perf_counter() - self.started if self.started else 0.0
+        done, total = self._done, self.total
+        golden_left = self.golden - golden_done(self.counts)
+        left = {True: golden_left, False: total - done - golden_left}
+        remaining_s = self.pace.remaining_s(left, len(self.flying))
         self.report(
-            Progress(done, self.total, dict(self.counts), flown=self.flown, seconds=seconds, compiling=compiling)
-        )
+            Progress(
+                done, total, dict(self.counts), flown=self.flown, rate=self.pace.rate, remaining_s=remaining_s,
+                compiling=compiling,
+            )
+        )  # fmt: skip
 
 
 def run_campaign(
@@ -175,7 +213,7 @@ def run_campaign(
         campaign: What to fly.
         directory: Where its ledger is, or will be.
         executor: Runs the missions; None = two local processes.
-        models_dir: Folder of trained models; None = the shipped ones.
+        models_dir: Folder of trained models; None = that of the ledger, or the shipped ones.
         fast_forward: Whether runs may begin at checkpoints of their golden run; the ledger is the same either way.
         shard: (i, n): only every n-th mission, from the i-th on; the shards' ledgers can be merged.
         progress: Called after every run, in this process.
@@ -184,6 +222,7 @@ def run_campaign(
         BadInputError: A directory that cannot be written or holds another campaign; a name that is not known; a model
             that does not fit; versions that differ from those that the ledger was begun with.
     """
+    campaign, models_dir = _as_begun(campaign, directory), models_dir or _models_dir(directory)
     host = host_of(campaign)
     require_level(host, campaign.sampling.level)
     scenarios = scenarios_of(campaign, arms_of(campaign))
@@ -194,28 +233,44 @@ def run_campaign(
         _check_versions(store, {**versions(), **plan.sampler.versions})
         _check_shard(store, shard)
         store.write_meta({
-            "models_dir": None if models_dir is None else str(models_dir.absolute()),
+            _ORDERED: campaign.model_dump_json(),
+            "models_dir": None if models_dir is None else _as_held(models_dir, directory),
             "missions": len(range(shard[0] - 1, campaign.total_missions, shard[1])),
         })  # fmt: skip
         session = _Session(
-            plan,
-            store,
-            models_dir,
-            fast_forward,
-            shard,
-            progress or (lambda _: None),
-            plan.count(*shard),
+            plan, store, models_dir, fast_forward, shard, progress or (lambda _: None), Log(directory),
+            plan.count(*shard), len(plan.arms) * len(range(shard[0] - 1, campaign.total_missions, shard[1])),
             counts=store.counts(),
-        )
-        first = next(session.missions(), None)
-        if first is not None:
-            host.check()
-            if host.in_process:
-                session.tell(compiling=True)
-            if host.in_process and executor.forks:
-                warm_up(first)
-        session.fly(executor)
+        )  # fmt: skip
+        with session.logged(executor):
+            first = next(session.missions(), None)
+            if first is not None:
+                host.check()
+                if host.in_process:
+                    session.tell(compiling=True)
+                if host.in_process and executor.forks:
+                    warm_up(first)
+            session.fly(executor)
         return status(directory)
+
+
+def _as_begun(campaign: Campaign, directory: Path) -> Campaign:
+    """The campaign with its keys in the order in which its ledger was begun: draws and places of runs follow it."""
+    with suppress(ValueError):  # none, or damaged, which is told when the ledger is opened
+        begun = Campaign.model_validate_json(held(directory, _ORDERED) or "")
+        return begun if begun == campaign else campaign
+    return campaign
+
+
+def _models_dir(directory: Path) -> Path | None:
+    path = held(directory, "models_dir")
+    return None if path is None else directory / path
+
+
+def _as_held(models_dir: Path, directory: Path) -> str:
+    """The path as a ledger holds it: relative to its own folder within it, so that both can be moved."""
+    path, own = models_dir.absolute(), directory.absolute()
+    return str(path.relative_to(own) if path.is_relative_to(own) else path)
 
 
 def identity_of(
@@ -252,17 +307,29 @@ def status(directory: Path) -> Status:
         BadInputError: There is none.
     """
     with Store.open(directory) as store:
-        counts = store.counts()
-        done = sum(number for _, number, _ in counts.values())
-        total = sum(planned for planned, _, _ in counts.values())
-        shard = tuple(store.meta(SHARD) or (1, 1))
-        total = total if store.complete else plan_of(stored_campaign(store), {}, {}).count(*shard)
-        return Status(done, total, counts, store.unknown(), "" if shard == (1, 1) else "{}/{}".format(*shard))
+        return status_of(store)
+
+
+def golden_done(counts: Mapping[str, tuple[int, int, int]]) -> int:
+    """Golden runs that are done, of the counts by setting."""
+    return sum(done for setting, (_, done, _) in counts.items() if is_golden(setting))
+
+
+def status_of(store: Store) -> Status:
+    """How far the campaign of a ledger is."""
+    counts = store.counts()
+    done = sum(number for _, number, _ in counts.values())
+    total = sum(planned for planned, _, _ in counts.values())
+    shard = tuple(store.meta(SHARD) or (1, 1))
+    total = total if store.complete else plan_of(stored_campaign(store), {}, {}).count(*shard)
+    return Status(done, total, counts, store.unknown(), "" if shard == (1, 1) else "{}/{}".format(*shard))
 
 
 def stored_campaign(store: Store) -> Campaign:
-    """The campaign of a ledger; a BadInputError if it is none."""
-    return parse(Campaign, store.meta("identity")["campaign"], str(store.directory))
+    """The campaign of a ledger, of an older one without the order of its keys; a BadInputError if it is none."""
+    text = store.meta(_ORDERED)
+    given = store.meta("identity")["campaign"] if text is None else json.loads(text)
+    return parse(Campaign, given, str(store.directory))
 
 
 def _check_shard(store: Store, shard: tuple[int, int]) -> None:

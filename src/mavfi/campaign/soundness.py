@@ -53,6 +53,7 @@ class _Meta:
     models_dir: str | None = None
     generation: int | None = None
     shard: list[int] | None = None
+    campaign: str | None = None
 
 
 def checksum_of(*values: str | int | float | None) -> str:

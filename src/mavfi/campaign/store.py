@@ -7,7 +7,6 @@ Every process that writes has a number (generation); an older one that lives on,
 import fcntl
 import hashlib
 import json
-import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from mavfi.campaign.connection import connect
 from mavfi.campaign.plan import Flown, Row, RunSpec
 from mavfi.campaign.soundness import INDEX, PLANNED, TABLES, checksum_of, damage, mission_checksum
 from mavfi.errors import BadInputError, MachineError, MavfiError
@@ -93,9 +93,7 @@ class Store:
                 store.write_meta({"identity": identity})
             else:
                 store._check(identity)
-            store._connection.execute("PRAGMA journal_mode = WAL")
-            store._connection.execute(INDEX.replace("INDEX", "INDEX IF NOT EXISTS"))
-            store._has_log = True
+            store._begin_log()
             store._connection.execute("PRAGMA synchronous = NORMAL")
             store._take_over()
         except BaseException:
@@ -104,11 +102,15 @@ class Store:
         return store
 
     @staticmethod
-    def open(directory: Path) -> "Store":
+    def open(directory: Path, *, check: bool = True) -> "Store":
         """Open a ledger for reading.
 
+        Args:
+            directory: Where it is.
+            check: Whether to verify every checksum; without, for who has done so a moment ago.
+
         Raises:
-            BadInputError: There is none, or one of another version.
+            BadInputError: There is none, one of another version, or a damaged one.
         """
         path = directory / FILE
         if not path.is_file():
@@ -116,7 +118,8 @@ class Store:
         store = Store(directory, connect(path, "ro"))
         try:
             store._check_schema()
-            store._check_content()
+            if check:
+                store._check_content()
         except BaseException:
             store.close()
             raise
@@ -152,6 +155,16 @@ class Store:
         wrong = damage(self._connection)
         if wrong:
             raise BadInputError(f"{self.directory / FILE}: is damaged: {wrong}")
+
+    def _begin_log(self) -> None:
+        try:
+            self._connection.execute("PRAGMA journal_mode = WAL")
+            self._connection.execute(INDEX.replace("INDEX", "INDEX IF NOT EXISTS"))
+        except sqlite3.OperationalError as error:
+            if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY:
+                raise
+            raise BadInputError(f"{self.directory / FILE}: another process reads it; try again later") from None
+        self._has_log = True
 
     def _take_over(self) -> None:
         """Become the one that writes."""
@@ -240,7 +253,7 @@ class Store:
         for *planned, text, note, wall_s, status in self._connection.execute(query):
             row = Row(*planned)
             success = status == MissionStatus.SUCCESS.label
-            yield row, None if text is None else Flown(row.run_id, text, success, note, wall_s)
+            yield row, None if text is None else Flown(row.run_id, text, success, note=note, wall_s=wall_s)
 
     def record_text(self, run_id: str) -> str | None:
         """Record of a run as text; None = it is not flown, or not stored."""
@@ -293,6 +306,32 @@ class Store:
                 found.append((planned[3], item))
         return found
 
+    def wall_times(self) -> dict[bool, tuple[int, float]]:
+        """Done runs, and their wall time together (s), by whether they are golden."""
+        query = "SELECT kind = 'golden', COUNT(*), TOTAL(wall_s) FROM runs WHERE record IS NOT NULL GROUP BY 1"
+        return {bool(golden): (number, wall_s) for golden, number, wall_s in self._connection.execute(query)}
+
+    @property
+    def models_dir(self) -> Path | None:
+        """Folder of the trained models that the campaign flies with; None = the shipped ones."""
+        held = self.meta("models_dir")
+        return None if held is None else self.directory / held
+
+    @contextmanager
+    def snapshot(self) -> Iterator[None]:
+        """See one state of the ledger, whatever another process writes meanwhile."""
+        self._connection.execute("BEGIN")
+        try:
+            yield
+        finally:
+            self._connection.rollback()
+
+    def tables(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
+        """Every row with its table's name, in an order that does not depend on that of the flights."""
+        for table, order in (("meta", "key"), ("runs", "position"), ("missions", "environment, seed")):
+            for row in self._connection.execute(f"SELECT * FROM {table} ORDER BY {order}"):
+                yield table, row
+
     def counts(self) -> dict[str, tuple[int, int, int]]:
         """Runs by setting: planned, done, done with success."""
         query = (
@@ -324,21 +363,3 @@ class Store:
         for run_id, spec, record in self._connection.execute("SELECT run_id, spec, record FROM runs ORDER BY position"):
             content.update(f"{run_id}\n{spec}\n{record}\n".encode())
         return content.hexdigest()
-
-
-def connect(path: Path, mode: str) -> sqlite3.Connection:
-    """Open a ledger's file, also on read-only media.
-
-    Raises:
-        BadInputError: It cannot be opened.
-    """
-    options = f"mode={mode}"
-    if mode == "ro" and not os.access(path.parent, os.W_OK):  # SQLite cannot create its auxiliary files
-        log = path.with_name(f"{path.name}-wal")
-        if log.exists() and log.stat().st_size > 0:
-            raise BadInputError(f"{path}: was not closed; open it once on writable media")
-        options += "&immutable=1"
-    try:
-        return sqlite3.connect(f"{path.absolute().as_uri()}?{options}", uri=True)
-    except sqlite3.OperationalError as error:
-        raise BadInputError(f"{path}: cannot be opened ({error})") from None

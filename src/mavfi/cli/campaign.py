@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mavfi.cli import options
-from mavfi.cli.console import console, write_json
+from mavfi.cli.console import check_number, console, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import MavfiError
+from mavfi.errors import BadInputError, MavfiError
 
 if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
@@ -63,7 +63,7 @@ def run(  # noqa: PLR0913 - options
     ledger = out or Path("out") / campaign.name
     flown_by, part = options.executor_of(executor, scheduler, workers), options.shard_of(shard)
     if dry_run:
-        for line in _what(campaign, ledger):
+        for line in _what(campaign, ledger, workers, models):
             typer.echo(line)
         return
     kept = f"Stopped. What is done is kept in {ledger}; the same command resumes."
@@ -86,17 +86,18 @@ def run(  # noqa: PLR0913 - options
     console().print(f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]", soft_wrap=True)
 
 
-def _what(campaign: "Campaign", ledger: Path) -> list[str]:
+def _what(campaign: "Campaign", ledger: Path, workers: int, models: Path | None) -> list[str]:
     """Lines about what a campaign would fly; names are checked, nothing is written."""
     from mavfi.campaign.mission import plan_of, scenarios_of
     from mavfi.campaign.plan import arms_of
     from mavfi.campaign.run import model_hashes
     from mavfi.campaign.samplers.sampler import draws_of
     from mavfi.campaign.store import FILE, Store
+    from mavfi.cli.forecast import forecast_lines
 
     arms = arms_of(campaign)
     scenarios = scenarios_of(campaign, arms)
-    plan = plan_of(campaign, model_hashes(campaign, scenarios, None), scenarios)
+    plan = plan_of(campaign, model_hashes(campaign, scenarios, models), scenarios)
     blocks = plan.sampler.blocks(campaign.environments[0])
     draws = draws_of(blocks, range(campaign.missions), campaign.missions)
     targets = list(dict.fromkeys(draw.target for _, draw in draws))
@@ -110,15 +111,29 @@ def _what(campaign: "Campaign", ledger: Path) -> list[str]:
         f" · seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}",
         f"faults of level {campaign.sampling.level}, {len(draws)} per environment: {', '.join(targets)}",
         f"arms: {', '.join(arm.name or 'golden and fi' for arm in arms)} · null runs per environment: {campaign.nulls}",
+        *forecast_lines(plan, ledger, workers),
     ]
 
 
 @app.command("status")
-def status(directory: options.Ledger, as_json: options.AsJson = False) -> None:
+def status(
+    directory: options.Ledger,
+    watch: Annotated[bool, typer.Option("--watch", help="Redraw until the campaign is complete, or Ctrl-C.")] = False,
+    every: Annotated[float, typer.Option(help="Seconds between two looks of --watch.")] = 2.0,
+    as_json: options.AsJson = False,
+) -> None:
     """Print how far a campaign is, and how many missions succeeded in each setting.
 
-    Example: [bold]mavfi campaign status out/states[/bold]
+    Example: [bold]mavfi campaign status out/states --watch[/bold]
     """
+    check_number("--every", every, 0.1, 3600.0)
+    if watch:
+        from mavfi.cli.watch import watch as watch_campaign
+
+        if as_json:
+            raise BadInputError("--watch: cannot be given with --json")
+        watch_campaign(directory, every)
+        return
     from mavfi.campaign.run import status as status_of
     from mavfi.cli.progress import success_counts
 

@@ -11,6 +11,7 @@ from mavfi.cli import (
     export,
     fly,
     inject,
+    pack,
     replay,
     report,
     reproduce,
@@ -40,6 +41,8 @@ for verb in (
     explain.explain, vulnerability.vulnerability, reproduce.reproduce,
 ):  # fmt: skip
     app.command(verb.__name__)(verb)
+for verb in (pack.pack, pack.unpack):
+    campaign.app.command(verb.__name__)(verb)
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(ros.app, name="ros")
 

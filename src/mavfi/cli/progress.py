@@ -50,7 +50,8 @@ class Bar:
             self._held, self._begun = done, time.perf_counter()
         seconds = time.perf_counter() - self._begun
         rate = (done - self._held) / seconds if seconds > 0 else 0.0
-        self._tell(done, total, rate, (total - done) / rate if rate > 0 else math.inf)
+        pace = f"{speed(rate, self._unit)} · {time_left((total - done) / rate)}" if rate > 0 else ""
+        self._tell(done, total, pace)
 
     def show_campaign(self, progress: CampaignProgress) -> None:
         """Show how far a campaign is, and how many missions succeeded in each setting."""
@@ -62,11 +63,11 @@ class Bar:
             return
         if progress.settings:
             self._live.update(Group(self._bar, success_counts(progress.settings)))
-        self._tell(progress.done, progress.total, progress.rate, progress.remaining_s)
+        pace = f"{speed(progress.rate, self._unit)} · {time_left(progress.remaining_s)}" if progress.rate > 0 else ""
+        self._tell(progress.done, progress.total, pace)
 
-    def _tell(self, done: int, total: int, rate: float, left: float) -> None:
-        known = rate > 0 and math.isfinite(left)
-        pace = f"{rate:.1f} {self._unit}/s · {duration(left)} left" if done < total and known else ""
+    def _tell(self, done: int, total: int, pace: str) -> None:
+        pace = pace if done < total else ""
         if self._console.is_terminal:
             self._bar.update(self._task, completed=done, total=total, pace=pace)
             return
@@ -113,14 +114,29 @@ def compiling(*, instrumented: bool = False) -> Iterator[None]:
 
 
 def success_counts(settings: Mapping[str, tuple[int, int, int]]) -> Table:
-    """Planned, flown and succeeded runs by setting."""
+    """Planned, flown and succeeded runs by setting; the share of successes with Wilson's interval."""
+    from mavfi.campaign.analysis.statistics import score_bounds
+
     table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
     for heading in ("setting", "flown", "planned", "succeeded", ""):
         table.add_column(heading, justify="left" if heading in ("setting", "") else "right")
     for setting, (planned, done, success) in settings.items():
-        share = f"{100 * success / done:.1f} %" if done else ""
+        share = ""
+        if done:
+            low, high = score_bounds(success / done, done)
+            share = f"{100 * success / done:.1f} % [{100 * low:.1f}, {100 * high:.1f}]"
         table.add_row(setting, str(done), str(planned), str(success), Text(share, style="dim"))
     return table
+
+
+def speed(rate: float, unit: str) -> str:
+    """Units per second, slow ones with two digits."""
+    return f"{rate:.{1 if rate >= 1 else 2}f} {unit}/s"
+
+
+def time_left(seconds: float) -> str:
+    """What is said of the time that is left (s); infinite = not known yet."""
+    return f"{duration(seconds)} left" if math.isfinite(seconds) else "estimating the time left"
 
 
 def duration(seconds: float) -> str:

@@ -221,6 +221,26 @@ def test_another_campaign_or_model_is_refused(flown, tmp_path, monkeypatch):
     assert digest(directory) == before
 
 
+ARMS = {"gaussian": {"detector": DETECTOR}, "windy": {"mission": {"wind": 1.0}}}
+STRATA = {"sign_exponent": 2.0, "mantissa": 1.0}
+
+
+def in_order(turned):
+    """A campaign, and the same with its keys turned round."""
+    arms, strata = (dict(list(keys.items())[:: -1 if turned else 1]) for keys in (ARMS, STRATA))
+    return small(arms=arms, sampling={"strata": strata})
+
+
+def test_a_file_whose_keys_are_in_another_order_goes_on_to_the_same_ledger(tmp_path):
+    flown_into(tmp_path / "whole", in_order(False))
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(tmp_path / "part", in_order(False), progress=stop_at(30))
+    assert flown_into(tmp_path / "part", in_order(True)).complete
+    assert digest(tmp_path / "part") == digest(tmp_path / "whole")
+    with Store.open(tmp_path / "part") as store:
+        assert list(stored_campaign(store).arms) == list(ARMS)
+
+
 def test_runs_know_the_model_that_they_fly_with_and_workers_refuse_another(tmp_path, monkeypatch):
     with_model(monkeypatch)
     flown_into(tmp_path / "out", models_dir=tmp_path / "mine")
@@ -396,6 +416,7 @@ class InThisProcess:
     """An executor without workers."""
 
     forks = True
+    workers = 0
 
     def map(self, function, missions):
         for mission in missions:

@@ -342,3 +342,14 @@ def test_a_ledger_on_media_that_cannot_be_written_is_read(tmp_path, monkeypatch)
     (tmp_path / f"{FILE}-wal").write_bytes(b"what was not closed")
     with pytest.raises(BadInputError, match="was not closed; open it once on writable media"):
         Store.open(tmp_path)
+
+
+@pytest.mark.slow
+def test_a_campaign_that_begins_while_its_ledger_is_read_is_one_line(tmp_path):
+    Store.create(tmp_path, IDENTITY).close()
+    with closing(sqlite3.connect(tmp_path / FILE)) as reader:
+        reader.execute("BEGIN")
+        reader.execute("SELECT * FROM runs").fetchone()
+        with pytest.raises(BadInputError, match=r"campaign.sqlite: another process reads it; try again later"):
+            Store.create(tmp_path, IDENTITY)
+    Store.create(tmp_path, IDENTITY).close()

@@ -10,6 +10,8 @@ from contextlib import closing
 
 import pytest
 
+from mavfi.campaign import run as run_module
+from mavfi.campaign.store import Store
 from mavfi.cli import run
 from mavfi.errors import BadInputError
 from tests.unit.campaign.fakes import HOST, TROUBLE
@@ -87,6 +89,14 @@ def test_a_damaged_ledger_is_one_line(capsys, flown, tmp_path, verb):
     assert told.count("\n") == 1 and "is damaged: run 'sparse-10000-golden-" in told
 
 
+def test_runs_of_a_campaign_that_was_sent_are_verified(capsys, really_flown, tmp_path):
+    assert run(["campaign", "pack", str(really_flown), "--out", str(tmp_path / "a.zip")]) == 0
+    assert run(["campaign", "unpack", str(tmp_path / "a.zip"), "--out", str(tmp_path / "there")]) == 0
+    capsys.readouterr()
+    found = _json(capsys, "campaign", "verify", str(tmp_path / "there"), "--share", "1")
+    assert found["flown"] == found["runs"] and found["differing"] == []
+
+
 def test_digest_is_the_same_when_run_again(capsys, config, flown):
     digest = _json(capsys, "campaign", "digest", str(flown))["digest"]
     assert run(["campaign", "run", str(config), "--out", str(flown), "--workers", "1"]) == 0
@@ -101,9 +111,29 @@ def test_a_dry_run_says_what_would_be_flown_and_writes_nothing(capsys, config, f
     assert text.startswith("5 runs at most, 0 of them done")
     assert "1 missions in each of: sparse · seeds 10000 to 10000" in text
     assert "faults of level state, 3 per environment: perception, planning, control" in text
+    assert "1 missions · 1 golden runs, 4 with a fault or null" in text
+    assert f"time and size of the ledger: not known before runs on host {HOST} are in it" in text
     assert not (tmp_path / "out").exists()
     assert run(["campaign", "run", str(config), "--out", str(flown), "--dry-run"]) == 0
-    assert capsys.readouterr().out.startswith("5 runs at most, 5 of them done")
+    text = capsys.readouterr().out
+    assert text.startswith("5 runs at most, 5 of them done")
+    assert "about 0 s left with 2 workers, ledger about 0.0 MB (measured in this ledger)" in text
+
+
+def test_a_dry_run_assumes_a_time_where_nothing_is_measured_and_says_so(capsys, tmp_path):
+    path = tmp_path / "tiny.yaml"
+    path.write_text(CAMPAIGN.format(missions=100).replace("faults: 1", "faults: 1000"))
+    assert run(["campaign", "run", str(path), "--out", str(tmp_path / "out"), "--dry-run", "--workers", "1"]) == 0
+    told = "ledger about 7.8 MB (assumed from the shipped campaigns, not measured here)"
+    assert f"about 26 min 40 s left with 1 worker, {told}" in capsys.readouterr().out
+
+
+def test_runs_are_sorted_and_an_ambiguous_id_lists_its_candidates(capsys, flown):
+    rows = _json(capsys, "runs", str(flown), "--sort", "-run_id")["rows"]
+    assert [row["run_id"] for row in rows] == sorted((row["run_id"] for row in rows), reverse=True)
+    assert run(["explain", str(flown), "sparse-10000-fi"]) == 2
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and "3 runs begin so; allowed, among others: sparse-10000-fi-" in told
 
 
 @pytest.mark.slow
@@ -239,3 +269,40 @@ def _flown(directory):
         return status(directory).done
     except (BadInputError, TypeError):  # the ledger is being made
         return 0
+
+
+def test_a_campaign_is_sent_as_one_file(capsys, config, flown, tmp_path):
+    sent = _json(capsys, "campaign", "pack", str(flown), "--out", str(tmp_path / "a.zip"))
+    arrived = _json(capsys, "campaign", "unpack", str(tmp_path / "a.zip"), "--out", str(tmp_path / "there"))
+    assert arrived == {**sent, "file": str(tmp_path / "there")}
+    assert sent["digest"] == _json(capsys, "campaign", "digest", str(flown))["digest"]
+    assert run(["campaign", "unpack", str(tmp_path / "a.zip"), "--out", str(tmp_path / "there")]) == 2
+    told = capsys.readouterr().err
+    assert told == f"mavfi: {tmp_path / 'there'}: exists already; allowed: a folder that is empty or absent\n"
+    assert run(["campaign", "pack", str(flown), "--out", str(tmp_path / "a.tar")]) == 2
+    assert f"--out: {tmp_path / 'a.tar'}: allowed ending: .zip" in capsys.readouterr().err
+
+
+def test_who_unpacks_a_part_is_told_how_to_go_on(capsys, config, tmp_path, monkeypatch):
+    really, plans = Store.plan, []
+
+    def stop(store, specs):
+        plans.append(specs)
+        if len(plans) == 2:
+            raise KeyboardInterrupt
+        really(store, specs)
+
+    monkeypatch.setattr(Store, "plan", stop)
+    assert run(["campaign", "run", str(config), "--out", str(tmp_path / "here"), "--workers", "1"]) == 130
+    monkeypatch.undo()
+    assert run(["campaign", "pack", str(tmp_path / "here")]) == 0
+    capsys.readouterr()
+    assert run(["campaign", "unpack", str(tmp_path / "here.zip"), "--out", str(tmp_path / "there")]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert told[0].startswith(f"{tmp_path / 'there'}: campaign tiny, 1 of 5 runs, 0 trained models, digest ")
+    command = told[1].removeprefix("Resume: mavfi ").split()
+    assert run(command) == 0
+    monkeypatch.setattr(run_module, "version", lambda _: "0.0")
+    shutil.rmtree(tmp_path / "there")
+    assert run(["campaign", "unpack", str(tmp_path / "here.zip"), "--out", str(tmp_path / "there")]) == 0
+    assert "with other versions it cannot be resumed" in capsys.readouterr().err

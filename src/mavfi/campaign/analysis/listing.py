@@ -18,11 +18,12 @@ _NAMES = {column.key for column in _COLUMNS}
 _FLAGS = {"yes": "true", "True": "true", "no": "false", "False": "false"}  # truth values as polars writes them
 
 
-def listing(runs: Runs, where: Sequence[str] = (), *, failed: bool = False) -> Table:
-    """Runs in the order of the plan.  All columns of the frame are in CSV and JSON.
+def listing(runs: Runs, where: Sequence[str] = (), *, failed: bool = False, sort: Sequence[str] = ()) -> Table:
+    """Runs in the order of the plan, or of columns.  All columns of the frame are in CSV and JSON.
 
     Runs meet all conditions `column=value`; values separated by commas are alternatives.  `failed` selects missions
-    that did not succeed, and runs that could not be judged.
+    that did not succeed, and runs that could not be judged.  `sort` names columns, the first one decides; "-" before a
+    name turns its order round, and rows without a value come last.
 
     Raises:
         BadInputError: A text is no condition, or there is no such column.
@@ -31,10 +32,20 @@ def listing(runs: Runs, where: Sequence[str] = (), *, failed: bool = False) -> T
     if failed:
         tests.append(~pl.col("success"))
     own = runs.where(*tests)
-    hidden = [Column(name, name, TEXT, hidden=True) for name in own.frame.columns if name not in _NAMES]
+    frame = _sorted(own.frame, sort)
+    hidden = [Column(name, name, TEXT, hidden=True) for name in frame.columns if name not in _NAMES]
     columns = (*_COLUMNS, *hidden)
-    rows = own.frame.select(column.key for column in columns).rows()
+    rows = frame.select(column.key for column in columns).rows()
     return Table("runs", f"{len(own)} of {len(runs)} runs", columns, rows)
+
+
+def _sorted(frame: pl.DataFrame, sort: Sequence[str]) -> pl.DataFrame:
+    names = [text.removeprefix("-") for text in sort]
+    for name in names:
+        if name not in frame.columns:
+            raise BadInputError(f"--sort: column {name!r}: not known; allowed: {', '.join(frame.columns)}")
+    falling = [text.startswith("-") for text in sort]
+    return frame.sort(names, descending=falling, nulls_last=True, maintain_order=True) if names else frame
 
 
 def _test(runs: Runs, text: str) -> pl.Expr:

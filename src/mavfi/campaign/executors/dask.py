@@ -55,7 +55,7 @@ class DaskExecutor:
         except ImportError:
             raise BadInputError("executor 'dask': is not installed; allowed with: pip install mavfi[cluster]") from None
         self._scheduler = scheduler
-        self._workers = workers
+        self.workers = 0 if scheduler else workers
 
     def map(
         self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
@@ -66,7 +66,7 @@ class DaskExecutor:
             BadInputError: No scheduler answers, or a worker has other code, other versions or another architecture.
             MachineError: The scheduler is gone.
         """
-        with _connected(self._scheduler, self._workers) as client:
+        with _connected(self._scheduler, self.workers) as client:
             flights = _Flights(client, function)
             try:
                 yield from flights.fly(iter(missions))

@@ -3,7 +3,7 @@
 import functools
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
 from mavfi.errors import MavfiError
@@ -15,6 +15,8 @@ R = TypeVar("R")
 @dataclass(frozen=True, slots=True)
 class Done:
     """The last item of a mission whose function has returned."""
+
+    peak_kib: int = field(default=0, compare=False)  # largest resident memory of its worker so far; 0 = not known
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +33,11 @@ class Executor(Protocol):
 
     Attributes:
         forks: Whether workers are forked from this process, and so inherit compiled code.
+        workers: Number of processes that this one starts; 0 = none, the workers are others'.
     """
 
     forks: bool
+    workers: int
 
     def map(
         self, function: Callable[[T], Iterator[R]], missions: Iterable[T]

@@ -34,7 +34,7 @@ class LocalExecutor:
     def __init__(self, workers: int, time_limit: float = TIME_LIMIT) -> None:
         if not 1 <= workers <= MOST_WORKERS:
             raise BadInputError(f"workers: {workers}; allowed: 1 to {MOST_WORKERS} (4 per processor)")
-        self._workers = workers
+        self.workers = workers
         self._time_limit = time_limit
 
     def map(
@@ -44,7 +44,7 @@ class LocalExecutor:
         waiting = iter(missions)
         workers: list[Worker[T]] = []
         try:
-            for mission in itertools.islice(waiting, self._workers):
+            for mission in itertools.islice(waiting, self.workers):
                 workers.append(Worker.forked(function, workers))
                 workers[-1].give(mission)
             while workers:

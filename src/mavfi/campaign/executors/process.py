@@ -2,9 +2,11 @@
 
 import contextlib
 import ctypes
+import gc
 import multiprocessing
 import os
 import pickle
+import resource
 import signal
 import subprocess
 import sys
@@ -167,11 +169,22 @@ def _work(pipe: Connection, function: Callable[[Any], Iterator[Any]], parent: in
         try:
             for item in function(mission):
                 pipe.send(item)
-            pipe.send(Done())
+            pipe.send(Done(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss))
+            _return_memory()
         except BrokenPipeError:
             return
         except Exception as error:  # whoever asked raises it
             pipe.send(Raised(_portable(error)))
+
+
+def _return_memory() -> None:
+    """Collect what refers to itself, flights with all their arrays, and give free memory back to the system.
+
+    Few but large objects do not start a collection, the heap keeps what its largest mission took, and forks copy all.
+    """
+    gc.collect()
+    with contextlib.suppress(AttributeError):  # glibc has it
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _portable(error: Exception) -> Exception:

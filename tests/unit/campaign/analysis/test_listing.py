@@ -36,3 +36,23 @@ def test_filters(own, where, count):
 def test_filters_that_are_none_are_refused(own, where, told):
     with pytest.raises(BadInputError, match=told):
         listing(own, [where])
+
+
+def test_rows_are_sorted_by_columns_and_those_without_a_value_come_last(own):
+    seeds = [(True, 1), (True, 2), (False, 1), (False, 2), (False, 3)]  # golden or not
+    found = listing(own, sort=["-kind", "-seed"])
+    assert list(zip([kind == "golden" for kind in found.column("kind")], found.column("seed"), strict=True)) == [
+        (False, 3), (False, 2), (False, 1), (True, 2), (True, 1),
+    ]  # fmt: skip
+    plain = listing(own)
+    assert list(zip([kind == "golden" for kind in plain.column("kind")], plain.column("seed"), strict=True)) == seeds
+    for sort, turned in (("flight_time_s", False), ("-flight_time_s", True)):
+        times = listing(own, sort=[sort]).column("flight_time_s")
+        known = [time for time in times if time is not None]
+        assert known == sorted(known, reverse=turned) and times == [*known, *[None] * (5 - len(known))]
+        assert len(known) < 5
+
+
+def test_a_column_that_there_is_not_cannot_be_sorted_by(own):
+    with pytest.raises(BadInputError, match="--sort: column 'seeds': not known; allowed: run_id, kind, "):
+        listing(own, sort=["-seeds"])

@@ -255,3 +255,19 @@ def exit_hard(item):
 def test_map_each_says_what_was_lost():
     with pytest.raises(MavfiError, match=r"seven: its worker died \(exit code 3\)"):
         list(map_each(LocalExecutor(1), exit_hard, ["seven"]))
+
+
+KEPT = []
+
+
+def hoard(number):
+    """Leaves a hole in the heap: what is allocated last is kept."""
+    yield int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    blocks: list = [bytes(1000) for _ in range(100_000)]
+    KEPT.append(bytes(1000))
+    blocks.append(blocks)  # a cycle, as flights have
+
+
+def test_memory_that_a_mission_leaves_free_is_given_back():
+    first, *_, last = [item for _, item in LocalExecutor(1).map(hoard, range(4)) if not isinstance(item, Done)]
+    assert last - first < 20e6

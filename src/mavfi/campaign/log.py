@@ -1,0 +1,112 @@
+"""What happens around the runs of a campaign, as JSON lines beside its ledger: for operators, no part of the evidence.
+
+Each line is an object with `time` (UTC), `event` and the event's fields: `begin` and `end` of a session,
+`mission_begin` and `mission_end`, `worker_lost`, `retry` after a failure of the machine, `gave_up`, `unknown`.  Their
+number is that of missions, not of runs.  A log that cannot be written is left out: a campaign never fails because of
+it.
+"""
+
+import json
+import os
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, TypeVar
+
+from mavfi.campaign.executors.executor import Done, Lost
+from mavfi.campaign.mission import MissionPlan
+from mavfi.campaign.plan import Flown
+from mavfi.errors import MavfiError
+
+FILE = "log.jsonl"
+MOST_UNKNOWN = 100
+"""Runs with status unknown that a session names; the rest is counted at its end."""
+_LONGEST_TEXT = 500
+_TAIL = 2**22
+
+R = TypeVar("R")
+
+
+class Log:
+    """The log of a session.
+
+    Args:
+        directory: Folder of the ledger.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._path = directory / FILE
+        self._unknown = 0
+
+    def note(self, event: str, **fields: Any) -> None:
+        """Append a line; a line that was cut off by a full disk stays one of its own."""
+        texts = {key: value[:_LONGEST_TEXT] if isinstance(value, str) else value for key, value in fields.items()}
+        now = datetime.now(UTC).isoformat(timespec="milliseconds")
+        line = json.dumps({"time": now, "event": event, **texts}).encode()
+        with suppress(OSError), self._path.open("a+b") as file:
+            if file.tell():
+                file.seek(-1, os.SEEK_END)
+                line = line if file.read(1) == b"\n" else b"\n" + line
+            file.write(line + b"\n")
+
+    def following(
+        self, batches: Iterable[tuple[MissionPlan, Sequence[R]]]
+    ) -> Iterator[tuple[MissionPlan, Sequence[R]]]:
+        """What an executor gives, with what it says of missions and workers noted."""
+        begun: dict[str, float] = {}
+        runs: Counter[str] = Counter()
+        for mission, items in batches:
+            name = f"{mission.environment}-{mission.seed}"
+            if name not in begun:
+                begun[name] = time.perf_counter()
+                self.note("mission_begin", mission=name, runs_done=len(mission.done), alone=mission.alone)
+            flown = [item for item in items if isinstance(item, Flown)]
+            runs[name] += len(flown)
+            for item in flown:
+                self.flown(item)
+            last = items[-1] if items else None
+            if isinstance(last, (Done, Lost)):
+                seconds = time.perf_counter() - begun.pop(name)
+                fields = {"mission": name, "runs": runs.pop(name), "seconds": round(seconds, 1)}
+                if isinstance(last, Lost):
+                    self.note("worker_lost", **fields, reason=last.reason)
+                else:
+                    self.note("mission_end", **fields, worker_peak_mib=round(last.peak_kib / 1024, 1))
+            yield mission, items
+
+    def flown(self, item: Flown) -> None:
+        """Note a run with status unknown."""
+        if not item.unknown:
+            return
+        self._unknown += 1
+        if self._unknown <= MOST_UNKNOWN:
+            reason = item.note.strip().rpartition("\n")[2]
+            self.note("unknown", run=item.run_id, error=item.record.error, reason=reason)
+
+    def end(self, error: BaseException | None, **fields: Any) -> None:
+        """Note why a session ended; None = its campaign is complete."""
+        why = "complete" if error is None else "failed" if isinstance(error, Exception) else "stopped"
+        reason = "" if error is None else str(error) if isinstance(error, MavfiError) else repr(error)
+        self.note("end", why=why, reason=reason, unknown=self._unknown, **fields)
+
+
+def entries(directory: Path) -> list[dict[str, Any]]:
+    """The last lines of a log; what cannot be read is left out."""
+    try:
+        with (directory / FILE).open("rb") as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL))
+            lines = file.read().splitlines()
+    except OSError:
+        return []
+    return [entry for line in lines if (entry := _parsed(line))]
+
+
+def _parsed(line: bytes) -> dict[str, Any]:
+    with suppress(ValueError):
+        entry = json.loads(line)
+        if isinstance(entry, dict) and {"time", "event"} <= set(entry):
+            return entry
+    return {}

@@ -1,0 +1,75 @@
+"""Speed of a campaign, and the time that is left.
+
+Golden runs come first and take a whole flight; runs with a fault begin at a checkpoint, and those of a mission come in
+bursts, cheap ones first.  So nothing is estimated before a whole mission is over, and then from the mean wall time of
+each kind of run in whole missions, and from the missions in the air at once.
+"""
+
+import itertools
+import math
+from collections import deque
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
+
+WINDOW = 400
+"""Runs that an estimate looks back on."""
+_ENOUGH = 50
+"""Runs with a fault after which missions are so long that the first one is not waited for."""
+
+
+@dataclass(slots=True)
+class Pace:
+    """Runs as they are completed; `begun` is when the first was begun (s, any clock)."""
+
+    begun: float
+    _ends: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    _walls: deque[tuple[bool, float]] = field(default_factory=lambda: deque(maxlen=WINDOW))  # of missions that are over
+    _open: dict[Hashable, list[tuple[bool, float]]] = field(default_factory=dict)  # by mission: golden, wall time (s)
+    _missions: int = 0  # that are over
+
+    def note(self, now: float, mission: Hashable, golden: bool, wall_s: float) -> None:
+        """A run is completed."""
+        if len(self._ends) == WINDOW:
+            self.begun = self._ends[0]
+        self._ends.append(now)
+        self._open.setdefault(mission, []).append((golden, wall_s))
+
+    def over(self, mission: Hashable) -> None:
+        """A mission is over."""
+        self._missions += 1
+        self._walls.extend(self._open.pop(mission, ()))
+
+    @property
+    def rate(self) -> float:
+        """Runs per second over the window; 0 = not known yet."""
+        seconds = self._ends[-1] - self.begun if self._ends else 0.0
+        return len(self._ends) / seconds if seconds > 0 else 0.0
+
+    def remaining_s(self, left: Mapping[bool, int], together: int) -> float:
+        """See `left_s`."""
+        known = self._walls if self._missions else itertools.chain(*self._open.values())
+        walls = {True: (0, 0.0), False: (0, 0.0)}
+        for golden, wall_s in known:
+            number, before = walls[golden]
+            walls[golden] = number + 1, before + wall_s
+        return left_s(left, walls, self._missions, together)
+
+
+def left_s(left: Mapping[bool, int], walls: Mapping[bool, tuple[int, float]], missions: int, together: int) -> float:
+    """Wall time until all is flown (s); infinite = not known yet.
+
+    Args:
+        left: Runs that are not flown, by whether they are golden.
+        walls: Runs that are flown, and their wall time together (s); a kind of which there is none takes as long as
+            the other.
+        missions: Missions that are over.
+        together: Missions in the air at once.
+    """
+    if not any(left.values()):
+        return 0.0
+    if not together or (not missions and walls.get(False, (0, 0.0))[0] < _ENOUGH):
+        return math.inf
+    means = {golden: wall_s / number for golden, (number, wall_s) in walls.items() if number}
+    if not means:
+        return math.inf
+    return sum(number * means.get(golden, max(means.values())) for golden, number in left.items()) / together

@@ -1,0 +1,112 @@
+"""A campaign as seen from outside while it is flown: from its ledger, its log and its lock."""
+
+import math
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mavfi.campaign.log import entries
+from mavfi.campaign.outside import is_written
+from mavfi.campaign.pace import left_s
+from mavfi.campaign.plan import arms_of
+from mavfi.campaign.run import Status, golden_done, status_of, stored_campaign
+from mavfi.campaign.store import Store
+
+WINDOW_S = 300.0
+"""Rates are those of the last minutes (s)."""
+_SETTLED_S = 10.0  # of watching, before what was seen gives a rate
+_TROUBLE = ("worker_lost", "retry", "gave_up", "unknown")
+_MOST_ERRORS = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Outlook(Status):
+    """How far a campaign is, and how it goes on."""
+
+    flying: bool = False  # a process writes the ledger
+    rate: float = 0.0  # runs per second over the last minutes; 0 = not known yet
+    remaining_s: float = math.inf  # wall time that is left (s); infinite = not known yet
+    workers: int | None = None  # processes of the session; None = not known
+    in_the_air: tuple[str, ...] = ()  # missions
+    errors: tuple[str, ...] = ()  # latest lines of the log about trouble
+
+
+class Watch:
+    """Looks at a campaign again and again.
+
+    Args:
+        directory: Folder of the ledger.
+
+    Raises:
+        BadInputError: There is no ledger, or it is damaged.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._seen: deque[tuple[float, int]] = deque()
+        with Store.open(directory) as store:
+            campaign = stored_campaign(store)
+            self._golden = len(arms_of(campaign)) * (store.meta("missions") or campaign.total_missions)
+
+    def look(self) -> Outlook:
+        """How it is now."""
+        with Store.open(self._directory, check=False) as store:
+            status, walls = status_of(store), store.wall_times()
+        log, flying = entries(self._directory), is_written(self._directory)
+        session = session_of(log)
+        begun = next((entry for entry in session if entry["event"] == "begin"), {})
+        in_the_air = flying_missions(session) if flying else ()
+        rate = self._rate(time.monotonic(), status.done)
+        runs, wall_s = (sum(part) for part in zip(*walls.values(), strict=True)) if walls else (0, 0.0)
+        if not rate and wall_s > 0:
+            rate = len(in_the_air) * runs / wall_s
+        left = {True: self._golden - golden_done(status.settings)}
+        left[False] = status.total - status.done - left[True]
+        missions = sum(entry["event"] == "mission_end" for entry in log)
+        return Outlook(
+            status.done, status.total, status.settings, status.unknown, status.shard, flying, rate if flying else 0.0,
+            left_s(left, walls, missions, len(in_the_air)), begun.get("workers"), in_the_air, errors_of(log),
+        )  # fmt: skip
+
+    def _rate(self, now: float, done: int) -> float:
+        """Runs per second since at most `WINDOW_S` (1/s); 0 = this was not watched long enough."""
+        self._seen.append((now, done))
+        while len(self._seen) > 2 and now - self._seen[0][0] > WINDOW_S:
+            self._seen.popleft()
+        then, before = self._seen[0]
+        return (done - before) / (now - then) if now - then >= _SETTLED_S else 0.0
+
+
+def session_of(log: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The entries of the last session."""
+    last = max((place for place, entry in enumerate(log) if entry["event"] == "begin"), default=0)
+    return log[last:]
+
+
+def flying_missions(session: list[dict[str, Any]]) -> tuple[str, ...]:
+    """Missions that were begun and are not over."""
+    flying: dict[str, None] = {}
+    for entry in session:
+        match entry["event"]:
+            case "mission_begin":
+                flying[str(entry.get("mission"))] = None
+            case "mission_end" | "worker_lost":
+                flying.pop(str(entry.get("mission")), None)
+            case "retry":
+                flying.clear()
+    return tuple(flying)
+
+
+def errors_of(log: list[dict[str, Any]]) -> tuple[str, ...]:
+    """The latest entries about trouble, a line each."""
+    found = [entry for entry in log if entry["event"] in _TROUBLE or entry.get("why") == "failed"]
+    return tuple(_line(entry) for entry in found[-_MOST_ERRORS:])
+
+
+def _line(entry: Mapping[str, Any]) -> str:
+    what = entry.get("mission") or entry.get("run") or ""
+    text = f"{entry['time']} {entry['event'].replace('_', ' ')} {what}: {entry.get('reason', '')}"
+    return " ".join(text.split()).replace(" :", ":")

@@ -1,0 +1,134 @@
+"""The log beside the ledger says what happened to missions, workers and the machine, and never stops a campaign."""
+
+import errno
+import json
+import os
+import signal
+from datetime import UTC, datetime
+
+import pytest
+
+from mavfi.campaign import log as log_module
+from mavfi.campaign import run as run_module
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.log import FILE, Log, entries
+from mavfi.campaign.run import run_campaign, versions
+from mavfi.campaign.store import Store
+from mavfi.errors import MachineError
+from tests.unit.campaign.fakes import TROUBLE, deaths, failures, small
+
+TOTAL = 2 * (2 * (4 + 18) + 3)
+
+
+def flown_into(directory, campaign=None, workers=1, **options):
+    return run_campaign(campaign or small(), directory, executor=LocalExecutor(workers), **options)
+
+
+def events(directory, name=None):
+    return [entry for entry in entries(directory) if name in (None, entry["event"])]
+
+
+def digest(directory):
+    with Store.open(directory) as store:
+        return store.digest()
+
+
+def test_a_session_says_what_it_begins_with_and_how_it_ends(tmp_path):
+    before = datetime.now(UTC)
+    flown_into(tmp_path, workers=2)
+    begin, *missions, end = events(tmp_path)
+    assert datetime.fromisoformat(begin["time"]) >= before.replace(microsecond=0)
+    assert begin["time"].endswith("+00:00")
+    assert begin["versions"] == versions() and begin["campaign"] == "small"
+    assert (begin["workers"], begin["missions_left"], begin["runs_left"]) == (2, 8, TOTAL)
+    assert (end["event"], end["why"], end["done"], end["unknown"]) == ("end", "complete", TOTAL, 0)
+    assert end["digest"] == digest(tmp_path)
+    ended = [entry for entry in missions if entry["event"] == "mission_end"]
+    assert len(missions) == 16 and len({entry["mission"] for entry in ended}) == 8
+    assert sum(entry["runs"] for entry in ended) == TOTAL
+    assert all(entry["worker_peak_mib"] > 10 for entry in ended), "workers report their memory"
+
+
+def test_a_campaign_that_is_resumed_goes_on_in_the_same_log(tmp_path):
+    def interrupt(progress):
+        if progress.flown == 30:
+            os.kill(os.getpid(), signal.SIGINT)
+            signal.sigtimedwait([], 5)
+
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(tmp_path, progress=interrupt)
+    (end,) = events(tmp_path, "end")
+    assert (end["why"], end["done"], end["total"]) == ("stopped", 30, TOTAL) and "digest" not in end
+    flown_into(tmp_path)
+    assert [entry["runs_left"] for entry in events(tmp_path, "begin")] == [TOTAL, TOTAL - 30]
+    assert [entry["why"] for entry in events(tmp_path, "end")] == ["stopped", "complete"]
+
+
+def test_failures_of_the_machine_are_named_with_their_reason(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(TROUBLE, "machine", failures(tmp_path / "failures", errno.ENOSPC, 1))
+    flown_into(tmp_path / "once")
+    (retry,) = events(tmp_path / "once", "retry")
+    assert retry["attempt"] == 1 and "No space left on device" in retry["reason"]
+    monkeypatch.setattr(TROUBLE, "machine", failures(tmp_path / "more", errno.ENOSPC, 1000))
+    with pytest.raises(MachineError):
+        flown_into(tmp_path / "always")
+    assert [entry["attempt"] for entry in events(tmp_path / "always", "retry")] == [1, 2, 3, 4]
+    (end,) = events(tmp_path / "always", "end")
+    assert end["why"] == "failed" and "No space left on device" in end["reason"]
+
+
+def test_lost_workers_are_named_with_their_reason(tmp_path, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "dies", deaths(tmp_path / "deaths", 1))
+    flown_into(tmp_path / "out")
+    (lost,) = events(tmp_path / "out", "worker_lost")
+    assert (lost["mission"], lost["reason"]) == ("sparse-10001", "its worker died (exit code 9)")
+    alone = [entry["mission"] for entry in events(tmp_path / "out", "mission_begin") if entry["alone"]]
+    assert alone == ["sparse-10001"]
+
+
+def test_missions_that_are_given_up_are_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
+    flown_into(tmp_path / "out", small(environments=["sparse"]))
+    (gave_up,) = events(tmp_path / "out", "gave_up")
+    assert (gave_up["mission"], gave_up["reason"]) == ("sparse-10001", "its worker died (exit code 9)")
+
+
+def test_runs_with_status_unknown_are_named_up_to_a_number(tmp_path, monkeypatch):
+    monkeypatch.setattr(TROUBLE, "raises", True)
+    monkeypatch.setattr(log_module, "MOST_UNKNOWN", 3)
+    status = flown_into(tmp_path)
+    assert status.unknown > 3
+    named = events(tmp_path, "unknown")
+    assert len(named) == 3
+    assert (named[0]["error"], named[0]["reason"]) == ("ZeroDivisionError", "ZeroDivisionError: a mistake of ours")
+    assert events(tmp_path, "end")[0]["unknown"] == status.unknown
+
+
+def test_a_log_grows_with_missions_not_with_runs(tmp_path):
+    flown_into(tmp_path / "few", small(faults=6))
+    flown_into(tmp_path / "many", small(faults=60))
+    assert len(events(tmp_path / "few")) == len(events(tmp_path / "many"))
+    assert (tmp_path / "many" / FILE).stat().st_size < 8 * 500 + 1000
+
+
+@pytest.mark.parametrize("trouble", ["a folder", "a full disk"])
+def test_a_log_that_cannot_be_written_does_not_stop_a_campaign(tmp_path, trouble):
+    flown_into(tmp_path / "whole")
+    (tmp_path / "out").mkdir()
+    if trouble == "a folder":
+        (tmp_path / "out" / FILE).mkdir()
+    else:
+        (tmp_path / "out" / FILE).symlink_to("/dev/full")
+    assert flown_into(tmp_path / "out").complete
+    assert digest(tmp_path / "out") == digest(tmp_path / "whole")
+    assert trouble == "a full disk" or entries(tmp_path / "out") == []
+
+
+def test_a_line_that_was_cut_off_is_left_out_and_the_next_one_is_whole(tmp_path):
+    (tmp_path / FILE).write_bytes(b'{"time": "2026-01-01", "event": "begin"}\n[1]\n{"time": "2026\xff')
+    Log(tmp_path).note("end", why="x" * 10_000)
+    assert [entry["event"] for entry in entries(tmp_path)] == ["begin", "end"]
+    assert len(entries(tmp_path)[-1]["why"]) == 500
+    assert len((tmp_path / FILE).read_bytes().splitlines()) == 4
+    assert json.loads((tmp_path / FILE).read_bytes().splitlines()[-1])["event"] == "end"
