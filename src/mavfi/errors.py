@@ -2,6 +2,7 @@
 
 import errno
 import os
+import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -10,6 +11,10 @@ from pathlib import Path
 _MOST_SHOWN = 12
 _MACHINE = {
     errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EIO, errno.EROFS,
+}  # fmt: skip
+_MACHINE_OF_SQLITE = {
+    sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_NOMEM,
+    sqlite3.SQLITE_PROTOCOL, sqlite3.SQLITE_CORRUPT,  # EIO where a ledger is read, which was sound when it was opened
 }  # fmt: skip
 
 FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT"})
@@ -44,6 +49,8 @@ def machine_failure(error: BaseException | None) -> str:
             return "out of memory"
         if isinstance(error, OSError) and error.errno in _MACHINE:
             return os.strerror(error.errno) + (f" ({error.filename})" if error.filename else "")
+        if isinstance(error, sqlite3.Error) and getattr(error, "sqlite_errorcode", 0) & 0xFF in _MACHINE_OF_SQLITE:
+            return f"the ledger cannot be read or written ({error})"
         error = error.__cause__ or error.__context__
     return ""
 

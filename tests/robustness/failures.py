@@ -43,11 +43,12 @@ ERRORS = {
 """How each call can fail (the manual pages of section 2)."""
 LENGTHS = ("once", "thrice", "process", "role")
 _OF_FILES = ("read", "write", "pread64", "pwrite64")
-_CREATE = os.O_CREAT
 _STDERR = 2
+_COMMON = 10
+"""Kinds of calls that come more often than this are drawn alike."""
 _CAUSES = (
     *(os.strerror(number) for number in (*_DISK, *_HANDLES, *_MEMORY, errno.EAGAIN)), "out of memory",
-    "disk I/O error", "disk is full", "unable to open database file", "its worker died",
+    "disk I/O error", "disk is full", "the ledger cannot be read or written", "its worker died",
 )  # fmt: skip
 
 
@@ -147,8 +148,9 @@ class Campaign:
         try:
             with Store.open(self.ledger) as store:
                 return {run.spec.run_id: run.record for run in store.runs(done=True)}
-        except BadInputError:
-            if (self.ledger / FILE).exists() and (self.ledger / FILE).stat().st_size:
+        except BadInputError as error:
+            path = self.ledger / FILE
+            if path.exists() and path.stat().st_size and "cut short" not in str(error):
                 raise
             return {}
 
@@ -172,9 +174,10 @@ def undisturbed(level, folder):
 
 
 def draw_point(reference, draw):
-    """A point: role, kind of call, place among such calls, error and length, each at random."""
+    """A point: role, kind of call (rare ones rarely), place among such calls, error and length, each at random."""
     role = draw.choice([role for role in ROLES if any(key[0] == role for key in reference.calls)])
-    call = draw.choice(sorted(name for place, name in reference.calls if place == role))
+    counts = {name: count for (place, name), count in sorted(reference.calls.items()) if place == role}
+    (call,) = draw.choices(list(counts), [min(count, _COMMON) for count in counts.values()])
     first = draw.randrange(reference.calls[role, call])
     return Point(role, call, first, draw.choice(ERRORS[call]), draw.choice(LENGTHS))
 
@@ -229,13 +232,15 @@ def main():
     draw, ends, wrong = random.Random(seed), Counter(), 0
     with tempfile.TemporaryDirectory(prefix="mavfi-failures-") as folder:
         references = {level: undisturbed(level, Path(folder) / f"golden-{level}") for level in levels}
+        for level, reference in references.items():
+            say(f"{level}: {dict(sorted(reference.calls.items()))}")
         for number in range(points):
             level = levels[number % len(levels)]
             point = draw_point(references[level], draw)
             code, failed, found = disturbed(level, Path(folder) / str(number), references[level], point)
             ends[point.role, "ended well" if code == 0 else "stopped"] += 1
             wrong += bool(found)
-            say(f"{number + 1} of {points} {level} {point}: exit code {code}, {failed} failed {' '.join(found)}".rstrip())
+            say(f"{number + 1} of {points} {level} {point}: exit code {code}, {failed} failed {' '.join(found)}")
     for (role, end), count in sorted(ends.items()):
         say(f"{role:8} {end:10} {count}")
     say(f"{points - wrong} of {points} right")

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from mavfi.campaign.plan import RunSpec
-from mavfi.errors import BadInputError, MachineError, MavfiError
+from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
 from mavfi.flight_record import End, FlightRecord
 
 SCHEMA = 3
@@ -40,10 +40,8 @@ CREATE TABLE runs (
 CREATE TABLE missions (environment TEXT, seed INTEGER, checksum TEXT NOT NULL, PRIMARY KEY (environment, seed));
 """
 _CANDIDATES = 5
+_CHUNK = 1 << 20
 _GENERATION = "generation"
-_MACHINE_CODES = (
-    sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_NOMEM,
-)  # fmt: skip
 _RUN = "spec, record, note, wall_s"
 PLANNED = "run_id, position, kind, setting, environment, seed, spec"
 
@@ -77,7 +75,7 @@ class Store:
     def close(self) -> None:
         """Close; a ledger that was not closed keeps its data, but cannot be read from read-only media."""
         if self._has_log:
-            with suppress(sqlite3.OperationalError):  # a reader holds it
+            with suppress(sqlite3.DatabaseError):  # a reader holds it, or the disk fails
                 self._connection.execute("PRAGMA journal_mode = DELETE")
         self._connection.close()
         if self._lock is not None:
@@ -140,8 +138,21 @@ class Store:
     def _ask(self, query: str) -> Any:
         try:
             return self._connection.execute(query).fetchone()[0]
-        except sqlite3.DatabaseError:
+        except sqlite3.DatabaseError as error:
+            self._check_disk()
+            if error.sqlite_errorcode == sqlite3.SQLITE_READONLY_ROLLBACK:
+                raise BadInputError(f"{self.directory}: its first writing was cut short; resume the campaign") from None
             raise BadInputError(f"{self.directory / FILE}: is not a ledger of mavfi") from None
+
+    def _check_disk(self) -> None:
+        """SQLite takes what a disk does not give for damage: raise a `MachineError` if the file cannot be read."""
+        path = self.directory / FILE
+        try:
+            with path.open("rb") as file:
+                while file.read(_CHUNK):
+                    pass
+        except OSError as error:
+            raise MachineError(f"{path}: cannot be read ({error.strerror})") from error
 
     def _check_schema(self) -> None:
         version = self._ask("PRAGMA user_version")
@@ -163,13 +174,17 @@ class Store:
             )
 
     def _check_content(self) -> None:
-        """Refuse a ledger that fails its integrity check."""
-        try:
-            wrong = self._damage()
-        except (sqlite3.DatabaseError, TypeError) as error:  # TypeError: a value has the wrong type
-            wrong = f"{error}"
+        """Refuse a ledger that fails its integrity check, twice: a disk may fail for a moment."""
+        wrong = self._seen_damage() and self._seen_damage()
         if wrong:
+            self._check_disk()
             raise BadInputError(f"{self.directory / FILE}: is damaged: {wrong}")
+
+    def _seen_damage(self) -> str:
+        try:
+            return self._damage()
+        except (sqlite3.DatabaseError, TypeError) as error:  # TypeError: a value has the wrong type
+            return f"{error}"
 
     def _damage(self) -> str:
         """The first integrity violation, "" = none."""
@@ -213,8 +228,8 @@ class Store:
                 if self._generation and self.meta(_GENERATION) != self._generation:
                     raise MavfiError(f"{self.directory}: another process has taken over this campaign")
                 yield
-        except sqlite3.OperationalError as error:
-            if error.sqlite_errorcode & 0xFF not in _MACHINE_CODES:
+        except sqlite3.DatabaseError as error:
+            if not machine_failure(error):
                 raise
             raise MachineError(f"{self.directory / FILE}: cannot be written ({error})") from error
 

@@ -1,5 +1,6 @@
 """The ledger: what is in it is there to stay, and its digest says what is in it."""
 
+import errno
 import os
 import random
 import re
@@ -7,6 +8,7 @@ import sqlite3
 import subprocess
 import sys
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -335,4 +337,54 @@ def test_a_ledger_on_media_that_cannot_be_written_is_read(tmp_path, monkeypatch)
     assert read(tmp_path) == found
     (tmp_path / f"{FILE}-wal").write_bytes(b"what was not closed")
     with pytest.raises(BadInputError, match="was not closed; open it once on writable media"):
+        Store.open(tmp_path)
+
+
+def failing(monkeypatch, times):
+    """Reads of the ledger that give no more than SQLite's word for it, the first so many times."""
+    left = [times]
+    sound = Store._damage
+
+    def look(self):
+        left[0] -= 1
+        if left[0] >= 0:
+            raise sqlite3.DatabaseError("database disk image is malformed")
+        return sound(self)
+
+    monkeypatch.setattr(Store, "_damage", look)
+
+
+def test_a_disk_that_fails_for_a_moment_is_no_damage(tmp_path, monkeypatch):
+    filled(tmp_path)
+    failing(monkeypatch, 1)
+    assert read(tmp_path) is not None
+
+
+def test_a_disk_that_goes_on_failing_is_no_damage(tmp_path, monkeypatch):
+    def open_it(path, *mode):
+        raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
+
+    filled(tmp_path)
+    failing(monkeypatch, 2)
+    monkeypatch.setattr(Path, "open", open_it)
+    with pytest.raises(MachineError, match=r"campaign.sqlite: cannot be read \(Input/output error\)"):
+        Store.open(tmp_path)
+
+
+def test_a_ledger_whose_first_writing_was_cut_short_is_named(tmp_path):
+    filled(tmp_path)
+    path = tmp_path / FILE
+    before = path.read_bytes()
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
+        connection.execute("PRAGMA cache_spill = 1")
+        connection.execute("PRAGMA cache_size = 1")
+        connection.execute("BEGIN IMMEDIATE")
+        connection.execute("UPDATE runs SET note = hex(zeroblob(100000))")
+        journal = (tmp_path / f"{FILE}-journal").read_bytes()
+        half = path.read_bytes()
+    assert half != before
+    path.write_bytes(half)
+    (tmp_path / f"{FILE}-journal").write_bytes(journal)
+    with pytest.raises(BadInputError, match="its first writing was cut short; resume the campaign"):
         Store.open(tmp_path)
