@@ -25,7 +25,7 @@ from mavfi.campaign.store import FILE, Store
 from mavfi.cli import commands
 from mavfi.errors import BadInputError
 from tests.robustness.chaos import SHORT, say
-from tests.robustness.syscalls import Supervised, why_not
+from tests.robustness.syscalls import Supervised, heap_end, why_not
 
 CAMPAIGNS = {
     "state": {"sampling": {"level": "state"}, "missions": 2, "faults": 3, "null_runs": 1},
@@ -35,14 +35,14 @@ CAMPAIGNS = {
 ROLES = ("command", "worker", "flight")
 _MEMORY, _HANDLES, _DISK = (errno.ENOMEM,), (errno.EMFILE, errno.ENFILE), (errno.ENOSPC, errno.EIO)
 ERRORS = {
-    "read": (errno.EIO,), "pread64": (errno.EIO,), "write": _DISK, "pwrite64": _DISK, "mmap": _MEMORY,
+    "read": (errno.EIO,), "write": _DISK, "memory": _MEMORY, "pipe": _MEMORY,
     "socketpair": _HANDLES, "pipe2": _HANDLES, "pidfd_open": _HANDLES, "clone": (errno.EAGAIN, errno.ENOMEM),
     "clone3": (errno.EAGAIN,), "fsync": _DISK, "fdatasync": _DISK, "ftruncate": _DISK, "fallocate": _DISK,
     "rename": _DISK, "mkdir": _DISK, "unlink": (errno.EIO,), "openat": (*_HANDLES, errno.ENOMEM, errno.EIO),
 }  # fmt: skip
-"""How each call can fail (the manual pages of section 2)."""
+"""How each call can fail (the manual pages of section 2); "memory" is more of it, "pipe" a write to one."""
 LENGTHS = ("once", "thrice", "process", "role")
-_OF_FILES = ("read", "write", "pread64", "pwrite64")
+_OF_FILES = {"read": "read", "pread64": "read", "write": "write", "pwrite64": "write"}
 _STDERR = 2
 _COMMON = 10
 """Kinds of calls that come more often than this are drawn alike."""
@@ -73,13 +73,13 @@ class Trouble:
         self.point, self.calls, self.failed, self._pid = point, Counter(), 0, 0
 
     def __call__(self, call):
-        role = ROLES[max(0, min(call.depth, len(ROLES) - 1))]
-        if not _eligible(call):
+        role, kind = ROLES[max(0, min(call.depth, len(ROLES) - 1))], _kind(call)
+        if not kind:
             return 0
-        number = self.calls[role, call.name]
-        self.calls[role, call.name] += 1
+        number = self.calls[role, kind]
+        self.calls[role, kind] += 1
         point = self.point
-        if point is None or (role, call.name) != (point.role, point.call) or number < point.first:
+        if point is None or (role, kind) != (point.role, point.call) or number < point.first:
             return 0
         self._pid = self._pid or call.pid
         ends = {"once": self.failed >= 1, "thrice": self.failed >= 3, "process": call.pid != self._pid, "role": False}
@@ -89,11 +89,16 @@ class Trouble:
         return point.error
 
 
-def _eligible(call):
-    """Whether it is a call of a file or of memory that can fail; what is written to the terminal is none."""
+def _kind(call):
+    """Key of `ERRORS`; "" = it is none that can fail, e.g. what is written to the terminal."""
+    if call.name in ("mmap", "mremap") or (call.name == "brk" and call.arguments[0] > heap_end(call.pid)):
+        return "memory"
     if call.name not in _OF_FILES:
-        return True
-    return call.arguments[0] > _STDERR and call.target().startswith("/") and not call.target().startswith("/proc/")
+        return "" if call.name == "brk" else call.name
+    target = call.target() if call.arguments[0] > _STDERR else ""
+    if call.name == "write" and target.startswith(("pipe:", "socket:")):
+        return "pipe"
+    return _OF_FILES[call.name] if target.startswith("/") and not target.startswith("/proc/") else ""
 
 
 @dataclass(frozen=True)
@@ -186,7 +191,7 @@ def disturbed(level, folder, reference, point, prepare=lambda: None):
     """Let calls fail, then run the campaign again; gives how it ended, and what went wrong, a line each."""
     campaign, trouble = Campaign(level, folder), Trouble(point)
     code, left, text = campaign.supervised(trouble, prepare)
-    wrong = [] if trouble.failed else ["nothing failed"] * (point.length == "role")
+    wrong = []
     if left:
         wrong.append("a process is left, or it hangs")
     wrong += _words(code, text)

@@ -25,7 +25,7 @@ from mavfi.campaign.mission import (
 )
 from mavfi.campaign.plan import Plan, arms_of
 from mavfi.campaign.store import Store
-from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError
+from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError, machine_failure
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import require_level
 from mavfi.hosts.watching import detector_for
@@ -103,9 +103,12 @@ class _Session:
         for attempt in range(1 + ATTEMPTS):
             try:
                 lost = {mission.world: (mission, end) for mission, end in self._fly_once(executor, missions)}
-            except MachineError:
-                if attempt == ATTEMPTS:
+            except Exception as error:
+                failed = machine_failure(error)
+                if not failed:
                     raise
+                if attempt == ATTEMPTS:
+                    raise MachineError(failed) from error
                 time.sleep(PAUSE_S)
                 missions = self.missions()
                 continue

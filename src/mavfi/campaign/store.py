@@ -303,11 +303,17 @@ class Store:
         return _run(*rows[0][1:])
 
     def write(self, run_id: str, record: FlightRecord, note: str, wall_s: float) -> None:
-        """Store what a run left; from then on the run is done, and stays as it is."""
+        """Store what a run left; from then on the run is done, and stays as it is.
+
+        Raises:
+            MavfiError: The run is not planned: its mission, begun again, drew other faults.
+        """
         query = f"SELECT {PLANNED} FROM runs WHERE run_id = ? AND record IS NULL"
         with self._writing():
             planned = self._connection.execute(query, (run_id,)).fetchone()
             if planned is None:
+                if not self._connection.execute("SELECT 1 FROM runs WHERE run_id = ?", (run_id,)).fetchone():
+                    raise MavfiError(f"{self.directory}: run {run_id!r}: is not in the plan")
                 return
             result = canonical(record.to_json()), note, wall_s
             self._connection.execute(

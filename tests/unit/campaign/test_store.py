@@ -322,6 +322,11 @@ def test_a_disk_without_space_is_a_failure_of_the_machine(store):
     assert read(store.directory) is not None
 
 
+def test_a_run_that_is_not_planned_is_not_stored(store):
+    with pytest.raises(MavfiError, match="run 'sparse-9-golden-.*': is not in the plan"):
+        write(store, RunSpec("golden", "golden", "sparse", 9, "key", position=9))
+
+
 def test_a_closed_ledger_is_one_file_and_reading_adds_none(tmp_path):
     filled(tmp_path)
     before = sorted(path.name for path in tmp_path.iterdir())

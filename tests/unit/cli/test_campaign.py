@@ -218,6 +218,7 @@ def _of_sqlite(code, text):
     [
         (OSError(errno.EMFILE, "", "/ledger"), "Too many open files (/ledger)"),
         (MemoryError(), "out of memory"),
+        (ValueError("Error: engine error: Could not allocate memory"), "out of memory"),
         (
             _of_sqlite(sqlite3.SQLITE_IOERR_READ, "disk I/O error"),
             "the ledger cannot be read or written (disk I/O error)",

@@ -15,11 +15,12 @@ from multiprocessing.process import BaseProcess
 from typing import Any, Generic, TypeVar
 
 from mavfi.campaign.executors.executor import Done, Lost
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
 
 TIME_LIMIT = 600.0
 """Wall time without an item after which a worker counts as lost (s); a watchdog, hundreds of times a flight."""
 MOST_WORKERS = 4 * (os.cpu_count() or 1)
+_MUTE_EXIT = 71  # EX_OSERR, sysexits.h
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
 _FORK = multiprocessing.get_context("fork")
 
@@ -118,13 +119,17 @@ class _Worker(Generic[T]):
             self.pipe.send(mission)
 
     def take(self) -> Any:
-        """The next item; `Lost` if the process is gone."""
+        """The next item; `Lost` if the process is gone, a `MachineError` if it could not send what it had."""
         self._since = time.monotonic()
         try:
             return self.pipe.recv()
-        except (EOFError, OSError):
+        except (EOFError, OSError) as error:
+            if machine_failure(error):
+                raise
             self._process.join()
             code = self._process.exitcode or 0
+            if code == _MUTE_EXIT:
+                return _Raised(MachineError("a worker could not send what it had"))
             name = signal.Signals(-code).name if -code in {int(s) for s in signal.Signals} else ""
             return Lost(f"its worker died ({name or f'exit code {code}'})", died=True, signal=name)
 
@@ -156,19 +161,32 @@ def _work(
         end.close()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        _fly_all(pipe, function)
+    except (EOFError, ConnectionError):  # the parent is gone
+        return
+    except (OSError, MemoryError) as error:
+        if machine_failure(error):
+            os._exit(_MUTE_EXIT)
+
+
+def _fly_all(pipe: Connection, function: Callable[[T], Iterator[R]]) -> None:
+    """Fly missions until there are none; what a pipe does not take, not even as an exception, is raised."""
     while True:
-        try:
-            mission = pipe.recv()
-        except (EOFError, OSError):
-            return
-        try:
-            for item in function(mission):
-                pipe.send(item)
-            pipe.send(Done())
-        except BrokenPipeError:
-            return
-        except Exception as error:  # whoever asked raises it
-            pipe.send(_Raised(_portable(error)))
+        mission = pipe.recv()
+        answers, goes_on = function(mission), True
+        while goes_on:
+            data, goes_on = _next_of(answers)
+            pipe.send_bytes(data)
+
+
+def _next_of(answers: Iterator[Any]) -> tuple[bytes, bool]:
+    """The next item, pickled, and whether more may follow."""
+    try:
+        item = next(answers, Done())
+        return pickle.dumps(item), not isinstance(item, Done)
+    except Exception as error:  # whoever asked raises it
+        return pickle.dumps(_Raised(_portable(error))), False
 
 
 def _portable(error: Exception) -> Exception:

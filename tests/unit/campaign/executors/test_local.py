@@ -1,3 +1,5 @@
+import errno
+import itertools
 import os
 import signal
 import subprocess
@@ -11,7 +13,7 @@ from mavfi.campaign.executors import local
 from mavfi.campaign.executors.executor import Done, Lost, map_each
 from mavfi.campaign.executors.local import MOST_WORKERS, LocalExecutor
 from mavfi.campaign.mission import ATTEMPTS_ALONE, LONGEST_ALONE
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError, MachineError, MavfiError
 
 
 def count_to(number):
@@ -249,3 +251,43 @@ def exit_hard(item):
 def test_map_each_says_what_was_lost():
     with pytest.raises(MavfiError, match=r"seven: its worker died \(exit code 3\)"):
         list(map_each(LocalExecutor(1), exit_hard, ["seven"]))
+
+
+class NoMemory:
+    """A pipe that takes no more after so many items: the machine has no memory for it."""
+
+    def __init__(self, pipe, items):
+        self.pipe, self.items = pipe, items
+
+    def recv(self):
+        return self.pipe.recv()
+
+    def send_bytes(self, data):
+        self.items -= 1
+        if self.items < 0:
+            raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+        self.pipe.send_bytes(data)
+
+
+@pytest.mark.parametrize("items", [0, 1, 2, 3])
+def test_a_worker_that_cannot_send_is_a_failure_of_the_machine(monkeypatch, capfd, items):
+    fly_all = local._fly_all
+    monkeypatch.setattr(local, "_fly_all", lambda pipe, function: fly_all(NoMemory(pipe, items), function))
+    results = LocalExecutor(1).map(count_to, [3])
+    assert [item for _, item in itertools.islice(results, items)] == list(range(items))
+    with pytest.raises(MachineError, match="a worker could not send what it had"):
+        next(results)
+    assert capfd.readouterr().err == ""
+
+
+def short_of_memory(number):
+    yield number
+    raise MemoryError
+
+
+def test_a_mission_without_memory_is_told_as_such(capfd):
+    results = LocalExecutor(1).map(short_of_memory, [5])
+    assert next(results) == (5, 5)
+    with pytest.raises(MemoryError):
+        next(results)
+    assert capfd.readouterr().err == ""
