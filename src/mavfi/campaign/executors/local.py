@@ -1,6 +1,5 @@
 """Local processes, forked from this one: each takes one mission after the other and streams what it gives."""
 
-import contextlib
 import ctypes
 import itertools
 import multiprocessing
@@ -115,8 +114,11 @@ class _Worker(Generic[T]):
     def give(self, mission: T) -> None:
         """Send a mission; a process that is gone is noticed by `take`."""
         self.mission, self._since = mission, time.monotonic()
-        with contextlib.suppress(OSError):
+        try:
             self.pipe.send(mission)
+        except OSError as error:
+            if machine_failure(error):
+                raise
 
     def take(self) -> Any:
         """The next item; `Lost` if the process is gone, a `MachineError` if it could not send what it had."""

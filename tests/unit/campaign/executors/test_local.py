@@ -280,6 +280,15 @@ def test_a_worker_that_cannot_send_is_a_failure_of_the_machine(monkeypatch, capf
     assert capfd.readouterr().err == ""
 
 
+def test_a_mission_that_cannot_be_given_is_a_failure_of_the_machine(monkeypatch):
+    def send(pipe, item):
+        raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+
+    monkeypatch.setattr(local.Connection, "send", send)
+    with pytest.raises(OSError, match="Cannot allocate memory"):
+        next(LocalExecutor(1, time_limit=1.0).map(count_to, [3]))
+
+
 def short_of_memory(number):
     yield number
     raise MemoryError
