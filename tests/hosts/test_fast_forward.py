@@ -6,11 +6,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+from mavfi.campaign.checksums import canonical
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.mission import Flown, MissionPlan, fly_mission, scenarios_of
 from mavfi.campaign.plan import arms_of
 from mavfi.campaign.run import model_hashes
-from mavfi.campaign.store import canonical
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
 from mavfi.flight_record import End
 from mavfi.hosts.host import ArmSetup

@@ -87,14 +87,17 @@ class _Session:
 
     def missions(self) -> list[MissionPlan]:
         """What is left to fly."""
-        campaign, done, complete = self.plan.campaign, self.store.done(), self.store.complete_missions()
+        complete = self.store.complete_missions()
+        return [mission for mission in self._all_missions() if mission.world not in complete]
+
+    def _all_missions(self) -> list[MissionPlan]:
+        campaign, done = self.plan.campaign, self.store.done()
         worlds = [(environment, seed) for environment in campaign.environments for seed in campaign.seeds]
         return [
             MissionPlan(
                 campaign, *world, self.models_dir, self.plan.models, self.fast_forward, done.get(world, frozenset())
             )
             for world in worlds
-            if world not in complete
         ]
 
     def fly(self, executor: Executor, missions: list[MissionPlan]) -> None:
@@ -116,6 +119,7 @@ class _Session:
             missions = [replace(m, done=done.get(m.world, frozenset()), alone=True) for m, _ in lost.values()]
             if not missions:
                 return
+        self._check_process(executor, {world: end for world, (_, end) in lost.items()})
         for mission in missions:
             self._give_up(mission, lost[mission.world][1])
 
@@ -144,6 +148,20 @@ class _Session:
         planned, done, success = self.counts[setting]
         self.counts[setting] = planned, done + 1, success + (flown.record.status == MissionStatus.SUCCESS.label)
         self.tell()
+
+    def _check_process(self, executor: Executor, lost: Mapping[tuple[str, int], Lost]) -> None:
+        """Check that workers die of their missions, not of this process, e.g. of code for which it had no memory.
+
+        Raises:
+            MachineError: No other mission was flown in this session, nor can be.
+        """
+        if self.flown:
+            return
+        others = [mission for mission in self._all_missions() if mission.world not in lost]
+        with closing(executor.map(fly_mission, others[:1])) as items:
+            if others and not any(isinstance(item, Lost) for _, item in items):
+                return
+        raise MachineError(f"no mission can be flown here: {next(iter(lost.values())).reason}")
 
     def _give_up(self, mission: MissionPlan, lost: Lost) -> None:
         """Record a mission whose golden runs take their process with them each time: nothing is drawn from these.

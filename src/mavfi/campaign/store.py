@@ -1,6 +1,7 @@
 """The ledger of a campaign: one SQLite file, one row per run, written by one process.
 
-Every row has a checksum, and every mission a checksum over its planned runs; a ledger with a mismatch is refused.
+Every row has a checksum, which covers the campaign that it belongs to, and every mission a checksum over its planned
+runs; a ledger with a mismatch is refused.
 Every process that writes has a number (generation); an older one that lives on, with its lock gone, can write no more.
 """
 
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from mavfi.campaign.checksums import BOUND, IDENTITY, canonical, checksum_of, meta_checksum, mission_checksum, salt_of
 from mavfi.campaign.plan import RunSpec
 from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
 from mavfi.flight_record import End, FlightRecord
@@ -104,7 +106,7 @@ class Store:
         try:
             if store._ask("SELECT COUNT(*) FROM sqlite_master") == 0:
                 store._connection.executescript(f"BEGIN; {TABLES} PRAGMA user_version = {SCHEMA};")
-                store.write_meta({"identity": identity})
+                store.write_meta({IDENTITY: identity, BOUND: True})
             else:
                 store._check(identity)
             store._connection.execute("PRAGMA journal_mode = WAL")
@@ -139,10 +141,11 @@ class Store:
         try:
             return self._connection.execute(query).fetchone()[0]
         except sqlite3.DatabaseError as error:
-            self._check_disk()
-            if error.sqlite_errorcode == sqlite3.SQLITE_READONLY_ROLLBACK:
-                raise BadInputError(f"{self.directory}: its first writing was cut short; resume the campaign") from None
-            raise BadInputError(f"{self.directory / FILE}: is not a ledger of mavfi") from None
+            code = error.sqlite_errorcode
+        self._check_disk()
+        if code == sqlite3.SQLITE_READONLY_ROLLBACK:
+            raise BadInputError(f"{self.directory}: its first writing was cut short; resume the campaign")
+        raise BadInputError(f"{self.directory / FILE}: is not a ledger of mavfi")
 
     def _check_disk(self) -> None:
         """SQLite takes what a disk does not give for damage: raise a `MachineError` if the file cannot be read."""
@@ -191,18 +194,19 @@ class Store:
         sound = self._connection.execute("PRAGMA integrity_check(1)").fetchone()[0]
         if sound != "ok":
             return str(sound).splitlines()[-1]
+        salt = salt_of(self._connection)
         for key, value, checksum in self._connection.execute("SELECT key, value, checksum FROM meta"):
-            if checksum != checksum_of(key, value):
+            if checksum != meta_checksum(key, value, salt):
                 return f"metadata {key!r}: checksum mismatch"
-        if self.meta("identity") is None:
+        if self.meta(IDENTITY) is None:
             return "metadata are missing"
         for run_id, *rest, checksum in self._connection.execute(
             f"SELECT {PLANNED}, record, note, wall_s, checksum FROM runs"
         ):
-            if checksum != checksum_of(run_id, *rest):
+            if checksum != checksum_of(run_id, *rest, *salt):
                 return f"run {run_id!r}: checksum mismatch"
         for environment, seed, checksum in self._connection.execute("SELECT * FROM missions ORDER BY 1, 2"):
-            if checksum != mission_checksum(self._connection, (environment, seed)):
+            if checksum != mission_checksum(self._connection, (environment, seed), salt):
                 return f"mission {environment}-{seed}: runs are missing or were added"
         return ""
 
@@ -212,7 +216,8 @@ class Store:
             self._connection.execute("BEGIN IMMEDIATE")
             self._generation = (self.meta(_GENERATION) or 0) + 1
             row = _GENERATION, canonical(self._generation)
-            self._connection.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", (*row, checksum_of(*row)))
+            checksum = meta_checksum(*row, salt_of(self._connection))
+            self._connection.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", (*row, checksum))
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -241,8 +246,9 @@ class Store:
     def write_meta(self, items: Mapping[str, Any]) -> None:
         """Store plain data by key."""
         texts = {key: canonical(value) for key, value in items.items()}
-        rows = [(key, text, checksum_of(key, text)) for key, text in texts.items()]
         with self._writing():
+            salt = salt_of(self._connection)
+            rows = [(key, text, meta_checksum(key, text, salt)) for key, text in texts.items()]
             self._connection.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", rows)
 
     def plan(self, specs: Iterable[RunSpec]) -> None:
@@ -250,15 +256,16 @@ class Store:
         rows = [
             (s.run_id, s.position, s.kind, s.setting, s.environment, s.seed, canonical(s.to_json())) for s in specs
         ]  # fmt: skip
-        checked = [(*row, checksum_of(*row, None, "", None)) for row in rows]
         marks = "?, ?, ?, ?, ?, ?, ?, ?"
         with self._writing():
+            salt = salt_of(self._connection)
+            checked = [(*row, checksum_of(*row, None, "", None, *salt)) for row in rows]
             self._connection.executemany(f"INSERT OR IGNORE INTO runs ({PLANNED}, checksum) VALUES ({marks})", checked)
 
     def end_plan(self, world: tuple[str, int]) -> None:
         """Note that all runs of a mission are stored."""
         with self._writing():
-            row = *world, mission_checksum(self._connection, world)
+            row = *world, mission_checksum(self._connection, world, salt_of(self._connection))
             self._connection.execute("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", row)
 
     def planned(self) -> set[tuple[str, int]]:
@@ -318,7 +325,7 @@ class Store:
             result = canonical(record.to_json()), note, wall_s
             self._connection.execute(
                 "UPDATE runs SET record = ?, note = ?, wall_s = ?, checksum = ? WHERE run_id = ?",
-                (*result, checksum_of(*planned, *result), run_id),
+                (*result, checksum_of(*planned, *result, *salt_of(self._connection)), run_id),
             )
 
     def counts(self) -> dict[str, tuple[int, int, int]]:
@@ -355,22 +362,6 @@ class Store:
         for run_id, spec, record in self._connection.execute("SELECT run_id, spec, record FROM runs ORDER BY position"):
             content.update(f"{run_id}\n{spec}\n{record}\n".encode())
         return content.hexdigest()
-
-
-def canonical(data: Any) -> str:
-    """The one JSON text of plain data."""
-    return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
-
-
-def checksum_of(*values: str | int | float | None) -> str:
-    """Checksum of the values of a row, types included."""
-    return hashlib.sha256(repr(values).encode()).hexdigest()[:32]
-
-
-def mission_checksum(connection: sqlite3.Connection, world: tuple[Any, ...]) -> str:
-    """Checksum of the planned runs of a mission, given by environment and seed."""
-    query = "SELECT run_id, position FROM runs WHERE environment = ? AND seed = ? ORDER BY position"
-    return checksum_of(*world, *(part for row in connection.execute(query, world) for part in row))
 
 
 def _run(spec: str, record: str | None, note: str, wall_s: float | None) -> Run:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mavfi.campaign import store as store_module
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.store import FILE, Store
 from mavfi.errors import BadInputError, MachineError, MavfiError
@@ -301,7 +302,8 @@ def test_a_ledger_that_was_cut_off_is_refused(tmp_path, share):
         ("UPDATE runs SET record = NULL, wall_s = NULL WHERE position = 0", "run '.*': checksum mismatch"),
         ("UPDATE runs SET note = 'x' WHERE position = 0", "run '.*': checksum mismatch"),
         ("UPDATE meta SET value = '5' WHERE key = 'missions'", "metadata 'missions': checksum mismatch"),
-        ("DELETE FROM meta", "metadata are missing"),
+        ("DELETE FROM meta", "run '.*': checksum mismatch|metadata are missing"),
+        ("DELETE FROM meta WHERE key = 'bound'", "metadata '.*': checksum mismatch"),
         ("DROP TABLE missions", "no such table: missions"),
     ],
 )
@@ -343,6 +345,19 @@ def test_a_ledger_on_media_that_cannot_be_written_is_read(tmp_path, monkeypatch)
     (tmp_path / f"{FILE}-wal").write_bytes(b"what was not closed")
     with pytest.raises(BadInputError, match="was not closed; open it once on writable media"):
         Store.open(tmp_path)
+
+
+def test_a_ledger_of_an_older_mavfi_has_no_salt_and_is_read_and_resumed(tmp_path, monkeypatch):
+    with monkeypatch.context() as older:
+        older.setattr(store_module, "salt_of", lambda connection: ())
+        digest = filled(tmp_path)
+        with closing(sqlite3.connect(tmp_path / FILE)) as connection, connection:
+            connection.execute("DELETE FROM meta WHERE key = 'bound'")
+    with Store.create(tmp_path, IDENTITY) as store:
+        assert store.digest() == digest
+        store.write_meta({"missions": 5})
+    with Store.open(tmp_path) as store:
+        assert store.digest() == digest and store.meta("missions") == 5
 
 
 def failing(monkeypatch, times):
