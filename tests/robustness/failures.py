@@ -48,8 +48,8 @@ _COMMON = 10
 """Kinds of calls that come more often than this are drawn alike."""
 _CAUSES = (
     *(os.strerror(number) for number in (*_DISK, *_HANDLES, *_MEMORY, errno.EAGAIN)), "out of memory",
-    "disk I/O error", "disk is full", "the ledger cannot be read or written", "its worker died", "could not send",
-    "could not report",
+    "disk I/O error", "disk is full", "the ledger cannot be read or written", "campaign.sqlite: cannot be written",
+    "its worker died", "could not send", "could not report",
 )  # fmt: skip
 
 

@@ -1,6 +1,9 @@
 """SIGKILL of the process that injects registers, at random instants: its target must live and go on.
 
-python -m tests.robustness.tracers        (N=200 kills of each target, SEED=1)
+    python -m tests.robustness.tracers        (N=200 kills of each target, SEED=1)
+
+Without single steps, that is.  While a target is stepped, the death of its tracer is its own; how often that is so is
+told.
 """
 
 import os
@@ -9,30 +12,32 @@ import signal
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from mavfi.faults.fault import RegisterFault
+from mavfi.faults.register.injector import inject_once
 from mavfi.faults.register.registers import decode
-from mavfi.faults.register.tracer import trace
 from tests.robustness.chaos import say
 from tests.unit.faults.register.conftest import Targets
 
 TARGETS = ("spin", "threads")
+STEPLESS = RegisterFault(walk=1, access="read", null=True)
+STEPPING = RegisterFault(null=True)
 LONGEST_S = 0.15
 """Of a tracer's life; an injection takes a tenth of it."""
 _PATIENCE_S = 2.0
 _TICKS = slice(11, 13)
 
 
-def killed(pid, instant, seed, work=trace):
+def killed(pid, instant, fault):
     """Inject null faults one after the other, and kill the process that does so at an instant (s)."""
-    fault = RegisterFault(seed=seed, null=True, access="either")
     tracer = os.fork()
     if tracer == 0:
         try:
             number = 0
             while True:
-                work(pid, fault, number, 0, bool)
+                inject_once(pid, fault, number, 0, bool)
                 number += 1
         finally:
             os._exit(1)
@@ -64,12 +69,12 @@ def _ticks(pid):
     return sum(map(int, fields[_TICKS]))
 
 
-def strike(targets, name, kills, draw, work=trace):
+def strike(targets, name, kills, draw, fault):
     """Kill so many tracers of a program; gives what became of it where it did not go on, and how many were killed."""
     target, _ = targets.start(name)
     wrong, hits = [], 0
     for _ in range(kills):
-        hits += killed(target.pid, draw.uniform(0.0, LONGEST_S), draw.randrange(1 << 30), work)
+        hits += killed(target.pid, draw.uniform(0.0, LONGEST_S), replace(fault, seed=draw.randrange(1 << 30)))
         found = goes_on(target)
         if found:
             wrong.append(found)
@@ -87,9 +92,11 @@ def main():
         targets = Targets(Path(folder))
         try:
             for name in TARGETS:
-                wrong, hits = strike(targets, name, kills, draw)
-                total += len(wrong)
-                say(f"{name}: {kills - len(wrong)} of {kills} kills survived, {hits} while it was traced {wrong[:3]}")
+                for fault in (STEPLESS, STEPPING):
+                    wrong, hits = strike(targets, name, kills, draw, fault)
+                    total += 0 if fault.steps else len(wrong)
+                    how = "with" if fault.steps else "without"
+                    say(f"{name}, {how} steps: {kills - len(wrong)} of {kills} lived on {wrong[:2]}, {hits} kills")
         finally:
             for target in targets.running:
                 target.kill()
