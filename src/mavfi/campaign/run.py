@@ -103,6 +103,7 @@ class _Session:
     def fly(self, executor: Executor, missions: list[MissionPlan]) -> None:
         """Fly missions; each item is in the ledger before the next one is taken."""
         self.tell()
+        failed = ""
         for attempt in range(1 + ATTEMPTS):
             try:
                 lost = {mission.world: (mission, end) for mission, end in self._fly_once(executor, missions)}
@@ -119,6 +120,8 @@ class _Session:
             missions = [replace(m, done=done.get(m.world, frozenset()), alone=True) for m, _ in lost.values()]
             if not missions:
                 return
+        if failed:  # so it may be why workers died
+            raise MachineError(failed)
         self._check_process(executor, {world: end for world, (_, end) in lost.items()})
         for mission in missions:
             self._give_up(mission, lost[mission.world][1])

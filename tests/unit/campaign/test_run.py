@@ -298,6 +298,16 @@ def test_a_golden_run_that_dies_each_time_is_due_and_nothing_is_drawn_from_it(fl
         assert others == [(run.spec, run.record) for run in store.runs() if run.spec.seed != DEADLY]
 
 
+def test_a_mission_is_not_given_up_where_the_machine_has_failed(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(TROUBLE, "machine", failures(tmp_path / "failures", errno.EIO, 1))
+    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
+    with pytest.raises(MachineError, match="Input/output error"):
+        flown_into(tmp_path / "out")
+    with Store.open(tmp_path / "out") as store:
+        assert all(run.record.end is End.FLOWN for run in store.runs(done=True))
+
+
 def test_a_process_of_which_all_workers_die_records_nothing(tmp_path, monkeypatch):
     campaign = small(environments=["sparse"], missions=1, first_seed=DEADLY)
     monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
