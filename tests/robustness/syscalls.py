@@ -69,11 +69,13 @@ def _install():
 
 
 def heap_end(pid):
-    """Where a process's heap ends; 0 = it has none."""
-    for line in Path(f"/proc/{pid}/maps").read_text(encoding="utf-8").splitlines():
-        if line.endswith("[heap]"):
-            return int(line.split()[0].partition("-")[2], 16)
-    return 0
+    """Where a process's heap ends; 0 = it has none, or is gone."""
+    try:
+        lines = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return 0
+    ends = (int(line.split()[0].partition("-")[2], 16) for line in lines if line.endswith("[heap]"))
+    return next(ends, 0)
 
 
 class Call:
