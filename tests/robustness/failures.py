@@ -49,7 +49,7 @@ _COMMON = 10
 _CAUSES = (
     *(os.strerror(number) for number in (*_DISK, *_HANDLES, *_MEMORY, errno.EAGAIN)), "out of memory",
     "disk I/O error", "disk is full", "the ledger cannot be read or written", "campaign.sqlite: cannot be written",
-    "its worker died", "could not send", "could not report",
+    "unable to open database file", "its worker died", "could not send", "could not report",
 )  # fmt: skip
 
 
