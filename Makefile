@@ -17,7 +17,7 @@ export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz tune format bench coupling machine-level fast-forward many-injections memory golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz failures damage tune format bench coupling machine-level fast-forward many-injections memory golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -60,6 +60,12 @@ chaos: setup  ## send signals to processes of campaigns at random instants, resu
 
 fuzz: setup  ## 100,000 mutated files and texts for every reader of them (N=... SEED=1 ONLY=vehicle)
 	@$(BIN)/python -m tests.robustness.fuzz
+
+failures: setup  ## let system calls of campaigns fail at random points, resume, compare ledgers (N=200)
+	@$(BIN)/python -m tests.robustness.failures
+
+damage: setup  ## flip bits of ledgers, cut them off, swap their rows: nothing may be silent (N=1000)
+	@$(BIN)/python -m tests.robustness.damage
 
 robust: setup  ## 100,000 random corruptions of recorded kernel inputs, with bounds checked (N=...)
 	@$(BIN)/python -m tests.robustness.storm

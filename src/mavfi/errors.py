@@ -2,6 +2,7 @@
 
 import errno
 import os
+import sqlite3
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from difflib import get_close_matches
@@ -11,6 +12,12 @@ _MOST_SHOWN = 12
 _MACHINE = {
     errno.ENOSPC, errno.EDQUOT, errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EIO, errno.EROFS,
 }  # fmt: skip
+_MACHINE_OF_SQLITE = {
+    sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_NOMEM,
+    sqlite3.SQLITE_PROTOCOL, sqlite3.SQLITE_CORRUPT,  # EIO where a ledger is read, which was sound when it was opened
+}  # fmt: skip
+_NO_MEMORY = "could not allocate"
+"""Of MuJoCo, which raises no MemoryError."""
 
 FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT"})
 """Signals sent by an operator or the OOM killer, never raised by a fault."""
@@ -40,10 +47,12 @@ def machine_failure(error: BaseException | None) -> str:
     while error is not None:
         if isinstance(error, MachineError):
             return str(error)
-        if isinstance(error, MemoryError):
+        if isinstance(error, MemoryError) or _NO_MEMORY in str(error).lower():
             return "out of memory"
         if isinstance(error, OSError) and error.errno in _MACHINE:
             return os.strerror(error.errno) + (f" ({error.filename})" if error.filename else "")
+        if isinstance(error, sqlite3.Error) and getattr(error, "sqlite_errorcode", 0) & 0xFF in _MACHINE_OF_SQLITE:
+            return f"the ledger cannot be read or written ({error})"
         error = error.__cause__ or error.__context__
     return ""
 

@@ -25,12 +25,13 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from mavfi.campaign.analysis import VIEWS, Runs, table
+from mavfi.campaign.checksums import BOUND, IDENTITY, checksum_of, meta_checksum, mission_checksum, salt_of
 from mavfi.campaign.config import load_campaign, load_study
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.repair import repair
 from mavfi.campaign.replay import _setup_of_run
 from mavfi.campaign.run import run_campaign, status
-from mavfi.campaign.soundness import PLANNED, TABLES, checksum_of, mission_checksum
+from mavfi.campaign.soundness import PLANNED, TABLES
 from mavfi.campaign.store import SCHEMA, Store
 from mavfi.campaign.training import KeptRecordings
 from mavfi.cli.campaign import _what
@@ -466,16 +467,18 @@ def ledger_of(content, trick=""):
     """A ledger's file whose checksums are right."""
     with closing(sqlite3.connect(":memory:")) as ledger:
         ledger.executescript(f"BEGIN; {TABLES} PRAGMA user_version = {SCHEMA}; COMMIT;")
-        for row in _rows(content, "meta"):
-            _insert(ledger, "meta (key, value, checksum)", [_cell(row[0]), to_json(row[1]).decode()])
+        for key, value in sorted(_rows(content, "meta"), key=lambda row: str(row[0]) not in (IDENTITY, BOUND)):
+            cells = [_cell(key), to_json(value).decode()]
+            _insert(ledger, "meta (key, value, checksum)", cells, meta_checksum(*cells, salt_of(ledger)))
+        salt = salt_of(ledger)
         for row in _rows(content, "runs"):
             if isinstance(row, list):
                 cells = [_cell(cell, json=place in (6, 7)) for place, cell in enumerate(row[:10])]
-                _insert(ledger, f"runs ({PLANNED}, record, note, wall_s, checksum)", cells)
+                _insert(ledger, f"runs ({PLANNED}, record, note, wall_s, checksum)", cells, checksum_of(*cells, *salt))
         for row in _rows(content, "missions"):
             if isinstance(row, list) and len(row) == 2:
                 world = tuple(map(_cell, row))
-                values = (*world, mission_checksum(ledger, world))
+                values = (*world, mission_checksum(ledger, world, salt))
                 with contextlib.suppress(sqlite3.Error):
                     ledger.execute("INSERT INTO missions VALUES (?, ?, ?)", values)
         ledger.commit()
@@ -499,10 +502,10 @@ def _cell(value, json=False):
     return value if isinstance(value, (int, float, str, type(None))) else to_json(value).decode()
 
 
-def _insert(ledger, place, cells):
+def _insert(ledger, place, cells, checksum):
     marks = ", ".join("?" * (len(cells) + 1))
     with contextlib.suppress(sqlite3.Error, UnicodeEncodeError):
-        ledger.execute(f"INSERT INTO {place} VALUES ({marks})", (*cells, checksum_of(*cells)))
+        ledger.execute(f"INSERT INTO {place} VALUES ({marks})", (*cells, checksum))
 
 
 def read_ledger(path):

@@ -23,7 +23,7 @@ import yaml
 from pydantic import Field, ValidationError
 
 from mavfi.campaign.run import status_of, stored_campaign
-from mavfi.campaign.soundness import TABLES, checksum_of
+from mavfi.campaign.soundness import TABLES
 from mavfi.campaign.store import FILE, SCHEMA, Store
 from mavfi.config import Config
 from mavfi.detectors.model import Model
@@ -126,8 +126,7 @@ def _lines(store: Store, has_models: bool) -> Iterator[bytes]:
     """Rows of the ledger, one JSON array each; the folder of trained models becomes the one in the pack."""
     for table, row in store.tables():
         if row[0] == "models_dir":
-            text = canonical(MODELS if has_models else None)
-            row = ("models_dir", text, checksum_of("models_dir", text))
+            row = store.meta_row("models_dir", MODELS if has_models else None)
         yield f"{canonical([table, *row])}\n".encode()
 
 
@@ -240,8 +239,6 @@ def _fill(ledger: sqlite3.Connection, source: IO[bytes], check_digest: Callable[
         table, *row = json.loads(line)
         if _MARKS.get(table) != len(row):
             raise ValueError(f"{LEDGER}, line {number}: is no row of a ledger")
-        if table != "missions" and row[-1] != checksum_of(*row[:-1]):
-            raise ValueError(f"{LEDGER}, line {number}: checksum mismatch")
         ledger.execute(f"INSERT INTO {table} VALUES ({', '.join('?' * len(row))})", row)
     check_digest(digest.hexdigest())
 

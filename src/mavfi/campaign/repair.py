@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mavfi.campaign.checksums import BOUND, IDENTITY, checksum_of, meta_checksum, mission_checksum
 from mavfi.campaign.connection import connect
-from mavfi.campaign.soundness import PLANNED, TABLES, checksum_of, mission_checksum, strange_schema
+from mavfi.campaign.soundness import PLANNED, TABLES, strange_schema
 from mavfi.campaign.store import FILE, SCHEMA
 from mavfi.errors import BadInputError, writing
+from mavfi.flight_record import canonical
 
 DAMAGED = "campaign.damaged.sqlite"
 """Backup of the damaged file."""
@@ -40,12 +42,18 @@ def repair(directory: Path) -> Repair:
         with suppress(sqlite3.DatabaseError):  # damaged, too: rows that can be read are kept
             if strange := strange_schema(source):
                 raise BadInputError(f"{path}: {strange}")
-        described = [row for row in _rows(source, "SELECT key, value, checksum FROM meta") if _sound(row)]
+        meta = list(_rows(source, "SELECT key, value, checksum FROM meta"))
         runs = list(_rows(source, f"SELECT {_RUNS} FROM runs"))
         missions = list(_rows(source, "SELECT environment, seed, checksum FROM missions"))
-    if "identity" not in {row[0] for row in described}:
+    identity = next(
+        (value for key, value, checksum in meta if (key, checksum) == (IDENTITY, checksum_of(key, value))), ""
+    )
+    if not identity:
         raise BadInputError(f"{path}: its metadata are damaged: the campaign cannot be identified")
-    sound = [row for row in runs if _sound(row)]
+    salts: list[tuple[str, ...]] = [(checksum_of(identity),), ()]  # the row that says which may be damaged
+    salt, described, sound = max(
+        ((salt, _described(meta, salt), _sound(runs, salt)) for salt in salts), key=lambda kept: len(kept[1] + kept[2])
+    )
     with writing(whole):
         whole.unlink(missing_ok=True)
         with closing(sqlite3.connect(whole)) as target:
@@ -55,7 +63,7 @@ def repair(directory: Path) -> Repair:
                 marks = ", ".join("?" * len(_RUNS.split(", ")))
                 target.executemany(f"INSERT OR IGNORE INTO runs ({_RUNS}) VALUES ({marks})", sound)
                 # incomplete missions are replanned on resume
-                complete = [m for m in missions if m[-1] == mission_checksum(target, m[:-1])]
+                complete = [m for m in missions if m[-1] == mission_checksum(target, m[:-1], salt)]
                 target.executemany("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", complete)
         path.rename(damaged)
         for ending in ("-wal", "-shm"):
@@ -72,5 +80,12 @@ def _rows(connection: sqlite3.Connection, query: str) -> Iterator[tuple[Any, ...
         yield from connection.execute(query)
 
 
-def _sound(row: tuple[Any, ...]) -> bool:
-    return bool(row[-1] == checksum_of(*row[:-1]))
+def _described(meta: list[tuple[Any, ...]], salt: tuple[str, ...]) -> list[tuple[Any, ...]]:
+    """The intact metadata, and whether checksums have a salt."""
+    intact = [row for row in meta if row[0] != BOUND and row[2] == meta_checksum(row[0], row[1], salt)]
+    bound = BOUND, canonical(True)
+    return [*intact, (*bound, checksum_of(*bound))] if salt else intact
+
+
+def _sound(runs: list[tuple[Any, ...]], salt: tuple[str, ...]) -> list[tuple[Any, ...]]:
+    return [row for row in runs if row[-1] == checksum_of(*row[:-1], *salt)]

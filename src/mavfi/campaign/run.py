@@ -26,7 +26,7 @@ from mavfi.campaign.plan import Flown, Plan, Planned, arms_of, is_golden
 from mavfi.campaign.store import Store
 from mavfi.campaign.warm_up import fly_mission_anywhere, warm_up
 from mavfi.config import parse
-from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError
+from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError, machine_failure
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import require_level
 from mavfi.hosts.watching import detector_for
@@ -85,34 +85,46 @@ class _Session:
     counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)
 
     def missions(self) -> Iterator[MissionPlan]:
-        """What is left to fly of the shard."""
+        """What is left to fly."""
+        return (self._mission(world) for world in self._worlds() if not self.store.is_complete(world))
+
+    def _worlds(self) -> Iterator[tuple[str, int]]:
+        """Missions of the shard."""
         campaign, (shard, shards) = self.plan.campaign, self.shard
-        worlds = itertools.product(campaign.environments, campaign.seeds)
-        for world in itertools.islice(worlds, shard - 1, None, shards):
-            if not self.store.is_complete(world):
-                yield MissionPlan(
-                    campaign, *world, self.models_dir, self.plan.models, self.plan.keys(world[0]), self.fast_forward,
-                    self.store.done(world),
-                )  # fmt: skip
+        return itertools.islice(itertools.product(campaign.environments, campaign.seeds), shard - 1, None, shards)
+
+    def _mission(self, world: tuple[str, int]) -> MissionPlan:
+        plan = self.plan
+        return MissionPlan(
+            plan.campaign, *world, self.models_dir, plan.models, plan.keys(world[0]), self.fast_forward,
+            self.store.done(world),
+        )  # fmt: skip
 
     def fly(self, executor: Executor) -> None:
         """Fly what is left; items are in the ledger before the next ones are taken."""
         self.pace = Pace(time.perf_counter())
         self.tell()
         missions: Iterable[MissionPlan] = self.missions()
+        failed = ""
         for attempt in range(1 + ATTEMPTS):
             try:
                 lost = {mission.world: (mission, end) for mission, end in self._fly_once(executor, missions)}
-            except MachineError as error:
-                self.log.note("retry", attempt=attempt + 1, of=1 + ATTEMPTS, reason=str(error))
-                if attempt == ATTEMPTS:
+            except Exception as error:
+                failed = machine_failure(error)
+                if not failed:
                     raise
+                self.log.note("retry", attempt=attempt + 1, of=1 + ATTEMPTS, reason=failed)
+                if attempt == ATTEMPTS:
+                    raise MachineError(failed) from error
                 time.sleep(PAUSE_S)
                 missions = self.missions()
                 continue
             missions = [replace(m, done=self.store.done(m.world), alone=True) for m, _ in lost.values()]
             if not missions:
                 return
+        if failed:  # so it may be why workers died
+            raise MachineError(failed)
+        self._check_process(executor, {world: end for world, (_, end) in lost.items()})
         for mission in missions:
             self._give_up(mission, lost[mission.world][1])
 
@@ -152,6 +164,21 @@ class _Session:
     def _count(self, setting: str, *more: int) -> None:
         planned, done, success = map(sum, zip(self.counts.get(setting, (0, 0, 0)), more, strict=True))
         self.counts[setting] = planned, done, success
+
+    def _check_process(self, executor: Executor, lost: Mapping[tuple[str, int], Lost]) -> None:
+        """Check that workers die of their missions, not of this process, e.g. of code for which it had no memory.
+
+        Raises:
+            MachineError: No other mission was flown in this session, nor can be.
+        """
+        if self.flown:
+            return
+        other = next((world for world in self._worlds() if world not in lost), None)
+        function = fly_mission if executor.forks else fly_mission_anywhere
+        with closing(executor.map(function, [self._mission(other)] if other else [])) as batches:
+            if other and not any(isinstance(item, Lost) for _, items in batches for item in items):
+                return
+        raise MachineError(f"no mission can be flown here: {next(iter(lost.values())).reason}")
 
     def _give_up(self, mission: MissionPlan, lost: Lost) -> None:
         """Record a mission whose golden runs take their process with them each time: nothing is drawn from these.

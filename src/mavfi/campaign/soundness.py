@@ -3,12 +3,12 @@
 Checksums find damage; whoever writes a ledger can make them right.  So types are checked as well.
 """
 
-import hashlib
 import json
 import sqlite3
 from dataclasses import dataclass
 from typing import Any
 
+from mavfi.campaign.checksums import checksum_of, meta_checksum, mission_checksum, salt_of
 from mavfi.config import checked
 from mavfi.errors import BadInputError
 
@@ -54,17 +54,7 @@ class _Meta:
     generation: int | None = None
     shard: list[int] | None = None
     campaign: str | None = None
-
-
-def checksum_of(*values: str | int | float | None) -> str:
-    """Checksum of the values of a row, types included."""
-    return hashlib.sha256(repr(values).encode()).hexdigest()[:32]
-
-
-def mission_checksum(connection: sqlite3.Connection, world: tuple[Any, ...]) -> str:
-    """Checksum of the planned runs of a mission, given by environment and seed."""
-    query = "SELECT run_id, position FROM runs WHERE environment = ? AND seed = ? ORDER BY position"
-    return checksum_of(*world, *(part for row in connection.execute(query, world) for part in row))
+    bound: bool | None = None
 
 
 def damage(connection: sqlite3.Connection) -> str:
@@ -91,15 +81,16 @@ def _structure(connection: sqlite3.Connection) -> str:
 
 
 def _checksums(connection: sqlite3.Connection) -> str:
+    salt = salt_of(connection)
     for key, value, checksum in connection.execute("SELECT key, value, checksum FROM meta"):
-        if checksum != checksum_of(key, value):
+        if checksum != meta_checksum(key, value, salt):
             return f"metadata {key!r}: checksum mismatch"
     rows = connection.execute(f"SELECT {PLANNED}, record, note, wall_s, checksum FROM runs")
     for run_id, *rest, checksum in rows:
-        if checksum != checksum_of(run_id, *rest):
+        if checksum != checksum_of(run_id, *rest, *salt):
             return f"run {run_id!r}: checksum mismatch"
     for environment, seed, checksum in connection.execute("SELECT * FROM missions ORDER BY 1, 2"):
-        if checksum != mission_checksum(connection, (environment, seed)):
+        if checksum != mission_checksum(connection, (environment, seed), salt):
             return f"mission {environment}-{seed}: runs are missing or were added"
     return ""
 

@@ -1,6 +1,7 @@
 """The ledger of a campaign: one SQLite file, one row per run, written by one process.
 
-Every row has a checksum, and every mission a checksum over its planned runs; a ledger with a mismatch is refused.
+Every row has a checksum, which covers the campaign that it belongs to, and every mission a checksum over its planned
+runs; a ledger with a mismatch is refused.
 Every process that writes has a number (generation); an older one that lives on, with its lock gone, can write no more.
 """
 
@@ -14,10 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+from mavfi.campaign.checksums import BOUND, IDENTITY, checksum_of, meta_checksum, mission_checksum, salt_of
 from mavfi.campaign.connection import connect
 from mavfi.campaign.plan import Flown, Row, RunSpec
-from mavfi.campaign.soundness import INDEX, PLANNED, TABLES, checksum_of, damage, mission_checksum
-from mavfi.errors import BadInputError, MachineError, MavfiError
+from mavfi.campaign.soundness import INDEX, PLANNED, TABLES, damage
+from mavfi.errors import BadInputError, MachineError, MavfiError, machine_failure
 from mavfi.flight_record import End, FlightRecord, canonical
 from mavfi.mission import MissionStatus
 
@@ -25,10 +27,8 @@ SCHEMA = 3
 FILE = "campaign.sqlite"
 LOCK = "campaign.lock"
 _CANDIDATES = 5
+_CHUNK = 1 << 20
 _GENERATION = "generation"
-_MACHINE_CODES = (
-    sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_NOMEM,
-)  # fmt: skip
 _RUN = "spec, record, note, wall_s"
 
 
@@ -61,7 +61,7 @@ class Store:
     def close(self) -> None:
         """Close; a ledger that was not closed keeps its data, but cannot be read from read-only media."""
         if self._has_log:
-            with suppress(sqlite3.OperationalError):  # a reader holds it
+            with suppress(sqlite3.DatabaseError):  # a reader holds it, or the disk fails
                 self._connection.execute("PRAGMA journal_mode = DELETE")
         self._connection.close()
         if self._lock is not None:
@@ -90,7 +90,7 @@ class Store:
         try:
             if store._ask("SELECT COUNT(*) FROM sqlite_master") == 0:
                 store._connection.executescript(f"BEGIN; {TABLES} PRAGMA user_version = {SCHEMA};")
-                store.write_meta({"identity": identity})
+                store.write_meta({IDENTITY: identity, BOUND: True})
             else:
                 store._check(identity)
             store._begin_log()
@@ -128,8 +128,22 @@ class Store:
     def _ask(self, query: str) -> Any:
         try:
             return self._connection.execute(query).fetchone()[0]
-        except sqlite3.DatabaseError:
-            raise BadInputError(f"{self.directory / FILE}: is not a ledger of mavfi") from None
+        except sqlite3.DatabaseError as error:
+            code = error.sqlite_errorcode
+        self._check_disk()
+        if code == sqlite3.SQLITE_READONLY_ROLLBACK:
+            raise BadInputError(f"{self.directory}: its first writing was cut short; resume the campaign")
+        raise BadInputError(f"{self.directory / FILE}: is not a ledger of mavfi")
+
+    def _check_disk(self) -> None:
+        """SQLite takes what a disk does not give for damage: raise a `MachineError` if the file cannot be read."""
+        path = self.directory / FILE
+        try:
+            with path.open("rb") as file:
+                while file.read(_CHUNK):
+                    pass
+        except OSError as error:
+            raise MachineError(f"{path}: cannot be read ({error.strerror})") from error
 
     def _check_schema(self) -> None:
         version = self._ask("PRAGMA user_version")
@@ -151,9 +165,10 @@ class Store:
             )
 
     def _check_content(self) -> None:
-        """Refuse a ledger that fails its integrity check."""
-        wrong = damage(self._connection)
+        """Refuse a ledger that fails its integrity check, twice: a disk may fail for a moment."""
+        wrong = damage(self._connection) and damage(self._connection)
         if wrong:
+            self._check_disk()
             raise BadInputError(f"{self.directory / FILE}: is damaged: {wrong}")
 
     def _begin_log(self) -> None:
@@ -171,8 +186,8 @@ class Store:
         with self._connection:
             self._connection.execute("BEGIN IMMEDIATE")
             self._generation = (self.meta(_GENERATION) or 0) + 1
-            row = _GENERATION, canonical(self._generation)
-            self._connection.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", (*row, checksum_of(*row)))
+            row = self.meta_row(_GENERATION, self._generation)
+            self._connection.execute("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", row)
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -188,8 +203,8 @@ class Store:
                 if self._generation and self.meta(_GENERATION) != self._generation:
                     raise MavfiError(f"{self.directory}: another process has taken over this campaign")
                 yield
-        except sqlite3.OperationalError as error:
-            if error.sqlite_errorcode & 0xFF not in _MACHINE_CODES:
+        except sqlite3.DatabaseError as error:
+            if not machine_failure(error):
                 raise
             raise MachineError(f"{self.directory / FILE}: cannot be written ({error})") from error
 
@@ -198,28 +213,33 @@ class Store:
         row = self._connection.execute("SELECT value FROM meta WHERE key = ?", (key,)).fetchone()
         return None if row is None else json.loads(row[0])
 
+    def meta_row(self, key: str, value: object) -> tuple[str, str, str]:
+        """Plain data as a row of this ledger."""
+        text = canonical(value)
+        return key, text, meta_checksum(key, text, salt_of(self._connection))
+
     def write_meta(self, items: Mapping[str, Any]) -> None:
         """Store plain data by key."""
-        texts = {key: canonical(value) for key, value in items.items()}
-        rows = [(key, text, checksum_of(key, text)) for key, text in texts.items()]
         with self._writing():
+            rows = [self.meta_row(key, value) for key, value in items.items()]
             self._connection.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", rows)
 
     def plan(self, rows: Iterable[Row]) -> list[Row]:
         """Store runs before they are flown; those that are there already are left as they are, the others returned."""
         query = "SELECT 1 FROM runs WHERE run_id = ?"
         with self._writing():
+            salt = salt_of(self._connection)
             new = [row for row in rows if self._connection.execute(query, (row.run_id,)).fetchone() is None]
             self._connection.executemany(
                 f"INSERT INTO runs ({PLANNED}, checksum) VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-                [(*row, checksum_of(*row, None, "", None)) for row in new],
+                [(*row, checksum_of(*row, None, "", None, *salt)) for row in new],
             )
         return new
 
     def end_plan(self, world: tuple[str, int]) -> None:
         """Note that all runs of a mission are stored."""
         with self._writing():
-            row = *world, mission_checksum(self._connection, world)
+            row = *world, mission_checksum(self._connection, world, salt_of(self._connection))
             self._connection.execute("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", row)
 
     def done(self, world: tuple[str, int]) -> frozenset[str]:
@@ -290,18 +310,24 @@ class Store:
 
         Returns:
             Those that were not done before, each with its setting.
+
+        Raises:
+            MavfiError: A run is not planned: its mission, begun again, drew other faults.
         """
         found = []
         with self._writing():
+            salt = salt_of(self._connection)
             for item in flown:
                 query = f"SELECT {PLANNED} FROM runs WHERE run_id = ? AND record IS NULL"
                 planned = self._connection.execute(query, (item.run_id,)).fetchone()
                 if planned is None:
+                    if self.record_text(item.run_id) is None:
+                        raise MavfiError(f"{self.directory}: run {item.run_id!r}: is not in the plan")
                     continue
                 result = item.text, item.note, item.wall_s
                 self._connection.execute(
                     "UPDATE runs SET record = ?, note = ?, wall_s = ?, checksum = ? WHERE run_id = ?",
-                    (*result, checksum_of(*planned, *result), item.run_id),
+                    (*result, checksum_of(*planned, *result, *salt), item.run_id),
                 )
                 found.append((planned[3], item))
         return found

@@ -23,7 +23,7 @@ from mavfi.cli import (
 )
 from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError, MavfiError, machine_failure
 from mavfi.plugins import allow_plugins, allow_typed
 
 _ALLOW_PLUGINS = "--allow-plugins"
@@ -77,15 +77,19 @@ def run(arguments: Sequence[str]) -> int:
     command = typer.main.get_command(app)
     try:
         code = command.main(args=list(arguments) or ["--help"], prog_name="mavfi", standalone_mode=False)
-    except BadInputError as error:
-        return complain(str(error), EXIT_BAD_INPUT)
     except MavfiError as error:
-        return complain(str(error), EXIT_FAILURE)
+        is_input = isinstance(error, BadInputError) and not machine_failure(error)
+        return complain(str(error), EXIT_BAD_INPUT if is_input else EXIT_FAILURE)
     except typer.TyperException as error:  # a missing argument, an option that there is not, no number
         message = error.format_message().rstrip(".")
         return complain(f"{message}; see `mavfi {_verb(arguments)}--help`", EXIT_BAD_INPUT)
     except typer.Abort:
         return EXIT_STOPPED
+    except Exception as error:
+        failed = machine_failure(error)
+        if not failed:
+            raise
+        return complain(failed, EXIT_FAILURE)
     return code if isinstance(code, int) else EXIT_DONE
 
 

@@ -250,7 +250,7 @@ class RegisterFault(_Planned):
             "" = stop wherever the target is.
         thread: Thread; 0 = the busiest, or with a symbol whichever gets there first.
         walk: From the stop on, a random number of instructions below this is executed before the injection.  A stop
-            between system calls comes at few, always the same instructions (skid); the walk spreads them.
+            between system calls comes at few, always the same instructions (skid); the walk spreads them.  1 = none.
         timeout: Longest wait (s).
         null: Do everything but flip the bit.
         node: ROS node whose process it is; "" = the process is named by its pid.
@@ -288,6 +288,11 @@ class RegisterFault(_Planned):
             raise BadInputError(f"timeout: {self.timeout}: allowed: above 0, to {LONGEST_TIMEOUT:g} s")
         if self.thread < 0:
             raise BadInputError(f"thread: {self.thread}: allowed: the number of a running thread, or 0")
+
+    @property
+    def steps(self) -> bool:
+        """Whether instructions of the target are executed one by one."""
+        return self.walk > 1 or self.access != "read"
 
     @property
     def site(self) -> str:

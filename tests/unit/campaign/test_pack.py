@@ -10,14 +10,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mavfi.campaign.checksums import checksum_of
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.pack import CONFIG, LEDGER, MANIFEST, pack, unpack
 from mavfi.campaign.run import run_campaign, stored_campaign
-from mavfi.campaign.store import FILE, Store, canonical, checksum_of
+from mavfi.campaign.store import FILE, Store
 from mavfi.detectors.model import Model
 from mavfi.detectors.registry import SHIPPED_MODELS
 from mavfi.errors import BadInputError
+from mavfi.flight_record import canonical
 from tests.unit.campaign.fakes import small
 
 NAME = "published-i9-9940x-gaussian-paper.json"
@@ -223,7 +225,8 @@ def with_ledger(members, text):
 def elsewhere(rows):
     """Models would be read from another folder."""
     text = canonical("/etc")
-    mine = ["meta", "models_dir", text, checksum_of("models_dir", text)]
+    [identity] = [row[2] for row in rows if row[1] == "identity"]
+    mine = ["meta", "models_dir", text, checksum_of("models_dir", text, checksum_of(identity))]
     return [mine if row[1] == "models_dir" else row for row in rows]
 
 
@@ -232,10 +235,10 @@ def elsewhere(rows):
     [
         (lambda rows: [r for r in rows if r[2] != 7], "runs are missing or were added"),
         (lambda rows: [*rows, rows[-1]], "UNIQUE constraint failed"),
-        (lambda rows: [[*r[:-1], "0" * 32] for r in rows], "line 1: checksum mismatch"),
+        (lambda rows: [[*r[:-1], "0" * 32] for r in rows], "checksum mismatch"),
         (lambda rows: [["sqlite_master", *r[1:]] for r in rows], "line 1: is no row of a ledger"),
         (lambda rows: [["meta; DROP TABLE runs", *r[1:]] for r in rows], "line 1: is no row of a ledger"),
-        (lambda rows: [r for r in rows if r[1] != "identity"], "metadata are missing"),
+        (lambda rows: [r for r in rows if r[1] != "identity"], "metadata '.*': checksum mismatch"),
         (lambda rows: [r for r in rows if r[0] != "missions"], f"is not the one of {MANIFEST}"),
         (elsewhere, f"is not the one of {MANIFEST}"),
         (lambda rows: [[], *rows], "is no pack of a campaign, or damaged"),

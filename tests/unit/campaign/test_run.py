@@ -332,6 +332,33 @@ def test_a_golden_run_that_dies_each_time_is_due_and_nothing_is_drawn_from_it(fl
         assert others == [(run.spec, run.record) for run in store.runs() if run.spec.seed != DEADLY]
 
 
+def test_a_mission_is_not_given_up_where_the_machine_has_failed(tmp_path, monkeypatch):
+    monkeypatch.setattr(run_module, "PAUSE_S", 0.0)
+    monkeypatch.setattr(TROUBLE, "machine", failures(tmp_path / "failures", errno.EIO, 1))
+    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
+    with pytest.raises(MachineError, match="Input/output error"):
+        flown_into(tmp_path / "out")
+    with Store.open(tmp_path / "out") as store:
+        assert all(run.record.end is End.FLOWN for run in store.runs(done=True))
+
+
+def test_a_process_of_which_all_workers_die_records_nothing(tmp_path, monkeypatch):
+    campaign = small(environments=["sparse"], missions=1, first_seed=DEADLY)
+    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
+    with pytest.raises(MachineError, match=r"no mission can be flown here: its worker died \(exit code 9\)"):
+        flown_into(tmp_path / "out", campaign)
+    with Store.open(tmp_path / "out") as store:
+        assert [run.record for run in store.runs(done=True)] == []
+
+
+def test_a_mission_that_is_left_alone_is_given_up_if_another_one_can_be_flown(tmp_path, monkeypatch):
+    campaign = small(environments=["sparse"], missions=2)
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(tmp_path / "out", campaign, progress=stop_at(22 + 1))
+    monkeypatch.setattr(TROUBLE, "golden_dies", deaths(tmp_path / "deaths", 1000))
+    assert flown_into(tmp_path / "out", campaign).complete
+
+
 def test_a_mission_that_is_given_up_half_way_is_over_all_the_same(tmp_path, monkeypatch):
     """Its golden runs died only once its faults were planned: these are counted, as not judged."""
     campaign = small(environments=["sparse"], null_runs=0)

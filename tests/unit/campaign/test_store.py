@@ -1,5 +1,6 @@
 """The ledger: what is in it is there to stay, and its digest says what is in it."""
 
+import errno
 import os
 import random
 import re
@@ -7,10 +8,12 @@ import sqlite3
 import subprocess
 import sys
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from mavfi.campaign import store as store_module
 from mavfi.campaign.plan import Flown, Planned, RunSpec
 from mavfi.campaign.store import FILE, Store
 from mavfi.errors import BadInputError, MachineError, MavfiError
@@ -305,7 +308,8 @@ def test_a_ledger_that_was_cut_off_is_refused(tmp_path, share):
         ("UPDATE runs SET record = NULL, wall_s = NULL WHERE position = 0", "run '.*': checksum mismatch"),
         ("UPDATE runs SET note = 'x' WHERE position = 0", "run '.*': checksum mismatch"),
         ("UPDATE meta SET value = '5' WHERE key = 'missions'", "metadata 'missions': checksum mismatch"),
-        ("DELETE FROM meta", "metadata are missing"),
+        ("DELETE FROM meta", "run '.*': checksum mismatch|metadata are missing"),
+        ("DELETE FROM meta WHERE key = 'bound'", "metadata '.*': checksum mismatch"),
         ("DROP TABLE missions", "no such table: missions"),
     ],
 )
@@ -324,6 +328,11 @@ def test_a_disk_without_space_is_a_failure_of_the_machine(store):
         for seed in range(2000):
             plan(store, [RunSpec("golden", "golden", "farm", seed, "key", position=100 + seed)])
     assert read(store.directory) is not None
+
+
+def test_a_run_that_is_not_planned_is_not_stored(store):
+    with pytest.raises(MavfiError, match="run 'sparse-9-golden-.*': is not in the plan"):
+        write(store, RunSpec("golden", "golden", "sparse", 9, "key", position=9))
 
 
 def test_a_closed_ledger_is_one_file_and_reading_adds_none(tmp_path):
@@ -353,3 +362,64 @@ def test_a_campaign_that_begins_while_its_ledger_is_read_is_one_line(tmp_path):
         with pytest.raises(BadInputError, match=r"campaign.sqlite: another process reads it; try again later"):
             Store.create(tmp_path, IDENTITY)
     Store.create(tmp_path, IDENTITY).close()
+
+
+def test_a_ledger_of_an_older_mavfi_has_no_salt_and_is_read_and_resumed(tmp_path, monkeypatch):
+    with monkeypatch.context() as older:
+        older.setattr(store_module, "salt_of", lambda connection: ())
+        digest = filled(tmp_path)
+        with closing(sqlite3.connect(tmp_path / FILE)) as connection, connection:
+            connection.execute("DELETE FROM meta WHERE key = 'bound'")
+    with Store.create(tmp_path, IDENTITY) as store:
+        assert store.digest() == digest
+        store.write_meta({"missions": 5})
+    with Store.open(tmp_path) as store:
+        assert store.digest() == digest and store.meta("missions") == 5
+
+
+def failing(monkeypatch, times):
+    """Reads of the ledger that give no more than SQLite's word for it, the first so many times."""
+    left = [times]
+    sound = store_module.damage
+
+    def look(connection):
+        left[0] -= 1
+        return "database disk image is malformed" if left[0] >= 0 else sound(connection)
+
+    monkeypatch.setattr(store_module, "damage", look)
+
+
+def test_a_disk_that_fails_for_a_moment_is_no_damage(tmp_path, monkeypatch):
+    filled(tmp_path)
+    failing(monkeypatch, 1)
+    assert read(tmp_path) is not None
+
+
+def test_a_disk_that_goes_on_failing_is_no_damage(tmp_path, monkeypatch):
+    def open_it(path, *mode):
+        raise OSError(errno.EIO, os.strerror(errno.EIO), str(path))
+
+    filled(tmp_path)
+    failing(monkeypatch, 2)
+    monkeypatch.setattr(Path, "open", open_it)
+    with pytest.raises(MachineError, match=r"campaign.sqlite: cannot be read \(Input/output error\)"):
+        Store.open(tmp_path)
+
+
+def test_a_ledger_whose_first_writing_was_cut_short_is_named(tmp_path):
+    filled(tmp_path)
+    path = tmp_path / FILE
+    before = path.read_bytes()
+    with closing(sqlite3.connect(path)) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE")
+        connection.execute("PRAGMA cache_spill = 1")
+        connection.execute("PRAGMA cache_size = 1")
+        connection.execute("BEGIN IMMEDIATE")
+        connection.execute("UPDATE runs SET note = hex(zeroblob(100000))")
+        journal = (tmp_path / f"{FILE}-journal").read_bytes()
+        half = path.read_bytes()
+    assert half != before
+    path.write_bytes(half)
+    (tmp_path / f"{FILE}-journal").write_bytes(journal)
+    with pytest.raises(BadInputError, match="its first writing was cut short; resume the campaign"):
+        Store.open(tmp_path)

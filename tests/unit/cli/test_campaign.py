@@ -1,3 +1,4 @@
+import errno
 import json
 import os
 import shutil
@@ -7,6 +8,7 @@ import subprocess
 import sys
 import time
 from contextlib import closing
+from pathlib import Path
 
 import pytest
 
@@ -232,6 +234,42 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, tmp_path, config, flown, 
     assert told in error
     assert not (tmp_path / "out").exists()
     assert not (flown / "models").exists() and not (places["STUDY"] / "models").exists()
+
+
+def _of_sqlite(code, text):
+    error = sqlite3.OperationalError(text)
+    error.sqlite_errorcode = code
+    return error
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (OSError(errno.EMFILE, "", "/ledger"), "Too many open files (/ledger)"),
+        (MemoryError(), "out of memory"),
+        (ValueError("Error: engine error: Could not allocate memory"), "out of memory"),
+        (
+            _of_sqlite(sqlite3.SQLITE_IOERR_READ, "disk I/O error"),
+            "the ledger cannot be read or written (disk I/O error)",
+        ),
+    ],
+)
+def test_a_machine_that_fails_is_one_line_and_exit_code_1(capsys, monkeypatch, config, tmp_path, error, told):
+    def fail(*arguments, **options):
+        raise error
+
+    monkeypatch.setattr(run_module, "run_campaign", fail)
+    assert run(["campaign", "run", str(config), "--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == f"mavfi: {told}\n"
+
+
+def test_a_folder_on_a_full_disk_is_no_bad_input(capsys, monkeypatch, config, tmp_path):
+    def fail(*arguments, **options):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "mkdir", fail)
+    assert run(["campaign", "run", str(config), "--out", str(tmp_path / "out")]) == 1
+    assert capsys.readouterr().err == f"mavfi: {tmp_path / 'out'}: cannot be written (No space left on device)\n"
 
 
 def test_a_folder_with_another_campaign_is_left_alone(capsys, tmp_path, flown):

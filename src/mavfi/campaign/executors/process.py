@@ -17,9 +17,10 @@ from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
 from mavfi.campaign.executors.executor import Done, Lost
-from mavfi.errors import MavfiError
+from mavfi.errors import MachineError, MavfiError, machine_failure
 
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
+_MUTE_EXIT = 71  # EX_OSERR, sysexits.h
 _MOST_ITEMS = 200  # of one batch
 _FORK = multiprocessing.get_context("fork")
 
@@ -95,8 +96,11 @@ class Worker(Generic[T]):
     def give(self, mission: T) -> None:
         """Send a mission; a process that is gone is noticed by `take`."""
         self.mission, self._since = mission, time.monotonic()
-        with contextlib.suppress(OSError):
+        try:
             self.pipe.send(mission)
+        except OSError as error:
+            if machine_failure(error):
+                raise
 
     def take(self) -> list[Any]:
         """Wait for an item, and take all that are there; `Done`, `Lost` (the process is gone) or `Raised` ends them."""
@@ -109,9 +113,13 @@ class Worker(Generic[T]):
     def _receive(self) -> Any:
         try:
             return self.pipe.recv()
-        except (EOFError, OSError):
+        except (EOFError, OSError) as error:
+            if machine_failure(error):
+                raise
             self._process.join()
             code = self._process.exitcode or 0
+            if code == _MUTE_EXIT:
+                return Raised(MachineError("a worker could not send what it had"))
             name = signal.Signals(-code).name if -code in {int(s) for s in signal.Signals} else ""
             return Lost(f"its worker died ({name or f'exit code {code}'})", died=True, signal=name)
 
@@ -161,20 +169,34 @@ def _work(pipe: Connection, function: Callable[[Any], Iterator[Any]], parent: in
         return
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    try:
+        _fly_all(pipe, function)
+    except (EOFError, ConnectionError):  # the parent is gone
+        return
+    except (OSError, MemoryError) as error:
+        if machine_failure(error):
+            os._exit(_MUTE_EXIT)
+
+
+def _fly_all(pipe: Connection, function: Callable[[Any], Iterator[Any]]) -> None:
+    """Fly missions until there are none; what a pipe does not take, not even as an exception, is raised."""
     while True:
-        try:
-            mission = pipe.recv()
-        except (EOFError, OSError):
-            return
-        try:
-            for item in function(mission):
-                pipe.send(item)
-            pipe.send(Done(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss))
-            _return_memory()
-        except BrokenPipeError:
-            return
-        except Exception as error:  # whoever asked raises it
-            pipe.send(Raised(_portable(error)))
+        mission = pipe.recv()
+        answers, goes_on = function(mission), True
+        while goes_on:
+            data, goes_on = _next_of(answers)
+            pipe.send_bytes(data)
+        _return_memory()
+
+
+def _next_of(answers: Iterator[Any]) -> tuple[bytes, bool]:
+    """The next item, pickled, and whether more may follow."""
+    try:
+        for item in answers:
+            return pickle.dumps(item), True
+        return pickle.dumps(Done(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)), False
+    except Exception as error:  # whoever asked raises it
+        return pickle.dumps(Raised(_portable(error))), False
 
 
 def _return_memory() -> None:

@@ -107,6 +107,9 @@ class ForkPoint:
     def _end(self, payload: bytes, status: int) -> NoReturn:
         try:
             write_all(self._pipe, framed(payload))
+        except BaseException as error:
+            if machine_failure(error):
+                status = _MACHINE_EXIT
         finally:
             os._exit(status)
 
@@ -191,8 +194,9 @@ def judge_exit(code: int, data: bytes = b"") -> Ended:
     whole = len(data) >= LENGTH_BYTES and int.from_bytes(data[:LENGTH_BYTES], "little") == len(payload)
     if code == 0 and whole:
         return Ended("done", payload)
-    if code == _MACHINE_EXIT and whole:
-        raise MachineError(payload.decode(errors="replace"))
+    if code == _MACHINE_EXIT:
+        why = payload.decode(errors="replace") if whole else "the process of a flight could not report"
+        raise MachineError(why)
     if code == _EXCEPTION_EXIT and whole:
         return Ended("exception", detail=payload.decode(errors="replace"))
     return Ended("exception", detail=f"ended with status {code} without a report")

@@ -1,5 +1,8 @@
 """One injection: stop the target, find an instruction, flip a bit, let go.
 
+A tracer that is killed while its target is stepped takes it down: the kernel leaves single-stepping switched on, in
+`__ptrace_unlink`, and nobody takes the SIGTRAP.  Without steps (`RegisterFault.steps`) it cannot.
+
 Where the target is stopped decides where the bit is flipped.  A stop from outside comes at few instructions, always the
 same (skid): so a random number of instructions is executed one by one before the injection.  This spreads injections
 over the code near the stop, not over the program: for rates by instruction use the level `instruction`.
@@ -130,7 +133,7 @@ def _try(search: _Search, attempt: _Attempt) -> _Done | None:
     if tracee.in_system_call() or not attempt.walk(choices.randrange(fault.walk)):
         return None
     access = choices.choice(("read", "write")) if fault.access == "either" else fault.access
-    for _ in range(_REACH):
+    for left in reversed(range(_REACH if fault.steps else 1)):
         address, instruction = attempt.here()
         if instruction is None:
             return None
@@ -144,7 +147,7 @@ def _try(search: _Search, attempt: _Attempt) -> _Done | None:
             if not fault.null:
                 flip(tracee, register, bit)
             return _Done(address, instruction, access, register, bit, before, value_of(tracee, register))
-        if not attempt.walk(1):
+        if not left or not attempt.walk(1):
             return None
     return None
 

@@ -1,7 +1,7 @@
 """ptrace(2) on x86-64 Linux, as far as the injector needs it.
 
 All calls for a target must come from the thread that seized it.  `PTRACE_SEIZE` is used throughout: it sends the target
-no signal, and if the tracer dies the target runs on.
+no signal, and if the tracer dies the target runs on, unless it is being stepped or has a breakpoint.
 """
 
 import ctypes

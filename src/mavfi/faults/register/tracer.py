@@ -1,7 +1,7 @@
 """The process that traces: not the one that the user started, and out of reach of the keyboard.
 
-While a breakpoint is set, the target's life hangs on its tracer.  So the target survives when the user's process is
-stopped or killed: the tracer notices, takes the breakpoint back, lets the target go, and ends.
+While it is stepped, or a breakpoint is set, the target's life hangs on its tracer.  So the target survives when the
+user's process is stopped or killed: the tracer notices, takes the breakpoint back, lets the target go, and ends.
 """
 
 import json

@@ -1,3 +1,5 @@
+import errno
+import itertools
 import os
 import signal
 import subprocess
@@ -8,11 +10,12 @@ from pathlib import Path
 import pytest
 
 from mavfi.campaign.executors import local
+from mavfi.campaign.executors import process as process_module
 from mavfi.campaign.executors.executor import Done, Lost, map_each
 from mavfi.campaign.executors.local import MOST_WORKERS, LocalExecutor
 from mavfi.campaign.executors.process import Worker
 from mavfi.campaign.mission import ATTEMPTS_ALONE, LONGEST_ALONE
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError, MachineError, MavfiError
 
 
 def count_to(number):
@@ -79,6 +82,10 @@ def double(item):
 
 def flat(batches):
     return [(mission, item) for mission, items in batches for item in items]
+
+
+def singly(batches):
+    return (item for _, items in batches for item in items)
 
 
 def items_of(results, item):
@@ -269,5 +276,54 @@ def hoard(number):
 
 
 def test_memory_that_a_mission_leaves_free_is_given_back():
-    first, *_, last = [item for _, item in LocalExecutor(1).map(hoard, range(4)) if not isinstance(item, Done)]
+    first, *_, last = [item for item in singly(LocalExecutor(1).map(hoard, range(4))) if not isinstance(item, Done)]
     assert last - first < 20e6
+
+
+class NoMemory:
+    """A pipe that takes no more after so many items: the machine has no memory for it."""
+
+    def __init__(self, pipe, items):
+        self.pipe, self.items = pipe, items
+
+    def recv(self):
+        return self.pipe.recv()
+
+    def send_bytes(self, data):
+        self.items -= 1
+        if self.items < 0:
+            raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+        self.pipe.send_bytes(data)
+
+
+@pytest.mark.parametrize("items", [0, 1, 2, 3])
+def test_a_worker_that_cannot_send_is_a_failure_of_the_machine(monkeypatch, capfd, items):
+    fly_all = process_module._fly_all
+    monkeypatch.setattr(process_module, "_fly_all", lambda pipe, function: fly_all(NoMemory(pipe, items), function))
+    results = singly(LocalExecutor(1).map(count_to, [3]))
+    assert list(itertools.islice(results, items)) == list(range(items))
+    with pytest.raises(MachineError, match="a worker could not send what it had"):
+        next(results)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_mission_that_cannot_be_given_is_a_failure_of_the_machine(monkeypatch):
+    def send(pipe, item):
+        raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+
+    monkeypatch.setattr(process_module.Connection, "send", send)
+    with pytest.raises(OSError, match="Cannot allocate memory"):
+        next(LocalExecutor(1, time_limit=1.0).map(count_to, [3]))
+
+
+def short_of_memory(number):
+    yield number
+    raise MemoryError
+
+
+def test_a_mission_without_memory_is_told_as_such(capfd):
+    results = singly(LocalExecutor(1).map(short_of_memory, [5]))
+    assert next(results) == 5
+    with pytest.raises(MemoryError):
+        next(results)
+    assert capfd.readouterr().err == ""

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from mavfi.errors import MachineError
-from mavfi.faults.instruction import ForkPoint, run_in_child
+from mavfi.faults.instruction import ForkPoint, forked, run_in_child
 from mavfi.faults.instruction.runtime import HANG_EXIT
 
 
@@ -120,6 +120,16 @@ def test_failures_of_the_machine_are_no_results(work, why):
         run_in_child(work)
     assert open_files() == before
     assert no_child_left()
+
+
+@pytest.mark.parametrize("work", [lambda: b"result", on_a_full_disk, out_of_memory])
+def test_a_child_that_cannot_report_is_no_result(monkeypatch, work):
+    def write(handle, data):
+        raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+
+    monkeypatch.setattr(forked, "write_all", write)
+    with pytest.raises(MachineError, match="the process of a flight could not report"):
+        run_in_child(work)
 
 
 def test_a_child_ends_with_its_parent():
