@@ -5,9 +5,11 @@ runs; a ledger with a mismatch is refused.
 Every process that writes has a number (generation); an older one that lives on, with its lock gone, can write no more.
 """
 
+import errno
 import fcntl
 import hashlib
 import json
+import os
 import sqlite3
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -138,12 +140,16 @@ class Store:
     def _check_disk(self) -> None:
         """SQLite takes what a disk does not give for damage: raise a `MachineError` if the file cannot be read."""
         path = self.directory / FILE
+        if not path.is_file():  # a pipe or device would be read for ever
+            return
         try:
             with path.open("rb") as file:
-                while file.read(_CHUNK):
-                    pass
+                while True:
+                    file.seek(os.lseek(file.fileno(), file.tell(), os.SEEK_DATA))  # what is a hole cannot fail
+                    file.read(_CHUNK)
         except OSError as error:
-            raise MachineError(f"{path}: cannot be read ({error.strerror})") from error
+            if error.errno != errno.ENXIO:  # the end
+                raise MachineError(f"{path}: cannot be read ({error.strerror})") from error
 
     def _check_schema(self) -> None:
         version = self._ask("PRAGMA user_version")

@@ -328,7 +328,7 @@ def test_who_unpacks_a_part_is_told_how_to_go_on(capsys, config, tmp_path, monke
         plans.append(specs)
         if len(plans) == 2:
             raise KeyboardInterrupt
-        really(store, specs)
+        return really(store, specs)
 
     monkeypatch.setattr(Store, "plan", stop)
     assert run(["campaign", "run", str(config), "--out", str(tmp_path / "here"), "--workers", "1"]) == 130
@@ -340,7 +340,7 @@ def test_who_unpacks_a_part_is_told_how_to_go_on(capsys, config, tmp_path, monke
     assert told[0].startswith(f"{tmp_path / 'there'}: campaign tiny, 1 of 5 runs, 0 trained models, digest ")
     command = told[1].removeprefix("Resume: mavfi ").split()
     assert run(command) == 0
-    monkeypatch.setattr(run_module, "version", lambda _: "0.0")
+    monkeypatch.setattr("mavfi.campaign.fingerprint.version", lambda _: "0.0")
     shutil.rmtree(tmp_path / "there")
     assert run(["campaign", "unpack", str(tmp_path / "here.zip"), "--out", str(tmp_path / "there")]) == 0
     assert "with other versions it cannot be resumed" in capsys.readouterr().err
