@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.config import Campaign, load_campaign
+from mavfi.campaign.executors.executor import Executor
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import Progress, run_campaign
 from mavfi.campaign.samplers.request import draw_request
@@ -86,7 +87,7 @@ def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **opt
 
 def run(
     campaign: Campaign | str | Path, directory: Path | str, *, workers: int = 2, models: Path | str | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    executor: Executor | None = None, progress: Callable[[Progress], None] | None = None,
 ) -> Runs:  # fmt: skip
     """Fly a campaign, or what is left of it, and load its ledger.
 
@@ -94,7 +95,8 @@ def run(
         campaign: A campaign, the name of a shipped one, or a path.
         directory: Where its ledger is, or will be.
         workers: Number of processes; the ledger does not depend on it.
-        models: Folder of trained models; None = the shipped ones.
+        models: Folder of trained models; None = that of the ledger, or the shipped ones.
+        executor: Flies the missions instead, e.g. a `campaign.executors.dask.DaskExecutor`.
         progress: Called after every run.
 
     Raises:
@@ -102,7 +104,7 @@ def run(
     """
     chosen = campaign if isinstance(campaign, Campaign) else load_campaign(campaign)
     run_campaign(
-        chosen, Path(directory), executor=LocalExecutor(workers),
+        chosen, Path(directory), executor=executor or LocalExecutor(workers),
         models_dir=None if models is None else Path(models), progress=progress,
     )  # fmt: skip
     return load(directory)
