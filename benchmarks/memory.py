@@ -59,13 +59,13 @@ def fly(campaign: Campaign) -> list[Look]:
     missions = [MissionPlan(campaign, *place) for place in product(campaign.environments, campaign.seeds)]
     seen: list[Look] = []
     runs = 0
-    for _, item in LocalExecutor(1).map(_fly, missions):
+    for item in (item for _, items in LocalExecutor(1).map(_fly, missions) for item in items):
         match item:
             case Lost():
                 raise MavfiError(item.reason)
             case int():
                 runs += item
-            case (memory, peak):
+            case (float(memory), float(peak)):
                 seen.append(Look(runs, memory, peak))
     return seen
 
