@@ -24,6 +24,12 @@ QUICK = ("vehicle", "stack", "platform", "planner", "study", "detector", "fault"
 FILES = [reader for reader in READERS.values() if reader.name != "fault"]
 
 
+@pytest.fixture(autouse=True)
+def patience(monkeypatch):
+    """Other tests take the processor meanwhile."""
+    monkeypatch.setattr(fuzz, "LONGEST_S", 60)
+
+
 def outcomes(reader, contents, work):
     """What becomes of contents, each in the file of a reader."""
     makers = [(n, lambda path, content=content: path.write_bytes(content)) for n, content in enumerate(contents)]
