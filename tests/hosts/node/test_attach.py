@@ -287,7 +287,7 @@ def test_the_autoencoder_learns_online_and_publishes_its_alarms(arm, capsys):
     [
         (["--topics", "/nothing"], "topic /nothing: not in the graph"),
         (["--topics", "/tf", "--fields", "nothing", "--train", "online"], "has no member 'nothing'"),
-        (["--topics", "/tf", "--train", "nothing.bag"], "nothing.bag: is not a ROS 1 bag that can be read"),
+        (["--topics", "/tf", "--train", "nothing.bag"], "nothing.bag: cannot be read (No such file or directory)"),
         (["--topics", "/tf", "--detector", "oracle"], "allowed: gaussian, autoencoder"),
         (["--topics", "/tf", "--profile", "loud"], "allowed: paper, tuned"),
         (["--topics", ","], "allowed: names, with commas between"),
