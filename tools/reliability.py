@@ -55,37 +55,45 @@ def run(test: Long, share: float) -> tuple[str, int, float]:
     done = subprocess.run(
         [sys.executable, "-m", test.module], env=environment, capture_output=True, text=True, check=False
     )
-    return done.stdout + done.stderr, done.returncode, time.monotonic() - started
+    told = done.stdout if done.returncode == 0 else done.stdout + done.stderr
+    return told, done.returncode, time.monotonic() - started
 
 
 def section(test: Long, share: float) -> str:
     """What a test did, on the page."""
     output, code, seconds = run(test, share)
     tries = max(1, round(test.tries * share))
-    told = "\n".join(f"    {line}" for line in output.rstrip().splitlines()[-LAST_LINES:])
+    told = "\n".join(f"    {line}" for line in output.rstrip().splitlines()[-LAST_LINES:] if "Done." not in line)
     return (
         f"## {test.name}: {'passed' if code == 0 else 'FAILED'}\n\n{test.asks} {tries:,} {test.unit} "
         f"(of {test.tries:,} in a full run), {seconds / 60:.1f} min.\n\n{told}\n"
     )
 
 
+def _written() -> dict[str, str]:
+    """Sections of the page as it is, by test."""
+    text = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
+    parts = [f"## {part.rstrip()}\n" for part in text.split("\n## ")[1:]]
+    return {part[3:].partition(":")[0]: part for part in parts}
+
+
 def main() -> int:
     """Run them one after the other, and write the page."""
     share = float(os.environ.get("SHARE", "1"))
     wanted = os.environ.get("ONLY", "").split()
-    sections = []
+    sections = _written()
     for test in TESTS:
         if not wanted or test.name in wanted:
             sys.stdout.write(f"{test.name} ...\n")
             sys.stdout.flush()
-            sections.append(section(test, share))
+            sections[test.name] = section(test, share)
     PAGE.write_text(
-        banner("make reliability") + "# Reliability\n\nLong tests of ledgers, workers and "
-        "readers, each with the last lines that it printed. Short versions of all run with `make test`. What they "
-        "found, and what became of it: [reliability](../reliability.md).\n\n" + "\n".join(sections),
+        banner("make reliability") + "# Reliability\n\nLong tests of ledgers, workers and readers, each with the last "
+        "lines that it printed. Short versions of all run with `make test`. What they found, and what became of it: "
+        "[reliability](../reliability.md).\n\n" + "\n".join(sections.values()),
         encoding="utf-8",
     )
-    failed = [text for text in sections if ": FAILED" in text]
+    failed = [text for text in sections.values() if ": FAILED" in text]
     sys.stdout.write(f"wrote {PAGE.name}, {len(failed)} of {len(sections)} failed\n")
     return 1 if failed else 0
 
