@@ -17,7 +17,7 @@ export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz failures damage tune format bench coupling machine-level fast-forward many-injections memory golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz failures damage reliability tune format bench coupling machine-level fast-forward many-injections memory golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -66,6 +66,9 @@ failures: setup  ## let system calls of campaigns fail at random points, resume,
 
 damage: setup  ## flip bits of ledgers, cut them off, swap their rows: nothing may be silent (N=1000)
 	@$(BIN)/python -m tests.robustness.damage
+
+reliability: setup  ## run all of these, write docs/generated/reliability.md (SHARE=0.1 = a tenth of the tries)
+	@$(BIN)/python -m tools.reliability
 
 robust: setup  ## 100,000 random corruptions of recorded kernel inputs, with bounds checked (N=...)
 	@$(BIN)/python -m tests.robustness.storm

@@ -128,7 +128,7 @@ def read_campaign(path):
     """As `mavfi campaign run --dry-run` does, at each of its scales."""
     campaign = load_campaign(path)
     for scale in ("quick", *campaign.scales):
-        assert _what(campaign.at_scale(scale), path.parent / "ledger")
+        assert _what(campaign.at_scale(scale), path.parent / "ledger", 2, None)
 
 
 def read_study(path):

@@ -1,0 +1,102 @@
+"""Runs the long tests of ledgers, workers and readers, and writes docs/generated/reliability.md.
+
+python -m tools.reliability        (SHARE=0.1 = a tenth of the tries; ONLY="chaos damage")
+"""
+
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+
+from tools.markers import GENERATED, banner
+
+PAGE = GENERATED / "reliability.md"
+LAST_LINES = 24
+
+
+@dataclass(frozen=True)
+class Long:
+    """A test that takes minutes to hours."""
+
+    name: str
+    tries: int
+    unit: str
+    asks: str
+
+    @property
+    def module(self) -> str:
+        """Where it is."""
+        return f"tests.robustness.{self.name}"
+
+
+TESTS = (
+    Long(
+        "chaos",
+        500,
+        "signals",
+        "Do campaigns that are killed, hung up and stopped leave the ledger of undisturbed ones?",
+    ),
+    Long("failures", 200, "failures", "Is a disk that is full, or a lack of memory or file handles, ever a result?"),
+    Long("damage", 1000, "flipped bits and other damage", "Is a damaged ledger ever read as a sound one?"),
+    Long(
+        "tracers", 200, "kills of each of two targets", "Does a process survive the death of who injects its registers?"
+    ),
+    Long("fuzz", 100_000, "inputs", "Does a file of a stranger do anything but be read, or be refused in one line?"),
+    Long("storm", 100_000, "flipped bits", "Do kernels end, within their bounds, whatever is flipped in their memory?"),
+)
+
+
+def run(test: Long, share: float) -> tuple[str, int, float]:
+    """Output, exit code and duration (s) of a test."""
+    tries = max(1, round(test.tries * share))
+    started = time.monotonic()
+    environment = {key: value for key, value in os.environ.items() if key != "ONLY"} | {"N": str(tries)}
+    done = subprocess.run(
+        [sys.executable, "-m", test.module], env=environment, capture_output=True, text=True, check=False
+    )
+    told = done.stdout if done.returncode == 0 else done.stdout + done.stderr
+    return told, done.returncode, time.monotonic() - started
+
+
+def section(test: Long, share: float) -> str:
+    """What a test did, on the page."""
+    output, code, seconds = run(test, share)
+    tries = max(1, round(test.tries * share))
+    told = "\n".join(f"    {line}" for line in output.rstrip().splitlines()[-LAST_LINES:] if "Done." not in line)
+    return (
+        f"## {test.name}: {'passed' if code == 0 else 'FAILED'}\n\n{test.asks} {tries:,} {test.unit} "
+        f"(of {test.tries:,} in a full run), {seconds / 60:.1f} min.\n\n{told}\n"
+    )
+
+
+def _written() -> dict[str, str]:
+    """Sections of the page as it is, by test."""
+    text = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
+    parts = [f"## {part.rstrip()}\n" for part in text.split("\n## ")[1:]]
+    return {part[3:].partition(":")[0]: part for part in parts}
+
+
+def main() -> int:
+    """Run them one after the other, and write the page."""
+    share = float(os.environ.get("SHARE", "1"))
+    wanted = os.environ.get("ONLY", "").split()
+    sections = _written()
+    for test in TESTS:
+        if not wanted or test.name in wanted:
+            sys.stdout.write(f"{test.name} ...\n")
+            sys.stdout.flush()
+            sections[test.name] = section(test, share)
+    PAGE.write_text(
+        banner("make reliability") + "# Reliability\n\nLong tests of ledgers, workers and readers, each with the last "
+        "lines that it printed. Short versions of all run with `make test`. What they found, and what became of it: "
+        "[reliability](../reliability.md).\n\n" + "\n".join(sections.values()),
+        encoding="utf-8",
+    )
+    failed = [text for text in sections.values() if ": FAILED" in text]
+    sys.stdout.write(f"wrote {PAGE.name}, {len(failed)} of {len(sections)} failed\n")
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
