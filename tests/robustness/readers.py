@@ -31,6 +31,7 @@ from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.repair import repair
 from mavfi.campaign.replay import _setup_of_run
 from mavfi.campaign.run import run_campaign, status
+from mavfi.campaign.shard import WHOLE
 from mavfi.campaign.soundness import PLANNED, TABLES
 from mavfi.campaign.store import SCHEMA, Store
 from mavfi.campaign.training import KeptRecordings
@@ -53,6 +54,7 @@ from mavfi.sim.mjcf import find_vehicle
 from mavfi.states import STATES, new_state
 from tests.robustness.mutations import NUMBERS, RAW, RAW_JSON, TEXTS, changed, mangled, to_json, to_yaml
 from tests.unit.campaign.fakes import golden_profile, small
+from tests.unit.sim.environments.octrees import bits, tree_of, values
 
 ROOT = Path(__file__).parents[2]
 CORPUS = Path(__file__).parent / "corpus"
@@ -128,7 +130,7 @@ def read_campaign(path):
     """As `mavfi campaign run --dry-run` does, at each of its scales."""
     campaign = load_campaign(path)
     for scale in ("quick", *campaign.scales):
-        assert _what(campaign.at_scale(scale), path.parent / "ledger", 2, None)
+        assert _what(campaign.at_scale(scale), path.parent / "ledger", 2, None, WHOLE)
 
 
 def read_study(path):
@@ -177,37 +179,10 @@ def maps():
     """A room of 8 x 4 x 4 m with a wall, in both formats."""
     half, header = 1 << 15, b"id OcTree\nsize 1\nres 0.5\ndata\n"
     voxels = {(half + i, half + j, half + k): i == 13 and j < 4 for i in range(16) for j in range(8) for k in range(8)}
-    tree = _octree(voxels, 16, (0, 0, 0))
+    tree = tree_of(voxels)
     return [
-        b"# Octomap OcTree binary file\n" + header + _bits(tree), b"# Octomap OcTree file\n" + header + _values(tree)
+        b"# Octomap OcTree binary file\n" + header + bits(tree), b"# Octomap OcTree file\n" + header + values(tree)
     ]  # fmt: skip
-
-
-def _octree(voxels, depth, corner):
-    if not voxels:
-        return None
-    if depth == 0:
-        return next(iter(voxels.values()))
-    half = 1 << (depth - 1)
-    children = []
-    for child in range(8):
-        low = [corner[axis] + half * (child >> axis & 1) for axis in range(3)]
-        own = {key: v for key, v in voxels.items() if all(low[a] <= key[a] < low[a] + half for a in range(3))}
-        children.append(_octree(own, depth - 1, low))
-    return children[0] if children in ([True] * 8, [False] * 8) else children
-
-
-def _bits(node):
-    code = {None: 0, False: 1, True: 2}
-    word = sum((3 if isinstance(child, list) else code[child]) << 2 * n for n, child in enumerate(node))
-    return struct.pack("<H", word) + b"".join(_bits(child) for child in node if isinstance(child, list))
-
-
-def _values(node):
-    if not isinstance(node, list):
-        return struct.pack("<fB", 1.5 if node else -0.7, 0)
-    mask = sum(1 << n for n, child in enumerate(node) if child is not None)
-    return struct.pack("<fB", 0.4, mask) + b"".join(_values(child) for child in node if child is not None)
 
 
 def mutate_map(draw, seeds):
@@ -647,88 +622,34 @@ def _scan():
     return {"name": "scan", "generator": "octomap_file", "parameters": {"path": "scan.bt"}, "v_max": 0.6}
 
 
+_FOLDERS = {"study": "studies"}
+
+
+def of_yaml(name, read, share, command=(), more=()):
+    """A reader of YAML files like the shipped ones."""
+    return Reader(
+        name, "x.yaml", lambda: [*shipped(f"configs/{_FOLDERS.get(name, name + 's')}/*.yaml"), *more], to_yaml,
+        mutate_yaml, read, share, command,
+    )  # fmt: skip
+
+
+def of_option(name, option, share, find, more=()):
+    """A reader of YAML files that an option of `mavfi fly` names."""
+    command = ("fly", f"--{option}", "{}")
+    return of_yaml(name, lambda path: fly_nowhere(path, option, find), share, command, more)
+
+
 READERS = {
     reader.name: reader
     for reader in (
-        Reader(
-            "environment",
-            "x.yaml",
-            lambda: [*shipped("configs/environments/*.yaml"), _scan()],
-            to_yaml,
-            mutate_yaml,
-            lambda path: fly_nowhere(path, "environment", find_world),
-            110,
-            ("fly", "--environment", "{}"),
-        ),
-        Reader(
-            "vehicle",
-            "x.yaml",
-            lambda: shipped("configs/vehicles/*.yaml"),
-            to_yaml,
-            mutate_yaml,
-            read_vehicle,
-            110,
-            ("fly", "--vehicle", "{}"),
-        ),
-        Reader(
-            "planner",
-            "x.yaml",
-            lambda: shipped("configs/planners/*.yaml"),
-            to_yaml,
-            mutate_yaml,
-            lambda path: fly_nowhere(path, "planner", find_planner),
-            70,
-            ("fly", "--planner", "{}"),
-        ),
-        Reader(
-            "stack",
-            "x.yaml",
-            lambda: shipped("configs/stacks/*.yaml"),
-            to_yaml,
-            mutate_yaml,
-            lambda path: fly_nowhere(path, "autopilot", partial(find_shipped, "stacks", StackConfig)),
-            100,
-            ("fly", "--autopilot", "{}"),
-        ),
-        Reader(
-            "platform",
-            "x.yaml",
-            lambda: shipped("configs/platforms/*.yaml"),
-            to_yaml,
-            mutate_yaml,
-            lambda path: fly_nowhere(path, "platform", partial(find_shipped, "platforms", PlatformConfig)),
-            80,
-            ("fly", "--platform", "{}"),
-        ),
-        Reader(
-            "campaign",
-            "x.yaml",
-            lambda: shipped("configs/campaigns/*.yaml"),
-            to_yaml,
-            mutate_yaml,
-            read_campaign,
-            45,
-            ("campaign", "run", "{}", "--dry-run"),
-        ),
-        Reader(
-            "study",
-            "x.yaml",
-            lambda: shipped("configs/studies/*.yaml"),
-            to_yaml,
-            mutate_yaml,
-            read_study,
-            30,
-            ("reproduce", "--study", "{}"),
-        ),
-        Reader(
-            "detector",
-            "x.yaml",
-            lambda: shipped("configs/detectors/*.yaml"),
-            to_yaml,
-            mutate_yaml,
-            lambda path: load(DetectorConfig, path),
-            90,
-        ),
+        of_option("environment", "environment", 110, find_world, (_scan(),)),
+        of_yaml("vehicle", read_vehicle, 110, ("fly", "--vehicle", "{}")),
+        of_option("planner", "planner", 70, find_planner),
+        of_option("stack", "autopilot", 100, partial(find_shipped, "stacks", StackConfig)),
+        of_option("platform", "platform", 80, partial(find_shipped, "platforms", PlatformConfig)),
+        of_yaml("campaign", read_campaign, 45, ("campaign", "run", "{}", "--dry-run")),
+        of_yaml("study", read_study, 30, ("reproduce", "--study", "{}")),
+        of_yaml("detector", lambda path: load(DetectorConfig, path), 90),
         Reader("fault", "x.txt", lambda: FAULTS, str.encode, mutate_fault, read_fault, 150, ("fly", "--fault={text}")),
         Reader("map", "x.bt", maps, bytes, mutate_map, read_map, 60, ("fly", "--environment", "{}")),
         Reader("model", "x.json", models, hashed, mutate_model, read_model, 60),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from mavfi.campaign.plan import Plan
 from mavfi.campaign.run import golden_done
+from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import FILE, Store
 
 ASSUMED: Mapping[tuple[str, str], tuple[float, float, float]] = {
@@ -18,24 +19,25 @@ campaigns with two workers on two processors."""
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What is to be expected of a campaign."""
+    """What is to be expected of a campaign, or of a shard."""
 
     missions: int
     golden: int  # runs
     injected: int  # runs with a fault and null runs, at most
+    done: int  # runs that are in the ledger
     measured: bool  # from the runs in the ledger; otherwise assumed
     seconds: float | None  # wall time that is left; None = nothing is known of such runs
     ledger_bytes: float | None  # of the whole ledger
 
 
-def forecast(plan: Plan, directory: Path, workers: int) -> Forecast:
+def forecast(plan: Plan, directory: Path, workers: int, shard: Shard = WHOLE) -> Forecast:
     """Forecast a campaign from the runs in its ledger, or, where there is none, from `ASSUMED`.
 
     Raises:
         BadInputError: The ledger is damaged.
     """
-    campaign, golden = plan.campaign, plan.golden_count
-    missions, total = len(campaign.environments) * campaign.missions, plan.count()
+    campaign, golden = plan.campaign, plan.golden_count(shard)
+    missions, total, done = shard.missions(campaign), plan.count(shard), 0
     known = ASSUMED.get((campaign.host, campaign.sampling.level))
     means = None if known is None else {True: known[0], False: known[1]}
     size, left, measured = None if known is None else known[2] * total, {True: golden, False: total - golden}, False
@@ -48,6 +50,6 @@ def forecast(plan: Plan, directory: Path, workers: int) -> Forecast:
         if len(walls) == len(left):
             means, measured = {kind: wall_s / number for kind, (number, wall_s) in walls.items()}, True
             size = max(1.0, total / done) * (directory / FILE).stat().st_size
-    together = min(workers, missions)
+    together = max(1, min(workers, missions))
     seconds = None if means is None else sum(number * means[kind] for kind, number in left.items()) / together
-    return Forecast(missions, golden, total - golden, measured, seconds, size)
+    return Forecast(missions, golden, total - golden, done, measured, seconds, size)

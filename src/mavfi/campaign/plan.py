@@ -15,6 +15,7 @@ from typing import Any, Literal, NamedTuple
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Draw, Sampler, draws_of
+from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.config import checked
 from mavfi.faults.fault import Fault, fault_from_json
 from mavfi.flight_record import End, FlightRecord, canonical
@@ -105,7 +106,7 @@ class Planned:
 
     @staticmethod
     def of(specs: Iterable[RunSpec], *, last: bool) -> "Planned":
-        """The same of runs."""
+        """Of run specifications."""
         return Planned(tuple(spec.row() for spec in specs), last)
 
     @property
@@ -196,31 +197,29 @@ class Plan:
         return [
             self._run(
                 kind, setting, environment, draw.seed, arm, target=draw.target, index=draw.index, fault=fault,
-                position=self.golden_count + place + number,
+                position=self.golden_count() + place + number,
             )
             for number, (arm, setting) in enumerate(settings)
         ]  # fmt: skip
 
-    def count(self, shard: int = 1, shards: int = 1) -> int:
+    def count(self, shard: Shard = WHOLE) -> int:
         """How many runs the campaign, or a shard, has at most; faults that cannot be drawn have none."""
-        campaign, arms, each = self.campaign, len(self.arms), 1 + len(self.watching)
-        total = 0
+        campaign, each = self.campaign, 1 + len(self.watching)
+        total = self.golden_count(shard)
         for place, name in enumerate(campaign.environments):
-            first = (shard - 1 - place * campaign.missions) % shards
-            own = len(range(first, campaign.missions, shards))
+            first = (shard.number - 1 - place * campaign.missions) % shard.of
             counts = [block.count for block in self.sampler.blocks(name)]
-            drawn = sum(_of_shard(count, campaign.missions, first, shards) for count in counts)
-            total += own * arms + drawn * each + _of_shard(campaign.nulls, campaign.missions, first, shards)
+            drawn = sum(_of_shard(count, campaign.missions, first, shard.of) for count in counts)
+            total += drawn * each + _of_shard(campaign.nulls, campaign.missions, first, shard.of)
         return total
+
+    def golden_count(self, shard: Shard = WHOLE) -> int:
+        """How many of them are golden."""
+        return shard.missions(self.campaign) * len(self.arms)
 
     def keys(self, environment: str) -> dict[str, str]:
         """Keys of the scenarios of an environment, by arm."""
         return {arm.name: self.scenarios[environment, arm.name] for arm in self.arms}
-
-    @property
-    def golden_count(self) -> int:
-        """How many of them are golden."""
-        return self.campaign.total_missions * len(self.arms)
 
     def _run(self, kind: Kind, setting: str, environment: str, seed: int, arm: Arm, **more: Any) -> RunSpec:
         return RunSpec(

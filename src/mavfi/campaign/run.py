@@ -23,6 +23,7 @@ from mavfi.campaign.mission import MissionPlan, fly_mission, host_of, plan_of, s
 from mavfi.campaign.outside import held
 from mavfi.campaign.pace import Pace
 from mavfi.campaign.plan import Flown, Plan, Planned, arms_of, is_golden
+from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store
 from mavfi.campaign.warm_up import fly_mission_anywhere, warm_up
 from mavfi.config import parse
@@ -33,7 +34,7 @@ from mavfi.hosts.watching import detector_for
 from mavfi.mission import Scenario
 
 SHARD = "shard"
-_ORDERED = "campaign"
+ORDERED = "campaign"
 """Metadata: the campaign as JSON text; the identity has sorted keys."""
 ATTEMPTS = 3  # how often a mission that takes its worker with it, golden runs included, is begun
 PAUSE_S = 1.0  # between retries after a machine failure
@@ -48,7 +49,7 @@ class Status:
     settings: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
     """By setting: runs planned so far, done, done with success."""
     unknown: int = 0  # done runs with status unknown
-    shard: str = ""  # "i/n" = the ledger holds that shard only
+    shard: Shard = WHOLE  # that the ledger holds
 
     @property
     def complete(self) -> bool:
@@ -74,11 +75,10 @@ class _Session:
     store: Store
     models_dir: Path | None
     fast_forward: bool
-    shard: tuple[int, int]
+    shard: Shard
     report: Callable[[Progress], None]
     log: Log
-    total: int  # runs
-    golden: int  # of them
+    total: int  # runs of the shard
     pace: Pace = field(default_factory=lambda: Pace(time.perf_counter()))
     flying: set[tuple[str, int]] = field(default_factory=set)
     flown: int = 0
@@ -86,12 +86,8 @@ class _Session:
 
     def missions(self) -> Iterator[MissionPlan]:
         """What is left to fly."""
-        return (self._mission(world) for world in self._worlds() if not self.store.is_complete(world))
-
-    def _worlds(self) -> Iterator[tuple[str, int]]:
-        """Missions of the shard."""
-        campaign, (shard, shards) = self.plan.campaign, self.shard
-        return itertools.islice(itertools.product(campaign.environments, campaign.seeds), shard - 1, None, shards)
+        worlds = self.shard.worlds(self.plan.campaign)
+        return (self._mission(world) for world in worlds if not self.store.is_complete(world))
 
     def _mission(self, world: tuple[str, int]) -> MissionPlan:
         plan = self.plan
@@ -173,11 +169,10 @@ class _Session:
         """
         if self.flown:
             return
-        other = next((world for world in self._worlds() if world not in lost), None)
-        function = fly_mission if executor.forks else fly_mission_anywhere
-        with closing(executor.map(function, [self._mission(other)] if other else [])) as batches:
-            if other and not any(isinstance(item, Lost) for _, items in batches for item in items):
-                return
+        others = (world for world in self.shard.worlds(self.plan.campaign) if world not in lost)
+        other = [self._mission(world) for world in itertools.islice(others, 1)]
+        if other and not list(self._fly_once(executor, other)):
+            return
         raise MachineError(f"no mission can be flown here: {next(iter(lost.values())).reason}")
 
     def _give_up(self, mission: MissionPlan, lost: Lost) -> None:
@@ -219,7 +214,7 @@ class _Session:
     def tell(self, *, compiling: bool = False) -> None:
         """Report how far it is."""
         done, total = self._done, self.total
-        golden_left = self.golden - golden_done(self.counts)
+        golden_left = self.plan.golden_count(self.shard) - golden_done(self.counts)
         left = {True: golden_left, False: total - done - golden_left}
         remaining_s = self.pace.remaining_s(left, len(self.flying))
         self.report(
@@ -232,7 +227,7 @@ class _Session:
 
 def run_campaign(
     campaign: Campaign, directory: Path, *, executor: Executor | None = None, models_dir: Path | None = None,
-    fast_forward: bool = True, shard: tuple[int, int] = (1, 1), progress: Callable[[Progress], None] | None = None,
+    fast_forward: bool = True, shard: Shard = WHOLE, progress: Callable[[Progress], None] | None = None,
 ) -> Status:  # fmt: skip
     """Fly a campaign, or what is left of it; stopping it at any moment loses only the flights in the air.
 
@@ -242,7 +237,7 @@ def run_campaign(
         executor: Runs the missions; None = two local processes.
         models_dir: Folder of trained models; None = that of the ledger, or the shipped ones.
         fast_forward: Whether runs may begin at checkpoints of their golden run; the ledger is the same either way.
-        shard: (i, n): only every n-th mission, from the i-th on; the shards' ledgers can be merged.
+        shard: Which missions; the ledgers of all shards can be merged.
         progress: Called after every run, in this process.
 
     Raises:
@@ -257,17 +252,16 @@ def run_campaign(
     plan = plan_of(campaign, models, scenarios)
     executor = executor or LocalExecutor(2)
     with Store.create(directory, identity_of(campaign, scenarios, models)) as store:
-        _check_versions(store, {**versions(), **plan.sampler.versions})
-        _check_shard(store, shard)
+        check_versions(store, {**versions(), **plan.sampler.versions})
+        check_shard(store, shard)
         store.write_meta({
-            _ORDERED: campaign.model_dump_json(),
+            ORDERED: campaign.model_dump_json(),
             "models_dir": None if models_dir is None else _as_held(models_dir, directory),
-            "missions": len(range(shard[0] - 1, campaign.total_missions, shard[1])),
+            "missions": shard.missions(campaign),
         })  # fmt: skip
         session = _Session(
             plan, store, models_dir, fast_forward, shard, progress or (lambda _: None), Log(directory),
-            plan.count(*shard), len(plan.arms) * len(range(shard[0] - 1, campaign.total_missions, shard[1])),
-            counts=store.counts(),
+            plan.count(shard), counts=store.counts(),
         )  # fmt: skip
         with session.logged(executor):
             first = next(session.missions(), None)
@@ -283,8 +277,8 @@ def run_campaign(
 
 def _as_begun(campaign: Campaign, directory: Path) -> Campaign:
     """The campaign with its keys in the order in which its ledger was begun: draws and places of runs follow it."""
-    with suppress(ValueError):  # none, or damaged, which is told when the ledger is opened
-        begun = Campaign.model_validate_json(held(directory, _ORDERED) or "")
+    with suppress(ValueError):  # none; opening the ledger reports damage
+        begun = Campaign.model_validate_json(held(directory, ORDERED) or "")
         return begun if begun == campaign else campaign
     return campaign
 
@@ -347,37 +341,47 @@ def status_of(store: Store) -> Status:
     counts = store.counts()
     done = sum(number for _, number, _ in counts.values())
     total = sum(planned for planned, _, _ in counts.values())
-    shard = tuple(store.meta(SHARD) or (1, 1))
-    total = total if store.complete else plan_of(stored_campaign(store), {}, {}).count(*shard)
-    return Status(done, total, counts, store.unknown(), "" if shard == (1, 1) else "{}/{}".format(*shard))
+    shard = shard_of(store)
+    total = total if store.complete else plan_of(stored_campaign(store), {}, {}).count(shard)
+    return Status(done, total, counts, store.unknown(), shard)
+
+
+def shard_of(store: Store) -> Shard:
+    """The shard of a ledger; a BadInputError if it is none."""
+    return Shard.parse(store.meta(SHARD) or str(WHOLE), str(store.directory))
 
 
 def stored_campaign(store: Store) -> Campaign:
     """The campaign of a ledger, of an older one without the order of its keys; a BadInputError if it is none."""
-    text = store.meta(_ORDERED)
+    text = store.meta(ORDERED)
     given = store.meta("identity")["campaign"] if text is None else json.loads(text)
     return parse(Campaign, given, str(store.directory))
 
 
-def _check_shard(store: Store, shard: tuple[int, int]) -> None:
-    """Note which missions are this ledger's; one that holds another shard is a BadInputError."""
-    held = tuple(store.meta(SHARD) or ())
-    if not held:
-        store.write_meta({SHARD: shard})
-    elif held != shard:
-        text, wanted = ("shard {}/{}".format(*pair) if pair != (1, 1) else "all missions" for pair in (held, shard))
-        raise BadInputError(f"{store.directory}: holds {text}, not {wanted}; choose another directory")
+def check_shard(store: Store, shard: Shard) -> None:
+    """Note the shard; a ledger of another one is a BadInputError."""
+    if store.meta(SHARD) is None:
+        store.write_meta({SHARD: str(shard)})
+    if shard_of(store) != shard:
+        raise BadInputError(f"{store.directory}: holds shard {shard_of(store)}, not {shard}; choose another directory")
 
 
-def _check_versions(store: Store, here: Mapping[str, str]) -> None:
-    """Note the versions that matter; a ledger with runs left to do that was begun with others is a BadInputError."""
+def check_versions(store: Store, versions_there: Mapping[str, str], there: str = "here is") -> None:
+    """Note the versions that matter; a ledger with runs left that was begun with others is a BadInputError.
+
+    Args:
+        store: The ledger.
+        versions_there: Versions with which more runs were flown, or would be.
+        there: Words before a version of these, for the message.
+    """
     held: dict[str, Any] | None = store.meta("versions")
     if held is None:
-        store.write_meta({"versions": dict(here)})
+        store.write_meta({"versions": dict(versions_there)})
         return
-    differing = [name for name in here if held.get(name) != here[name]]
+    differing = [name for name in versions_there if held.get(name) != versions_there[name]]
     if differing and not store.complete:
         name = differing[0]
         raise BadInputError(
-            f"{store.directory}: was begun with {name} {held.get(name)}, here is {here[name]}; runs cannot be mixed"
+            f"{store.directory}: was begun with {name} {held.get(name)}, {there} {versions_there[name]}; runs "
+            "cannot be mixed"
         )

@@ -12,7 +12,7 @@ from mavfi.campaign.checksums import checksum_of, meta_checksum, mission_checksu
 from mavfi.config import checked
 from mavfi.errors import BadInputError
 
-INDEX = "CREATE INDEX runs_by_mission ON runs (environment, seed, position)"
+INDEX = "runs_by_mission ON runs (environment, seed, position)"
 """Without it, to look for the runs of a mission is to read all runs; ledgers of earlier versions get it."""
 TABLES = f"""
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL, checksum TEXT NOT NULL);
@@ -30,7 +30,7 @@ CREATE TABLE runs (
     checksum TEXT NOT NULL
 );
 CREATE TABLE missions (environment TEXT, seed INTEGER, checksum TEXT NOT NULL, PRIMARY KEY (environment, seed));
-{INDEX};
+CREATE INDEX {INDEX};
 """
 PLANNED = "run_id, position, kind, setting, environment, seed, spec"
 _TYPES = {
@@ -52,7 +52,7 @@ class _Meta:
     missions: int | None = None
     models_dir: str | None = None
     generation: int | None = None
-    shard: list[int] | None = None
+    shard: str | None = None
     campaign: str | None = None
     bound: bool | None = None
 

@@ -180,7 +180,7 @@ class Store:
     def _begin_log(self) -> None:
         try:
             self._connection.execute("PRAGMA journal_mode = WAL")
-            self._connection.execute(INDEX.replace("INDEX", "INDEX IF NOT EXISTS"))
+            self._connection.execute(f"CREATE INDEX IF NOT EXISTS {INDEX}")
         except sqlite3.OperationalError as error:
             if error.sqlite_errorcode & 0xFF != sqlite3.SQLITE_BUSY:
                 raise
@@ -200,7 +200,7 @@ class Store:
         """A transaction; failures of disk and memory are a `MachineError`.
 
         Raises:
-            MavfiError: Another process has taken the ledger over.
+            MavfiError: Another process has taken the ledger over, or what is written does not fit what is there.
         """
         try:
             with self._connection:
@@ -209,6 +209,8 @@ class Store:
                 if self._generation and self.meta(_GENERATION) != self._generation:
                     raise MavfiError(f"{self.directory}: another process has taken over this campaign")
                 yield
+        except sqlite3.IntegrityError as error:
+            raise MavfiError(f"{self.directory}: runs do not fit those that are planned ({error})") from None
         except sqlite3.DatabaseError as error:
             if not machine_failure(error):
                 raise

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from mavfi.campaign.log import entries
+from mavfi.campaign.mission import plan_of
 from mavfi.campaign.outside import is_written
 from mavfi.campaign.pace import left_s
-from mavfi.campaign.plan import arms_of
-from mavfi.campaign.run import Status, golden_done, status_of, stored_campaign
+from mavfi.campaign.run import Status, golden_done, shard_of, status_of, stored_campaign
 from mavfi.campaign.store import Store
 
 WINDOW_S = 300.0
@@ -24,7 +24,7 @@ _MOST_ERRORS = 5
 
 @dataclass(frozen=True, slots=True)
 class Outlook(Status):
-    """How far a campaign is, and how it goes on."""
+    """Runs done, speed, time left and missions in the air of a campaign."""
 
     flying: bool = False  # a process writes the ledger
     rate: float = 0.0  # runs per second over the last minutes; 0 = not known yet
@@ -48,8 +48,7 @@ class Watch:
         self._directory = directory
         self._seen: deque[tuple[float, int]] = deque()
         with Store.open(directory) as store:
-            campaign = stored_campaign(store)
-            self._golden = len(arms_of(campaign)) * (store.meta("missions") or campaign.total_missions)
+            self._golden = plan_of(stored_campaign(store), {}, {}).golden_count(shard_of(store))
 
     def look(self) -> Outlook:
         """How it is now."""

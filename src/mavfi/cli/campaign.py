@@ -13,6 +13,7 @@ from mavfi.errors import BadInputError, MavfiError
 
 if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
+    from mavfi.campaign.shard import Shard
 
 app = typer.Typer(
     help="Fly a campaign, see how far it is, prove what came out.\n\n"
@@ -51,19 +52,20 @@ def run(  # noqa: PLR0913 - options
         bool, typer.Option("--allow-unknown", help="Exit with 0 even if runs have status unknown.")
     ] = False,
 ) -> None:
-    """Fly a campaign, or what is left of it.  Ctrl-C stops it (exit code 130); the same command goes on.
+    """Fly a campaign, or what is left of it.  Ctrl-C stops it (exit code 130); the same command resumes.
 
     Example: [bold]mavfi campaign run configs/campaigns/states.yaml --out out/states[/bold]
     """
     from mavfi.campaign.config import load_campaign
     from mavfi.campaign.run import run_campaign
+    from mavfi.campaign.shard import WHOLE, Shard
     from mavfi.cli.progress import Bar
 
     campaign = load_campaign(config).at_scale(scale)
     ledger = out or Path("out") / campaign.name
-    flown_by, part = options.executor_of(executor, scheduler, workers), options.shard_of(shard)
+    flown_by, part = options.executor_of(executor, scheduler, workers), Shard.parse(shard, "--shard")
     if dry_run:
-        for line in _what(campaign, ledger, workers, models):
+        for line in _what(campaign, ledger, workers, models, part):
             typer.echo(line)
         return
     kept = f"Stopped. What is done is kept in {ledger}; the same command resumes."
@@ -77,22 +79,18 @@ def run(  # noqa: PLR0913 - options
             f"{ledger}: {status.unknown} of {status.total} runs have status unknown: `mavfi runs {ledger} --where "
             "judged=false` lists them; --allow-unknown accepts them"
         )
-    if status.shard:
-        text = (
-            f"Done with shard {status.shard}. All shards: [bold]mavfi campaign merge DIR ... --out {ledger}-all[/bold]"
-        )
-        console().print(text, soft_wrap=True)
-        return
-    console().print(f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]", soft_wrap=True)
+    text = f"Done. Tables and figures: [bold]mavfi report {ledger}[/bold]"
+    if part != WHOLE:
+        text = f"Done with shard {part}. To join all: [bold]mavfi campaign merge DIR ... --out {ledger}-all[/bold]"
+    console().print(text, soft_wrap=True)
 
 
-def _what(campaign: "Campaign", ledger: Path, workers: int, models: Path | None) -> list[str]:
+def _what(campaign: "Campaign", ledger: Path, workers: int, models: Path | None, shard: "Shard") -> list[str]:
     """Lines about what a campaign would fly; names are checked, nothing is written."""
     from mavfi.campaign.mission import plan_of, scenarios_of
     from mavfi.campaign.plan import arms_of
     from mavfi.campaign.run import model_hashes
     from mavfi.campaign.samplers.sampler import draws_of
-    from mavfi.campaign.store import FILE, Store
     from mavfi.cli.forecast import forecast_lines
 
     arms = arms_of(campaign)
@@ -101,17 +99,14 @@ def _what(campaign: "Campaign", ledger: Path, workers: int, models: Path | None)
     blocks = plan.sampler.blocks(campaign.environments[0])
     draws = draws_of(blocks, range(campaign.missions), campaign.missions)
     targets = list(dict.fromkeys(draw.target for _, draw in draws))
-    done = 0
-    if (ledger / FILE).is_file():
-        with Store.open(ledger) as store:
-            done = sum(number for _, number, _ in store.counts().values())
+    runs, *forecast = forecast_lines(plan, ledger, workers, shard)
     return [
-        f"{plan.count()} runs at most, {done} of them done in {ledger}",
+        runs,
         f"host {campaign.host} · {campaign.missions} missions in each of: {', '.join(campaign.environments)}"
         f" · seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}",
         f"faults of level {campaign.sampling.level}, {len(draws)} per environment: {', '.join(targets)}",
         f"arms: {', '.join(arm.name or 'golden and fi' for arm in arms)} · null runs per environment: {campaign.nulls}",
-        *forecast_lines(plan, ledger, workers),
+        *forecast,
     ]
 
 
@@ -135,6 +130,7 @@ def status(
         watch_campaign(directory, every)
         return
     from mavfi.campaign.run import status as status_of
+    from mavfi.campaign.shard import WHOLE
     from mavfi.cli.progress import success_counts
 
     found = status_of(directory)
@@ -144,7 +140,7 @@ def status(
         write_json({**asdict(found), "complete": found.complete, "settings": settings})
         return
     out = console()
-    shard = f" of shard {found.shard}" if found.shard else ""
+    shard = "" if found.shard == WHOLE else f" of shard {found.shard}"
     out.print(f"{found.done} of {found.total} runs{shard}" + (", complete" if found.complete else ""))
     out.print(success_counts(found.settings))
 
@@ -225,17 +221,18 @@ def digest(directory: options.Ledger, as_json: options.AsJson = False) -> None:
     Example: [bold]mavfi campaign digest out/states[/bold]
     """
     from mavfi.campaign.run import status as status_of
+    from mavfi.campaign.shard import WHOLE
     from mavfi.campaign.store import Store
 
     with Store.open(directory) as store:
         found = store.digest()
     progress = status_of(directory)
     if as_json:
-        partial = not progress.complete or bool(progress.shard)
+        partial = not progress.complete or progress.shard != WHOLE
         write_json({"digest": found, "partial": partial, "done": progress.done, "total": progress.total})
         return
     typer.echo(found)
-    if progress.shard:
+    if progress.shard != WHOLE:
         console(error=True).print(f"partial: shard {progress.shard} of the campaign")
     if not progress.complete:
         text = f"partial: {progress.done} of {progress.total} runs are flown; the rest will change this digest"

@@ -8,12 +8,16 @@ from mavfi.cli.progress import duration
 
 if TYPE_CHECKING:
     from mavfi.campaign.plan import Plan
+    from mavfi.campaign.shard import Shard
 
 
-def forecast_lines(plan: "Plan", ledger: Path, workers: int) -> list[str]:
-    """Lines about flights, time left and size of the ledger; says what is measured and what is assumed."""
-    found = forecast(plan, ledger, workers)
-    lines = [f"{found.missions} missions · {found.golden} golden runs, {found.injected} with a fault or null"]
+def forecast_lines(plan: "Plan", ledger: Path, workers: int, shard: "Shard") -> list[str]:
+    """Lines about runs, time left and size of the ledger; says what is measured and what is assumed."""
+    found = forecast(plan, ledger, workers, shard)
+    lines = [
+        f"{found.golden + found.injected} runs at most, {found.done} of them done in {ledger}",
+        f"{found.missions} missions · {found.golden} golden runs, {found.injected} with a fault or null",
+    ]
     if found.seconds is None or found.ledger_bytes is None:
         return [*lines, f"time and size of the ledger: not known before runs on host {plan.campaign.host} are in it"]
     source = "measured in this ledger" if found.measured else "assumed from the shipped campaigns, not measured here"

@@ -137,11 +137,3 @@ def executor_of(name: str, scheduler: str, workers: int) -> "AnyExecutor":
         raise BadInputError(f"--scheduler: {scheduler}: allowed with --executor dask")
     local = LocalExecutor(workers)
     return local if name == "local" else DaskExecutor(scheduler, workers)
-
-
-def shard_of(text: str) -> tuple[int, int]:
-    """(i, n) of "i/n"; anything else is a `BadInputError`."""
-    number, _, of = text.partition("/")
-    if not (number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
-        raise BadInputError(f"--shard: {text}: allowed: I/N with 1 <= I <= N, e.g. 3/16")
-    return int(number), int(of)

@@ -1,4 +1,4 @@
-"""`mavfi campaign pack | unpack`: a campaign in one file, which somebody else verifies and goes on with."""
+"""`mavfi campaign pack | unpack`: a campaign in one file, which another user verifies and resumes."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

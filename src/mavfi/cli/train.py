@@ -49,7 +49,7 @@ def train(
     from mavfi.cli.progress import Bar
     from mavfi.detectors.model import Model
 
-    kept = f"Stopped. What is flown is kept in {out}; the same command goes on."
+    kept = f"Stopped. What is flown is kept in {out}; the same command resumes."
     with stoppable(kept), Bar("training flights") as bar:
         files = train_models(out, flights, mission, workers=workers, progress=bar.show)
     models = [Model.load(path) for path in files]

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from mavfi.campaign.plan import Plan, RunSpec, arms_of
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Sampled
+from mavfi.campaign.shard import Shard
 from mavfi.faults.fault import FaultSite, InstructionFault, MessageFault, RegisterFault, StateFault
 from mavfi.flight_log import Profile
 from mavfi.hosts.host import Flight
@@ -249,8 +250,9 @@ def test_shards_share_the_runs(missions, faults, nulls, shards):
     campaign = small(missions=missions, faults=faults, null_runs=nulls)
     plan = plan_for(campaign)
     worlds = [(environment, seed) for environment in campaign.environments for seed in campaign.seeds]
-    for shard in range(1, shards + 1):
-        own = worlds[shard - 1 :: shards]
+    for number in range(1, shards + 1):
+        shard, own = Shard(number, shards), worlds[number - 1 :: shards]
+        assert list(shard.worlds(campaign)) == own and shard.missions(campaign) == len(own)
         runs = [run for world in own for run in [*plan.golden(*world), *mission_runs(plan, *world, golden_of(1))]]
-        assert plan.count(shard, shards) == len(runs)
-    assert sum(plan.count(shard, shards) for shard in range(1, shards + 1)) == plan.count()
+        assert plan.count(shard) == len(runs)
+    assert sum(plan.count(Shard(number, shards)) for number in range(1, shards + 1)) == plan.count()

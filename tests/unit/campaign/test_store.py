@@ -423,3 +423,8 @@ def test_a_ledger_whose_first_writing_was_cut_short_is_named(tmp_path):
     (tmp_path / f"{FILE}-journal").write_bytes(journal)
     with pytest.raises(BadInputError, match="its first writing was cut short; resume the campaign"):
         Store.open(tmp_path)
+
+
+def test_a_run_whose_place_is_taken_is_an_error_that_names_the_ledger(store):
+    with pytest.raises(MavfiError, match="out: runs do not fit those that are planned .*position"):
+        plan(store, [RunSpec("golden", "golden", "sparse", 99, "key", position=SPECS[0].position)])

@@ -31,6 +31,8 @@ _SEND_EVERY_S = 0.5
 _LOOK_EVERY_S = 1.0
 _PATIENCE_S = 60.0  # for the last items of a task that has ended, and for a scheduler that does not answer
 
+_GONE = "the Dask scheduler is gone"
+
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -44,7 +46,7 @@ class DaskExecutor:
         workers: Number of processes of that cluster.
 
     Raises:
-        BadInputError: Dask is not installed.
+        BadInputError: Dask is not installed, or there are no workers.
     """
 
     forks = False
@@ -54,7 +56,10 @@ class DaskExecutor:
             import distributed  # noqa: F401 - an extra
         except ImportError:
             raise BadInputError("executor 'dask': is not installed; allowed with: pip install mavfi[cluster]") from None
+        if workers < 1:
+            raise BadInputError(f"executor 'dask': workers: {workers}: allowed: >= 1")
         self._scheduler = scheduler
+        self._answered = False
         self.workers = 0 if scheduler else workers
 
     def map(
@@ -66,35 +71,35 @@ class DaskExecutor:
             BadInputError: No scheduler answers, or a worker has other code, other versions or another architecture.
             MachineError: The scheduler is gone.
         """
-        with _connected(self._scheduler, self.workers) as client:
+        with self._connected() as client:
             flights = _Flights(client, function)
             try:
                 yield from flights.fly(iter(missions))
             finally:
                 flights.cancel()
 
+    @contextlib.contextmanager
+    def _connected(self) -> "Iterator[Client]":
+        from distributed import Client, LocalCluster
+        from distributed.utils import silence_logging_cmgr
 
-@contextlib.contextmanager
-def _connected(scheduler: str, workers: int) -> "Iterator[Client]":
-    from distributed import Client, LocalCluster
-
-    with contextlib.ExitStack() as stack:
-        where: Any = scheduler or stack.enter_context(
-            LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                host=LOOPBACK,
-                dashboard_address=f"{LOOPBACK}:0",
-                silence_logs="CRITICAL",
-            )
-        )
-        try:
-            client = stack.enter_context(Client(where, set_as_default=False, timeout=_PATIENCE_S))
-        except (OSError, ValueError) as error:
-            raise BadInputError(
-                f"--scheduler: {scheduler}: no scheduler answers ({' '.join(str(error).split())})"
-            ) from None
-        yield client
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(silence_logging_cmgr("CRITICAL"))
+            where: Any = self._scheduler or stack.enter_context(
+                LocalCluster(
+                    n_workers=self.workers, threads_per_worker=1, host=LOOPBACK, dashboard_address=f"{LOOPBACK}:0",
+                    silence_logs="CRITICAL",
+                )
+            )  # fmt: skip
+            try:
+                client = stack.enter_context(Client(where, set_as_default=False, timeout=_PATIENCE_S))
+            except (OSError, ValueError) as error:
+                reason = " ".join(str(error).split())
+                if self._answered:
+                    raise MachineError(f"{_GONE} ({reason})") from None
+                raise BadInputError(f"--scheduler: {self._scheduler}: no scheduler answers ({reason})") from None
+            self._answered = True
+            yield client
 
 
 @dataclass(slots=True)
@@ -131,7 +136,8 @@ class _Flights:
 
     def cancel(self) -> None:
         """Take back what is not flown."""
-        self._client.cancel([ticket.future for ticket in self._tickets.values()], force=True)
+        with contextlib.suppress(OSError):
+            self._client.cancel([ticket.future for ticket in self._tickets.values()], force=True)
 
     def _submit(self, missions: Iterator[Any]) -> None:
         """Fill the workers up, many missions at once where there are many workers."""
@@ -177,16 +183,23 @@ class _Flights:
             return
         error = ticket.future.exception() if ticket.future.status == "error" else None
         if error is None:
-            raise MachineError("the Dask scheduler is gone, or has cancelled a mission")
+            raise MachineError(f"{_GONE}, or has cancelled a mission")
         if not isinstance(error, KilledWorker):
             raise MavfiError(f"a Dask worker failed: {error!r}")
         del self._tickets[key]
         yield ticket.mission, [Lost("its Dask workers died", died=True, signal="SIGKILL")]
 
     def _look(self) -> Iterator[tuple[Any, Sequence[Any]]]:
-        """Count the workers, and give up missions whose last items were lost on the way."""
+        """Count the workers, and give up missions whose last items were lost on the way.
+
+        Raises:
+            MachineError: The scheduler does not answer.
+        """
         self._looked = time.monotonic()
-        self._threads = max(1, sum(self._client.nthreads().values()))
+        try:
+            self._threads = max(1, sum(self._client.nthreads().values()))
+        except OSError as error:
+            raise MachineError(f"{_GONE} ({error})") from None
         for key, ticket in list(self._tickets.items()):
             if ticket.ended and self._looked - ticket.ended > _PATIENCE_S:
                 del self._tickets[key]

@@ -1,5 +1,7 @@
 """Dask workers give what local ones give; whatever dies there loses nothing."""
 
+import contextlib
+import json
 import os
 import signal
 import subprocess
@@ -15,7 +17,7 @@ from mavfi.campaign.executors.dask import DaskExecutor
 from mavfi.campaign.executors.executor import Done, Lost
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, MachineError
 from tests.unit.campaign.executors.test_local import count_to, die, explode, flat, hang, items_of, process
 from tests.unit.campaign.fakes import small
 
@@ -24,54 +26,46 @@ pytest.importorskip("distributed", reason="needs the extra `cluster`")
 pytestmark = pytest.mark.slow
 
 
+def dask_process(folder, role, *words):
+    """A scheduler or a worker on the loopback interface."""
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    here = ("--host", "127.0.0.1", "--dashboard-address", "127.0.0.1:0")
+    return subprocess.Popen(
+        [sys.executable, "-m", f"distributed.cli.dask_{role}", *words, *here],
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=folder,
+        env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+
+
+@contextlib.contextmanager
+def dask_cluster(folder, count):
+    """A scheduler with its address, and workers, all of them processes of their own, and these."""
+    told = folder / "scheduler.json"
+    processes = [dask_process(folder, "scheduler", "--port", "0", "--scheduler-file", str(told))]
+    try:
+        while not told.is_file():
+            assert processes[0].poll() is None
+            time.sleep(0.1)
+        address = json.loads(told.read_text())["address"]
+        processes += [dask_process(folder, "worker", address, "--nthreads", "1") for _ in range(count)]
+        yield address, processes[0]
+    finally:
+        for child in reversed(processes):
+            child.terminate()
+            child.wait(20)
+
+
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory):
-    """Address of a scheduler with two workers, all of them processes of their own, and these."""
-    folder = tmp_path_factory.mktemp("cluster")
-    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-    options = {
-        "stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder,
-        "env": {**os.environ, "PYTHONPATH": path},
-    }  # fmt: skip
-    told = folder / "scheduler.json"
-    python = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
-    scheduler = subprocess.Popen(
-        [
-            *python,
-            "--host",
-            "127.0.0.1",
-            "--port",
-            "0",
-            "--dashboard-address",
-            "127.0.0.1:0",
-            "--scheduler-file",
-            str(told),
-        ],
-        **options,
-    )
-    while not told.is_file():
-        assert scheduler.poll() is None
-        time.sleep(0.1)
+    """Address of a scheduler with two workers, and a client of it."""
     from distributed import Client
 
-    with Client(scheduler_file=str(told), set_as_default=False) as client:
-        address = client.scheduler.address
-        command = [
-            sys.executable,
-            "-m",
-            "distributed.cli.dask_worker",
-            address,
-            "--nthreads",
-            "1",
-            "--dashboard-address",
-            "127.0.0.1:0",
-        ]
-        workers = [subprocess.Popen([*command, "--host", "127.0.0.1"], **options) for _ in range(2)]
+    with (
+        dask_cluster(tmp_path_factory.mktemp("cluster"), 2) as (address, _),
+        Client(address, set_as_default=False) as client,
+    ):
         client.wait_for_workers(2, timeout=120)
         yield address, client
-    for child in (*workers, scheduler):
-        child.terminate()
-        child.wait(20)
 
 
 @pytest.fixture
@@ -192,3 +186,21 @@ def test_an_address_where_nobody_answers_is_one_line(monkeypatch):
     monkeypatch.setattr(dask, "_PATIENCE_S", 1.0)
     with pytest.raises(BadInputError, match="--scheduler: tcp://127.0.0.1:9: no scheduler answers"):
         flat(DaskExecutor("tcp://127.0.0.1:9").map(count_to, [1]))
+
+
+@pytest.mark.long
+def test_a_scheduler_that_dies_is_a_failure_of_the_machine_in_one_line(tmp_path, monkeypatch):
+    with dask_cluster(tmp_path, 1) as (address, scheduler):
+        executor = DaskExecutor(address)
+        results = executor.map(hang, [60.0])
+        assert next(results) == (60.0, ["begun"])
+        scheduler.kill()
+        monkeypatch.setattr(dask, "_PATIENCE_S", 2.0)
+        for retry in (results, executor.map(hang, [60.0])):
+            with pytest.raises(MachineError, match="^the Dask scheduler is gone"):
+                flat(retry)
+
+
+def test_a_cluster_of_no_workers_is_refused():
+    with pytest.raises(BadInputError, match="workers: 0: allowed: >= 1"):
+        DaskExecutor(workers=0)
