@@ -1,11 +1,12 @@
-"""Campaigns of many missions: time, processor time and memory of the campaign's process, which alone writes.
+"""Campaigns of many missions: processor time and memory of the campaign's process, which alone writes its ledger.
 
-    python -m benchmarks.cluster local|dask [MISSIONS ...]
+    python -m benchmarks.cluster        (N="1000 10000 100000"; writes the table in docs/cluster.md)
 
 Flights are stand-ins of no length: each mission plans and gives one golden run and six injected ones, with records as
-long as real ones.  What is left is what a campaign costs besides its flights, and how it grows.
+long as real ones.  The rest is the cost of a campaign besides its flights, and how it grows.
 """
 
+import json
 import os
 import resource
 import subprocess
@@ -14,9 +15,11 @@ import tempfile
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.rows import processor
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors import dask
 from mavfi.campaign.executors.dask import LOOPBACK, DaskExecutor
@@ -24,12 +27,16 @@ from mavfi.campaign.executors.executor import Executor
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.mission import MissionPlan
 from mavfi.campaign.plan import Flown, Planned, Row
-from mavfi.campaign.run import run_campaign
+from mavfi.campaign.run import run_campaign, status
 from mavfi.campaign.store import FILE
+from tools.markers import DOCS, fill
 
 RUNS = 7
+RUN_S = 1.0
+"""Processor time of a run (s), for the number of cores that one campaign's process serves."""
 SPEC, RECORD = '{"spec":"%s"}' % ("x" * 600), '{"end":"flown","status":"success","rest":"%s"}' % ("x" * 1200)
 WORKERS = 2
+ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
 
 
 def stand_in(mission: MissionPlan) -> Iterator[Planned | Flown]:
@@ -55,6 +62,7 @@ class StandIns:
 
     def __init__(self, executor: Executor) -> None:
         self._executor = executor
+        self.workers = executor.workers
 
     def map(self, function: Any, missions: Iterable[MissionPlan]) -> Any:  # noqa: ANN401 - as `Executor.map`
         """Fly stand-ins instead."""
@@ -65,17 +73,19 @@ class StandIns:
 
 
 @contextmanager
-def cluster() -> Iterator[str]:
-    """Address of a scheduler with workers, in processes of their own: the campaign's has nothing but its own work."""
+def cluster() -> Iterator[tuple[str, int]]:
+    """Address and pid of a scheduler, with workers, in processes of their own."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         told = Path(folder) / "scheduler.json"
         start = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--scheduler-file", str(told)]
         work = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(told), "--nthreads", "1"]
+        processes = []
         for command in (start, *[work] * WORKERS):
             process = subprocess.Popen(
                 [*command, "--host", LOOPBACK, "--dashboard-address", f"{LOOPBACK}:0"], stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ, "PYTHONPATH": os.getcwd()},
             )  # fmt: skip
+            processes.append(process)
             stack.callback(process.wait)
             stack.callback(process.terminate)
         while not told.is_file():
@@ -85,42 +95,109 @@ def cluster() -> Iterator[str]:
         with Client(scheduler_file=str(told), set_as_default=False) as client:
             client.wait_for_workers(WORKERS)
             address = str(client.scheduler.address)
-        yield address
+        yield address, processes[0].pid
 
 
-def measure(name: str, missions: int, scheduler: str) -> str:
-    """One row."""
-    executor: Executor = DaskExecutor(scheduler) if scheduler else LocalExecutor(WORKERS)
-    environments = ["sparse", "dense", "farm", "factory"][: 4 if missions > 4 else 1]
-    each = missions // len(environments)
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Cost of a campaign besides its flights."""
+
+    executor: str
+    missions: int
+    wall_s: float
+    parent_s: float  # processor time of the campaign's process
+    scheduler_s: float  # processor time of the Dask scheduler
+    memory: int  # of the campaign's process at its peak (bytes)
+    ledger: int  # bytes
+    open_s: float  # wall time to open the ledger, with all checksums
+
+    @property
+    def mission_ms(self) -> float:
+        """Processor time per mission (ms) of the process that is busiest."""
+        return 1e3 * max(self.parent_s, self.scheduler_s) / self.missions
+
+    def row(self) -> str:
+        """Of the table."""
+        scheduler = f"{1e3 * self.scheduler_s / self.missions:.2f}" if self.executor == "dask" else ""
+        return (
+            f"| {self.executor} | {self.missions:,} | {self.missions / self.wall_s:.0f} "
+            f"| {1e3 * self.parent_s / self.missions:.2f} | {scheduler} | {self.memory / 1e6:.0f} "
+            f"| {self.ledger / self.missions / 1e3:.1f} | {self.open_s:.1f} |"
+        )
+
+
+HEAD = """\
+| executor | missions | missions/s | processor time per mission, campaign's process (ms) | Dask scheduler (ms) \
+| peak memory (MB) | ledger per mission (kB) | opening the ledger, checksums included (s) |
+|---|---|---|---|---|---|---|---|"""
+
+
+def measure(name: str, missions: int) -> Cost:
+    """Fly stand-ins in this process and its workers."""
+    each = missions // len(ENVIRONMENTS)
     campaign = Campaign.model_validate({
-        "name": "stand-ins", "environments": environments, "missions": each, "faults": 2 * each, "null_runs": 0,
+        "name": "stand-ins", "environments": ENVIRONMENTS, "missions": each, "faults": 2 * each, "null_runs": 0,
     })  # fmt: skip
-    with tempfile.TemporaryDirectory() as folder:
-        wall, own = time.perf_counter(), time.process_time()
-        run_campaign(campaign, Path(folder), executor=StandIns(executor))
-        wall, own = time.perf_counter() - wall, time.process_time() - own
-        size = (Path(folder) / FILE).stat().st_size
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return (
-        f"| {name} | {missions:,} | {wall:.0f} | {missions / wall:.0f} | {1e3 * own / missions:.2f} | {memory:.0f} | "
-        f"{size / missions / 1e3:.1f} |"
+    dask._AHEAD = 50  # as if there were 50 times as many workers: stand-ins are shorter than a way to the scheduler
+    with ExitStack() as stack:
+        address, pid = stack.enter_context(cluster()) if name == "dask" else ("", 0)
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        executor: Executor = DaskExecutor(address) if address else LocalExecutor(WORKERS)
+        scheduler, wall, own = processor_time(pid), time.perf_counter(), time.process_time()
+        run_campaign(campaign, folder, executor=StandIns(executor))
+        wall, own, scheduler = time.perf_counter() - wall, time.process_time() - own, processor_time(pid) - scheduler
+        memory = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        opening = time.perf_counter()
+        assert status(folder).complete
+        opening = time.perf_counter() - opening
+        return Cost(
+            name, len(ENVIRONMENTS) * each, wall, own, scheduler, memory, (folder / FILE).stat().st_size, opening
+        )
+
+
+def processor_time(pid: int) -> float:
+    """Of a process so far (s); 0 for pid 0."""
+    if pid == 0:
+        return 0.0
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def on_paper(costs: list[Cost]) -> str:
+    """10^6 missions on 1,000 cores, from the largest campaign of each executor."""
+    largest = {cost.executor: cost for cost in costs}
+    lines = [
+        f"- {name}: {cost.mission_ms:.1f} ms of the busiest process for each mission, which {RUNS * RUN_S:.0f} s of "
+        f"other processors fly: one campaign serves {1e3 * RUNS * RUN_S / cost.mission_ms:,.0f} cores; 10^6 missions "
+        f"take it {1e3 * cost.mission_ms / 3600:.1f} h, 1,000 cores {1e3 * RUNS * RUN_S / 3600:.1f} h; the ledger has "
+        f"{1e6 * cost.ledger / cost.missions / 1e9:.0f} GB, and opening it takes "
+        f"{1e6 * cost.open_s / cost.missions / 60:.0f} min."
+        for name, cost in largest.items()
+    ]
+    text = (
+        f"On paper, 10^6 missions of {RUNS} runs on 1,000 cores, with {RUN_S:.0f} s of processor time for a run, and "
+        "the cost per mission of the largest campaign above:"
     )
+    return "\n".join([text, "", *lines])
 
 
 def main() -> None:
-    """Print the table."""
-    counts = [int(text) for text in sys.argv[2:]] or [1000, 10_000, 100_000]
-    sys.stdout.write(
-        "| executor | missions | wall time (s) | missions/s | parent's processor time per mission (ms) | parent's "
-        "memory (MB) | ledger per mission (kB) |\n|---|---|---|---|---|---|---|\n"
-    )
-    dask._AHEAD = 50  # as if there were 50 times as many workers: stand-ins are shorter than a way to the scheduler
-    with ExitStack() as stack:
-        address = stack.enter_context(cluster()) if sys.argv[1] == "dask" else ""
-        for count in counts:
-            sys.stdout.write(measure(sys.argv[1], count, address) + "\n")
+    """Measure each campaign in a process of its own, print the table and write it into the page."""
+    if sys.argv[1:]:
+        sys.stdout.write(json.dumps(asdict(measure(sys.argv[1], int(sys.argv[2])))))
+        return
+    costs = []
+    sys.stdout.write(f"{HEAD}\n")
+    for name in ("local", "dask"):
+        for count in os.environ.get("N", "1000 10000 100000").split():
+            command = [sys.executable, "-m", "benchmarks.cluster", name, count]
+            costs.append(Cost(**json.loads(subprocess.run(command, capture_output=True, check=True).stdout)))
+            sys.stdout.write(f"{costs[-1].row()}\n")
             sys.stdout.flush()
+    here = f"{processor()}, {os.cpu_count()} cores"
+    text = f"Measured by `make cluster` on {here}: flights are stand-ins of no length, {RUNS} runs for each mission."
+    table = "\n".join([HEAD, *(cost.row() for cost in costs)])
+    fill(DOCS / "cluster.md", {"cluster": "\n\n".join([text, table, on_paper(costs)])})
 
 
 if __name__ == "__main__":

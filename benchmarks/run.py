@@ -23,7 +23,7 @@ from benchmarks.growth import FIGURE, growth_rows
 from benchmarks.instruction import instruction_rows
 from benchmarks.map_update import map_rows
 from benchmarks.planners import nearest_rows, search_rows
-from benchmarks.rows import Row
+from benchmarks.rows import Row, processor
 from mavfi.detectors import load_detector
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.assemble import new_loop
@@ -169,15 +169,6 @@ def measure() -> list[Row]:
     rows += share_rows() + map_rows() + depth_rows() + search_rows() + nearest_rows()
     rows += elementary_rows()
     return rows + detection_rows() + struck + growth_rows()
-
-
-def processor() -> str:
-    """Name of the processor, as the system tells it."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
 def main() -> None:

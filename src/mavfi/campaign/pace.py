@@ -24,6 +24,7 @@ class Pace:
     begun: float
     _ends: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOW))
     _walls: deque[tuple[bool, float]] = field(default_factory=lambda: deque(maxlen=WINDOW))  # of missions that are over
+    _sums: dict[bool, tuple[int, float]] = field(default_factory=lambda: {True: (0, 0.0), False: (0, 0.0)})  # of _walls
     _open: dict[Hashable, list[tuple[bool, float]]] = field(default_factory=dict)  # by mission: golden, wall time (s)
     _missions: int = 0  # that are over
 
@@ -37,7 +38,12 @@ class Pace:
     def over(self, mission: Hashable) -> None:
         """A mission is over."""
         self._missions += 1
-        self._walls.extend(self._open.pop(mission, ()))
+        for golden, wall_s in self._open.pop(mission, ()):
+            if len(self._walls) == WINDOW:
+                first, first_s = self._walls[0]
+                self._sums[first] = _sum(self._sums[first], -1, -first_s)
+            self._walls.append((golden, wall_s))
+            self._sums[golden] = _sum(self._sums[golden], 1, wall_s)
 
     @property
     def rate(self) -> float:
@@ -47,12 +53,16 @@ class Pace:
 
     def remaining_s(self, left: Mapping[bool, int], together: int) -> float:
         """See `left_s`."""
-        known = self._walls if self._missions else itertools.chain(*self._open.values())
+        if self._missions:
+            return left_s(left, self._sums, self._missions, together)
         walls = {True: (0, 0.0), False: (0, 0.0)}
-        for golden, wall_s in known:
-            number, before = walls[golden]
-            walls[golden] = number + 1, before + wall_s
+        for golden, wall_s in itertools.chain(*self._open.values()):
+            walls[golden] = _sum(walls[golden], 1, wall_s)
         return left_s(left, walls, self._missions, together)
+
+
+def _sum(known: tuple[int, float], number: int, wall_s: float) -> tuple[int, float]:
+    return known[0] + number, known[1] + wall_s
 
 
 def left_s(left: Mapping[bool, int], walls: Mapping[bool, tuple[int, float]], missions: int, together: int) -> float:
