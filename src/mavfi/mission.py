@@ -80,6 +80,18 @@ class MissionSpec(Config):
     coupling: Literal["inline", "observer"] = Field(
         "inline", description="Of a detector: inline (a gate before the value is seen) or observer (one step late)."
     )
+    grain: Literal["stage", "kernel"] = Field(
+        "stage", description="Computed again after an alarm: the stage, or only the kernel that wrote the value."
+    )
+    same_twice: Literal["accept", "escalate"] = Field(
+        "accept", description="A recomputation that breaks a rule again: accept, or escalate to a restart of the node."
+    )
+    answer_s: float = Field(
+        0.0,
+        ge=0.0,
+        le=60.0,
+        description="Restart the planner if no path answers a collision alarm for so long, s; 0: never.",
+    )
 
 
 _OPTIONS = ("wind", "localization")

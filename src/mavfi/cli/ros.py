@@ -14,7 +14,8 @@ from mavfi.cli.stopping import stoppable
 from mavfi.mission import MissionSpec
 
 if TYPE_CHECKING:
-    from mavfi.hosts.ros1.plan import Plan
+    from mavfi.hosts.loop.recovery import Recovery
+    from mavfi.hosts.ros1.plan import Plan, coupling_of
     from mavfi.hosts.ros1.session import RosFlight
     from mavfi.reports.flight_result import FlightResult
 
@@ -89,8 +90,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
     watching, label = load_watcher(detector, profile, models, scenario)
     drawn = None if request is None else draw_state(scenario, request, fault_seed or 0)[0]
     plan = Plan(
-        scenario, configure(scenario), drawn, watching, mission.coupling, free_running, kills, cloud_node=cloud,
-        register_faults=faults,
+        scenario, configure(scenario), drawn, watching, coupling_of(Recovery.of(mission)), free_running, kills,
+        cloud_node=cloud, register_faults=faults,
     )  # fmt: skip
     ros_nodes.check(plan)
     with stoppable("Stopped; every process of the flight has ended."):

@@ -97,10 +97,11 @@ def without_registers(plan: Plan, with_fault: bool) -> Flight:
     In lock-step its digest is that of the flight on ROS.
     """
     from mavfi.hosts.local import fly
+    from mavfi.hosts.loop.recovery import Recovery
     from mavfi.hosts.ros1.pinhole import functions_of
 
     fault = plan.fault if with_fault else None
-    return fly(plan.scenario, fault, plan.detector, coupling=plan.coupling, functions=functions_of(plan))
+    return fly(plan.scenario, fault, plan.detector, recovery=Recovery(plan.coupling), functions=functions_of(plan))
 
 
 def effect(plan: Plan, log: FlightLog) -> str | None:

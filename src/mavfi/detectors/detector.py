@@ -17,6 +17,7 @@ class Alarm:
         stop: Alarms persist: stop and plan anew.
         score: How anomalous, in units of the threshold (> 1 is an alarm).
         fields: The monitored fields that stand out, "state.field".
+        hard: A rule was broken, which cannot be chance: the same value again is no proof.
     """
 
     source: str
@@ -25,10 +26,11 @@ class Alarm:
     stop: bool = False
     score: float = 0.0
     fields: tuple[str, ...] = ()
+    hard: bool = False
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return asdict(self)
+        """Plain data, without what only recovery looks at."""
+        return {key: value for key, value in asdict(self).items() if key != "hard"}
 
 
 class Detector(Protocol):

@@ -7,6 +7,7 @@ its platform.  `mark` and `rollback` let a host run a stage again from the same 
 The memory of a kernel is explicit, see `mavfi.pipeline.memory`: a host can save it, put it back, and compare it.
 
 A class may list in `quiet` the inputs that never make a step due: a host whose kernels are elsewhere then need not ask.
+A class whose `rollback` takes inputs back, which are then received again, has `again`, which does not: see `repeat`.
 """
 
 from dataclasses import dataclass
@@ -52,6 +53,11 @@ class Kernel(Protocol):
 
     def rollback(self) -> None:
         """Put the memory back to the last mark; inputs stay."""
+
+
+def repeat(kernel: Kernel) -> None:
+    """Prepare a kernel to take its last step again, on the inputs that it had."""
+    getattr(kernel, "again", kernel.rollback)()
 
 
 @dataclass(frozen=True, slots=True)

@@ -297,6 +297,10 @@ class CollisionCheck(Remembers):
         self.room.mark()
         self.memory.stepped = False
 
+    def again(self) -> None:
+        """Repeat the last step; the map stays, which it does not change."""
+        self.memory.again = self.memory.used is not None
+
     def rollback(self) -> None:
         """Take the map updates since the last mark back; a step since then is repeated with the inputs that it had."""
         self.room.rollback()

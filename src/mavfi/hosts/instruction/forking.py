@@ -29,7 +29,7 @@ from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, Output, case_of, flight_of
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
-from mavfi.hosts.loop.recovery import Coupling
+from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
@@ -83,7 +83,7 @@ class Forks:
 
     def __init__(
         self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None,
-        coupling: Coupling = "inline",
+        recovery: Recovery = INLINE,
     ) -> None:  # fmt: skip
         self.cases = [case_of(fault, scenario) for fault in faults]
         self.child: _Child | None = None
@@ -92,7 +92,7 @@ class Forks:
         functions = PLAIN.instrumented(names, lambda name, function: _ForkingFunction(self, name, function))
         self.loop = new_loop(scenario, functions=functions)
         self._watched = detector is not None
-        watch(self.loop, detector, coupling)
+        watch(self.loop, detector, recovery)
         self._restarts = Restarts(self.loop)
         self.loop.after_step.append(self._stepped)
 

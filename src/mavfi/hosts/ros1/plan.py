@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Literal
 
 from mavfi.detectors.detector import Detector
+from mavfi.errors import BadInputError
 from mavfi.faults.fault import RegisterFault, StateFault
-from mavfi.hosts.loop.recovery import Coupling
+from mavfi.hosts.loop.recovery import Coupling, Recovery
 from mavfi.hosts.ros1.folder import flight_folder
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, NODELET, Graph
 from mavfi.mission import Scenario
@@ -92,3 +93,15 @@ def load_plan() -> Plan:
     """The plan of the flight that this process belongs to."""
     plan: Plan = pickle.loads((flight_folder() / _PLAN).read_bytes())
     return plan
+
+
+def coupling_of(recovery: Recovery) -> Coupling:
+    """The coupling of a recovery that ROS nodes can do.
+
+    Raises:
+        BadInputError: They cannot.
+    """
+    for key, default in (("grain", "stage"), ("same_twice", "accept"), ("answer_s", 0.0)):
+        if getattr(recovery, key) != default:
+            raise BadInputError(f"ROS: {key}: {getattr(recovery, key)}: allowed: {default}")
+    return recovery.coupling

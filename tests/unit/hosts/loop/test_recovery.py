@@ -4,9 +4,10 @@ import pytest
 
 from mavfi.detectors import Alarm
 from mavfi.errors import BadInputError
-from mavfi.hosts.loop.recovery import Action, decide, record_of
+from mavfi.hosts.loop.recovery import INLINE, Action, Recovery, decide, record_of
 from mavfi.states import STAGE_KERNELS, STATES, Stage
 
+OBSERVER = Recovery("observer")
 PERCEPTION = STAGE_KERNELS[Stage.PERCEPTION]
 CASES = [
     (
@@ -41,12 +42,12 @@ CASES = [
 
 @pytest.mark.parametrize(("alarm", "state", "expected"), CASES)
 def test_the_answer_to_an_alarm(alarm, state, expected):
-    assert decide(alarm, STATES[state], "inline") == expected
+    assert decide(alarm, STATES[state], INLINE) == expected
 
 
 @pytest.mark.parametrize(("alarm", "state", "expected"), CASES)
 def test_an_observer_asks_for_the_same_and_holds_nothing_back(alarm, state, expected):
-    answer = decide(alarm, STATES[state], "observer")
+    answer = decide(alarm, STATES[state], OBSERVER)
     assert not answer.withholds
     assert (answer.kind, answer.kernel, answer.restores, answer.awaited) == (
         expected.kind, expected.kernel, expected.restores, expected.awaited,
@@ -56,12 +57,12 @@ def test_an_observer_asks_for_the_same_and_holds_nothing_back(alarm, state, expe
 @pytest.mark.parametrize("stage", ["sensor", "steering", ""])
 def test_a_stage_that_cannot_be_run_again_is_refused(stage):
     with pytest.raises(BadInputError, match="allowed: perception, planning, control"):
-        decide(Alarm("d", stage), STATES["control.command"], "inline")
+        decide(Alarm("d", stage), STATES["control.command"], INLINE)
 
 
 def test_what_passes_is_recorded_as_accepted():
     alarm = Alarm("d", "planning", score=2.0, fields=("control.command.vx",))
-    record = record_of(alarm, decide(alarm, STATES["control.command"], "inline"), "control.command", 1_500_000)
+    record = record_of(alarm, decide(alarm, STATES["control.command"], INLINE), "control.command", 1_500_000)
     assert (record.time_s, record.action, record.outcome, record.fields) == (
         1.5, "recompute", "accepted", ("control.command.vx",),
     )  # fmt: skip
