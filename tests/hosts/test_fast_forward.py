@@ -156,7 +156,7 @@ def test_an_observer_is_fast_forwarded_too():
     for make in (Nervous, ARMS["published"]["gaussian"]):
         for injected in (None, FAULTS[0], FAULTS[3], FAULTS[6], FAULTS[8]):
             detector = make()
-            mine = forward.fly(injected, detector, make.__name__, "observer")
+            mine = forward.fly(injected, detector, make.__name__, Recovery("observer"))
             assert content(mine.log) == content(fly(mission(), injected, make(), recovery=Recovery("observer")).log)
     assert forward.share.flown < forward.share.ticks
 
