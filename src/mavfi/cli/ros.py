@@ -78,11 +78,12 @@ def fly(  # noqa: PLR0913 - one parameter per option
         ros_nodes.renamed("--register-seed", register_seed, "--strike-seed", strike_seed),
     )
     from mavfi.hosts.ros1 import finder
+    from mavfi.hosts.ros1.plan import Plan, check_supported
 
+    check_supported(mission)
     finder.require()
     from mavfi.campaign.samplers.request import draw_state
     from mavfi.hosts.loop.compose import resolve
-    from mavfi.hosts.ros1.plan import Plan
     from mavfi.hosts.ros1.session import configure
 
     scenario = resolve(mission)
