@@ -14,8 +14,7 @@ from mavfi.cli.stopping import stoppable
 from mavfi.mission import MissionSpec
 
 if TYPE_CHECKING:
-    from mavfi.hosts.loop.recovery import Recovery
-    from mavfi.hosts.ros1.plan import Plan, coupling_of
+    from mavfi.hosts.ros1.plan import Plan
     from mavfi.hosts.ros1.session import RosFlight
     from mavfi.reports.flight_result import FlightResult
 
@@ -79,19 +78,20 @@ def fly(  # noqa: PLR0913 - one parameter per option
         ros_nodes.renamed("--register-seed", register_seed, "--strike-seed", strike_seed),
     )
     from mavfi.hosts.ros1 import finder
+    from mavfi.hosts.ros1.plan import Plan, check_supported
 
+    check_supported(mission)
     finder.require()
     from mavfi.campaign.samplers.request import draw_state
     from mavfi.hosts.loop.compose import resolve
-    from mavfi.hosts.ros1.plan import Plan
     from mavfi.hosts.ros1.session import configure
 
     scenario = resolve(mission)
     watching, label = load_watcher(detector, profile, models, scenario)
     drawn = None if request is None else draw_state(scenario, request, fault_seed or 0)[0]
     plan = Plan(
-        scenario, configure(scenario), drawn, watching, coupling_of(Recovery.of(mission)), free_running, kills,
-        cloud_node=cloud, register_faults=faults,
+        scenario, configure(scenario), drawn, watching, mission.coupling, free_running, kills, cloud_node=cloud,
+        register_faults=faults,
     )  # fmt: skip
     ros_nodes.check(plan)
     with stoppable("Stopped; every process of the flight has ended."):

@@ -140,7 +140,7 @@ def test_a_recomputation_does_not_take_back_what_a_node_was_sent_when_it_started
     loop = Forks(scenario(), [], Scripted()).loop
     loop.begin()
     loop.run(until=150)
-    loop.actions["restart"](loop.now, "collision_check")
+    loop.actions["restart fresh"](loop.now, "collision_check")
     kernel = loop.kernels["collision_check"]
     cells = kernel.room.cells.copy()
     assert len(np.unique(cells)) > 1, "it knows the map"

@@ -48,7 +48,7 @@ def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) ->
     if detector is None:
         return
     loop.marks = True
-    restart = Restarts(loop).die if recovery.restarts else _never
+    restart = Restarts(loop, "readback").die if recovery.restarts else _never
     loop.taps.detector = Watch(loop, detector, recovery, restart)
     detector.start()
 

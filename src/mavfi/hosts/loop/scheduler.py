@@ -216,8 +216,7 @@ class Loop:
             return
         self.record.compute_us[kernel.name] += self.latency[kernel.name]
         if latency_us == 0:
-            for state in states:
-                self.deliver(state, now)
+            self._deliver_all(kernel.name, states, now)
             return
         self.busy[kernel.name] = None
         self.at(now + latency_us, "done", kernel.name, states)
@@ -227,15 +226,20 @@ class Loop:
         if name in self.down:
             return
         waiting = self.busy.pop(name, None)
-        for state in states:
-            self.deliver(state, now)
-        if waiting is None:
+        self._deliver_all(name, states, now)
+        if waiting is None or name in self.down:
             return
         kernel = self.kernels[name]
         if name in self.busy:  # it is run again: what waits keeps waiting
             self.busy[name] = self.busy[name] or waiting
         elif kernel.receive(waiting, now):
             self.start(kernel, now)
+
+    def _deliver_all(self, name: str, states: list[State], now: int) -> None:
+        """Send a kernel's results; the answer to an alarm may end its node on the way."""
+        for state in states:
+            if name not in self.down:
+                self.deliver(state, now)
 
     # ---- publications -----------------------------------------------------------------------------------------------
     def deliver(self, state: State, now: int) -> None:
