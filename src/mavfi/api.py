@@ -29,7 +29,7 @@ from mavfi.hosts.host import ArmSetup, Flight
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.recovery import Recovery
-from mavfi.hosts.watching import detector_for
+from mavfi.hosts.watching import detector_for, with_keys_of
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import allow_typed
 from mavfi.reports.flight_result import FlightResult
@@ -62,6 +62,7 @@ def fly(
         BadInputError: Something is not known, or does not fit together.
     """
     spec = _spec(mission, options)
+    spec = with_keys_of(spec, detector) if isinstance(detector, str) else spec
     scenario = resolve(spec)
     watching, label = _watching(scenario, detector, profile, models)
     if not isinstance(fault, str):

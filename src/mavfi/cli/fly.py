@@ -47,7 +47,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
         from mavfi.api import fly_request
         from mavfi.hosts.loop.compose import resolve
         from mavfi.hosts.loop.recovery import Recovery
+        from mavfi.hosts.watching import with_keys_of
 
+        mission = with_keys_of(mission, detector)
         scenario = resolve(mission)
         watching, label = load_watcher(detector, profile, models, scenario)
         result = fly_request(scenario, request, fault_seed or 0, watching, label, Recovery.of(mission))

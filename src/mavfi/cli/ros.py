@@ -79,7 +79,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     )
     from mavfi.hosts.ros1 import finder
     from mavfi.hosts.ros1.plan import Plan, check_supported
+    from mavfi.hosts.watching import with_keys_of
 
+    mission = with_keys_of(mission, detector)
     check_supported(mission)
     finder.require()
     from mavfi.campaign.samplers.request import draw_state
