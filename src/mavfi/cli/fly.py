@@ -80,6 +80,9 @@ def check_company(
         check_seed("--fault-seed", fault_seed)
         if fault is None:
             raise BadInputError(f"--fault-seed: {fault_seed}: no fault to draw; allowed: together with --fault")
+    if mission.dead_node != "fresh" and not (fault or "").startswith("instruction:"):
+        text = "no node can die; allowed: together with --fault instruction:KERNEL"
+        raise BadInputError(f"--dead-node: {mission.dead_node}: {text}")
     given = {f"--{key.replace('_', '-')}": getattr(mission, key) for key in RECOVERY if _is_chosen(mission, key)}
     for name, value in {"--profile": profile, "--models": models, **given}.items():
         if value is not None and detector == "none":

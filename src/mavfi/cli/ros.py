@@ -65,6 +65,10 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi ros fly --environment sparse --seed 7 --kill octomap@20[/bold]
     """
+    from mavfi.hosts.ros1.plan import Plan, check_supported
+    from mavfi.hosts.watching import with_keys_of
+
+    check_supported(with_keys_of(mission, detector))
     check_company(mission, fault, fault_seed, detector, profile, models)
     check_file("--save", save, FLIGHTS)
     from mavfi.faults.spec import parse_state
@@ -78,11 +82,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         ros_nodes.renamed("--register-seed", register_seed, "--strike-seed", strike_seed),
     )
     from mavfi.hosts.ros1 import finder
-    from mavfi.hosts.ros1.plan import Plan, check_supported
-    from mavfi.hosts.watching import with_keys_of
 
-    mission = with_keys_of(mission, detector)
-    check_supported(mission)
     finder.require()
     from mavfi.campaign.samplers.request import draw_state
     from mavfi.hosts.loop.compose import resolve
