@@ -280,10 +280,10 @@ def step(values: np.ndarray, before: np.ndarray, last: bool, limits: np.ndarray)
     limit = limits[0]
     for axis in range(3):
         moved, speed = values[axis] - before[axis], values[_VELOCITY + axis]
-        if not abs(moved - speed * values[_DURATION]) <= limit["step"]:
-            return axis
         if not last and not abs(speed - before[_VELOCITY + axis]) <= limit["change"]:
             return _VELOCITY + axis
+        if not abs(moved - speed * values[_DURATION]) <= limit["step"]:
+            return axis
     return _FINE
 
 
@@ -309,9 +309,9 @@ def waypoint(
     if not limit["every_map"] and not (earlier <= epoch <= max(earlier, int(newest[0]["future_collision_seq"]))):
         return _FOLLOWED_EPOCH
     if index < 0 or len(points) == 0:
-        if index != -1 or number != 0:
-            return _FOLLOWED if index == -1 or number != 0 else _INDEX
-        return hold(values, vehicle, limits)
+        if index == -1:
+            return hold(values, vehicle, limits) if number == 0 else _FOLLOWED
+        return _FOLLOWED if len(points) == 0 and number != 0 else _INDEX
     same = number == int(old["trajectory_seq"]) and int(old["index"]) >= 0
     least = int(old["index"]) if same else 0
     most = least + 1 if same else _WINDOW - 1
