@@ -258,7 +258,8 @@ def point(values: np.ndarray, last: bool, limits: np.ndarray) -> int:
     if found >= 0:
         return _VELOCITY + found
     for axis in range(3):
-        if not abs(values[_ACCELERATION + axis]) <= limit["acceleration"]:
+        # held points are tracked without it: whatever is finite will do
+        if not (limit["held"] or abs(values[_ACCELERATION + axis]) <= limit["acceleration"]):
             return _ACCELERATION + axis
     duration, period = values[_DURATION], limit["point_period"]
     whole = abs(duration - period) <= _EXACT
