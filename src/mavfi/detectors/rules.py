@@ -364,7 +364,7 @@ def between(values: np.ndarray, start: np.ndarray, end: np.ndarray, limits: np.n
         if not (min(low, 0.0) - _EXACT <= values[column] <= max(high, 0.0) + _EXACT):
             return column
         column = _ACCELERATION + axis
-        if not abs(values[column]) <= abs(start[column]) + limits[0]["acceleration"]:
+        if not abs(values[column]) <= abs(start[column]) + limits[0]["clock"]:
             return column
     if values[_YAW] != start[_YAW]:
         return _YAW

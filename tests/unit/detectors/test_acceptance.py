@@ -177,7 +177,7 @@ BROKEN = [
     (BOTH, "trajectory", "future_collision_seq", 0),
     (BOTH, "trajectory", ("x", 2), np.nan),
     (BOTH, "trajectory", ("ay", 2), np.inf),
-    (NEW, "trajectory", ("az", 2), 8.0),
+    (NEW, "trajectory", ("az", 2), 1e3),
     (BOTH, "trajectory", ("y", 2), 12.5),
     (BOTH, "trajectory", ("yaw", 2), 4.0),
     (BOTH, "trajectory", ("vx", 2), 5.0),
