@@ -26,14 +26,15 @@ _SHORTEST_ALARM = 30.0
 """`time_to_collision` of no collision (s); others lie within what the camera sees, flown at a quarter of v_max."""
 _SLOW = 0.25
 
-_NUMBERS = np.dtype(
-    [
-        ("speed", "f8"), ("command", "f8"), ("command_step", "f8"), ("acceleration", "f8"), ("clock", "f8"),
-        ("lower", "f8", (3,)), ("upper", "f8", (3,)), ("goal", "f8", (3,)), ("point_period", "f8"), ("control_period", "f8"),
-        ("longest_time", "f8"), ("near", "f8"), ("entry", "f8"), ("step", "f8"), ("change", "f8"), ("lag", "f8"),
-        ("hold", "f8"), ("slowest", "f8"), ("fastest", "f8"), ("held", "?"), ("every_map", "?"), ("repeated", "?"),
-    ]
+_SCALARS = (
+    "speed", "command", "command_step", "acceleration", "clock", "point_period", "control_period", "longest_time",
+    "near", "entry", "step", "change", "lag", "hold", "slowest", "fastest",
 )  # fmt: skip
+_PLACES = ("lower", "upper", "goal")
+_FLAGS = ("held", "every_map", "repeated")
+_NUMBERS = np.dtype(
+    [*((name, "f8") for name in _SCALARS), *((name, "f8", (3,)) for name in _PLACES), *((name, "?") for name in _FLAGS)]
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -412,8 +412,8 @@ def tracking(
     limit = limits[0]
     remaining, most = header[0]["remaining"], before[0]["remaining"]
     least = most - limit["fastest"]
-    if fresh and waypoint_header[0]["duration"] == 0.0:
-        return _FINE if remaining == 0.0 else _REMAINING  # there is none yet
+    if remaining == most:
+        return _FINE  # a step that was computed again, for its command; or no way-point yet
     if fresh:  # the overrun of the last point, of a period at most, is subtracted
         most = waypoint_header[0]["duration"]
         least = most - limit["control_period"] - limit["fastest"]

@@ -121,6 +121,7 @@ def good(stack):
         "command": (drive(2.2), ()),
         "command at a new way-point": (drive(-2.2), (step_of(stack, 2),)),
         "tracking": (make(TRACKING, remaining=0.28), ()),
+        "tracking of a step computed again": (make(TRACKING, remaining=0.3), ()),
         "tracking of a new way-point": (make(TRACKING, remaining=0.47), (step_of(stack, 2),)),
     }
     back = make(PATH, 3, future_collision_seq=1, junction=-1, z=3.0)
