@@ -17,18 +17,24 @@ _ROUNDING = 1.001
 _CURVE_ERROR = 0.1
 """Position of a trajectory's point against that of its velocity, where velocity is constant: curves are sampled (m)."""
 _ACCELERATION_MARGIN = 1.2
+_SHARPEST = 0.2
+"""Length within which an interpolated trajectory may turn round: a plan that begins at speed keeps the corner that it
+meets first as sharp as the room there makes it (m)."""
+_CLOCK_MARGIN = 1.5
+"""Acceleration by which the clock of an interpolated reference speeds up or brakes, at most / a_max."""
 _SHORTEST_ALARM = 30.0
 """`time_to_collision` of no collision (s); others lie within what the camera sees, flown at a quarter of v_max."""
 _SLOW = 0.25
 
-_NUMBERS = np.dtype(
-    [
-        ("speed", "f8"), ("command", "f8"), ("command_step", "f8"), ("acceleration", "f8"), ("lower", "f8", (3,)),
-        ("upper", "f8", (3,)), ("goal", "f8", (3,)), ("point_period", "f8"), ("control_period", "f8"),
-        ("longest_time", "f8"), ("near", "f8"), ("entry", "f8"), ("step", "f8"), ("change", "f8"), ("lag", "f8"),
-        ("hold", "f8"), ("slowest", "f8"), ("fastest", "f8"), ("held", "?"), ("every_map", "?"), ("repeated", "?"),
-    ]
+_SCALARS = (
+    "speed", "command", "command_step", "acceleration", "clock", "point_period", "control_period", "longest_time",
+    "near", "entry", "step", "change", "lag", "hold", "slowest", "fastest",
 )  # fmt: skip
+_PLACES = ("lower", "upper", "goal")
+_FLAGS = ("held", "every_map", "repeated")
+_NUMBERS = np.dtype(
+    [*((name, "f8") for name in _SCALARS), *((name, "f8", (3,)) for name in _PLACES), *((name, "?") for name in _FLAGS)]
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,11 +88,15 @@ class MissionLimits:
         """What compiled rules read: one record. Shape (1,)."""
         record = np.zeros(1, _NUMBERS)
         travel = 1.5 * self.v_max * (self.velocity_lag + 2.0 * self.plan_latency)
+        change = _ACCELERATION_MARGIN * self.a_max * self.point_period
+        if not self.held:
+            change += 2.0 * self.v_max * min(1.0, self.v_max * self.point_period / _SHARPEST)
         values = {
             "speed": SPEED_MARGIN * self.v_max,
             "command": _ROUNDING * self.command_limit * self.v_max,
             "command_step": self.command_step,
-            "acceleration": 1.5 * self.a_max,
+            "acceleration": change / self.point_period,
+            "clock": _CLOCK_MARGIN * self.a_max,
             "lower": np.array(self.flight[0]) - BOX_MARGIN,
             "upper": np.array(self.flight[1]) + BOX_MARGIN,
             "goal": self.goal,
@@ -96,7 +106,7 @@ class MissionLimits:
             "near": max(NEAR, travel),
             "entry": max(1.0, self.a_max * (self.plan_latency + 0.1)),
             "step": self.a_max * self.look_ahead * self.point_period + _CURVE_ERROR,
-            "change": _ACCELERATION_MARGIN * self.a_max * self.point_period,
+            "change": change,
             "lag": self.velocity_lag if self.held else 0.0,
             "hold": SPEED_MARGIN * self.v_max * self.control_period,
             "slowest": self.control_period / (self.slowdown_cap * self.tracker_slowdown),

@@ -258,7 +258,8 @@ def point(values: np.ndarray, last: bool, limits: np.ndarray) -> int:
     if found >= 0:
         return _VELOCITY + found
     for axis in range(3):
-        if not abs(values[_ACCELERATION + axis]) <= limit["acceleration"]:
+        # held points are tracked without it: whatever is finite will do
+        if not (limit["held"] or abs(values[_ACCELERATION + axis]) <= limit["acceleration"]):
             return _ACCELERATION + axis
     duration, period = values[_DURATION], limit["point_period"]
     whole = abs(duration - period) <= _EXACT
@@ -280,10 +281,10 @@ def step(values: np.ndarray, before: np.ndarray, last: bool, limits: np.ndarray)
     limit = limits[0]
     for axis in range(3):
         moved, speed = values[axis] - before[axis], values[_VELOCITY + axis]
-        if not abs(moved - speed * values[_DURATION]) <= limit["step"]:
-            return axis
         if not last and not abs(speed - before[_VELOCITY + axis]) <= limit["change"]:
             return _VELOCITY + axis
+        if not abs(moved - speed * values[_DURATION]) <= limit["step"]:
+            return axis
     return _FINE
 
 
@@ -309,9 +310,9 @@ def waypoint(
     if not limit["every_map"] and not (earlier <= epoch <= max(earlier, int(newest[0]["future_collision_seq"]))):
         return _FOLLOWED_EPOCH
     if index < 0 or len(points) == 0:
-        if index != -1 or number != 0:
-            return _FOLLOWED if index == -1 or number != 0 else _INDEX
-        return hold(values, vehicle, limits)
+        if index == -1:
+            return hold(values, vehicle, limits) if number == 0 else _FOLLOWED
+        return _FOLLOWED if len(points) == 0 and number != 0 else _INDEX
     same = number == int(old["trajectory_seq"]) and int(old["index"]) >= 0
     least = int(old["index"]) if same else 0
     most = least + 1 if same else _WINDOW - 1
@@ -363,7 +364,7 @@ def between(values: np.ndarray, start: np.ndarray, end: np.ndarray, limits: np.n
         if not (min(low, 0.0) - _EXACT <= values[column] <= max(high, 0.0) + _EXACT):
             return column
         column = _ACCELERATION + axis
-        if not abs(values[column]) <= abs(start[column]) + limits[0]["acceleration"]:
+        if not abs(values[column]) <= abs(start[column]) + limits[0]["clock"]:
             return column
     if values[_YAW] != start[_YAW]:
         return _YAW
@@ -411,8 +412,8 @@ def tracking(
     limit = limits[0]
     remaining, most = header[0]["remaining"], before[0]["remaining"]
     least = most - limit["fastest"]
-    if fresh and waypoint_header[0]["duration"] == 0.0:
-        return _FINE if remaining == 0.0 else _REMAINING  # there is none yet
+    if remaining == most:
+        return _FINE  # a step that was computed again, for its command; or no way-point yet
     if fresh:  # the overrun of the last point, of a period at most, is subtracted
         most = waypoint_header[0]["duration"]
         least = most - limit["control_period"] - limit["fastest"]
