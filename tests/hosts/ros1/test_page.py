@@ -22,12 +22,9 @@ ALL = commands("ros.md")
 FREE = [command for command in ALL if "--free-running" in command]
 FLIGHTS = [command for command in ALL if command.startswith("mavfi ros fly ") and command not in FREE]
 OTHERWISE = (
-    "--coupling observer",
-    "--kill",
-    "--localization estimator",
-    "--json",
-    "--point-cloud-node depth_image_proc --register-fault point_cloud_xyz@5 ",
-)
+    "--fault", "--coupling observer", "--kill", "--localization estimator", "--json",
+    "--point-cloud-node depth_image_proc",
+)  # fmt: skip
 """Other tests fly these too, in shorter missions."""
 INJECT = next(command for command in ALL if "mavfi inject" in command)
 JOINED = [command for command in ALL if command.startswith("$FLIGHT/join ") and command != INJECT]

@@ -14,13 +14,13 @@ CASES = [
     pytest.param("rrt", "factory", 0, planners.Search(4.0, 10_000), 1600, marks=pytest.mark.long),
     ("rrt_connect", "dense", 0, planners.Search(4.0, 4000), 600),
     pytest.param("rrt_connect", "factory", 0, planners.Search(4.0, 4000), 1600, marks=pytest.mark.long),
-    ("rrt_star", "dense", 0, planners.Search(8.0, 1500), 100),
+    ("rrt_star", "dense", 0, planners.Search(8.0, 1500), 50),
     pytest.param("rrt_star", "factory", 0, planners.Search(8.0, 2500), 80, marks=pytest.mark.long),
 ]
 SCARCE = [
-    ("rrt", "factory", 0, planners.Search(4.0, 450), 1200),
+    pytest.param("rrt", "factory", 0, planners.Search(4.0, 450), 1200, marks=pytest.mark.long),
     ("rrt_connect", "factory", 0, planners.Search(4.0, 350), 1200),
-    ("rrt_star", "factory", 0, planners.Search(8.0, 450), 1200),
+    pytest.param("rrt_star", "factory", 0, planners.Search(8.0, 450), 1200, marks=pytest.mark.long),
 ]
 """Budgets with which about half of the runs find a path."""
 

@@ -10,6 +10,7 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.campaign.config import Campaign
+from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.faults.fault import Fault, InstructionFault, StateFault
 from mavfi.faults.state import StateInjector
 from mavfi.flight_log import COLUMNS, AlarmRecord, Event, FlightLog, Injection, Profile
@@ -278,3 +280,20 @@ def small(**changes) -> Campaign:
         "arms": {"gaussian": {"detector": DETECTOR}}, **changes,
     }  # fmt: skip
     return Campaign.model_validate(content)
+
+
+class OneByOne:
+    """Local workers whose items are handed over one at a time: a campaign can be stopped after exactly so many runs."""
+
+    forks = True
+
+    def __init__(self, workers=1):
+        self._executor = LocalExecutor(workers)
+        self.workers = workers
+
+    def map(self, function, missions):
+        """See `Executor.map`."""
+        with closing(self._executor.map(function, missions)) as batches:
+            for mission, items in batches:
+                for item in items:
+                    yield mission, [item]

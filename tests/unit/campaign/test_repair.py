@@ -62,7 +62,7 @@ def test_what_was_changed_is_flown_again(flown, tmp_path, change, lost, flown_ag
 def test_bits_flipped_anywhere_are_mended_or_refused(flown, tmp_path):
     random = np.random.default_rng(1)
     mended = 0
-    for number in range(60):
+    for number in range(20):  # `make damage` makes more
         directory = tmp_path / str(number)
         directory.mkdir()
         damaged = bytearray(flown[0])
@@ -76,7 +76,7 @@ def test_bits_flipped_anywhere_are_mended_or_refused(flown, tmp_path):
             continue
         assert again(directory)[0] == flown[1]
         mended += 1
-    assert mended > 20
+    assert mended > 6
 
 
 def test_a_sound_ledger_stays_as_it_is(flown, tmp_path):
