@@ -65,7 +65,8 @@ def limits_of(scenario: Scenario, world: World) -> MissionLimits:
         control_period=period, look_ahead=stack.look_ahead, planner_latency=1e-6 * latency(platform, "planner"),
         plan_latency=1e-6 * stage_latency(platform, Stage.PLANNING), velocity_lag=1.0 / scenario.vehicle.velocity_gain,
         command_limit=stack.command_limit, command_step=_ERROR_STEP * (p + i * period + 2.0 * d / period),
-        slowdown_cap=stack.slowdown_cap, tracker_slowdown=platform.tracker_slowdown, camera_range=scenario.camera.range, repeated=stack.alarm == "repeated",
+        slowdown_cap=stack.slowdown_cap, tracker_slowdown=platform.tracker_slowdown, camera_range=scenario.camera.range,
+        repeated=stack.alarm == "repeated",
     )  # fmt: skip
 
 
