@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from mavfi.flight_log import FlightLog, Injection
     from mavfi.hosts.host import Flight
     from mavfi.hosts.ros1.plan import CloudNode, Plan
+    from mavfi.mission import MissionSpec
 
 _LONGEST_S = 1e6
 _Value = TypeVar("_Value")
@@ -44,6 +45,13 @@ def renamed(name: str, value: _Value | None, old_name: str, old_value: _Value | 
     if old_value is not None:
         console(error=True).print(f"mavfi: {old_name}: deprecated, is now {name}", markup=False)
     return old_value if value is None else value
+
+
+def check_mission(mission: MissionSpec) -> None:
+    """Check that ROS can fly a mission as it is wanted; raises `BadInputError` if not."""
+    from mavfi.hosts.ros1.plan import check_supported
+
+    check_supported(mission)
 
 
 def cloud_node(text: str) -> CloudNode:
