@@ -65,10 +65,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi ros fly --environment sparse --seed 7 --kill octomap@20[/bold]
     """
-    from mavfi.hosts.ros1.plan import Plan, check_supported
-    from mavfi.hosts.watching import with_keys_of
-
-    check_supported(with_keys_of(mission, detector))
+    ros_nodes.check_mission(mission, detector)
     check_company(mission, fault, fault_seed, detector, profile, models)
     check_file("--save", save, FLIGHTS)
     from mavfi.faults.spec import parse_state
@@ -86,6 +83,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     finder.require()
     from mavfi.campaign.samplers.request import draw_state
     from mavfi.hosts.loop.compose import resolve
+    from mavfi.hosts.ros1.plan import Plan
     from mavfi.hosts.ros1.session import configure
 
     scenario = resolve(mission)

@@ -63,7 +63,7 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
     return f"{_EFFECTS.get(effect, effect.label)}; {_mission(log, golden)}"
 
 
-_AFTER_DEATH = {"end": "which ended the mission", "recompute": "its step was computed again"}
+_AFTER_DEATH = {"end": "the mission ended with it", "recompute": "its step was computed again"}
 
 
 def after_death(log: FlightLog) -> str:

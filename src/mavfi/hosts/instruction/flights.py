@@ -21,7 +21,7 @@ class InjectedFlights:
     Attributes:
         golden: The flight without a fault; its pipeline is also that of the others.
         flights: With the faults, in their order.  `log.kernel` is the effect on the kernel; where it crashed, hung or
-            raised, the log is that of the flight in which its node was restarted.
+            raised, the log is that of the flight under the mission's policy for dead nodes.
     """
 
     golden: Flight
