@@ -174,7 +174,9 @@ def _start(
     found = _junction(first, flown, said)
     if found == said:
         return _FINE
-    return _VERTEX if found < 0 else _JUNCTION
+    if found >= 0 or not 0 <= said < len(flown):
+        return _JUNCTION
+    return _VERTEX + far_from(first, flown[said, :3], _SPLICE)
 
 
 @kernel_jit
