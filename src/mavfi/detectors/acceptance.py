@@ -16,7 +16,7 @@ from mavfi.detectors.limits import MissionLimits
 from mavfi.states import ODOMETRY, State, floats, new_state
 
 SOURCE = "acceptance"
-_WAYPOINT_FLOATS, _COMMAND_FLOATS, _VEHICLE_FLOATS = 11, 5, 6
+_WAYPOINT_FLOATS, _VEHICLE_FLOATS = 11, 6
 _FINE = -1
 _KEPT = 3
 """Trajectories that a way-point may name: the one in force, the one that waits, and one to spare."""
@@ -162,8 +162,7 @@ def _note_waypoint(known: Published, state: State, now: int) -> None:
 
 
 def _judge_command(known: Published, state: State, now: int) -> int:
-    before = floats(known.headers[_COMMAND], _COMMAND_FLOATS)
-    return rules.command(floats(state.header, _COMMAND_FLOATS), before, known.switched, known.limits)
+    return rules.command(state.header, known.headers[_COMMAND], known.switched, known.limits)
 
 
 def _note_command(known: Published, state: State, now: int) -> None:
@@ -174,8 +173,8 @@ def _note_command(known: Published, state: State, now: int) -> None:
 def _judge_tracking(known: Published, state: State, now: int) -> int:
     if not known.held:
         return _FINE  # nobody reads it
-    before, waypoint = known.headers[_TRACKING], known.headers[_WAYPOINT]
-    return rules.tracking(state.header, before, waypoint, known.fresh, known.limits)
+    duration = float(known.headers[_WAYPOINT]["duration"][0]) if known.fresh else 0.0
+    return rules.tracking(state.header, known.headers[_TRACKING], duration, known.limits)
 
 
 def _note_tracking(known: Published, state: State, now: int) -> None:

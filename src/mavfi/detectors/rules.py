@@ -174,7 +174,9 @@ def _start(
     found = _junction(first, flown, said)
     if found == said:
         return _FINE
-    return _VERTEX if found < 0 else _JUNCTION
+    if found >= 0 or not 0 <= said < len(flown):
+        return _JUNCTION
+    return _VERTEX + far_from(first, flown[said, :3], _SPLICE)
 
 
 @kernel_jit
@@ -372,41 +374,52 @@ def between(values: np.ndarray, start: np.ndarray, end: np.ndarray, limits: np.n
 
 
 @kernel_jit
-def command(values: np.ndarray, before: np.ndarray, switched: bool, limits: np.ndarray) -> int:
+def command(header: np.ndarray, before: np.ndarray, switched: bool, limits: np.ndarray) -> int:
     """Command: velocity (m/s) and yaw rate (rad/s) within their limits, for one control period (s).
 
     While a held way-point stays in force, the velocity changes little.
 
     Args:
-        values: vx, vy, vz, yaw rate, duration. Shape (5,).
-        before: Of the command published last. Shape (5,).
+        header: Of the command; no plain vector, which would cost as much as the rule. Shape (1,).
+        before: Of the command published last. Shape (1,).
         switched: Whether a way-point was published since.
         limits: See the module.
     """
-    limit = limits[0]
-    found = first_not_finite(values)
-    if found < 0:
-        found = too_fast(values[:3], limit["command"])
-    if found >= 0:
-        return found
-    if not abs(values[_YAW_RATE]) <= _LARGEST_YAW_RATE:
+    new, old, limit = header[0], before[0], limits[0]
+    x, y, z = new["vx"], new["vy"], new["vz"]
+    if not x * x + y * y + z * z <= limit["command"] ** 2:
+        return _largest(x, y, z)
+    if not abs(new["yaw_rate"]) <= _LARGEST_YAW_RATE:
         return _YAW_RATE
-    if values[_COMMAND_DURATION] != limit["control_period"]:
+    if new["duration"] != limit["control_period"]:
         return _COMMAND_DURATION
-    return far_from(values, before, limit["command_step"]) if limit["held"] and not switched else _FINE
+    x, y, z = x - old["vx"], y - old["vy"], z - old["vz"]
+    if limit["held"] and not switched and not max(abs(x), abs(y), abs(z)) <= limit["command_step"]:
+        return _largest(x, y, z)
+    return _FINE
 
 
 @kernel_jit
-def tracking(
-    header: np.ndarray, before: np.ndarray, waypoint_header: np.ndarray, fresh: bool, limits: np.ndarray
-) -> int:
+def _largest(x: float, y: float, z: float) -> int:
+    """Which of three numbers is the largest, or else no number at all."""
+    values = (x, y, z)
+    largest = 0
+    for axis in range(3):
+        if math.isnan(values[axis]):
+            return axis
+        if abs(values[axis]) > abs(values[largest]):
+            largest = axis
+    return largest
+
+
+@kernel_jit
+def tracking(header: np.ndarray, before: np.ndarray, duration: float, limits: np.ndarray) -> int:
     """Time that the way-point in force has left (s): it falls by at most a period, or begins with the duration.
 
     Args:
         header: Of the report. Shape (1,).
         before: Of the report published last. Shape (1,).
-        waypoint_header: Of the way-point in force. Shape (1,).
-        fresh: Whether it was published since the last report.
+        duration: Of a way-point published since the last report (s); 0 = there is none.
         limits: See the module.
     """
     limit = limits[0]
@@ -414,7 +427,7 @@ def tracking(
     least = most - limit["fastest"]
     if remaining == most:
         return _FINE  # a step that was computed again, for its command; or no way-point yet
-    if fresh:  # the overrun of the last point, of a period at most, is subtracted
-        most = waypoint_header[0]["duration"]
+    if duration != 0.0:  # the overrun of the last point, of a period at most, is subtracted
+        most = duration
         least = most - limit["control_period"] - limit["fastest"]
     return _FINE if least - _EXACT <= remaining <= most - limit["slowest"] + _EXACT else _REMAINING

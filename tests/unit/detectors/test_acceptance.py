@@ -171,6 +171,8 @@ BROKEN = [
     (BOTH, "path", ("y", 1), np.inf),
     (BOTH, "path", ("z", 1), -3.0),
     (BOTH, "path", ("x", 0), 15.0),
+    (BOTH, "path", ("y", 0), 4.5),
+    (NEW, "path", "junction", -2),
     (BOTH, "path", ("x", 2), 20.0),
     (NEW, "the way back", ("x", 2), 1.0),
     (BOTH, "trajectory", "trajectory_seq", 3),
