@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors import rules
+from mavfi.detectors import following, rules
 from mavfi.detectors.detector import Alarm
 from mavfi.detectors.gate import IMPLAUSIBLE
 from mavfi.detectors.limits import MissionLimits
@@ -17,7 +17,6 @@ from mavfi.states import ODOMETRY, State, floats, new_state
 
 SOURCE = "acceptance"
 _WAYPOINT_FLOATS, _VEHICLE_FLOATS = 11, 6
-_FINE = -1
 _KEPT = 3
 """Trajectories that a way-point may name: the one in force, the one that waits, and one to spare."""
 _COUNTERS = 4
@@ -153,7 +152,7 @@ def _judge_waypoint(known: Published, state: State, now: int) -> int:
     before, newest = known.headers[_WAYPOINT], known.headers[_TRAJECTORY]
     points = known.points_of(int(header["trajectory_seq"][0]))
     values = floats(header, _WAYPOINT_FLOATS)
-    return rules.waypoint(values, header, before, newest, points, known.motion(), known.limits)
+    return following.waypoint(values, header, before, newest, points, known.motion(), known.limits)
 
 
 def _note_waypoint(known: Published, state: State, now: int) -> None:
@@ -162,7 +161,7 @@ def _note_waypoint(known: Published, state: State, now: int) -> None:
 
 
 def _judge_command(known: Published, state: State, now: int) -> int:
-    return rules.command(state.header, known.headers[_COMMAND], known.switched, known.limits)
+    return following.command(state.header, known.headers[_COMMAND], known.switched, known.limits)
 
 
 def _note_command(known: Published, state: State, now: int) -> None:
@@ -172,9 +171,9 @@ def _note_command(known: Published, state: State, now: int) -> None:
 
 def _judge_tracking(known: Published, state: State, now: int) -> int:
     if not known.held:
-        return _FINE  # nobody reads it
+        return rules.FINE  # nobody reads it
     duration = float(known.headers[_WAYPOINT]["duration"][0]) if known.fresh else 0.0
-    return rules.tracking(state.header, known.headers[_TRACKING], duration, known.limits)
+    return following.tracking(state.header, known.headers[_TRACKING], duration, known.limits)
 
 
 def _note_tracking(known: Published, state: State, now: int) -> None:

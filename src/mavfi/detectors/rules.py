@@ -1,5 +1,7 @@
 """Rules of physics and protocol, compiled: each says which field of a publication breaks it.
 
+Here those of what is predicted and planned; of what is followed, in `following`.
+
 A rule returns the place of the field among the header's and then the element's fields, or -1.  Comparisons are written
 so that a value that is no number breaks them.  `limits` is the record of `MissionLimits.numbers`.
 """
@@ -15,40 +17,36 @@ from mavfi.states import STATES
 NO_COLLISION = 30.0
 """`time_to_collision` where there is none (s)."""
 POINT_WIDTH = 11
-_FINE = -1
-_EXACT = 1e-9
-_LARGEST_YAW_RATE = 1.5708
+"""Columns of a trajectory point, those of a way-point."""
+FINE = -1
+"""No field breaks the rule."""
+EXACT = 1e-9
+"""Rounding."""
 _LARGEST_YAW = math.pi + 1e-6
-_LARGEST_HELD_YAW = 4.0
-"""Yaw of a vehicle that stands, plus what it turns to look around (rad)."""
 _END = 0.5
 """Distance of a trajectory's end from its path's (m)."""
 _WAY_BACK = 6.0
 """Longest way back, where no way to the goal is found (m)."""
 _SPLICE = 1e-3
-_WINDOW = 50
-"""Points of a new trajectory among which an interpolated reference may begin."""
+"""Between the start of a path and the point of a trajectory that it continues (m)."""
 
 
-def _places(state: str, *fields: str) -> tuple[int, ...]:
+def places(state: str, *fields: str) -> tuple[int, ...]:
+    """Places of fields among those of a state's header and then of its elements."""
     spec = STATES[state]
     names = [own.name for own in (*spec.header, *spec.elements)]
     return tuple(map(names.index, fields))
 
 
-_TIME, _BLOCKED, _UNKNOWN, _COUNTER, _CHECKED, _FLAG = _places(
+_TIME, _BLOCKED, _UNKNOWN, _COUNTER, _CHECKED, _FLAG = places(
     "perception.collision_status", "time_to_collision", "distance_to_blocked", "distance_to_unknown",
     "future_collision_seq", "trajectory_seq", "collision",
 )  # fmt: skip
-_ENTRY, _PATH_EPOCH, _JUNCTION, _VERTEX = _places(
+_ENTRY, _PATH_EPOCH, _JUNCTION, _VERTEX = places(
     "planning.path", "entry_speed", "future_collision_seq", "junction", "x"
 )
-_NUMBER, _EPOCH, _POINT = _places("planning.trajectory", "trajectory_seq", "future_collision_seq", "x")
-_YAW, _VELOCITY, _ACCELERATION, _DURATION, _FOLLOWED, _FOLLOWED_EPOCH, _INDEX = _places(
-    "planning.waypoint", "yaw", "vx", "ax", "duration", "trajectory_seq", "future_collision_seq", "index"
-)
-_YAW_RATE, _COMMAND_DURATION = _places("control.command", "yaw_rate", "duration")
-_REMAINING = 0
+_NUMBER, _EPOCH, _POINT = places("planning.trajectory", "trajectory_seq", "future_collision_seq", "x")
+YAW, VELOCITY, ACCELERATION, DURATION = places("planning.waypoint", "yaw", "vx", "ax", "duration")
 
 
 @kernel_jit
@@ -77,7 +75,7 @@ def status(header: np.ndarray, before: np.ndarray, trajectory: np.ndarray, limit
             return _FLAG
     if not flag and time != NO_COLLISION:
         return _TIME
-    return known_space(header, int(trajectory[0]["trajectory_seq"])) if limit["every_map"] else _FINE
+    return known_space(header, int(trajectory[0]["trajectory_seq"])) if limit["every_map"] else FINE
 
 
 @kernel_jit
@@ -94,7 +92,7 @@ def known_space(header: np.ndarray, newest: int) -> int:
         return _UNKNOWN
     if number != -1 and not (1 <= number <= newest and number >= newest - 1):
         return _CHECKED
-    return _FINE
+    return FINE
 
 
 @kernel_jit
@@ -103,7 +101,7 @@ def far_from(point: np.ndarray, other: np.ndarray, most: float) -> int:
     for axis in range(3):
         if not abs(point[axis] - other[axis]) <= most:
             return axis
-    return _FINE
+    return FINE
 
 
 @kernel_jit
@@ -112,7 +110,7 @@ def outside(point: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> int:
     for axis in range(3):
         if not (lower[axis] <= point[axis] <= upper[axis]):
             return axis
-    return _FINE
+    return FINE
 
 
 @kernel_jit
@@ -139,7 +137,7 @@ def path(
     if not (0.0 <= entry <= limit["speed"]) or (entry > 0.0 and not abs(entry - speed) <= limit["entry"]):
         return _ENTRY
     if len(vertices) == 0:
-        return _FINE
+        return FINE
     for index in range(len(vertices)):
         axis = outside(vertices[index], limit["lower"], limit["upper"])
         if axis >= 0:
@@ -169,11 +167,11 @@ def _start(
     """A path starts at its junction with the trajectory in force, or near the vehicle (m). `first` has shape (3,)."""
     if not _spliced(header, limits):
         axis = far_from(first, vehicle[:3], limits[0]["near"])
-        return _FINE if axis < 0 else _VERTEX + axis
+        return FINE if axis < 0 else _VERTEX + axis
     said = int(header[0]["junction"])
     found = _junction(first, flown, said)
     if found == said:
-        return _FINE
+        return FINE
     if found >= 0 or not 0 <= said < len(flown):
         return _JUNCTION
     return _VERTEX + far_from(first, flown[said, :3], _SPLICE)
@@ -186,7 +184,7 @@ def _end(vertices: np.ndarray, header: np.ndarray, limits: np.ndarray) -> int:
     axis = far_from(last, limit["goal"], limit["near"])
     if axis >= 0 and limit["every_map"] and not _spliced(header, limits) and header[0]["entry_speed"] == 0.0:
         axis = far_from(last, vertices[0], _WAY_BACK)
-    return _FINE if axis < 0 else _VERTEX + axis
+    return FINE if axis < 0 else _VERTEX + axis
 
 
 @kernel_jit
@@ -197,7 +195,7 @@ def _junction(start: np.ndarray, flown: np.ndarray, said: int) -> int:
     for index in range(len(flown)):
         if far_from(start, flown[index, :3], _SPLICE) < 0:
             return index
-    return _FINE
+    return FINE
 
 
 @kernel_jit
@@ -233,7 +231,7 @@ def trajectory(
             axis = far_from(points[count - 1, :3], end, _END)
         if axis >= 0:
             return _POINT + axis
-    return _FINE
+    return FINE
 
 
 @kernel_jit
@@ -254,18 +252,18 @@ def point(values: np.ndarray, last: bool, limits: np.ndarray) -> int:
     found = outside(values[:3], limit["lower"], limit["upper"])
     if found >= 0:
         return found
-    if not abs(values[_YAW]) <= _LARGEST_YAW:
-        return _YAW
-    found = too_fast(values[_VELOCITY : _VELOCITY + 3], limit["speed"])
+    if not abs(values[YAW]) <= _LARGEST_YAW:
+        return YAW
+    found = too_fast(values[VELOCITY : VELOCITY + 3], limit["speed"])
     if found >= 0:
-        return _VELOCITY + found
+        return VELOCITY + found
     for axis in range(3):
         # held points are tracked without it: whatever is finite will do
-        if not (limit["held"] or abs(values[_ACCELERATION + axis]) <= limit["acceleration"]):
-            return _ACCELERATION + axis
-    duration, period = values[_DURATION], limit["point_period"]
-    whole = abs(duration - period) <= _EXACT
-    return _FINE if whole or (last and 0.0 < duration <= period) else _DURATION
+        if not (limit["held"] or abs(values[ACCELERATION + axis]) <= limit["acceleration"]):
+            return ACCELERATION + axis
+    duration, period = values[DURATION], limit["point_period"]
+    whole = abs(duration - period) <= EXACT
+    return FINE if whole or (last and 0.0 < duration <= period) else DURATION
 
 
 @kernel_jit
@@ -282,152 +280,9 @@ def step(values: np.ndarray, before: np.ndarray, last: bool, limits: np.ndarray)
     """
     limit = limits[0]
     for axis in range(3):
-        moved, speed = values[axis] - before[axis], values[_VELOCITY + axis]
-        if not last and not abs(speed - before[_VELOCITY + axis]) <= limit["change"]:
-            return _VELOCITY + axis
-        if not abs(moved - speed * values[_DURATION]) <= limit["step"]:
+        moved, speed = values[axis] - before[axis], values[VELOCITY + axis]
+        if not last and not abs(speed - before[VELOCITY + axis]) <= limit["change"]:
+            return VELOCITY + axis
+        if not abs(moved - speed * values[DURATION]) <= limit["step"]:
             return axis
-    return _FINE
-
-
-@kernel_jit
-def waypoint(
-    values: np.ndarray, header: np.ndarray, before: np.ndarray, newest: np.ndarray, points: np.ndarray,
-    vehicle: np.ndarray, limits: np.ndarray,
-) -> int:  # fmt: skip
-    """Way-point: the next point of a trajectory that was published, or a hold where the vehicle comes to rest (m).
-
-    Args:
-        values: Position, yaw, velocity, acceleration, duration. Shape (11,).
-        header: Of the way-point. Shape (1,).
-        before: Of the way-point published last. Shape (1,).
-        newest: Header of the trajectory published last. Shape (1,).
-        points: Of the trajectory that it names. Shape (n, 11), or (0, 11) if none has that number.
-        vehicle: Position (m) and velocity (m/s). Shape (6,).
-        limits: See the module.
-    """
-    new, old, limit = header[0], before[0], limits[0]
-    number, index, epoch = int(new["trajectory_seq"]), int(new["index"]), int(new["future_collision_seq"])
-    earlier = int(old["future_collision_seq"])
-    if not limit["every_map"] and not (earlier <= epoch <= max(earlier, int(newest[0]["future_collision_seq"]))):
-        return _FOLLOWED_EPOCH
-    if index < 0 or len(points) == 0:
-        if index == -1:
-            return hold(values, vehicle, limits) if number == 0 else _FOLLOWED
-        return _FOLLOWED if len(points) == 0 and number != 0 else _INDEX
-    same = number == int(old["trajectory_seq"]) and int(old["index"]) >= 0
-    least = int(old["index"]) if same else 0
-    most = least + 1 if same else _WINDOW - 1
-    if limit["held"]:
-        least = most = least + 1 if same else 0
-    if not least <= index <= min(most, len(points) - 1):
-        return _INDEX
-    if limit["held"]:
-        return copied(values, points[index])
-    return between(values, points[index], points[min(index + 1, len(points) - 1)], limits)
-
-
-@kernel_jit
-def hold(values: np.ndarray, vehicle: np.ndarray, limits: np.ndarray) -> int:
-    """Column of a hold that is not at rest (m/s, m/s^2) where the vehicle stops (m), or -1. Shapes (11,), (6,)."""
-    limit = limits[0]
-    for axis in range(3):
-        if not abs(values[axis] - vehicle[axis] - limit["lag"] * vehicle[3 + axis]) <= limit["hold"]:
-            return axis
-    if not abs(values[_YAW]) <= _LARGEST_HELD_YAW:
-        return _YAW
-    for column in range(_VELOCITY, _DURATION):
-        if values[column] != 0.0:
-            return column
-    return _FINE if values[_DURATION] == limit["point_period"] else _DURATION
-
-
-@kernel_jit
-def copied(values: np.ndarray, other: np.ndarray) -> int:
-    """First column that differs, or -1. Shapes (11,)."""
-    for column in range(len(other)):
-        if values[column] != other[column]:
-            return column
-    return _FINE
-
-
-@kernel_jit
-def between(values: np.ndarray, start: np.ndarray, end: np.ndarray, limits: np.ndarray) -> int:
-    """Column of an interpolated way-point that does not lie between two points on a clock that may be slow, or -1.
-
-    Yaw and duration are those of the first. The clock's change adds to the acceleration (m/s^2). Shapes (11,).
-    """
-    for axis in range(3):
-        low, high = min(start[axis], end[axis]), max(start[axis], end[axis])
-        if not (low - _EXACT <= values[axis] <= high + _EXACT):
-            return axis
-        column = _VELOCITY + axis
-        low, high = min(start[column], end[column]), max(start[column], end[column])
-        if not (min(low, 0.0) - _EXACT <= values[column] <= max(high, 0.0) + _EXACT):
-            return column
-        column = _ACCELERATION + axis
-        if not abs(values[column]) <= abs(start[column]) + limits[0]["clock"]:
-            return column
-    if values[_YAW] != start[_YAW]:
-        return _YAW
-    return _FINE if values[_DURATION] == start[_DURATION] else _DURATION
-
-
-@kernel_jit
-def command(header: np.ndarray, before: np.ndarray, switched: bool, limits: np.ndarray) -> int:
-    """Command: velocity (m/s) and yaw rate (rad/s) within their limits, for one control period (s).
-
-    While a held way-point stays in force, the velocity changes little.
-
-    Args:
-        header: Of the command; no plain vector, which would cost as much as the rule. Shape (1,).
-        before: Of the command published last. Shape (1,).
-        switched: Whether a way-point was published since.
-        limits: See the module.
-    """
-    new, old, limit = header[0], before[0], limits[0]
-    x, y, z = new["vx"], new["vy"], new["vz"]
-    if not x * x + y * y + z * z <= limit["command"] ** 2:
-        return _largest(x, y, z)
-    if not abs(new["yaw_rate"]) <= _LARGEST_YAW_RATE:
-        return _YAW_RATE
-    if new["duration"] != limit["control_period"]:
-        return _COMMAND_DURATION
-    x, y, z = x - old["vx"], y - old["vy"], z - old["vz"]
-    if limit["held"] and not switched and not max(abs(x), abs(y), abs(z)) <= limit["command_step"]:
-        return _largest(x, y, z)
-    return _FINE
-
-
-@kernel_jit
-def _largest(x: float, y: float, z: float) -> int:
-    """Which of three numbers is the largest, or else no number at all."""
-    values = (x, y, z)
-    largest = 0
-    for axis in range(3):
-        if math.isnan(values[axis]):
-            return axis
-        if abs(values[axis]) > abs(values[largest]):
-            largest = axis
-    return largest
-
-
-@kernel_jit
-def tracking(header: np.ndarray, before: np.ndarray, duration: float, limits: np.ndarray) -> int:
-    """Time that the way-point in force has left (s): it falls by at most a period, or begins with the duration.
-
-    Args:
-        header: Of the report. Shape (1,).
-        before: Of the report published last. Shape (1,).
-        duration: Of a way-point published since the last report (s); 0 = there is none.
-        limits: See the module.
-    """
-    limit = limits[0]
-    remaining, most = header[0]["remaining"], before[0]["remaining"]
-    least = most - limit["fastest"]
-    if remaining == most:
-        return _FINE  # a step that was computed again, for its command; or no way-point yet
-    if duration != 0.0:  # the overrun of the last point, of a period at most, is subtracted
-        most = duration
-        least = most - limit["control_period"] - limit["fastest"]
-    return _FINE if least - _EXACT <= remaining <= most - limit["slowest"] + _EXACT else _REMAINING
+    return FINE

@@ -1,33 +1,21 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from mavfi.detectors import load_detector, rules
+from mavfi.detectors import following, load_detector, rules
 from mavfi.detectors.acceptance import RULES, SOURCE, AcceptanceTest
-from mavfi.detectors.limits import MissionLimits
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus
 from mavfi.states import STATES, floats, new_state
-from tests.unit.detectors.streams import odometry
+from tests.unit.detectors.streams import LIMITS, odometry
 from tests.unit.detectors.test_registry import FITS
 
 STATUS, PATH, TRAJECTORY = "perception.collision_status", "planning.path", "planning.trajectory"
 WAYPOINT, COMMAND, TRACKING = "planning.waypoint", "control.command", "control.tracking"
-BOX = ((0.0, -10.0, 1.0), (60.0, 10.0, 11.0))
-COMMON = {
-    "v_max": 3.0, "a_max": 5.0, "flight": BOX, "goal": (30.0, 0.0, 3.0), "control_period": 0.02,
-    "planner_latency": 0.073, "plan_latency": 0.083, "velocity_lag": 0.4,
-}  # fmt: skip
-LIMITS = {
-    "published": MissionLimits(
-        held=True, every_map=False, point_period=0.5, look_ahead=0.3, slowdown_cap=10.0, **COMMON
-    ),
-    "hardened": MissionLimits(
-        held=False, every_map=True, point_period=0.02, look_ahead=0.0, command_limit=1.08, **COMMON
-    ),
-}  # fmt: skip
 NOW = 2_000_000
 HERE, SPEED = np.array([10.0, 0.0, 3.0]), np.array([2.0, 0.0, 0.0])
 START = {"published": HERE + [0.5, 0.0, 0.0], "hardened": HERE}
@@ -256,8 +244,7 @@ def test_repeated_alarms_are_told_by_the_epoch_of_the_last_trajectory():
     again = status(2, True, 4.0)
     once = flying("published", again)
     assert once.check(again, NOW).fields == (f"{STATUS}.collision",)
-    limits = LIMITS["published"]
-    repeated = AcceptanceTest(MissionLimits(**{**{f: getattr(limits, f) for f in limits.__slots__}, "repeated": True}))
+    repeated = AcceptanceTest(replace(LIMITS["published"], repeated=True))
     repeated.accept(again, NOW)
     assert repeated.check(again, NOW) is None
     answer = make(TRAJECTORY, trajectory_seq=1, future_collision_seq=2)
@@ -307,8 +294,9 @@ def test_judging_changes_nothing_and_memory_is_restored(stack):
 def test_compiled_rules_agree_with_plain_python(stack, monkeypatch):
     judged = [(flying(stack, *before), state) for state, before in everything(stack)]
     compiled = [detector.check(state, NOW) for detector, state in judged]
-    for name, found in list(vars(rules).items()):
-        monkeypatch.setattr(rules, name, getattr(found, "py_func", found))
+    for module in (rules, following):
+        for name, found in list(vars(module).items()):
+            monkeypatch.setattr(module, name, getattr(found, "py_func", found))
     assert [detector.check(state, NOW) for detector, state in judged] == compiled
 
 
