@@ -45,7 +45,7 @@ class Published:
 
     def __init__(self, limits: MissionLimits) -> None:
         self.limits = limits.numbers()
-        self.held, self.every_map = limits.held, limits.every_map
+        self.held = limits.held
         self._planning_us = int(_SHARE_OF_LATENCY * 1e6 * limits.planner_latency)
         self.start()
 
@@ -143,8 +143,9 @@ def _note_trajectory(known: Published, state: State, now: int) -> None:
     known.headers[_TRAJECTORY] = state.header
     if len(state.elements):
         content = state.elements.tobytes()
-        kept = list(known.trajectories.items())[1 - _KEPT :]
-        known.trajectories = dict([*kept, (int(state.header["trajectory_seq"][0]), (_points(content), content))])
+        number = int(state.header["trajectory_seq"][0])
+        kept = [item for item in known.trajectories.items() if item[0] != number][1 - _KEPT :]
+        known.trajectories = dict([*kept, (number, (_points(content), content))])
 
 
 def _judge_waypoint(known: Published, state: State, now: int) -> int:
