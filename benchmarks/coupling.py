@@ -14,6 +14,7 @@ import numpy as np
 from mavfi.faults.sampling import draw, stage_target
 from mavfi.hosts.local import Flight, fly
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus
 from tools.markers import between
@@ -43,7 +44,7 @@ def pair(seed: int) -> dict[str, tuple[bool, float, float]]:
         name, _, coupling = arm.partition(" ")
         detector = None if name == "none" else detector_for(scenario, name, "paper")[0]
         golden, flight = (
-            fly(scenario, planned, detector, coupling="observer" if coupling == "observer" else "inline")
+            fly(scenario, planned, detector, recovery=Recovery("observer") if coupling == "observer" else INLINE)
             for planned in (None, fault)
         )
         success = flight.log.status is MissionStatus.SUCCESS

@@ -28,8 +28,8 @@ from mavfi.faults.spec import InstructionRequest, StateRequest, parse
 from mavfi.hosts.host import ArmSetup, Flight
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import Coupling
-from mavfi.hosts.watching import detector_for
+from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.watching import detector_for, with_keys_of
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import allow_typed
 from mavfi.reports.flight_result import FlightResult
@@ -62,11 +62,12 @@ def fly(
         BadInputError: Something is not known, or does not fit together.
     """
     spec = _spec(mission, options)
+    spec = with_keys_of(spec, detector) if isinstance(detector, str) else spec
     scenario = resolve(spec)
     watching, label = _watching(scenario, detector, profile, models)
     if not isinstance(fault, str):
-        return _fly_fault(scenario, fault, watching, label, spec.coupling)
-    return fly_request(scenario, parse(fault, spec.localization), fault_seed, watching, label, spec.coupling)
+        return _fly_fault(scenario, fault, watching, label, Recovery.of(spec))
+    return fly_request(scenario, parse(fault, spec.localization), fault_seed, watching, label, Recovery.of(spec))
 
 
 def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **options: Any) -> Fault:
@@ -151,7 +152,7 @@ def figure(runs: Runs, name: str) -> "Figure":
 
 def fly_request(
     scenario: Scenario, request: StateRequest | InstructionRequest | None, seed: int, detector: Detector | None,
-    label: str, coupling: Coupling,
+    label: str, recovery: Recovery,
 ) -> FlightResult:  # fmt: skip
     """Fly the golden run, draw the requested fault (None = only the golden run) from it, and fly that.
 
@@ -159,14 +160,14 @@ def fly_request(
         BadInputError: The mission has no such site.
     """
     fault, golden = (None, None) if request is None else draw_request(scenario, request, seed)
-    return _fly_fault(scenario, fault, detector, label, coupling, golden if detector is None else None)
+    return _fly_fault(scenario, fault, detector, label, recovery, golden if detector is None else None)
 
 
 def _fly_fault(
-    scenario: Scenario, fault: Fault | None, detector: Detector | None, label: str, coupling: Coupling,
+    scenario: Scenario, fault: Fault | None, detector: Detector | None, label: str, recovery: Recovery,
     golden: Flight | None = None,
 ) -> FlightResult:  # fmt: skip
-    setup = ArmSetup(scenario, None if detector is None else lambda: detector, coupling)
+    setup = ArmSetup(scenario, None if detector is None else lambda: detector, recovery)
     flights = LocalHost().mission({label: setup}, fast_forward=False)
     if golden is not None:
         flights.know(label, golden)

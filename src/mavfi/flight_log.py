@@ -87,7 +87,8 @@ class AlarmRecord:
         score: How anomalous, in units of the threshold.
         fields: Fields that stand out, "state.field".
         action: What the host did: "recompute", "abandon" or "stop".
-        outcome: What came of it: "replaced", "repaired", or "accepted" (the same value again).
+        outcome: What came of it: "replaced", "repaired", "accepted" (the same value again), "rejected" (it broke
+            a rule again), or "restarted" (the node).
     """
 
     time_s: float

@@ -5,7 +5,7 @@ import json
 from enum import Enum
 from typing import Any, Literal
 
-from pydantic import AliasChoices, ConfigDict, Field
+from pydantic import AliasChoices, ConfigDict, Field, field_validator
 
 from mavfi.config import (
     STRONGEST_WIND,
@@ -30,6 +30,9 @@ LARGEST_SEED = 2**63 - 1
 TIME_LIMIT_FACTOR = 4.5
 """Time limit / (course / v_max)."""
 
+DeadNode = Literal["end", "fresh", "latched", "readback", "recompute"]
+"""What becomes of a node that dies, see `hosts.loop.restarts`."""
+
 
 class MissionStatus(Enum):
     """How a flight ended; the value is a sentence for people."""
@@ -40,6 +43,7 @@ class MissionStatus(Enum):
     TIMEOUT = "Did not reach the goal in time."
     NO_PATH = "Found no path to the goal."
     INVALID_STATE = "The state of the vehicle is not finite."
+    NODE_DIED = "A node of the pipeline died."
 
     @property
     def label(self) -> str:
@@ -80,9 +84,35 @@ class MissionSpec(Config):
     coupling: Literal["inline", "observer"] = Field(
         "inline", description="Of a detector: inline (a gate before the value is seen) or observer (one step late)."
     )
+    grain: Literal["stage", "kernel"] = Field(
+        "stage", description="Computed again after an alarm: the stage, or only the kernel that wrote the value."
+    )
+    same_twice: Literal["accept", "escalate"] = Field(
+        "accept", description="A recomputation that breaks a rule again: accept, or escalate to a restart of the node."
+    )
+    answer_s: float = Field(
+        0.0, ge=0.0, le=60.0, description="Time for a path to answer an alarm, s; then the planner restarts; 0 = never."
+    )
+    dead_node: DeadNode = Field(
+        "fresh",
+        description="What becomes of a node that dies: end (of the mission), fresh (restarted without memory), latched "
+        "(fresh, gets an unanswered alarm again), readback (latched, reads its last outputs), recompute (the step).",
+    )
+    alarm: Literal["one_shot", "repeated"] | None = Field(
+        None, description="Of the collision check: one_shot, or repeated until answered; the profile's by default."
+    )
+    epoch_liveness: float | None = Field(
+        None, ge=0, le=1e6, description="Time until a refused sequence number is accepted, s, 0 = never; the profile's."
+    )
+
+    @field_validator("dead_node", mode="before")
+    @classmethod
+    def _older_name(cls, value: object) -> object:
+        return "fresh" if value == "restart" else value
 
 
-_OPTIONS = ("wind", "localization")
+_OPTIONS = ("wind", "localization", "dead_node")
+_STACK_OPTIONS = ("alarm",)
 
 
 class Scenario(Config):
@@ -102,6 +132,7 @@ class Scenario(Config):
     goal: Vector | None = None
     wind: WindConfig = WindConfig()
     localization: LocalizationConfig = LocalizationConfig()
+    dead_node: DeadNode = "fresh"
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; options that are off are left out, so that a mission without them keeps its key."""
@@ -109,6 +140,9 @@ class Scenario(Config):
         for name in _OPTIONS:
             if getattr(self, name) == Scenario.model_fields[name].default:
                 del data[name]
+        for name in _STACK_OPTIONS:
+            if getattr(self.stack, name) == StackConfig.model_fields[name].default:
+                del data["stack"][name]
         return data
 
     def key(self) -> str:

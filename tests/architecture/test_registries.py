@@ -90,7 +90,7 @@ def test_what_the_paper_flew_is_shipped():
 
 def test_detectors_that_learn_are_entry_points_with_a_file_each():
     assert list(trainable()) == ["gaussian", "autoencoder"]
-    assert set(config.names("detectors")) == set(trainable()) <= set(detector_names())
+    assert set(config.names("detectors")) == {*trainable(), "recommended"} <= set(detector_names())
     assert [settings_of(name, "tuned").gate for name in (*trainable(), "another")] == [True] * 3
 
 

@@ -107,6 +107,13 @@ CASES = {
     "autoencoder": lambda: (
         mission(), detector_of("autoencoder", "paper", mission()), fault("planning.waypoint", "x", 4, 61)
     ),
+    "acceptance": lambda: (
+        mission(), detector_of("acceptance", "paper", mission()), fault("planning.trajectory", "y", 1, 62, element=9)
+    ),
+    "acceptance hardened": lambda: (
+        mission("hardened"), detector_of("acceptance", "paper", mission("hardened")),
+        fault("planning.waypoint", "x", 4, 61),
+    ),
     "tuned": lambda: (
         mission("hardened"), detector_of("autoencoder", "tuned", mission("hardened")),
         fault("planning.waypoint", "x", 4, 61),

@@ -16,6 +16,7 @@ from mavfi.hosts.host import ArmSetup
 from mavfi.hosts.local import fast_forward, fly
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.mission_flights import LocalHost
+from mavfi.hosts.loop.recovery import Recovery
 from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
 from tests.hosts.test_checkpoints import Nervous, content, detector_of
 
@@ -155,8 +156,8 @@ def test_an_observer_is_fast_forwarded_too():
     for make in (Nervous, ARMS["published"]["gaussian"]):
         for injected in (None, FAULTS[0], FAULTS[3], FAULTS[6], FAULTS[8]):
             detector = make()
-            mine = forward.fly(injected, detector, make.__name__, "observer")
-            assert content(mine.log) == content(fly(mission(), injected, make(), coupling="observer").log)
+            mine = forward.fly(injected, detector, make.__name__, Recovery("observer"))
+            assert content(mine.log) == content(fly(mission(), injected, make(), recovery=Recovery("observer")).log)
     assert forward.share.flown < forward.share.ticks
 
 

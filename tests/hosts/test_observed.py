@@ -4,13 +4,16 @@ import pytest
 
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.recovery import Recovery
 from mavfi.states import ODOMETRY
 from tests.hosts.missions import STACKS, Scripted, fault, golden, mission
+
+OBSERVER = Recovery("observer")
 
 
 @pytest.mark.parametrize("stack", STACKS)
 def test_a_detector_that_only_watches_changes_nothing(stack):
-    flight = fly(mission(stack), None, Scripted(), coupling="observer")
+    flight = fly(mission(stack), None, Scripted(), recovery=OBSERVER)
     assert flight.log.digest() == golden(stack).log.digest()
     assert flight.log.alarms == []
 
@@ -18,7 +21,7 @@ def test_a_detector_that_only_watches_changes_nothing(stack):
 def test_consumers_have_seen_the_value_that_raises_the_alarm():
     """The wrong command is flown for one control period; as a gate the detector would have kept it away."""
     wrong = fault("control.command", "vy", 3.0, 62)
-    observed = fly(mission(), wrong, Scripted("control.command", n=151), coupling="observer")
+    observed = fly(mission(), wrong, Scripted("control.command", n=151), recovery=OBSERVER)
     gated = fly(mission(), wrong, Scripted("control.command", n=151))
     (hit,) = observed.log.injections
     assert hit.after in observed.log.column("command_vy")
@@ -36,7 +39,7 @@ def test_consumers_have_seen_the_value_that_raises_the_alarm():
 )  # fmt: skip
 def test_the_stage_computes_again_one_step_later(state, stage, n):
     detector = Scripted(state, n=n, stage=stage)
-    flight = fly(mission(), None, detector, coupling="observer")
+    flight = fly(mission(), None, detector, recovery=OBSERVER)
     (alarm,) = flight.log.alarms
     assert (alarm.action, alarm.state) == ("recompute", state)
     assert alarm.outcome in ("repaired", "accepted")
@@ -49,7 +52,7 @@ def test_the_stage_computes_again_one_step_later(state, stage, n):
 
 def test_perception_uses_the_same_image_again():
     detector = Scripted("perception.collision_status", n=5, stage="perception")
-    fly(mission(), None, detector, coupling="observer")
+    fly(mission(), None, detector, recovery=OBSERVER)
     ((alarmed_us, _),) = detector.alarmed
     later = [name for time_us, name in detector.accepted if time_us >= alarmed_us and "odometry" not in name]
     first = next(name for name in later[1:] if name.startswith(("sensor", "perception")))
@@ -58,14 +61,14 @@ def test_perception_uses_the_same_image_again():
 
 @pytest.mark.parametrize(("request_", "action"), [({"stop": True}, "stop"), ({"abandon_waypoint": True}, "abandon")])
 def test_hand_over_obeys_at_its_next_step(request_, action):
-    flight = fly(mission(), None, Scripted("control.command", n=200, **request_), coupling="observer")
+    flight = fly(mission(), None, Scripted("control.command", n=200, **request_), recovery=OBSERVER)
     (alarm,) = flight.log.alarms
     assert (alarm.action, alarm.outcome) == (action, "replaced")
     assert flight.log.meta["recompute_us"]["control"] > 0
 
 
 def test_an_alarm_for_another_stage_has_that_stage_run_again():
-    flight = fly(mission(), None, Scripted("planning.waypoint", n=5, stage="control"), coupling="observer")
+    flight = fly(mission(), None, Scripted("planning.waypoint", n=5, stage="control"), recovery=OBSERVER)
     (alarm,) = flight.log.alarms
     assert alarm.outcome == "accepted"
     assert flight.log.meta["recompute_us"] == {"perception": 0, "planning": 0, "control": 460}
@@ -77,7 +80,7 @@ def test_an_alarm_at_the_estimate_has_the_filter_run_again_and_nothing_else():
     detector = Scripted(name, 1275, "perception")
     scenario = mission("hardened", localization="estimator")
     loop = new_loop(scenario)
-    watch(loop, detector, "observer")
+    watch(loop, detector, OBSERVER)
     rolled = {kernel: count_rollbacks(loop.kernels[kernel], seen) for kernel in loop.kernels}
     log = loop.fly().log
     ((alarmed_us, _),) = detector.alarmed
@@ -104,7 +107,6 @@ def count_rollbacks(kernel, seen):
 def test_flights_repeat():
     wrong = fault("planning.waypoint", "x", 3.0, 55)
     flights = [
-        fly(mission(), wrong, Scripted("planning.waypoint", n=6, stage="planning"), coupling="observer")
-        for _ in range(2)
+        fly(mission(), wrong, Scripted("planning.waypoint", n=6, stage="planning"), recovery=OBSERVER) for _ in range(2)
     ]
     assert flights[0].log.digest() == flights[1].log.digest()

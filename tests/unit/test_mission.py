@@ -29,10 +29,12 @@ def test_a_scenario_survives_json_with_the_same_key():
 
 def test_options_that_are_off_are_not_in_the_key():
     plain = resolve(MissionSpec(environment="dense", seed=7)).to_json()
-    assert "wind" not in plain and "localization" not in plain
-    full = resolve(MissionSpec(environment="dense", seed=7, wind=2.0, localization="estimator"))
+    assert not {"wind", "localization", "dead_node"} & set(plain) and "alarm" not in plain["stack"]
+    on = {"wind": 2.0, "localization": "estimator", "dead_node": "readback", "alarm": "repeated"}
+    full = resolve(MissionSpec(environment="dense", seed=7, **on))
     data = json.loads(json.dumps(full.to_json()))
     assert data["wind"]["gust"] == 2.0 and data["localization"]["kind"] == "estimator"
+    assert data["dead_node"] == "readback" and data["stack"]["alarm"] == "repeated"
     assert Scenario.model_validate(data) == full
 
 
@@ -40,5 +42,13 @@ def test_whatever_decides_the_flight_changes_the_key():
     base = {"environment": "dense", "seed": 7}
     changes = [{}, {"seed": 8}, {"environment": "sparse"}, {"stack": "hardened"}, {"platform": "cortex-a57"},
                {"v_max": 2.0}, {"goal": (50.0, 0.0, 3.0)}, {"depth_noise": 0.1}, {"wind": 3.0},
-               {"localization": "estimator"}]  # fmt: skip
+               {"localization": "estimator"}, {"dead_node": "end"}, {"alarm": "repeated"},
+               {"epoch_liveness": 1.0}]  # fmt: skip
     assert len({resolve(MissionSpec(**base | change)).key() for change in changes}) == len(changes)
+
+
+def test_a_mission_changes_rules_of_its_profile():
+    plain = resolve(MissionSpec(autopilot="hardened"))
+    assert resolve(MissionSpec(autopilot="hardened", alarm="one_shot", epoch_liveness=3.0)) == plain
+    own = resolve(MissionSpec(autopilot="hardened", alarm="repeated", epoch_liveness=0.0)).stack
+    assert own == plain.stack.model_copy(update={"alarm": "repeated", "epoch_liveness": 0.0})

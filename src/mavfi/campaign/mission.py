@@ -21,6 +21,7 @@ from mavfi.errors import MachineError, SpecMismatchError, machine_failure
 from mavfi.faults.instruction.forked import WALL_CLOCK, run_in_child
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Host, MissionFlights, Recorded, find_host
+from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.watching import detector_for
 from mavfi.mission import Scenario
 
@@ -104,7 +105,7 @@ def setup_of(plan: MissionPlan, arm: Arm, host: Host) -> ArmSetup:
             )
         return detector
 
-    return ArmSetup(scenario, make if arm.detector else None, spec.coupling)
+    return ArmSetup(scenario, make if arm.detector else None, Recovery.of(spec))
 
 
 def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:

@@ -17,6 +17,7 @@ from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Draw, Sampler, draws_of
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.config import checked
+from mavfi.detectors.registry import mission_keys
 from mavfi.faults.fault import Fault, fault_from_json
 from mavfi.flight_record import End, FlightRecord, canonical
 from mavfi.mission import MissionStatus
@@ -238,7 +239,12 @@ def arms_of(campaign: Campaign) -> tuple[Arm, ...]:
     """The campaign's own mission, the variants that its sampling scheme needs, and its arms."""
     variants = sampler_for(campaign).variants
     arms = [
-        Arm(name, config.mission, config.detector, config.profile if config.detector else "")
+        Arm(
+            name,
+            {**mission_keys(config.detector), **config.mission},
+            config.detector,
+            config.profile if config.detector else "",
+        )
         for name, config in campaign.arms.items()
     ]
     return (Arm(), *(Arm(name, overrides, is_variant=True) for name, overrides in variants.items()), *arms)

@@ -124,5 +124,5 @@ def _recorded(store: Store, spec: RunSpec) -> tuple[Flight, list[Publication]]:
     def note(state: State, time_us: int) -> None:
         seen.append(Publication(time_us, state.copy()))
 
-    flight = fly(setup.scenario, spec.fault, detector, coupling=setup.coupling, recorders=(note,))
+    flight = fly(setup.scenario, spec.fault, detector, recovery=setup.recovery, recorders=(note,))
     return flight, seen

@@ -76,7 +76,7 @@ def _fault(result: FlightResult) -> list[RenderableType]:
     if fault is None or effect is None:
         return []
     log = result.log
-    story = [line for injection in log.injections for line in injection_lines(injection, fault, log.kernel)]
+    story = [line for injection in log.injections for line in injection_lines(injection, fault, log)]
     return [Text(), story_table([*story, ("effect", f"{effect.label}: {_MEANING.get(effect, effect.value)}")])]
 
 

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from mavfi.mission import Scenario
 
 DEFAULT_PROFILE = "paper"
+RECOVERY = ("coupling", "grain", "same_twice", "answer_s")
+"""Options of a mission that say how alarms are answered."""
 
 
 @options.with_mission_options
@@ -44,10 +46,13 @@ def fly(  # noqa: PLR0913 - one parameter per option
     with compiling(instrumented=fault is not None and fault.startswith("instruction")):
         from mavfi.api import fly_request
         from mavfi.hosts.loop.compose import resolve
+        from mavfi.hosts.loop.recovery import Recovery
+        from mavfi.hosts.watching import with_keys_of
 
+        mission = with_keys_of(mission, detector)
         scenario = resolve(mission)
         watching, label = load_watcher(detector, profile, models, scenario)
-        result = fly_request(scenario, request, fault_seed or 0, watching, label, mission.coupling)
+        result = fly_request(scenario, request, fault_seed or 0, watching, label, Recovery.of(mission))
     if save is not None:
         result.log.save(save)
     if picture is not None:
@@ -75,10 +80,17 @@ def check_company(
         check_seed("--fault-seed", fault_seed)
         if fault is None:
             raise BadInputError(f"--fault-seed: {fault_seed}: no fault to draw; allowed: together with --fault")
-    coupling = None if mission.coupling == "inline" else mission.coupling
-    for name, value in {"--profile": profile, "--models": models, "--coupling": coupling}.items():
+    if mission.dead_node != "fresh" and not (fault or "").startswith("instruction:"):
+        text = "no node can die; allowed: together with --fault instruction:KERNEL"
+        raise BadInputError(f"--dead-node: {mission.dead_node}: {text}")
+    given = {f"--{key.replace('_', '-')}": getattr(mission, key) for key in RECOVERY if _is_chosen(mission, key)}
+    for name, value in {"--profile": profile, "--models": models, **given}.items():
         if value is not None and detector == "none":
             raise BadInputError(f"{name}: {value}: nothing watches the flight; allowed: together with --detector")
+
+
+def _is_chosen(mission: MissionSpec, key: str) -> bool:
+    return bool(getattr(mission, key) != MissionSpec.model_fields[key].default)
 
 
 def load_watcher(

@@ -107,12 +107,17 @@ def option_name(field: str) -> str:
 
 
 def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
-    kind: Any = field.annotation
-    kind = str if get_origin(kind) is Literal else kind
+    kind: Any = str if _words(field) else field.annotation
     metavar = "X Y Z" if kind == Vector | None else None
     option = typer.Option(option_name(name), *_ALIASES.get(name, ()), help=field.description, metavar=metavar)
     annotation = Annotated[kind, option]
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=field.default, annotation=annotation)
+
+
+def _words(field: FieldInfo) -> tuple[str, ...]:
+    """Allowed values of a field that takes one of a few words, or none of them; empty = it takes other values."""
+    kinds = (field.annotation, *get_args(field.annotation))
+    return next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ())
 
 
 def _allowed(name: str) -> str:
@@ -120,8 +125,8 @@ def _allowed(name: str) -> str:
     field = MissionSpec.model_fields[name]
     if name == "seed":
         return f"0 to {LARGEST_SEED}"
-    if get_origin(field.annotation) is Literal:
-        return ", ".join(get_args(field.annotation))
+    if words := _words(field):
+        return ", ".join(words)
     bounds = [getattr(bound, side) for bound in field.metadata for side in ("ge", "le") if hasattr(bound, side)]
     return " to ".join(f"{float(str(bound)):g}" for bound in bounds) or str(field.description)
 

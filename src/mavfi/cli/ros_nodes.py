@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from mavfi.flight_log import FlightLog, Injection
     from mavfi.hosts.host import Flight
     from mavfi.hosts.ros1.plan import CloudNode, Plan
+    from mavfi.mission import MissionSpec
 
 _LONGEST_S = 1e6
 _Value = TypeVar("_Value")
@@ -44,6 +45,14 @@ def renamed(name: str, value: _Value | None, old_name: str, old_value: _Value | 
     if old_value is not None:
         console(error=True).print(f"mavfi: {old_name}: deprecated, is now {name}", markup=False)
     return old_value if value is None else value
+
+
+def check_mission(mission: MissionSpec, detector: str) -> None:
+    """Check that ROS can fly a mission, with the keys that go with a detector; raises `BadInputError` if not."""
+    from mavfi.hosts.ros1.plan import check_supported
+    from mavfi.hosts.watching import with_keys_of
+
+    check_supported(with_keys_of(mission, detector))
 
 
 def cloud_node(text: str) -> CloudNode:
@@ -97,10 +106,11 @@ def without_registers(plan: Plan, with_fault: bool) -> Flight:
     In lock-step its digest is that of the flight on ROS.
     """
     from mavfi.hosts.local import fly
+    from mavfi.hosts.loop.recovery import Recovery
     from mavfi.hosts.ros1.pinhole import functions_of
 
     fault = plan.fault if with_fault else None
-    return fly(plan.scenario, fault, plan.detector, coupling=plan.coupling, functions=functions_of(plan))
+    return fly(plan.scenario, fault, plan.detector, recovery=Recovery(plan.coupling), functions=functions_of(plan))
 
 
 def effect(plan: Plan, log: FlightLog) -> str | None:

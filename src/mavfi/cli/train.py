@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mavfi.detectors.model import Model
 
 
-@partial(options.with_mission_options, without=("environment", "seed", "start", "goal", "coupling"))
+@partial(options.with_mission_options, without=("environment", "seed", "start", "goal", "coupling", "dead_node"))
 def train(
     mission: MissionSpec,
     flights: Annotated[

@@ -1,12 +1,13 @@
 """Detectors: they watch published states and ask for recomputation; they know no faults."""
 
 from mavfi.detectors.detector import Alarm, Detector
+from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.model import Model, check_fits
 from mavfi.detectors.parts import Reading, Scorer, ScoringDetector, Threshold, Verdict
 from mavfi.detectors.recorder import Recorder, Recording
 from mavfi.detectors.registry import detector_names, load_detector
 
 __all__ = [
-    "Alarm", "Detector", "Model", "Reading", "Recorder", "Recording", "Scorer", "ScoringDetector",
+    "Alarm", "Detector", "MissionLimits", "Model", "Reading", "Recorder", "Recording", "Scorer", "ScoringDetector",
     "Threshold", "Verdict", "check_fits", "detector_names", "load_detector",
 ]  # fmt: skip

@@ -11,12 +11,13 @@ class Alarm:
     """A detector's request for recovery.
 
     Attributes:
-        source: Which detector or gate raised it, e.g. "gaussian", "autoencoder", "physics_gate".
+        source: Which detector or gate raised it, e.g. "gaussian", "autoencoder", "acceptance", "physics_gate".
         stage: Stage to recompute: "perception", "planning" or "control".
         abandon_waypoint: The way-point in force is dropped for the next one (the paper's autoencoder policy).
         stop: Alarms persist: stop and plan anew.
         score: How anomalous, in units of the threshold (> 1 is an alarm).
         fields: The monitored fields that stand out, "state.field".
+        hard: A rule is broken, not a statistic exceeded: the same value twice is no proof that it is right.
     """
 
     source: str
@@ -25,6 +26,7 @@ class Alarm:
     stop: bool = False
     score: float = 0.0
     fields: tuple[str, ...] = ()
+    hard: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""

@@ -29,7 +29,8 @@ _SEQUENCE, _TRAJECTORY = 0, 1
 
 
 @kernel_jit
-def _not_finite(values: np.ndarray) -> int:
+def first_not_finite(values: np.ndarray) -> int:
+    """Index of the first value that is not finite, or -1. `values` has shape (n,)."""
     for index in range(len(values)):
         if not math.isfinite(values[index]):
             return index
@@ -37,14 +38,24 @@ def _not_finite(values: np.ndarray) -> int:
 
 
 @kernel_jit
-def _too_fast(velocity: np.ndarray, limit: float) -> int:
-    """Index of the largest component of a velocity that is too large; scaled, so that squares cannot overflow."""
-    largest = int(np.argmax(np.abs(velocity)))
+def too_fast(velocity: np.ndarray, limit: float) -> int:
+    """Index of the largest component of a velocity that is too large, or -1.
+
+    Args:
+        velocity: Finite (m/s); scaled, so that squares cannot overflow. Shape (3,).
+        limit: Largest speed (m/s).
+    """
+    largest = 0
+    for axis in range(1, 3):
+        if abs(velocity[axis]) > abs(velocity[largest]):
+            largest = axis
     scale = abs(velocity[largest])
     if not (scale > 0.0):
         return _FINE
-    speed = scale * math.sqrt(np.sum((velocity / scale) ** 2))
-    return _FINE if speed <= limit else largest
+    total = 0.0
+    for axis in range(3):
+        total += (velocity[axis] / scale) ** 2
+    return _FINE if scale * math.sqrt(total) <= limit else largest
 
 
 @kernel_jit
@@ -55,8 +66,8 @@ def implausible_command(values: np.ndarray, limits: np.ndarray) -> int:
         values: vx, vy, vz (m/s), then others. Shape (>= 3,).
         limits: Largest speed (m/s), lower and upper corner of the arena (m). Shape (7,).
     """
-    found = _not_finite(values)
-    return found if found >= 0 else _too_fast(values[:3], limits[_SPEED])
+    found = first_not_finite(values)
+    return found if found >= 0 else too_fast(values[:3], limits[_SPEED])
 
 
 @kernel_jit
@@ -68,7 +79,7 @@ def implausible_waypoint(values: np.ndarray, before: np.ndarray, limits: np.ndar
         before: Position of the way-point before it on the same trajectory (m). Shape (3,), or (0,) if there is none.
         limits: As of `implausible_command`.
     """
-    found = _not_finite(values)
+    found = first_not_finite(values)
     if found >= 0:
         return found
     step = limits[_SPEED] * abs(values[10]) + STEP_MARGIN
@@ -79,7 +90,7 @@ def implausible_waypoint(values: np.ndarray, before: np.ndarray, limits: np.ndar
             return axis
     if not (abs(values[3]) <= LARGEST_YAW):
         return 3
-    found = _too_fast(values[4:7], limits[_SPEED])
+    found = too_fast(values[4:7], limits[_SPEED])
     return _FINE if found < 0 else found + 4
 
 

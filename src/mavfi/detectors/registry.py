@@ -1,4 +1,4 @@
-"""Detectors by name: the two of the paper, those of other packages, and `package:Class`."""
+"""Detectors by name: the two of the paper, the acceptance test, those of other packages, and `package:Class`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,6 +9,7 @@ from pydantic import Field
 from mavfi.config import Config, names, shipped
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.gate import UNKNOWN_ARENA, PhysicsGate
+from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
 from mavfi.detectors.parts import Chain
 from mavfi.detectors.preprocess import PROFILES
@@ -18,11 +19,14 @@ from mavfi.plugins import build, known, load_object, parameters_of
 GROUP = "mavfi.detectors"
 """Entry points of this group are detectors: classes without arguments; or, where a class says its `model_kind`, with a
 trained model of that kind and profile.  `mavfi train` fits those that have `fit(sample, preprocessor, figures)`, which
-gives the model's parameters; the figures are those of configs/detectors/<name>.yaml."""
+gives the model's parameters; the figures are those of configs/detectors/<name>.yaml.  A class with a true
+`needs_limits` is made with the `MissionLimits` of what is flown."""
 SHIPPED_MODELS = Path(__file__).parents[1] / "data" / "models"
 _SHIPPED = {
     "gaussian": "mavfi.detectors.gaussian:GaussianDetector",
     "autoencoder": "mavfi.detectors.autoencoder:AutoencoderDetector",
+    "acceptance": "mavfi.detectors.acceptance:AcceptanceTest",
+    "recommended": "mavfi.detectors.acceptance:AcceptanceTest",
     "none": "mavfi.detectors.registry:NoDetector",
 }
 
@@ -41,6 +45,7 @@ class DetectorConfig(Config):
     name: str = Field(description="entry point of the group mavfi.detectors")
     paper: ProfileSettings = Field(ProfileSettings(), description="as the paper's")
     tuned: ProfileSettings = Field(ProfileSettings(gate=True), description="limits by field and regime")
+    mission: dict[str, Any] = Field({}, description="keys of a mission that go with it, where these are not chosen")
 
 
 class NoDetector(Chain):
@@ -66,9 +71,17 @@ def settings_of(name: str, profile: str) -> ProfileSettings:
     """
     if profile not in PROFILES:
         raise BadInputError(f"detector profile {profile!r}: not known; allowed: {', '.join(PROFILES)}")
-    config = shipped("detectors", DetectorConfig, name) if name in names("detectors") else DetectorConfig(name=name)
-    found: ProfileSettings = getattr(config, profile)
+    found: ProfileSettings = getattr(_config_of(name), profile)
     return found
+
+
+def mission_keys(name: str) -> Mapping[str, Any]:
+    """Keys of a mission that go with a detector: how its alarms are answered, and how nodes come back."""
+    return _config_of(name).mission
+
+
+def _config_of(name: str) -> DetectorConfig:
+    return shipped("detectors", DetectorConfig, name) if name in names("detectors") else DetectorConfig(name=name)
 
 
 def load_detector(
@@ -81,8 +94,8 @@ def load_detector(
         name: One of `detector_names()`, or "package:Class".
         profile: "paper" or "tuned".
         models_dir: Folder of trained models; None = the shipped ones.
-        fits: What the model must have been trained for: stack, platform, v_max (m/s), planner; `arena`, if given, is
-            the lower and upper corner that the physics gate lets way-points be in (m).
+        fits: What the model must have been trained for: stack, platform, v_max (m/s), planner; `limits`, if given, are
+            the `MissionLimits` that rules hold publications to; their arena is that of the physics gate.
         policy: Recovery policy instead of the profile's.
         gate: Whether the physics gate stands in front; None = as the profile says.
         sigmas: The paper's n instead of the model's.
@@ -91,7 +104,7 @@ def load_detector(
         The detector, and the sha256 of its trained model ("" where it has none).
 
     Raises:
-        BadInputError: No such detector, profile or model.
+        BadInputError: No such detector, profile or model, or no limits for one that needs them.
         SpecMismatchError: The model was trained for something else.
     """
     settings = settings_of(name, profile)
@@ -99,8 +112,9 @@ def load_detector(
         return NoDetector(), ""
     factory = load_object("detector", name, GROUP, _SHIPPED)
     kind = getattr(factory, "model_kind", None)
+    limits: MissionLimits | None = fits.get("limits")
     if kind is None:
-        return _build(name, factory), ""
+        return _build(name, factory, *_needed(name, factory, limits)), ""
     path = (models_dir or SHIPPED_MODELS) / f"{model_name(fits['stack'], fits['platform'], str(kind), profile)}.json"
     model = _load_model(path, str(kind), profile, fits)
     try:
@@ -108,7 +122,7 @@ def load_detector(
     except BadInputError as error:
         raise BadInputError(f"{path}: {error}") from None
     if settings.gate if gate is None else gate:
-        detector = Chain(PhysicsGate(float(fits["v_max"]), fits.get("arena", UNKNOWN_ARENA)), detector)
+        detector = Chain(PhysicsGate(float(fits["v_max"]), UNKNOWN_ARENA if limits is None else limits.arena), detector)
     return detector, model.sha256
 
 
@@ -122,7 +136,15 @@ def _load_model(path: Path, kind: str, profile: str, fits: Mapping[str, Any]) ->
     return model
 
 
-def _build(name: str, factory: Any, *arguments: Model, **options: object) -> Detector:  # noqa: ANN401
+def _needed(name: str, factory: Any, limits: MissionLimits | None) -> tuple[MissionLimits, ...]:  # noqa: ANN401
+    if not getattr(factory, "needs_limits", False):
+        return ()
+    if limits is None:
+        raise BadInputError(f"detector {name!r}: needs the limits of the mission")
+    return (limits,)
+
+
+def _build(name: str, factory: Any, *arguments: Model | MissionLimits, **options: object) -> Detector:  # noqa: ANN401
     given = {key: value for key, value in options.items() if value is not None}
     unknown = set(given) - set(parameters_of("detector", name, factory))
     if unknown:

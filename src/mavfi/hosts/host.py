@@ -10,7 +10,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, StateFault
 from mavfi.flight_log import FlightLog, Profile
 from mavfi.flight_record import FlightRecord, record_of
-from mavfi.hosts.loop.recovery import Coupling
+from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import load_object
 
@@ -57,11 +57,11 @@ class Recorded(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ArmSetup:
-    """What one arm of a mission flies with: its scenario, and a factory of detectors (None = no detector)."""
+    """What one arm flies with: scenario, factory of detectors (None = no detector), answer to its alarms."""
 
     scenario: Scenario
     make_detector: Callable[[], Detector] | None = None
-    coupling: Coupling = "inline"
+    recovery: Recovery = INLINE
 
 
 class MissionFlights(Protocol):

@@ -2,10 +2,19 @@
 
 from pathlib import Path
 
+import numpy as np
+
 from mavfi.detectors.detector import Detector
-from mavfi.detectors.registry import load_detector
-from mavfi.mission import Scenario
-from mavfi.sim.environments import build_world
+from mavfi.detectors.limits import MissionLimits
+from mavfi.detectors.registry import load_detector, mission_keys
+from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
+from mavfi.mission import MissionSpec, Scenario
+from mavfi.platforms.compute import latency, stage_latency
+from mavfi.sim.environments import World, build_world
+from mavfi.states import Stage
+
+_ERROR_STEP = 0.6
+"""Largest change of the tracker's position error between two control periods (m)."""
 
 
 def detector_for(
@@ -32,6 +41,34 @@ def detector_for(
         "platform": scenario.platform.name,
         "v_max": scenario.v_max,
         "planner": scenario.planner.name,
-        "arena": (world.arena_lower.tolist(), world.arena_upper.tolist()),
+        "limits": limits_of(scenario, world),
     }
     return load_detector(name, profile, models_dir, fits)
+
+
+def with_keys_of(spec: MissionSpec, name: str) -> MissionSpec:
+    """A mission with the keys that go with a detector, as far as they are not chosen."""
+    fields = MissionSpec.model_fields
+    keys = {key: value for key, value in mission_keys(name).items() if getattr(spec, key) == fields[key].default}
+    return spec.model_copy(update=keys)
+
+
+def limits_of(scenario: Scenario, world: World) -> MissionLimits:
+    """What rules hold the publications of a mission to."""
+    stack, platform = scenario.stack, scenario.platform
+    period = 1e-6 * CONTROL_PERIOD_US
+    p, i, d = (max(map(abs, gains)) for gains in (stack.gain_p, stack.gain_i, stack.gain_d))
+    return MissionLimits(
+        v_max=scenario.v_max, a_max=scenario.a_max, arena=(_corner(world.arena_lower), _corner(world.arena_upper)),
+        flight=(_corner(world.flight_lower), _corner(world.flight_upper)), goal=_corner(world.goal),
+        held=stack.sampling == "held", every_map=stack.replanning == "every_map", point_period=stack.point_period,
+        control_period=period, look_ahead=stack.look_ahead, planner_latency=1e-6 * latency(platform, "planner"),
+        plan_latency=1e-6 * stage_latency(platform, Stage.PLANNING), velocity_lag=1.0 / scenario.vehicle.velocity_gain,
+        command_limit=stack.command_limit, command_step=_ERROR_STEP * (p + i * period + 2.0 * d / period),
+        slowdown_cap=stack.slowdown_cap, tracker_slowdown=platform.tracker_slowdown, camera_range=scenario.camera.range,
+        repeated=stack.alarm == "repeated",
+    )  # fmt: skip
+
+
+def _corner(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(map(float, values))

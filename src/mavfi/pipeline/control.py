@@ -1,5 +1,6 @@
 """Control: the tracker (MAVFI section III-A, kernel "PID")."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -91,3 +92,12 @@ class Tracker(Remembers):
         law, memory.remaining, fresh, waypoint = memory.marked
         memory.fresh = fresh or memory.waypoint is not waypoint
         memory.law[:] = law
+
+    def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
+        """Take up the time that the way-point in force has left: it is not new."""
+        tracking, waypoint = last.get("control.tracking"), last.get("planning.waypoint")
+        if tracking is None or waypoint is None:
+            return ()
+        self.receive(waypoint, time_us)
+        self.memory.remaining, self.memory.fresh = float(tracking.header["remaining"][0]), False
+        return ("planning.waypoint",)

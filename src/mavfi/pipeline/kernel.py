@@ -7,8 +7,10 @@ its platform.  `mark` and `rollback` let a host run a stage again from the same 
 The memory of a kernel is explicit, see `mavfi.pipeline.memory`: a host can save it, put it back, and compare it.
 
 A class may list in `quiet` the inputs that never make a step due: a host whose kernels are elsewhere then need not ask.
+A class whose `rollback` takes inputs back, which are then received again, has `again`, which does not: see `repeat`.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -52,6 +54,22 @@ class Kernel(Protocol):
 
     def rollback(self) -> None:
         """Put the memory back to the last mark; inputs stay."""
+
+    def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
+        """Begin where a node that died left off, before anything is received: read its own last outputs back.
+
+        Args:
+            last: The last publication of each state, as consumers saw it.
+            time_us: Now.
+
+        Returns:
+            States whose last publication is taken in by this, and is not to be received again.
+        """
+
+
+def repeat(kernel: Kernel) -> None:
+    """Prepare a kernel to take its last step again, on the inputs that it had."""
+    getattr(kernel, "again", kernel.rollback)()
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,7 @@
 """Perception: depth image -> point cloud -> map update -> collision status (MAVFI section III-A)."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -167,7 +168,9 @@ _Inputs = tuple[State | None, int, int, np.ndarray, float]
 
 
 class CollisionCheck(Remembers):
-    """Kernel `collision_check`: one-shot alarm by sequence numbers, or a check of every map.
+    """Kernel `collision_check`: alarm by sequence numbers, or a check of every map.
+
+    An alarm is one-shot, or repeated with the same number at each scan until the way-point in force answers it.
 
     The counter of collisions lives in the last published status, as in the published code, where the message is kept
     and sent again: counting continues from the received value, corrupted or not.
@@ -259,10 +262,11 @@ class CollisionCheck(Remembers):
         trajectory, index, epoch, position, remaining = self.memory.used
         if trajectory is None or index < 0 or index >= len(trajectory.elements):
             return [status]
-        if epoch < seq and not self._every_map:
-            return [status]  # one-shot: the consumers have not answered the last alarm yet
-        points = floats(trajectory.elements, 11).reshape(-1, 11)
         config = self._config
+        unanswered = epoch < seq and not self._every_map
+        if unanswered and config.stack.alarm == "one_shot":
+            return [status]
+        points = floats(trajectory.elements, 11).reshape(-1, 11)
         time = config.functions.time_to_collision(
             self.room.narrow, self.room.grid, position, points, index, remaining, config.stack.geofence
         )
@@ -278,7 +282,7 @@ class CollisionCheck(Remembers):
             time = max(time, 0.0) if blocked < np.inf else -1.0
         if time >= 0.0:
             header["time_to_collision"] = time
-            header["future_collision_seq"] = np.int32((seq + 1 + 2**31) % 2**32 - 2**31)
+            header["future_collision_seq"] = seq if unanswered else np.int32((seq + 1 + 2**31) % 2**32 - 2**31)
             header["collision"] = True
         return [status]
 
@@ -297,7 +301,18 @@ class CollisionCheck(Remembers):
         self.room.mark()
         self.memory.stepped = False
 
+    def again(self) -> None:
+        """Repeat the last step; the map stays, which it does not change."""
+        self.memory.again = self.memory.used is not None
+
     def rollback(self) -> None:
         """Take the map updates since the last mark back; a step since then is repeated with the inputs that it had."""
         self.room.rollback()
         self.memory.rolled_back = self.memory.stepped
+
+    def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
+        """Take up the last status: counting collisions continues from there."""
+        status = last.get("perception.collision_status")
+        if status is not None:
+            self.receive(status, time_us)
+        return ()

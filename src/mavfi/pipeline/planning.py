@@ -5,6 +5,7 @@ collision and when nothing is flown (the published code).  `every_map`: whenever
 short or makes no progress, from a junction at which the vehicle can still stop.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -294,3 +295,11 @@ class MotionPlanner(Remembers):
         decisions, random = self.memory.marked
         self.memory.decisions = decisions.copy()
         self.routes.random[:] = random
+
+    def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
+        """Take up the last trajectory of the node; its number of an alarm says which alarms are answered."""
+        trajectory = last.get("planning.trajectory")
+        if trajectory is not None:
+            self._take_trajectory(trajectory, time_us)
+            self.memory.decisions.acted_seq = int(trajectory.header["future_collision_seq"][0])
+        return ()

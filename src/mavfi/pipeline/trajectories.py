@@ -1,6 +1,7 @@
 """The trajectory generator: path -> timed trajectory (MAVFI section III-A); setpoints are in `waypoints`."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -207,6 +208,14 @@ class TrajectoryGenerator(Remembers):
     def rollback(self) -> None:
         """Restore the sequence number of `mark`."""
         self.memory.seq = self.memory.marked_seq
+
+    def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
+        """Take up the last trajectory: its number, and its points, onto which the next one may be spliced."""
+        trajectory = last.get("planning.trajectory")
+        if trajectory is not None:
+            self.memory.seq = int(trajectory.header["trajectory_seq"][0])
+            self.receive(trajectory, time_us)
+        return ()
 
 
 def _without_repeats(vertices: np.ndarray) -> np.ndarray:

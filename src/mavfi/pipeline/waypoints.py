@@ -4,6 +4,7 @@ Trajectories and collision messages are numbered; numbers below the last one are
 code.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -135,6 +136,33 @@ class WaypointHandOver(Remembers):
         inbox, self.memory.remaining, self.memory.published = self.memory.marked_inputs
         self.memory.inbox = inbox + self.memory.inbox
         self._load(self.memory.now.trajectory)
+
+    def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
+        """Take up the way-point in force, its numbers and, if it is a point of that, the last trajectory.
+
+        A vehicle that holds is sent only a trajectory that answers a later alarm than the hold does: another one may
+        be what it has given up.  A planner that hears nothing of its trajectory plans again.
+        """
+        del time_us
+        waypoint, trajectory = last.get("planning.waypoint"), last.get("planning.trajectory")
+        if waypoint is None:
+            return ()
+        number, epoch, index = (
+            int(waypoint.header[name][0]) for name in ("trajectory_seq", "future_collision_seq", "index")
+        )
+        taken = False
+        if trajectory is not None:
+            offered = int(trajectory.header["trajectory_seq"][0])
+            taken = offered == number if index >= 0 else int(trajectory.header["future_collision_seq"][0]) <= epoch
+            number = offered if taken else number
+        flown = trajectory if taken and index >= 0 else None
+        self.memory.published = waypoint
+        self._set(
+            trajectory=flown, index=-1 if flown is None else index, last_seq=number, epoch=epoch, seen_seq=epoch,
+            stopping=index < 0, clock=(float(max(index, 0)), 1.0, 0.0),
+        )  # fmt: skip
+        self._load(flown)
+        return ("planning.trajectory",) if taken else ()
 
     # ---- sequence numbers -------------------------------------------------------------------------------------------
     def _set(self, **changes: object) -> None:

@@ -41,7 +41,7 @@ def lines(found: Explanation) -> Lines:
     if not found.same:
         story.append(("note", "another digest than the stored one: other versions or another machine flew it"))
     for injection in log.injections:
-        story += injection_lines(injection, spec.fault, log.kernel)
+        story += injection_lines(injection, spec.fault, log)
     if log.kernel is None:
         story.append(("first difference", _difference(found.first)))
     story.append(("path", _path(found.departure)))
@@ -59,8 +59,18 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
     kernel = log.kernel
     if kernel is not None and kernel.effect in ("crash", "hang", "exception"):
         detail = f" ({kernel.detail})" if kernel.detail else ""
-        return f"{kernel.effect}{detail} of a kernel, its node was restarted; {_mission(log, golden)}"
+        return f"{kernel.effect}{detail} of a kernel, {after_death(log)}; {_mission(log, golden)}"
     return f"{_EFFECTS.get(effect, effect.label)}; {_mission(log, golden)}"
+
+
+_AFTER_DEATH = {"end": "the mission ended with it", "recompute": "its step was computed again"}
+
+
+def after_death(log: FlightLog) -> str:
+    """What became of the node of a kernel that died."""
+    policy = log.meta.get("scenario", {}).get("dead_node", "fresh")
+    how = "" if policy == "fresh" else f" ({policy})"
+    return _AFTER_DEATH.get(policy, f"its node was restarted{how}")
 
 
 def _mission(log: FlightLog, golden: FlightLog) -> str:
@@ -77,10 +87,10 @@ def _mission(log: FlightLog, golden: FlightLog) -> str:
     return f"the mission succeeds after {now:.2f} s ({signed_percent(now / before - 1)} against the golden run)"
 
 
-def injection_lines(injection: Injection, fault: Fault | None, kernel: KernelEffect | None) -> Lines:
+def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -> Lines:
     """The value before and after; of an instruction also its place in the source, and what its kernel did."""
     story = [("fault", _fault(injection, fault))]
-    details = injection.details
+    details, kernel = injection.details, log.kernel
     if injection.file:
         inlined = f", inlined at {', '.join(details['inlined'])}" if details.get("inlined") else ""
         variable = f" of {details['variable']}" if details.get("variable") else ""
@@ -91,7 +101,7 @@ def injection_lines(injection: Injection, fault: Fault | None, kernel: KernelEff
             f"({value_class}), call {details.get('call')}, instruction {details.get('index')}",
         ))  # fmt: skip
     if kernel is not None:
-        story.append(("kernel", _kernel(str(details.get("kernel", injection.site)), kernel)))
+        story.append(("kernel", _kernel(str(details.get("kernel", injection.site)), kernel, after_death(log))))
     return story
 
 
@@ -119,10 +129,10 @@ def _bit(bit: int, fault: Fault | None) -> str:
     return f"bit {bit} ({kind.replace('_', ' ')})" if kind else f"bit {bit}"
 
 
-def _kernel(name: str, kernel: KernelEffect) -> str:
+def _kernel(name: str, kernel: KernelEffect, after: str) -> str:
     text = f"{name}: {_KERNEL_EFFECTS.get(kernel.effect, kernel.effect)}"
     if kernel.detail:
-        text += f" ({kernel.detail}); the node was restarted"
+        text += f" ({kernel.detail}); {after}"
     if kernel.effect != "sdc":
         return text
     first = kernel.first_difference

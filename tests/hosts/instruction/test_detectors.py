@@ -12,6 +12,7 @@ from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.instruction.forking import Forks
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.recovery import Recovery
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 from tests.hosts.missions import Scripted
@@ -39,7 +40,7 @@ def effects(flights):
 def test_a_detector_that_never_alarms_changes_nothing(faults, coupling):
     both = [*faults["pid"], *faults["octomap"]]
     detector = Scripted("control.command", n=10**9)
-    watched = fly_instruction_faults(scenario(), both, detector, coupling=coupling).flights
+    watched = fly_instruction_faults(scenario(), both, detector, recovery=Recovery(coupling)).flights
     assert effects(watched) == effects(fly_instruction_faults(scenario(), both).flights)
 
 
@@ -67,7 +68,7 @@ def test_an_observer_sees_the_fault_when_its_consumers_do(faults):
     """What it asks for comes one step later, so the command with the fault has been flown."""
     for fault in faults["pid"]:
         detector = Scripted("control.command", n=fault.call + 1)
-        observed = fly_instruction_faults(scenario(), [fault], detector, coupling="observer")
+        observed = fly_instruction_faults(scenario(), [fault], detector, recovery=Recovery("observer"))
         (flight,) = observed.flights
         assert flight.log.injections[0].activated
         assert [alarm.action for alarm in flight.log.alarms] == ["recompute"]
@@ -80,7 +81,9 @@ def test_an_observer_sees_the_fault_when_its_consumers_do(faults):
 def test_an_observed_flight_with_a_fault_in_an_address():
     request = InstructionRequest({"pid": 1}, which="address")
     faults = draw_instruction_faults(scenario(), request, seed=3).faults["pid"]
-    observed = fly_instruction_faults(scenario(), faults, Scripted("control.command", n=40), coupling="observer")
+    observed = fly_instruction_faults(
+        scenario(), faults, Scripted("control.command", n=40), recovery=Recovery("observer")
+    )
     assert observed.golden.log.alarms and observed.flights[0].log.injections[0].activated
 
 
@@ -137,7 +140,7 @@ def test_a_recomputation_does_not_take_back_what_a_node_was_sent_when_it_started
     loop = Forks(scenario(), [], Scripted()).loop
     loop.begin()
     loop.run(until=150)
-    loop.actions["restart"](loop.now, "collision_check")
+    loop.actions["restart fresh"](loop.now, "collision_check")
     kernel = loop.kernels["collision_check"]
     cells = kernel.room.cells.copy()
     assert len(np.unique(cells)) > 1, "it knows the map"

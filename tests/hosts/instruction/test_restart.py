@@ -16,18 +16,31 @@ SEED = 500
 """A mission of Sparse in which the planner answers two predicted collisions."""
 
 
+def spec(**changes):
+    return resolve(MissionSpec(environment="sparse", seed=SEED, autopilot="published", **changes))
+
+
 @pytest.fixture(scope="module")
-def died():
-    """Flights whose planner died while it answered a predicted collision."""
-    scenario = resolve(MissionSpec(environment="sparse", seed=SEED, autopilot="published"))
+def faults():
+    """Faults in calls of the planner that answer a predicted collision."""
     wish = InstructionRequest({"rrt_connect": 40}, which="opcode:getelementptr", restart_s=0.57)
     faults = [
         replace(fault, bits=(46,))
-        for fault in draw_instruction_faults(scenario, wish, seed=1).faults["rrt_connect"]
+        for fault in draw_instruction_faults(spec(), wish, seed=1).faults["rrt_connect"]
         if fault.call > 0
     ]
-    logs = [flight.log for flight in fly_instruction_faults(scenario, faults[:4]).flights]
+    return faults[:4]
+
+
+def crashed(faults, policy):
+    logs = [flight.log for flight in fly_instruction_faults(spec(dead_node=policy), faults).flights]
     return [log for log in logs if log.kernel.effect == "crash"]
+
+
+@pytest.fixture(scope="module")
+def died(faults):
+    """Flights whose planner died while it answered a predicted collision."""
+    return crashed(faults, "fresh")
 
 
 def test_no_old_path_is_flown_anew_after_a_restart(died):
@@ -46,3 +59,12 @@ def test_plans_of_a_fresh_planner_have_old_counters_and_are_refused(died):
         assert log.count("collision_predicted") > 0
         plans = [event.time_us for event in log.events if event.kind == "plan"]
         assert len(plans) > 10, "it plans, again and again, and none of its plans is flown"
+
+
+@pytest.mark.parametrize(
+    ("policy", "label"),
+    [("latched", "success"), ("readback", "success"), ("recompute", "success"), ("end", "node_died")],
+)
+def test_other_policies_have_the_same_deaths_and_other_ends(faults, died, policy, label):
+    logs = crashed(faults, policy)
+    assert len(logs) == len(died) and {log.status.label for log in logs} == {label}

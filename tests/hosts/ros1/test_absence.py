@@ -8,7 +8,10 @@ import sys
 import pytest
 
 from mavfi.cli import run
+from mavfi.errors import BadInputError
 from mavfi.hosts.ros1 import finder, install
+from mavfi.hosts.ros1.host import Ros1Host
+from mavfi.mission import MissionSpec
 from tests.architecture.source import ROOT
 from tests.hosts.ros1.needs import ros
 
@@ -55,6 +58,7 @@ def test_modules_of_the_ros_host_need_no_ros_to_be_imported():
         (["--kill", "world@3"], "allowed: point_cloud, octomap"),
         (["--coupling", "observer"], "--detector"),
         (["--coupling", "both", "--detector", "gaussian"], "inline, observer"),
+        (["--dead-node", "readback"], "dead_node: 'readback': on ROS, roslaunch starts nodes again without memory"),
         (["--fault-seed", "3"], "--fault"),
         (["--fault", "state:no.such"], "no state"),
         (["--seed", "-1"], "--seed"),
@@ -67,6 +71,13 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, t
     assert run(["ros", "fly", *arguments]) == 2
     text = capsys.readouterr().err
     assert text.count("\n") == 1 and told in text
+
+
+def test_a_campaign_on_ros_refuses_other_policies_for_dead_nodes_too():
+    host = Ros1Host()
+    assert host.resolve(MissionSpec(dead_node="restart")).dead_node == "fresh"
+    with pytest.raises(BadInputError, match="dead_node: 'latched': on ROS, .*; allowed: fresh$"):
+        host.resolve(MissionSpec(dead_node="latched"))
 
 
 def test_packages_are_named_once_and_leave_the_big_ones_out():

@@ -18,6 +18,7 @@ from mavfi.errors import MavfiError
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.local import fly as fly_here
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.roll_call import is_alive
 from mavfi.hosts.ros1.session import configure
@@ -100,7 +101,7 @@ def test_a_flight_with_a_fault_and_an_observer():
     scenario = short()
     wrong = fault("planning.waypoint", "x", 4.0, 62)
     log = there(scenario, wrong, detector("gaussian", scenario), coupling="observer")
-    same(log, fly_here(scenario, wrong, detector("gaussian", scenario), coupling="observer").log)
+    same(log, fly_here(scenario, wrong, detector("gaussian", scenario), recovery=Recovery("observer")).log)
     assert log.alarms
 
 
@@ -123,7 +124,7 @@ def test_an_injected_estimate_and_a_detector_that_wants_it_again(coupling):
         return Scripted("perception.odometry", n=700, stage="perception")
 
     log = there(scenario, wrong, watching(), coupling=coupling)
-    same(log, fly_here(scenario, wrong, watching(), coupling=coupling).log)
+    same(log, fly_here(scenario, wrong, watching(), recovery=Recovery(coupling)).log)
     assert log.injections[0].activated and [alarm.action for alarm in log.alarms] == ["recompute"]
 
 

@@ -168,7 +168,7 @@ def fly(setup: ArmSetup, detector: Any, fault: Fault | None) -> Flight:
     """Later with each fault that changes something; a detector repairs, and raises a false alarm now and then."""
     scenario, seed = setup.scenario, setup.scenario.seed
     duration = 40.0 + seed % 7 + 10.0 * (scenario.environment.name == "dense") + 3.0 * (scenario.planner.name == "rrt")
-    duration += scenario.wind.gust + (setup.coupling == "observer")
+    duration += scenario.wind.gust + (setup.recovery.coupling == "observer")
     injections = [] if fault is None else _inject(fault)
     changed = any(injection.activated and injection.bit is not None for injection in injections)
     alarms, status = [], MissionStatus.SUCCESS

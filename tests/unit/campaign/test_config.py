@@ -133,6 +133,10 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
         ({"mission": {"wind": -1}}, "mission: key 'wind': -1"),
         ({"mission": {"localization": "gps"}}, "key 'localization': 'gps': not known; allowed: 'truth' or 'estimator'"),
         ({"mission": {"coupling": "tight"}}, "key 'coupling': 'tight'"),
+        ({"mission": {"dead_node": "warm"}}, "key 'dead_node': 'warm': not known; allowed: 'end', 'fresh'"),
+        ({"arms": {"x": {"dead_node": "read_back"}}}, "arms: key 'dead_node': 'read_back'"),
+        ({"arms": {"x": {"alarm": "twice"}}}, "arms: key 'alarm': 'twice'"),
+        ({"mission": {"epoch_liveness": -1}}, "mission: key 'epoch_liveness': -1"),
         ({"arms": {"x": {"environment": "dense"}}}, "arms.environment: belongs to the campaign"),
         ({"arms": {"x": {"wind": 99}}}, "arms: key 'wind': 99"),
         ({"arms": {"x": {"mission": {"colour": "red"}}}}, "arms: unknown key 'colour'"),
@@ -210,6 +214,8 @@ def test_every_key_of_a_mission_is_one_of_campaigns_and_arms():
         "start": (1.0, 2.0, 3.0), "goal": (9.0, 2.0, 3.0), "autopilot": "hardened", "planner": "rrt",
         "platform": "cortex-a57", "map": "octree", "map_resolution": 0.4, "vehicle": "small_quad", "v_max": 2.0,
         "depth_noise": 0.1, "wind": 3.0, "localization": "estimator", "coupling": "observer",
+        "dead_node": "readback", "alarm": "repeated", "epoch_liveness": 2.0, "grain": "kernel",
+        "same_twice": "escalate", "answer_s": 0.6,
     }  # fmt: skip
     assert set(values) == set(MissionSpec.model_fields) - {"environment", "seed"}
     for key, value in values.items():

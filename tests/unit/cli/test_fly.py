@@ -145,6 +145,10 @@ def test_a_mission_that_fails_is_no_failure_of_the_program(capsys, monkeypatch):
         (["--environment", "nowhere"], "a path to a .yaml, .bt or .ot file"),
         (["--environment", "Absent.BT"], "Absent.BT: there is no such file"),
         (["--fault-seed", "5"], "--fault-seed: 5: no fault to draw"),
+        (
+            ["--dead-node", "latched"],
+            "--dead-node: latched: no node can die; allowed: together with --fault instruction",
+        ),
         (["--profile", "tuned"], "--profile: tuned: nothing watches"),
         (["--models", "absent"], "--models: absent: nothing watches"),
         (["--detector", "mavfi.detectors.registry:NoDetector", "--profile", "tuned"], "has no profiles"),

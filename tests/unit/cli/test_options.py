@@ -16,6 +16,8 @@ VALUES = {
     "environment": "dense", "seed": 7, "start": (1.0, 2.0, 3.0), "goal": (9.0, 2.0, 3.0), "autopilot": "hardened",
     "planner": "rrt", "platform": "cortex-a57", "map": "octree", "map_resolution": 0.4, "vehicle": "small_quad",
     "v_max": 2.0, "depth_noise": 0.1, "wind": 3.0, "localization": "estimator", "coupling": "observer",
+    "dead_node": "readback", "alarm": "repeated", "epoch_liveness": 2.0, "grain": "kernel", "same_twice": "escalate",
+    "answer_s": 0.6,
 }  # fmt: skip
 
 
@@ -63,6 +65,10 @@ def test_the_older_name_of_the_autopilot_still_works(fly):
     assert MissionSpec(stack="hardened") == MissionSpec(autopilot="hardened")
 
 
+def test_the_older_name_of_a_fresh_restart_still_works(fly):
+    assert fly("--dead-node", "restart")[0] == MissionSpec(dead_node="restart") == MissionSpec(dead_node="fresh")
+
+
 @pytest.mark.parametrize("name", MissionSpec.model_fields)
 def test_every_key_says_what_it_is(name):
     description = MissionSpec.model_fields[name].description
@@ -79,6 +85,9 @@ def test_every_key_says_what_it_is(name):
         ({"map_resolution": 0.0}, "--map-resolution: 0.0: allowed: 0.02 to 5"),
         ({"localization": "gps"}, "--localization: 'gps': allowed: truth, estimator"),
         ({"coupling": "tight"}, "--coupling: 'tight': allowed: inline, observer"),
+        ({"dead_node": "warm"}, "--dead-node: 'warm': allowed: end, fresh, latched, readback, recompute"),
+        ({"alarm": "twice"}, "--alarm: 'twice': allowed: one_shot, repeated"),
+        ({"epoch_liveness": -1.0}, "--epoch-liveness: -1.0: allowed: 0 to 1e+06"),
         ({"start": (float("nan"), 0.0, 1.0)}, "--start: nan 0.0 1.0: allowed: three finite numbers (m)"),
         ({"goal": (0.0, float("inf"), 1.0)}, "--goal: 0.0 inf 1.0: allowed: three finite numbers (m)"),
     ],

@@ -1,4 +1,5 @@
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from mavfi.detectors.parts import Chain
 from mavfi.detectors.registry import NoDetector
 from mavfi.errors import BadInputError, SpecMismatchError
 from tests.architecture.source import ROOT
-from tests.unit.detectors.streams import command, flight, fly, waypoint
+from tests.unit.detectors.streams import LIMITS, command, flight, fly, waypoint
 
 FITS = {"stack": "published", "platform": "i9-9940x", "v_max": 3.0, "planner": "rrt_connect"}
 
@@ -32,7 +33,7 @@ def test_the_physics_gate_stands_in_front_of_tuned_detectors(model_folder):
 
 
 def test_the_arena_reaches_the_gate(model_folder):
-    fits = {**FITS, "arena": ((0.0, 0.0, 0.0), (10.0, 10.0, 10.0))}
+    fits = {**FITS, "limits": replace(LIMITS["published"], arena=((0.0, 0.0, 0.0), (10.0, 10.0, 10.0)))}
     detector, _ = load_detector("gaussian", "tuned", model_folder, fits)
     assert detector.check(waypoint([11.0, 5, 5], [0, 0, 0]), 0).fields == ("planning.waypoint.x",)
 
@@ -69,7 +70,7 @@ def test_a_detector_of_ones_own_is_found(monkeypatch):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("gausian", "not known; allowed: autoencoder, gaussian, none, or package:object"),
+        ("gausian", "not known; allowed: acceptance, autoencoder, gaussian, none, recommended, or package:object"),
         ("no_such_package:Detector", "cannot be imported"),
         ("json:NoSuchClass", "cannot be imported"),
         ("fractions:Fraction", "lacks start, check, accept"),

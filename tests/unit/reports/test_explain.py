@@ -96,7 +96,10 @@ def test_a_fault_in_an_instruction_has_the_same_story_with_source_line_and_kerne
     crashed = log(injections=[injection], kernel=KernelEffect("crash", "SIGSEGV"))
     story = told(found(crashed, fault=fault))
     assert story["verdict"].startswith("crash (SIGSEGV) of a kernel, its node was restarted; the mission succeeds")
-    assert story["kernel"] == "pid: crashed (SIGSEGV); the node was restarted"
+    assert story["kernel"] == "pid: crashed (SIGSEGV); its node was restarted"
+    for policy, what in (("readback", "its node was restarted (readback)"), ("end", "the mission ended with it")):
+        crashed.meta["scenario"] = {"dead_node": policy}
+        assert told(found(crashed, fault=fault))["kernel"] == f"pid: crashed (SIGSEGV); {what}"
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,10 @@ from mavfi.campaign.analysis.statistics import CONFIDENCE
 from mavfi.campaign.config import ArmConfig, Campaign, InstructionSampling, RegisterSampling, Sampling, StateSampling
 from mavfi.campaign.run import status, stored_campaign
 from mavfi.campaign.store import Store
+from mavfi.mission import MissionSpec
+
+_NAMED = ("dead_node", "alarm", "epoch_liveness")
+"""Keys of a mission that are named where they are not the defaults."""
 
 
 def describe(store: Store) -> dict[str, Any]:
@@ -60,6 +64,10 @@ def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
     if campaign.arms:
         arms = ", ".join(_arm(name, arm) for name, arm in sorted(campaign.arms.items()))
         lines.append(f"arms: {arms}; coupling {mission.coupling}; monitored set {campaign.monitored_set}")
+    own = [
+        f"{key} {value}" for key in _NAMED if (value := getattr(mission, key)) != MissionSpec.model_fields[key].default
+    ]
+    lines += [f"mission: {', '.join(own)}"] * bool(own)
     title = (
         f"campaign {campaign.name} · autopilot profile {mission.autopilot} · {mission.platform} · "
         f"{mission.planner}{speed}"

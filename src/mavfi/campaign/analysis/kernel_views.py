@@ -31,8 +31,8 @@ _DYING = (
 _RATES = "per cent, [95 % interval: Wilson, n reduced by the design effect of worlds], successes / n; bits of all kinds"
 _LEVEL = "SDC rates are quoted; crash, hang and exception rates are IR level, not machine level"
 _POLICIES = (
-    "after a crash, hang or exception: restart = the node is there again after the restart latency with fresh memory; "
-    "end = the mission has failed"
+    "after a crash, hang or exception: restart = the node is there again after the restart latency with fresh memory, "
+    "if the mission's dead_node does not say otherwise; end = the mission has failed"
 )
 _EFFECTS = (
     "masked: what the kernel publishes and remembers is bit for bit the golden; sdc: it is not; intervals: 95 %, "

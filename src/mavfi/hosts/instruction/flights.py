@@ -10,7 +10,7 @@ from mavfi.faults.fault import InstructionFault
 from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import flight_of
 from mavfi.hosts.instruction.forking import Forks
-from mavfi.hosts.loop.recovery import Coupling
+from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.mission import Scenario
 
 
@@ -21,7 +21,7 @@ class InjectedFlights:
     Attributes:
         golden: The flight without a fault; its pipeline is also that of the others.
         flights: With the faults, in their order.  `log.kernel` is the effect on the kernel; where it crashed, hung or
-            raised, the log is that of the flight in which its node was restarted.
+            raised, the log is that of the flight under the mission's policy for dead nodes.
     """
 
     golden: Flight
@@ -30,7 +30,7 @@ class InjectedFlights:
 
 def fly_instruction_faults(
     scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None,
-    golden: Flight | None = None, coupling: Coupling = "inline",
+    golden: Flight | None = None, recovery: Recovery = INLINE,
 ) -> InjectedFlights:  # fmt: skip
     """Fly one mission with each of a number of faults in instructions: they fork from one golden flight.
 
@@ -40,7 +40,7 @@ def fly_instruction_faults(
         detector: What watches; None = nothing.
         golden: The flight of this mission without a fault, with this detector, if it has been flown: then the golden
             flight stops once all faults have been injected.
-        coupling: Of the detector: "inline" or "observer".
+        recovery: Answer to alarms of the detector.
 
     Raises:
         MismatchError: A fault belongs to other machine code.
@@ -48,7 +48,7 @@ def fly_instruction_faults(
         MavfiError: The golden flight is another one.
     """
     with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
-        forks = Forks(scenario, faults, detector, coupling)
+        forks = Forks(scenario, faults, detector, recovery)
         if golden is None:
             return InjectedFlights(*forks.fly_all())
         prefix, cases = forks.fly_to_injections()

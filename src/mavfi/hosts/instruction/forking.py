@@ -2,8 +2,8 @@
 
 The golden flight runs plain kernels.  At an injected call it waits while a forked child makes the call with the fault
 and finishes the flight.  Where the child dies (crash, hang, exception), a second child continues from the same instant
-as a ROS graph would: the node's result is lost, and after the restart latency it is back with fresh memory.  Then the
-golden flight itself continues, to the next injected call.
+as the mission wants (`hosts.loop.restarts`); as a ROS graph would by default: the node's result is lost, and after the
+restart latency it is back with fresh memory.  Then the golden flight itself continues, to the next injected call.
 
 A detector's false alarm before the fault makes kernels run again, and so shifts the calls: the call that was drawn may
 then be shorter than the instruction's index, or have a narrower value there.  In flights with a detector the fault goes
@@ -29,7 +29,7 @@ from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, Output, case_of, flight_of
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
-from mavfi.hosts.loop.recovery import Coupling
+from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
@@ -83,7 +83,7 @@ class Forks:
 
     def __init__(
         self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None,
-        coupling: Coupling = "inline",
+        recovery: Recovery = INLINE,
     ) -> None:  # fmt: skip
         self.cases = [case_of(fault, scenario) for fault in faults]
         self.child: _Child | None = None
@@ -92,8 +92,8 @@ class Forks:
         functions = PLAIN.instrumented(names, lambda name, function: _ForkingFunction(self, name, function))
         self.loop = new_loop(scenario, functions=functions)
         self._watched = detector is not None
-        watch(self.loop, detector, coupling)
-        self._restarts = Restarts(self.loop)
+        watch(self.loop, detector, recovery)
+        self._restarts = Restarts(self.loop, scenario.dead_node)
         self.loop.after_step.append(self._stepped)
 
     # ---- injecting --------------------------------------------------------------------------------------------------
@@ -164,7 +164,7 @@ class Forks:
         elif child.case.kernel == kernel.name:
             if child.dead:
                 child.dead = False
-                self._restarts.die(kernel.name, now, round(1e6 * child.case.fault.restart_s))
+                self._restarts.die(kernel.name, now, round(1e6 * child.case.fault.restart_s), states)
             elif child.output is None:
                 child.output = Output.of(kernel, states)
 

@@ -23,13 +23,22 @@ from mavfi.flight_log import FlightLog, Profile
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local.checkpoints import Checkpoint, Instant, is_at, keeper_of, put, take
 from mavfi.hosts.loop.assemble import new_loop
-from mavfi.hosts.loop.recovery import Coupling, Watch
+from mavfi.hosts.loop.recovery import INLINE, Recovery, Watch
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.mission import Scenario
 from mavfi.states import State
 
 TICKS = {"dense": 50, "octree": 200}
 """Control ticks between two checkpoints, by the kind of map: an octree is copied whole each time."""
+
+
+class RestartWantedError(MavfiError):
+    """A detector wants a node restarted."""
+
+
+def _restart(kernel: str, now: int, after_us: int) -> None:
+    del now, after_us
+    raise RestartWantedError(f"the node of {kernel} is to be restarted")
 
 
 @dataclass(slots=True)
@@ -86,21 +95,24 @@ class FastForward:
         self._golden: dict[str, Track] = {}
         self._profile: Profile | None = None
         self._last: tuple[StateFault, Track] | None = None
-        self.coupling: Coupling = "inline"
+        self.recovery = INLINE
 
     def fly(
         self, fault: StateFault | None = None, detector: Detector | None = None, arm: str = "",
-        coupling: Coupling = "inline",
+        recovery: Recovery = INLINE,
     ) -> Flight:  # fmt: skip
         """Fly, as far as it is not known yet; only the golden flight without a detector has a profile.
 
         Args:
             fault: What to inject; None = golden flight.
             detector: None = none.  It is started where its flights begin.
-            arm: Name of the detector: the same name always comes with the same detector and coupling.
-            coupling: Of the detector.
+            arm: Name of the detector: the same name always comes with the same detector and recovery.
+            recovery: Answer to its alarms.
+
+        Raises:
+            RestartWantedError: A node is to be restarted, which a checkpoint does not know.
         """
-        self.coupling = coupling
+        self.recovery = recovery
         with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
             if fault is None:
                 track = self.golden(detector, arm)
@@ -184,7 +196,7 @@ class _Branch:
         self._shown: list[tuple[State, int]] = []
         self._flown = False
         self._log: FlightLog | None = None
-        self._coupling = forward.coupling
+        self._recovery = forward.recovery
         self.loop.status, self.loop.taps.detector = None, None
         self._watch()
         shows = keeps and detector is None
@@ -192,7 +204,7 @@ class _Branch:
 
     def _watch(self) -> None:
         if self._detector is not None:
-            self.loop.taps.detector = Watch(self.loop, self._detector.content, self._coupling)
+            self.loop.taps.detector = Watch(self.loop, self._detector.content, self._recovery, _restart)
 
     def remember(self, saved: Any) -> None:  # noqa: ANN401
         """Restore the memory of the detector, if there is one, from a checkpoint."""

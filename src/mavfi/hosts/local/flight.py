@@ -7,7 +7,7 @@ from mavfi.faults.fault import StateFault
 from mavfi.faults.state import StateInjector
 from mavfi.hosts.host import Flight
 from mavfi.hosts.loop.assemble import new_loop, watch
-from mavfi.hosts.loop.recovery import Coupling
+from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.taps import Recorder
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
@@ -15,7 +15,7 @@ from mavfi.pipeline.functions import PLAIN, KernelFunctions
 
 def fly(
     scenario: Scenario, fault: StateFault | None = None, detector: Detector | None = None, *,
-    coupling: Coupling = "inline", profile: bool = False, recorders: Sequence[Recorder] = (),
+    recovery: Recovery = INLINE, profile: bool = False, recorders: Sequence[Recorder] = (),
     functions: KernelFunctions = PLAIN,
 ) -> Flight:  # fmt: skip
     """Fly one mission; the same arguments give the same bytes.
@@ -24,7 +24,7 @@ def fly(
         scenario: The mission.
         fault: What to inject; None = golden flight.
         detector: What watches; None = nothing.
-        coupling: Of the detector, see `hosts.loop.recovery`.
+        recovery: Answer to its alarms.
         profile: Whether to note when which state was published.
         recorders: See what consumers see.
         functions: What the kernels call: the compiled functions, or instrumented ones.
@@ -35,6 +35,6 @@ def fly(
     loop = new_loop(scenario, profile=profile, functions=functions)
     if fault is not None:
         loop.taps.injector = StateInjector(fault)
-    watch(loop, detector, coupling)
+    watch(loop, detector, recovery)
     loop.taps.recorders.extend(recorders)
     return loop.fly()

@@ -6,7 +6,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, StateFault
 from mavfi.hosts.host import ArmFlights, ArmSetup, Flight
 from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.local.fast_forward import FastForward
+from mavfi.hosts.local.fast_forward import FastForward, RestartWantedError
 from mavfi.hosts.local.flight import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec, Scenario
@@ -68,7 +68,7 @@ class LocalFlights(ArmFlights):
         try:
             found = fly_instruction_faults(
                 setup.scenario, [fault for _, fault in batch], self._detector(arm), self._golden.get(arm),
-                setup.coupling,
+                setup.recovery,
             ).flights  # fmt: skip
         except Exception as error:  # noqa: BLE001 - it ends one of these flights, not the others
             if len(batch) == 1:
@@ -87,10 +87,12 @@ class LocalFlights(ArmFlights):
             key = setup.scenario.key()
             try:
                 forward = self._forward.get(key) or FastForward(setup.scenario)
-                flight = forward.fly(fault, detector, arm if detector is not None else "", setup.coupling)
+                flight = forward.fly(fault, detector, arm if detector is not None else "", setup.recovery)
+            except RestartWantedError:
+                self._forward[key] = forward  # it is put back to a checkpoint before the next flight
             except Exception:  # noqa: BLE001 - what cannot be copied or compared; the long way says what is recorded
                 self._forward.pop(key, None)
             else:
                 self._forward[key] = forward
                 return flight
-        return fly(setup.scenario, fault, detector, coupling=setup.coupling, profile=profile)
+        return fly(setup.scenario, fault, detector, recovery=setup.recovery, profile=profile)

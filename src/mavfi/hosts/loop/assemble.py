@@ -6,7 +6,8 @@ from functools import partial
 from mavfi.detectors.detector import Detector
 from mavfi.hosts.loop.compose import pipeline_config
 from mavfi.hosts.loop.plant import MakePlant
-from mavfi.hosts.loop.recovery import Coupling, Watch
+from mavfi.hosts.loop.recovery import INLINE, Recovery, Watch
+from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
@@ -42,10 +43,16 @@ def new_loop(
     return Loop(scenario, world, plant, partial(make_kernels, config), want_profile=profile, marks=rewindable)
 
 
-def watch(loop: Loop, detector: Detector | None, coupling: Coupling = "inline") -> None:
+def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) -> None:
     """Attach a detector, if there is one, to a flight that has not begun."""
     if detector is None:
         return
     loop.marks = True
-    loop.taps.detector = Watch(loop, detector, coupling)
+    restart = Restarts(loop, "readback").die if recovery.restarts else _never
+    loop.taps.detector = Watch(loop, detector, recovery, restart)
     detector.start()
+
+
+def _never(kernel: str, now: int, after_us: int) -> None:
+    del kernel, now, after_us
+    raise AssertionError("no node is restarted under this policy")

@@ -23,6 +23,8 @@ _DEFAULT_V_MAX = 3.0
 _NOMINAL_HULL = 0.35
 """Collision radius of the vehicle that the radii of a stack are meant for (m)."""
 _LEAST_POSITION_NOISE, _LEAST_HEADING_NOISE = 1e-3, 1e-3
+_RULES = ("alarm", "epoch_liveness")
+"""Rules of a profile that a mission can change."""
 _LIMITS = ("arena_lower", "arena_upper", "flight_lower", "flight_upper", "goal")
 
 
@@ -61,12 +63,19 @@ def resolve(spec: MissionSpec) -> Scenario:
         camera = configs.CameraConfig(noise=spec.depth_noise, range=world.camera_range)
     resolution = spec.map_resolution if spec.map_resolution is not None else world.map_resolution
     return Scenario(
-        environment=world, seed=spec.seed, stack=shipped("stacks", configs.StackConfig, spec.autopilot),
+        environment=world, seed=spec.seed, stack=_stack(spec),
         vehicle=find_vehicle(world.vehicle), platform=shipped("platforms", configs.PlatformConfig, spec.platform),
         planner=find_planner(spec.planner), camera=camera, map=_map_config(spec.map, resolution),
         v_max=speed, start=spec.start, goal=spec.goal, wind=parse(configs.WindConfig, {"gust": spec.wind}, "wind"),
         localization=parse(configs.LocalizationConfig, {"kind": spec.localization}, "localization"),
+        dead_node=spec.dead_node,
     )  # fmt: skip
+
+
+def _stack(spec: MissionSpec) -> configs.StackConfig:
+    """The rules of the autopilot profile, and what the mission changes of them."""
+    own = {name: value for name in _RULES if (value := getattr(spec, name)) is not None}
+    return shipped("stacks", configs.StackConfig, spec.autopilot).model_copy(update=own)
 
 
 def _map_config(kind: str, resolution: float | None) -> configs.MapConfig:

@@ -1,13 +1,16 @@
 """What an alarm leads to: `decide`, pure and the only place where that is decided; `Watch` applies it to a detector.
 
 Coupling `inline`: the detector is a gate.  The value is held back, the kernel goes back to the memory that it had, and
-is stepped again at once; the result is published, and accepted even if it is the same value.
+is stepped again at once; the result is published, and accepted even if it is the same value.  With `same_twice:
+escalate` it is judged again: a rule that is broken twice by the same inputs speaks of the node's memory, and the node
+is restarted.
 
 Coupling `observer`: the detector is a subscriber, as the paper's node.  Consumers have seen the value when the alarm
 comes, so the kernel goes back at its next step: at the next control period for planning and control, at the next image
 for perception, at the next IMU sample for the state estimator.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 from weakref import proxy
@@ -15,15 +18,55 @@ from weakref import proxy
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.errors import BadInputError
 from mavfi.flight_log import AlarmRecord
-from mavfi.states import STAGE_KERNELS, Stage, State, StateSpec
+from mavfi.mission import MissionSpec
+from mavfi.states import STAGE_KERNELS, STATES, Stage, State, StateSpec
 
 if TYPE_CHECKING:
     from mavfi.hosts.loop.scheduler import Loop
 
 Coupling = Literal["inline", "observer"]
+Grain = Literal["stage", "kernel"]
+SameTwice = Literal["accept", "escalate"]
+COLLISION, PATH = "perception.collision_status", "planning.path"
+RESTART_US = 20_000
+"""Until a node that is restarted after an alarm is back (us): it is there and makes its memory anew."""
+MOST_RESTARTS = 5
+"""In one flight: detectors can be wrong themselves, and must not keep a vehicle from flying."""
 SCANNING = STAGE_KERNELS[Stage.PERCEPTION]
 """Kernels that compute again together, from the image on."""
 WAYPOINT = "planning.waypoint"
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """How the alarms of a detector are answered; keys of a mission.
+
+    Attributes:
+        coupling: Of the detector.
+        grain: What is computed again: the `stage` with its latency, or only the `kernel` that wrote the value.
+        same_twice: What becomes of a recomputation that breaks a rule again (`Alarm.hard`): `accept`, or `escalate` to
+            a restart of the node.
+        answer_s: A collision alarm that no path answers for so long (s) restarts the planner's node; 0 = never.
+    """
+
+    coupling: Coupling = "inline"
+    grain: Grain = "stage"
+    same_twice: SameTwice = "accept"
+    answer_s: float = 0.0
+
+    @staticmethod
+    def of(spec: MissionSpec) -> "Recovery":
+        """As a mission wants it."""
+        return Recovery(spec.coupling, spec.grain, spec.same_twice, spec.answer_s)
+
+    @property
+    def restarts(self) -> bool:
+        """Whether nodes may be restarted."""
+        return self.same_twice == "escalate" or self.answer_s > 0
+
+
+INLINE = Recovery()
+"""A gate; the stage runs again, and the same value twice is accepted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,20 +74,23 @@ class Action:
     """Response to an alarm.
 
     Attributes:
-        kind: "recompute", or a request to the setpoint generator: "abandon" the way-point in force, or "stop".
+        kind: "recompute", a request to the setpoint generator: "abandon" the way-point in force, or "stop"; or
+            "restart" of the node of `kernel`.
         stage: Whose latency is charged.
         kernel: The kernel that is stepped again; "" = none, the latency alone is charged.
         restores: Kernels whose memory is put back before, in this order.
         awaited: The state whose next value comes from the recomputation, and passes; "" = none.
         withholds: Whether the value that raised the alarm is held back.
+        alone: Whether only `kernel` is stepped again, on the inputs that it had, with its own latency.
     """
 
-    kind: Literal["recompute", "abandon", "stop"]
+    kind: Literal["recompute", "abandon", "stop", "restart"]
     stage: Stage
     kernel: str = ""
     restores: tuple[str, ...] = ()
     awaited: str = ""
     withholds: bool = False
+    alone: bool = False
 
 
 class Awaited(NamedTuple):
@@ -54,8 +100,10 @@ class Awaited(NamedTuple):
     place: int
 
 
-def decide(alarm: Alarm, spec: StateSpec, coupling: Coupling) -> Action:
-    """The response to an alarm about a value of state `spec`; only a gate (`coupling`) holds values back.
+def decide(alarm: Alarm, spec: StateSpec, recovery: Recovery, *, again: bool = False) -> Action:
+    """The response to an alarm about a value of state `spec`, or (`again`) about the result of its recomputation.
+
+    Only a gate (coupling `inline`) holds values back.
 
     Raises:
         BadInputError: The alarm names a stage that cannot be run again.
@@ -63,11 +111,15 @@ def decide(alarm: Alarm, spec: StateSpec, coupling: Coupling) -> Action:
     if alarm.stage not in STAGE_KERNELS:
         text = f"stage {alarm.stage!r}: cannot be run again; allowed: {', '.join(STAGE_KERNELS)}"
         raise BadInputError(f"detector {alarm.source!r}: {text}")
-    stage, gated = Stage(alarm.stage), coupling == "inline"
+    stage, gated = Stage(alarm.stage), recovery.coupling == "inline"
+    if again:
+        return Action("restart", spec.stage, spec.writer, withholds=gated)
     if alarm.stop or alarm.abandon_waypoint:
         kind: Literal["abandon", "stop"] = "stop" if alarm.stop else "abandon"
         return Action(kind, Stage.CONTROL, "waypoint", (), WAYPOINT, gated and spec.name == WAYPOINT)
     if stage is spec.stage:
+        if recovery.grain == "kernel":
+            return Action("recompute", stage, spec.writer, (spec.writer,), spec.name, gated, alone=True)
         if spec.writer in SCANNING:
             return Action("recompute", stage, SCANNING[0], SCANNING, spec.name, gated)
         return Action("recompute", stage, spec.writer, (spec.writer,), spec.name, gated)
@@ -77,47 +129,65 @@ def decide(alarm: Alarm, spec: StateSpec, coupling: Coupling) -> Action:
 
 def record_of(alarm: Alarm, action: Action, state: str, time_us: int) -> AlarmRecord:
     """The record of an alarm, before its outcome is known."""
-    outcome = "replaced" if action.awaited else "accepted"
+    outcome = "restarted" if action.kind == "restart" else "replaced" if action.awaited else "accepted"
     return AlarmRecord(
         1e-6 * time_us, alarm.source, state, alarm.stage, alarm.score, tuple(alarm.fields), action.kind, outcome
     )
 
 
 class Watch:
-    """A detector as a tap of a loop, which answers its alarms; it has no memory of its own."""
+    """A detector as a tap of a loop, which answers its alarms; it has no memory of its own.
 
-    def __init__(self, loop: "Loop", detector: Detector, coupling: Coupling) -> None:
+    Args:
+        loop: The flight.
+        detector: What watches it.
+        recovery: How its alarms are answered.
+        restart: Restarts the node of a kernel: kernel, instant (us), time until it is back (us).
+    """
+
+    def __init__(
+        self, loop: "Loop", detector: Detector, recovery: Recovery, restart: Callable[[str, int, int], None]
+    ) -> None:  # fmt: skip
         self._loop = proxy(loop)  # which owns this: maps of a flight that is over are freed at once
-        self._detector, self._coupling = detector, coupling
+        self._detector, self._recovery, self._restart = detector, recovery, restart
 
     def __call__(self, state: State, now: int) -> State | None:
-        """Show a value to the detector; the result of a recomputation passes."""
-        loop, detector = self._loop, self._detector
+        """Show a value to the detector; the result of a recomputation passes, unless it is judged again."""
+        loop, detector, recovery = self._loop, self._detector, self._recovery
         awaited = loop.awaited.pop(state.spec.name, None)
-        alarm = detector.check(state, now) if awaited is None else None
-        if alarm is None or self._coupling == "observer":
+        alarm = detector.check(state, now) if awaited is None or recovery.same_twice == "escalate" else None
+        if awaited is not None and (alarm is None or not alarm.hard or loop.restarts_left == 0):
+            alarm = None  # a statistic may be right twice, a rule cannot
+        if alarm is None or recovery.coupling == "observer":
             detector.accept(state, now)
         if awaited is not None:
-            self._settle(awaited, state)
+            self._settle(awaited, state, alarm)
         if alarm is None:
+            self._keep_waiting(state, now)
             return state
-        action = decide(alarm, state.spec, self._coupling)
+        action = decide(alarm, state.spec, recovery, again=awaited is not None)
         loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
         self._answer(action, state, now)
         return None if action.withholds else state
 
-    def _settle(self, awaited: Awaited, state: State) -> None:
+    def _settle(self, awaited: Awaited, state: State, alarm: Alarm | None) -> None:
         """Note the outcome of a recomputation."""
         alarms = self._loop.record.alarms
         if alarms[awaited.place].action == "recompute":
             outcome = "accepted" if state.same_bits(awaited.rejected) else "repaired"
+            if alarm is not None:
+                outcome = "rejected"
             alarms[awaited.place] = replace(alarms[awaited.place], outcome=outcome)
 
     def _answer(self, action: Action, state: State, now: int) -> None:
         loop = self._loop
+        if action.kind == "restart":
+            loop.restarts_left -= 1
+            self._restart(action.kernel, now, RESTART_US)
+            return
         if action.awaited:
             loop.awaited[action.awaited] = Awaited(state, len(loop.record.alarms) - 1)
-        if self._coupling == "observer":
+        if self._recovery.coupling == "observer":
             if action.kernel:
                 loop.requests[action.kernel] = action
         elif action.kind == "recompute" and (action.withholds and state.spec.writer in loop.busy):
@@ -126,3 +196,25 @@ class Watch:
             loop.charge(action)
         else:
             loop.recompute(action, now)
+
+    def _keep_waiting(self, state: State, now: int) -> None:
+        """Wait for the path that answers a collision alarm; if it is too late, restart the planner's node."""
+        loop, limit = self._loop, self._recovery.answer_s
+        if not limit or state.spec.name not in (COLLISION, PATH):
+            return
+        number = int(state.header["future_collision_seq"][0])
+        if loop.asked is None:
+            if state.spec.name == COLLISION and state.header["collision"][0]:
+                loop.asked = now, number
+            return
+        since, asked = loop.asked
+        if state.spec.name == PATH:
+            if number >= asked:
+                loop.asked = None
+        elif now - since > 1e6 * limit:
+            loop.asked = None
+            if loop.restarts_left:
+                alarm = Alarm("deadline", Stage.PLANNING, score=1e-6 * (now - since) / limit, hard=True)
+                action = Action("restart", Stage.PLANNING, STATES[PATH].writer)
+                loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
+                self._answer(action, state, now)

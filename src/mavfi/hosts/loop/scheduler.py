@@ -17,11 +17,11 @@ from mavfi.hosts.host import Flight
 from mavfi.hosts.loop.judge import Judge
 from mavfi.hosts.loop.plant import Plant
 from mavfi.hosts.loop.record import Publications, Record
-from mavfi.hosts.loop.recovery import SCANNING, Action, Awaited
+from mavfi.hosts.loop.recovery import MOST_RESTARTS, SCANNING, Action, Awaited
 from mavfi.hosts.loop.sensing import Sensors
 from mavfi.hosts.loop.taps import Taps
 from mavfi.mission import MissionStatus, Scenario
-from mavfi.pipeline.kernel import Kernel
+from mavfi.pipeline.kernel import Kernel, repeat
 from mavfi.pipeline.memory import Memory
 from mavfi.platforms.compute import latency, redo_latency, stage_latency
 from mavfi.sim.environments import World
@@ -49,6 +49,8 @@ class LoopMemory(Memory):
     mapped: bool
     captured_us: int
     failed_plans: int
+    asked: tuple[int, int] | None
+    restarts_left: int
     command: np.ndarray
     reference: np.ndarray
 
@@ -74,6 +76,8 @@ class Loop:
         awaited: Recomputations under way, by state.
         requests: Recomputations that wait for the kernel's next step, by kernel (coupling `observer`).
         down: Kernels whose node is dead.
+        asked: Instant (us) and number of a collision alarm that waits for its path.
+        restarts_left: How many nodes a detector may still restart.
     """
 
     def __init__(
@@ -102,6 +106,8 @@ class Loop:
         self.awaited: dict[str, Awaited] = {}
         self.requests: dict[str, Action] = {}
         self.down: set[str] = set()
+        self.asked: tuple[int, int] | None = None
+        self.restarts_left = MOST_RESTARTS
         self.mapped, self.captured_us, self.failed_plans = False, 0, 0
         self.command = np.zeros(4)
         self.reference = plant.odometry[:3].copy()
@@ -210,8 +216,7 @@ class Loop:
             return
         self.record.compute_us[kernel.name] += self.latency[kernel.name]
         if latency_us == 0:
-            for state in states:
-                self.deliver(state, now)
+            self._deliver_all(kernel.name, states, now)
             return
         self.busy[kernel.name] = None
         self.at(now + latency_us, "done", kernel.name, states)
@@ -221,15 +226,20 @@ class Loop:
         if name in self.down:
             return
         waiting = self.busy.pop(name, None)
-        for state in states:
-            self.deliver(state, now)
-        if waiting is None:
+        self._deliver_all(name, states, now)
+        if waiting is None or name in self.down:
             return
         kernel = self.kernels[name]
         if name in self.busy:  # it is run again: what waits keeps waiting
             self.busy[name] = self.busy[name] or waiting
         elif kernel.receive(waiting, now):
             self.start(kernel, now)
+
+    def _deliver_all(self, name: str, states: list[State], now: int) -> None:
+        """Send a kernel's results; the answer to an alarm may end its node on the way."""
+        for state in states:
+            if name not in self.down:
+                self.deliver(state, now)
 
     # ---- publications -----------------------------------------------------------------------------------------------
     def deliver(self, state: State, now: int) -> None:
@@ -272,6 +282,10 @@ class Loop:
         if action.kind != "recompute":
             self.finish(kernel, kernel.stop() if action.kind == "stop" else kernel.abandon(now), now, cost)
             return
+        if action.alone:
+            repeat(kernel)
+            self.start(kernel, now)
+            return
         for name in action.restores:
             self.kernels[name].rollback()
         self.start(kernel, now, None if action.kernel in SCANNING else cost)
@@ -279,9 +293,12 @@ class Loop:
     def charge(self, action: Action) -> int:
         """Charge a recomputation; returns its modelled time (us)."""
         platform = self.scenario.platform
-        cost = redo_latency(platform, action.kernel, action.stage) if action.kernel else stage_latency(
-            platform, action.stage
-        )  # fmt: skip
+        if action.alone:
+            cost = self.latency[action.kernel]
+        else:
+            cost = redo_latency(platform, action.kernel, action.stage) if action.kernel else stage_latency(
+                platform, action.stage
+            )  # fmt: skip
         self.record.recompute_us[action.stage.value] += cost
         return cost
 

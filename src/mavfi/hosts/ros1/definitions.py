@@ -48,6 +48,7 @@ bool abandon_waypoint
 bool stop
 float64 score
 string[] fields
+bool hard
 """,
     "Recompute": """# A detector's request: some kernels put their memory back, and one of them computes again.
 std_msgs/Header header

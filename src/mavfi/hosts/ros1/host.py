@@ -8,7 +8,7 @@ from mavfi.hosts.host import ArmFlights, ArmSetup, Flight
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.ros1 import finder
 from mavfi.hosts.ros1.kernels import load_compiled
-from mavfi.hosts.ros1.plan import Plan
+from mavfi.hosts.ros1.plan import Plan, check_supported
 from mavfi.hosts.ros1.session import configure, fly, isolation
 from mavfi.mission import MissionSpec, Scenario
 
@@ -26,7 +26,8 @@ class Ros1Host:
     in_process = False
 
     def resolve(self, spec: MissionSpec) -> Scenario:
-        """See `Host.resolve`."""
+        """See `Host.resolve`; raises `BadInputError` where ROS cannot do what is wanted."""
+        check_supported(spec)
         return resolve(spec)
 
     def check(self) -> None:
@@ -59,7 +60,7 @@ class Ros1Flights(ArmFlights):
     def _fly(self, arm: str, fault: StateFault | None, *, profile: bool = False) -> Flight:
         setup, first = self._arms[arm], arm not in self._detectors
         plan = Plan(
-            setup.scenario, configure(setup.scenario), fault, self._detector(arm), setup.coupling,
+            setup.scenario, configure(setup.scenario), fault, self._detector(arm), setup.recovery.coupling,
             patience_s=PATIENCE_S, profile=profile,
         )  # fmt: skip
         if first:

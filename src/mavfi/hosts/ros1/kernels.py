@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.hosts.loop.assemble import new_loop, watch
-from mavfi.hosts.loop.recovery import SCANNING
+from mavfi.hosts.loop.recovery import SCANNING, Recovery
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.hosts.ros1.convert import MAP
 from mavfi.hosts.ros1.generate import message_type
@@ -207,7 +207,7 @@ class FreeNode(KernelNode):
 def load_compiled(plan: Plan) -> None:
     """Fly the first seconds in this process: functions are compiled and loaded at their first use."""
     loop = new_loop(plan.scenario)
-    watch(loop, None if plan.free_running else plan.detector, plan.coupling)
+    watch(loop, None if plan.free_running else plan.detector, Recovery(plan.coupling))
     loop.judge.limit_us = _LOADING_FLIGHT_US
     loop.fly()
 

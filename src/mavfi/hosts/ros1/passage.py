@@ -111,7 +111,7 @@ class Passage:
         if verdict.raised:
             alarm = Alarm(
                 verdict.source, verdict.stage, verdict.abandon_waypoint, verdict.stop, verdict.score,
-                tuple(verdict.fields),
+                tuple(verdict.fields), verdict.hard,
             )  # fmt: skip
         self._inbox.put(("verdict", verdict.number), alarm)
 

@@ -6,16 +6,34 @@ from pathlib import Path
 from typing import Literal
 
 from mavfi.detectors.detector import Detector
+from mavfi.errors import BadInputError
 from mavfi.faults.fault import RegisterFault, StateFault
 from mavfi.hosts.loop.recovery import Coupling
 from mavfi.hosts.ros1.folder import flight_folder
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, NODELET, Graph
-from mavfi.mission import Scenario
+from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.ppc import build_pipeline
 
 _PLAN = "plan.pickle"
 CloudNode = Literal["mavfi", "depth_image_proc"]
+
+
+def check_supported(spec: MissionSpec) -> None:
+    """Check that nodes of ROS can fly a mission as it is wanted.
+
+    Raises:
+        BadInputError: Nodes that die are to come back otherwise than roslaunch starts them, or alarms are to be
+            answered as only the deterministic host can.
+    """
+    for key in ("grain", "same_twice", "answer_s"):
+        value, default = getattr(spec, key), MissionSpec.model_fields[key].default
+        if value != default:
+            raise BadInputError(f"{key}: {value!r}: not on ROS; allowed: {default}")
+    if spec.dead_node != "fresh":
+        raise BadInputError(
+            f"dead_node: {spec.dead_node!r}: on ROS, roslaunch starts nodes again without memory; allowed: fresh"
+        )
 
 
 @dataclass(frozen=True, slots=True)

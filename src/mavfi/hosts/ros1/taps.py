@@ -9,7 +9,7 @@ import numpy as np
 from mavfi.detectors.detector import Alarm
 from mavfi.errors import BadInputError
 from mavfi.faults.state import StateInjector
-from mavfi.hosts.loop.recovery import Action, decide
+from mavfi.hosts.loop.recovery import Action, Recovery, decide
 from mavfi.hosts.ros1.convert import to_stamp
 from mavfi.hosts.ros1.folder import read_injections, write_injections
 from mavfi.hosts.ros1.generate import message_type
@@ -62,7 +62,7 @@ class Watcher:
         assert plan.detector is not None
         self._detector = plan.detector
         self._detector.start()
-        self._coupling, self._gated = plan.coupling, plan.gated
+        self._recovery, self._gated = Recovery(plan.coupling), plan.gated
         self._free = plan.free_running
         self._again: set[str] = set()
         self._lock = threading.Lock()
@@ -107,7 +107,7 @@ class Watcher:
         action = None
         if alarm is not None:
             with suppress(BadInputError):  # an unknown stage, which the world reports
-                action = decide(alarm, state.spec, self._coupling)
+                action = decide(alarm, state.spec, self._recovery)
         if action is not None and action.awaited:
             self._again.add(action.awaited)
         return alarm, action

@@ -8,6 +8,7 @@ from contextlib import suppress
 from typing import Any
 
 from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.ros1.folder import FLIGHT, PROFILE, TIMES, flight_folder, write_file
 from mavfi.hosts.ros1.graph import WORLD
@@ -75,7 +76,7 @@ class Conductor:
         self.ports = Ports(WORLD, plan)
         passage = Passage(self.ports, self.counter, self.links, self.registers, self._lost)
         loop.taps.injector = passage
-        watch(loop, None if plan.detector is None else LockStepDetector(passage), plan.coupling)
+        watch(loop, None if plan.detector is None else LockStepDetector(passage), Recovery(plan.coupling))
         loop.before_tick.append(self._before_tick)
         loop.after_tick.append(self._after_tick)
         loop.before_end.append(self._before_end)

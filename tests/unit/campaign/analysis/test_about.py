@@ -46,3 +46,9 @@ def test_trials_on_a_node():
                       sampling={"level": "register", "symbol": "f", "walk": 64})  # fmt: skip
     assert found["title"] == "campaign tiny · node n" and found["profile"] == ""
     assert found["lines"] == ["/bin/n · one bit per trial, from the next call of 'f' on, after up to 64 instructions"]
+
+
+def test_policies_and_rules_that_are_not_the_defaults_are_named():
+    assert len(described(mission={"dead_node": "restart"})["lines"]) == 1, "the older name of the default"
+    found = described(mission={"dead_node": "readback", "alarm": "repeated", "epoch_liveness": 2})
+    assert found["lines"][-1] == "mission: dead_node readback, alarm repeated, epoch_liveness 2.0"

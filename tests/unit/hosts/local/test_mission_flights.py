@@ -10,6 +10,7 @@ from mavfi.flight_log import Profile
 from mavfi.hosts.host import ArmSetup, Flight
 from mavfi.hosts.local import mission_flights
 from mavfi.hosts.local.mission_flights import LocalHost
+from mavfi.hosts.loop.recovery import INLINE, Recovery
 
 SITE = FaultSite("control.command", "vx")
 FAULT, NULL = StateFault(SITE, 5, 62), StateFault(SITE, 5)
@@ -30,20 +31,20 @@ def calls(monkeypatch):
         def __init__(self, scenario):
             found.made.append(scenario.name)
 
-        def fly(self, fault, detector, arm, coupling):
+        def fly(self, fault, detector, arm, recovery):
             if found.broken:
                 raise TypeError("cannot be copied")
-            found.flown.append(("fast", fault, detector, arm, coupling))
+            found.flown.append(("fast", fault, detector, arm, recovery))
             return SimpleNamespace(log=fault, profile=Profile())
 
-    def fly(scenario, fault, detector, *, coupling, profile):
-        found.flown.append(("long", fault, detector, scenario.name, coupling))
+    def fly(scenario, fault, detector, *, recovery, profile):
+        found.flown.append(("long", fault, detector, scenario.name, recovery))
         return Flight(fault, Profile() if profile else None)
 
-    def fly_instruction_faults(scenario, faults, detector, golden, coupling):
+    def fly_instruction_faults(scenario, faults, detector, golden, recovery):
         if WRONG in faults:
             raise BadInputError("other machine code")
-        found.flown.append(("instructions", tuple(faults), detector, golden, coupling))
+        found.flown.append(("instructions", tuple(faults), detector, golden, recovery))
         return SimpleNamespace(flights=[Flight(fault) for fault in faults])
 
     monkeypatch.setattr(mission_flights, "FastForward", FastForward)
@@ -59,7 +60,7 @@ def arms(calls):
         return "watcher"
 
     return {
-        "": ArmSetup(Scenario(name="own")), "g": ArmSetup(Scenario(name="own"), make, "observer"),
+        "": ArmSetup(Scenario(name="own")), "g": ArmSetup(Scenario(name="own"), make, Recovery("observer")),
         "slow": ArmSetup(Scenario(name="other")),
     }  # fmt: skip
 
@@ -76,7 +77,9 @@ def test_flights_of_a_mission_share_what_is_known_of_their_scenario(calls, arms)
     flights.golden("g")
     assert [way for way, *_ in calls.flown] == ["fast"] * 5
     assert calls.made == ["own", "other"]
-    assert calls.flown[2] == ("fast", FAULT, "watcher", "g", "observer"), "known flights are told apart by arm"
+    assert calls.flown[2] == ("fast", FAULT, "watcher", "g", Recovery("observer")), (
+        "known flights are told apart by arm"
+    )
     assert calls.flown[3][3] == "", "without a detector it is the scenario alone that counts"
     assert calls.detectors == 1
 
@@ -116,8 +119,8 @@ def test_instruction_faults_are_flown_arm_by_arm_and_keep_their_places(calls, ar
     found = dict(flights.injected([("", DATA), ("g", DATA), ("", other), ("g", FAULT)]))
     assert {place: flight.log for place, flight in found.items()} == {0: DATA, 1: DATA, 2: other, 3: FAULT}
     assert calls.flown == [
-        ("long", FAULT, "watcher", "own", "observer"), ("instructions", (DATA, other), None, golden, "inline"),
-        ("instructions", (DATA,), "watcher", None, "observer"),
+        ("long", FAULT, "watcher", "own", Recovery("observer")), ("instructions", (DATA, other), None, golden, INLINE),
+        ("instructions", (DATA,), "watcher", None, Recovery("observer")),
     ]  # fmt: skip
 
 

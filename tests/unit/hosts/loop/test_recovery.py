@@ -1,12 +1,25 @@
 """What is done about an alarm: one table for every host and both couplings."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from mavfi.detectors import Alarm
 from mavfi.errors import BadInputError
-from mavfi.hosts.loop.recovery import Action, decide, record_of
-from mavfi.states import STAGE_KERNELS, STATES, Stage
+from mavfi.hosts.loop.recovery import (
+    INLINE,
+    MOST_RESTARTS,
+    RESTART_US,
+    Action,
+    Recovery,
+    Watch,
+    decide,
+    record_of,
+)
+from mavfi.mission import MissionSpec
+from mavfi.states import STAGE_KERNELS, STATES, Stage, new_state
 
+OBSERVER = Recovery("observer")
 PERCEPTION = STAGE_KERNELS[Stage.PERCEPTION]
 CASES = [
     (
@@ -41,12 +54,12 @@ CASES = [
 
 @pytest.mark.parametrize(("alarm", "state", "expected"), CASES)
 def test_the_answer_to_an_alarm(alarm, state, expected):
-    assert decide(alarm, STATES[state], "inline") == expected
+    assert decide(alarm, STATES[state], INLINE) == expected
 
 
 @pytest.mark.parametrize(("alarm", "state", "expected"), CASES)
 def test_an_observer_asks_for_the_same_and_holds_nothing_back(alarm, state, expected):
-    answer = decide(alarm, STATES[state], "observer")
+    answer = decide(alarm, STATES[state], OBSERVER)
     assert not answer.withholds
     assert (answer.kind, answer.kernel, answer.restores, answer.awaited) == (
         expected.kind, expected.kernel, expected.restores, expected.awaited,
@@ -56,12 +69,130 @@ def test_an_observer_asks_for_the_same_and_holds_nothing_back(alarm, state, expe
 @pytest.mark.parametrize("stage", ["sensor", "steering", ""])
 def test_a_stage_that_cannot_be_run_again_is_refused(stage):
     with pytest.raises(BadInputError, match="allowed: perception, planning, control"):
-        decide(Alarm("d", stage), STATES["control.command"], "inline")
+        decide(Alarm("d", stage), STATES["control.command"], INLINE)
 
 
 def test_what_passes_is_recorded_as_accepted():
     alarm = Alarm("d", "planning", score=2.0, fields=("control.command.vx",))
-    record = record_of(alarm, decide(alarm, STATES["control.command"], "inline"), "control.command", 1_500_000)
+    record = record_of(alarm, decide(alarm, STATES["control.command"], INLINE), "control.command", 1_500_000)
     assert (record.time_s, record.action, record.outcome, record.fields) == (
         1.5, "recompute", "accepted", ("control.command.vx",),
     )  # fmt: skip
+
+
+# ---- a rule that is broken twice, and an alarm that nobody answers ------------------------------------------------
+STATUS, PATH = "perception.collision_status", "planning.path"
+ESCALATES = Recovery(grain="kernel", same_twice="escalate", answer_s=0.6)
+
+
+def test_only_the_kernel_that_wrote_the_value_is_stepped_again():
+    answer = decide(Alarm("d", "perception"), STATES[STATUS], Recovery(grain="kernel"))
+    assert answer == Action(
+        "recompute", Stage.PERCEPTION, "collision_check", ("collision_check",), STATUS, True, alone=True
+    )
+
+
+def test_an_alarm_about_a_recomputation_restarts_the_writer():
+    answer = decide(Alarm("d", "perception", hard=True), STATES[STATUS], ESCALATES, again=True)
+    assert answer == Action("restart", Stage.PERCEPTION, "collision_check", withholds=True)
+
+
+class Flight:
+    """As much of a loop as a watch needs."""
+
+    def __init__(self, restarts_left=MOST_RESTARTS):
+        self.awaited, self.requests, self.busy, self.asked = {}, {}, {}, None
+        self.record = SimpleNamespace(alarms=[])
+        self.restarts_left, self.steps, self.restarted = restarts_left, [], []
+
+    def recompute(self, action, now):
+        self.steps.append((action.kernel, now))
+
+    def restart(self, kernel, now, after_us):
+        self.restarted.append((kernel, now, after_us))
+
+    @property
+    def outcomes(self):
+        return [(alarm.action, alarm.outcome) for alarm in self.record.alarms]
+
+
+class Always:
+    """Alarms at every value."""
+
+    def __init__(self, hard):
+        self.hard, self.accepted = hard, []
+
+    def check(self, state, now):
+        return Alarm("d", state.spec.stage.value, hard=self.hard)
+
+    def accept(self, state, now):
+        self.accepted.append(now)
+
+
+class Never(Always):
+    def check(self, state, now):
+        return None
+
+
+def shown(detector, recovery, values, flight):
+    """Which of the values pass."""
+    watch = Watch(flight, detector, recovery, flight.restart)
+    return [watch(state, now) is not None for now, state in values]
+
+
+def status(number, flag=False):
+    state = new_state(STATUS)
+    state.header["future_collision_seq"], state.header["collision"] = number, flag
+    return state
+
+
+def path(number):
+    state = new_state(PATH, 2)
+    state.header["future_collision_seq"] = number
+    return state
+
+
+def test_a_rule_that_is_broken_twice_restarts_the_node():
+    flight, detector = Flight(), Always(hard=True)
+    assert shown(detector, ESCALATES, [(1, status(5)), (2, status(5))], flight) == [False, False]
+    assert flight.steps == [("collision_check", 1)]
+    assert flight.restarted == [("collision_check", 2, RESTART_US)] and flight.restarts_left == MOST_RESTARTS - 1
+    assert flight.outcomes == [("recompute", "rejected"), ("restart", "restarted")]
+    assert detector.accepted == [], "references are values that were published"
+
+
+@pytest.mark.parametrize(
+    ("hard", "recovery", "left"),
+    [(False, ESCALATES, 5), (True, Recovery(grain="kernel"), 5), (True, ESCALATES, 0)],
+)
+def test_otherwise_the_same_value_twice_is_accepted(hard, recovery, left):
+    flight, detector = Flight(left), Always(hard)
+    assert shown(detector, recovery, [(1, status(5)), (2, status(5))], flight) == [False, True]
+    assert flight.outcomes == [("recompute", "accepted")] and flight.restarted == [] and detector.accepted == [2]
+
+
+@pytest.mark.parametrize(
+    ("answer", "after", "restarted"),
+    [(3, 0.7, False), (4, 0.7, False), (2, 0.7, True), (2, 0.5, False), (None, 0.7, True)],
+)
+def test_an_alarm_that_no_path_answers_in_time_restarts_the_planner(answer, after, restarted):
+    flight, seconds = Flight(), 1_000_000
+    values = [(0, status(2)), (seconds, status(3, flag=True))]
+    values += [] if answer is None else [(round(1.2 * seconds), path(answer))]
+    late = round((1 + after) * seconds)
+    values.append((late, status(3)))
+    assert all(shown(Never(hard=True), ESCALATES, values, flight))
+    assert flight.restarted == ([("planner", late, RESTART_US)] if restarted else [])
+    assert [alarm.source for alarm in flight.record.alarms] == ["deadline"] * restarted
+
+
+def test_without_a_time_limit_nobody_waits():
+    flight = Flight()
+    shown(Never(hard=True), Recovery(), [(0, status(3, flag=True)), (10**9, status(3))], flight)
+    assert flight.restarted == [] and flight.asked is None
+
+
+def test_a_mission_says_how_alarms_are_answered():
+    spec = MissionSpec(coupling="observer", grain="kernel", same_twice="escalate", answer_s=0.6)
+    assert Recovery.of(spec) == Recovery("observer", "kernel", "escalate", 0.6)
+    assert Recovery.of(MissionSpec()) == INLINE and not INLINE.restarts

@@ -1,0 +1,120 @@
+"""What a mission can ask for: the limits that rules of physics and protocol are made of."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mavfi.detectors.gate import SPEED_MARGIN, UNKNOWN_ARENA
+
+Corner = tuple[float, ...]
+
+BOX_MARGIN = 2.0
+"""How far beyond the flight box a plan may begin: where a mission starts, or where the vehicle was pushed (m)."""
+NEAR = 4.0
+"""Least distance between the vehicle and the start of a plan, or the goal and its end, that is far (m): the planner
+looks for room within 3 m."""
+_ROUNDING = 1.001
+_CURVE_ERROR = 0.1
+"""Position of a trajectory's point against that of its velocity, where velocity is constant: curves are sampled (m)."""
+_ACCELERATION_MARGIN = 1.2
+_SHARPEST = 0.2
+"""Length within which an interpolated trajectory may turn round: a plan that begins at speed keeps the corner that it
+meets first as sharp as the room there makes it (m)."""
+_CLOCK_MARGIN = 1.5
+"""Acceleration by which the clock of an interpolated reference speeds up or brakes, at most / a_max."""
+_SHORTEST_ALARM = 30.0
+"""`time_to_collision` of no collision (s); others lie within what the camera sees, flown at a quarter of v_max."""
+_SLOW = 0.25
+
+_SCALARS = (
+    "speed", "command", "command_step", "acceleration", "clock", "point_period", "control_period", "longest_time",
+    "near", "entry", "step", "change", "lag", "hold", "slowest", "fastest",
+)  # fmt: skip
+_PLACES = ("lower", "upper", "goal")
+_FLAGS = ("held", "every_map", "repeated")
+_NUMBERS = np.dtype(
+    [*((name, "f8") for name in _SCALARS), *((name, "f8", (3,)) for name in _PLACES), *((name, "?") for name in _FLAGS)]
+)
+
+
+@dataclass(frozen=True, slots=True)
+class MissionLimits:
+    """Limits of one mission, as its scenario and its world say.
+
+    Attributes:
+        v_max: Speed limit (m/s).
+        a_max: Acceleration limit (m/s^2).
+        arena: Lower and upper corner of the mapped volume (m).
+        flight: Lower and upper corner of the box in which paths may lie (m).
+        goal: Where the mission ends (m).
+        held: Whether way-points are points of the trajectory, in force until their duration is used up; if not, they
+            are interpolated at every control period.
+        every_map: Whether plans are checked and made on every map; if not, on each newly predicted collision.
+        point_period: Between trajectory points (s).
+        control_period: Between commands (s).
+        look_ahead: How far ahead of its point a velocity is taken (s).
+        planner_latency: From request to path (s).
+        plan_latency: From request to trajectory (s).
+        velocity_lag: Time constant of the vehicle's velocity loop (s).
+        command_limit: Largest command / v_max.
+        command_step: Largest change of the command between periods while the way-point stays (m/s).
+        slowdown_cap: Largest slow-down of reference time where the command is saturated.
+        tracker_slowdown: Loop time of the tracker / reference time that it advances.
+        camera_range: How far the camera sees (m).
+        repeated: Whether alarms of the collision check are said again until they are answered.
+    """
+
+    v_max: float
+    a_max: float
+    flight: tuple[Corner, Corner]
+    goal: Corner
+    held: bool
+    every_map: bool
+    point_period: float
+    control_period: float
+    look_ahead: float
+    planner_latency: float
+    plan_latency: float
+    velocity_lag: float
+    command_limit: float = 1.0
+    command_step: float = 0.3
+    slowdown_cap: float = 1.0
+    tracker_slowdown: float = 1.0
+    camera_range: float = 20.0
+    repeated: bool = False
+    arena: tuple[Corner, Corner] = UNKNOWN_ARENA
+
+    def numbers(self) -> np.ndarray:
+        """What compiled rules read: one record. Shape (1,)."""
+        record = np.zeros(1, _NUMBERS)
+        travel = 1.5 * self.v_max * (self.velocity_lag + 2.0 * self.plan_latency)
+        change = _ACCELERATION_MARGIN * self.a_max * self.point_period
+        if not self.held:
+            change += 2.0 * self.v_max * min(1.0, self.v_max * self.point_period / _SHARPEST)
+        values = {
+            "speed": SPEED_MARGIN * self.v_max,
+            "command": _ROUNDING * self.command_limit * self.v_max,
+            "command_step": self.command_step,
+            "acceleration": change / self.point_period,
+            "clock": _CLOCK_MARGIN * self.a_max,
+            "lower": np.array(self.flight[0]) - BOX_MARGIN,
+            "upper": np.array(self.flight[1]) + BOX_MARGIN,
+            "goal": self.goal,
+            "point_period": self.point_period,
+            "control_period": self.control_period,
+            "longest_time": max(_SHORTEST_ALARM, self.camera_range / (_SLOW * self.v_max)),
+            "near": max(NEAR, travel),
+            "entry": max(1.0, self.a_max * (self.plan_latency + 0.1)),
+            "step": self.a_max * self.look_ahead * self.point_period + _CURVE_ERROR,
+            "change": change,
+            "lag": self.velocity_lag if self.held else 0.0,
+            "hold": SPEED_MARGIN * self.v_max * self.control_period,
+            "slowest": self.control_period / (self.slowdown_cap * self.tracker_slowdown),
+            "fastest": self.control_period / self.tracker_slowdown,
+            "held": self.held,
+            "every_map": self.every_map,
+            "repeated": self.repeated,
+        }
+        for name, value in values.items():
+            record[name] = value
+        return record

@@ -1,0 +1,288 @@
+"""Rules of physics and protocol, compiled: each says which field of a publication breaks it.
+
+Here those of what is predicted and planned; of what is followed, in `following`.
+
+A rule returns the place of the field among the header's and then the element's fields, or -1.  Comparisons are written
+so that a value that is no number breaks them.  `limits` is the record of `MissionLimits.numbers`.
+"""
+
+import math
+
+import numpy as np
+
+from mavfi.detectors.gate import first_not_finite, too_fast
+from mavfi.numerics.jit import kernel_jit
+from mavfi.states import STATES
+
+NO_COLLISION = 30.0
+"""`time_to_collision` where there is none (s)."""
+POINT_WIDTH = 11
+"""Columns of a trajectory point, those of a way-point."""
+FINE = -1
+"""No field breaks the rule."""
+EXACT = 1e-9
+"""Rounding."""
+_LARGEST_YAW = math.pi + 1e-6
+_END = 0.5
+"""Distance of a trajectory's end from its path's (m)."""
+_WAY_BACK = 6.0
+"""Longest way back, where no way to the goal is found (m)."""
+_SPLICE = 1e-3
+"""Between the start of a path and the point of a trajectory that it continues (m)."""
+
+
+def places(state: str, *fields: str) -> tuple[int, ...]:
+    """Places of fields among those of a state's header and then of its elements."""
+    spec = STATES[state]
+    names = [own.name for own in (*spec.header, *spec.elements)]
+    return tuple(map(names.index, fields))
+
+
+_TIME, _BLOCKED, _UNKNOWN, _COUNTER, _CHECKED, _FLAG = places(
+    "perception.collision_status", "time_to_collision", "distance_to_blocked", "distance_to_unknown",
+    "future_collision_seq", "trajectory_seq", "collision",
+)  # fmt: skip
+_ENTRY, _PATH_EPOCH, _JUNCTION, _VERTEX = places(
+    "planning.path", "entry_speed", "future_collision_seq", "junction", "x"
+)
+_NUMBER, _EPOCH, _POINT = places("planning.trajectory", "trajectory_seq", "future_collision_seq", "x")
+YAW, VELOCITY, ACCELERATION, DURATION = places("planning.waypoint", "yaw", "vx", "ax", "duration")
+
+
+@kernel_jit
+def status(header: np.ndarray, before: np.ndarray, trajectory: np.ndarray, limits: np.ndarray) -> int:
+    """Collision status: the counter grows by 0 or 1, and the flag says whether it has.
+
+    Repeated alarms have the flag and the counter of the first, which is above the epoch (-) of the last trajectory.
+    Time to collision (s) is that of no collision, or lies within what the camera sees.
+
+    Args:
+        header: Of the status. Shape (1,).
+        before: Of the status published last. Shape (1,).
+        trajectory: Header of the trajectory published last. Shape (1,).
+        limits: See the module.
+    """
+    new, limit = header[0], limits[0]
+    counter, time, flag = int(new["future_collision_seq"]), new["time_to_collision"], bool(new["collision"])
+    if not (0.0 <= time <= limit["longest_time"]):
+        return _TIME
+    growth = counter - int(before[0]["future_collision_seq"])
+    if not 0 <= growth <= 1:
+        return _COUNTER
+    if flag != (growth == 1):
+        again = limit["repeated"] and flag and counter > int(trajectory[0]["future_collision_seq"])
+        if not again:
+            return _FLAG
+    if not flag and time != NO_COLLISION:
+        return _TIME
+    return known_space(header, int(trajectory[0]["trajectory_seq"])) if limit["every_map"] else FINE
+
+
+@kernel_jit
+def known_space(header: np.ndarray, newest: int) -> int:
+    """Distances to blocked and to unknown space (m) along a trajectory with a number up to the newest, or none.
+
+    A collision is told exactly where space is blocked.
+    """
+    new = header[0]
+    blocked, unknown, number = new["distance_to_blocked"], new["distance_to_unknown"], int(new["trajectory_seq"])
+    if not blocked >= 0.0 or bool(new["collision"]) != (blocked < np.inf):
+        return _BLOCKED
+    if not unknown >= 0.0:
+        return _UNKNOWN
+    if number != -1 and not (1 <= number <= newest and number >= newest - 1):
+        return _CHECKED
+    return FINE
+
+
+@kernel_jit
+def far_from(point: np.ndarray, other: np.ndarray, most: float) -> int:
+    """Axis along which two points are farther apart than `most` (m), or -1. Points have shape (3,)."""
+    for axis in range(3):
+        if not abs(point[axis] - other[axis]) <= most:
+            return axis
+    return FINE
+
+
+@kernel_jit
+def outside(point: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> int:
+    """Axis along which a point lies outside of a box (m), or -1. Shapes (3,)."""
+    for axis in range(3):
+        if not (lower[axis] <= point[axis] <= upper[axis]):
+            return axis
+    return FINE
+
+
+@kernel_jit
+def path(
+    header: np.ndarray, vertices: np.ndarray, epochs: np.ndarray, vehicle: np.ndarray, flown: np.ndarray,
+    limits: np.ndarray,
+) -> int:  # fmt: skip
+    """Path: it answers a counter (-) that the planner can have known, and leads from the vehicle to the goal.
+
+    Vertices (m) lie in the flight box; the speed of entry (m/s) is 0 or about that of the vehicle.
+
+    Args:
+        header: Of the path. Shape (1,).
+        vertices: Shape (n, 3).
+        epochs: Counters that it can answer. Shape (m,).
+        vehicle: Position (m) and velocity (m/s). Shape (6,).
+        flown: Points of the trajectory published last that has any. Shape (k, 11).
+        limits: See the module.
+    """
+    if not _contains(epochs, int(header[0]["future_collision_seq"])):
+        return _PATH_EPOCH
+    entry, limit = header[0]["entry_speed"], limits[0]
+    speed = math.sqrt(vehicle[3] ** 2 + vehicle[4] ** 2 + vehicle[5] ** 2)
+    if not (0.0 <= entry <= limit["speed"]) or (entry > 0.0 and not abs(entry - speed) <= limit["entry"]):
+        return _ENTRY
+    if len(vertices) == 0:
+        return FINE
+    for index in range(len(vertices)):
+        axis = outside(vertices[index], limit["lower"], limit["upper"])
+        if axis >= 0:
+            return _VERTEX + axis
+    broken = _start(vertices[0], header, vehicle, flown, limits)
+    return broken if broken >= 0 else _end(vertices, header, limits)
+
+
+@kernel_jit
+def _contains(epochs: np.ndarray, epoch: int) -> bool:
+    for index in range(len(epochs)):
+        if epochs[index] == epoch:
+            return True
+    return False
+
+
+@kernel_jit
+def _spliced(header: np.ndarray, limits: np.ndarray) -> bool:
+    """Whether a path continues the trajectory in force from a point of it."""
+    return bool(limits[0]["every_map"]) and int(header[0]["junction"]) != -1
+
+
+@kernel_jit
+def _start(
+    first: np.ndarray, header: np.ndarray, vehicle: np.ndarray, flown: np.ndarray, limits: np.ndarray
+) -> int:  # fmt: skip
+    """A path starts at its junction with the trajectory in force, or near the vehicle (m). `first` has shape (3,)."""
+    if not _spliced(header, limits):
+        axis = far_from(first, vehicle[:3], limits[0]["near"])
+        return FINE if axis < 0 else _VERTEX + axis
+    said = int(header[0]["junction"])
+    found = _junction(first, flown, said)
+    if found == said:
+        return FINE
+    if found >= 0 or not 0 <= said < len(flown):
+        return _JUNCTION
+    return _VERTEX + far_from(first, flown[said, :3], _SPLICE)
+
+
+@kernel_jit
+def _end(vertices: np.ndarray, header: np.ndarray, limits: np.ndarray) -> int:
+    """A path ends near the goal (m); a way back, not far from its start. `vertices` have shape (n, 3)."""
+    last, limit = vertices[len(vertices) - 1], limits[0]
+    axis = far_from(last, limit["goal"], limit["near"])
+    if axis >= 0 and limit["every_map"] and not _spliced(header, limits) and header[0]["entry_speed"] == 0.0:
+        axis = far_from(last, vertices[0], _WAY_BACK)
+    return FINE if axis < 0 else _VERTEX + axis
+
+
+@kernel_jit
+def _junction(start: np.ndarray, flown: np.ndarray, said: int) -> int:
+    """Index of the point of a trajectory, shape (n, 11), at which a path starts (m), preferably the one said; or -1."""
+    if 0 <= said < len(flown) and far_from(start, flown[said, :3], _SPLICE) < 0:
+        return said
+    for index in range(len(flown)):
+        if far_from(start, flown[index, :3], _SPLICE) < 0:
+            return index
+    return FINE
+
+
+@kernel_jit
+def trajectory(
+    header: np.ndarray, points: np.ndarray, before: np.ndarray, path_header: np.ndarray, end: np.ndarray,
+    vehicle: np.ndarray, limits: np.ndarray,
+) -> int:  # fmt: skip
+    """Trajectory: its number and epoch (-) follow, it leads from the vehicle to the end of the path (m).
+
+    Args:
+        header: Of the trajectory. Shape (1,).
+        points: Shape (n, 11).
+        before: Header of the trajectory published last. Shape (1,).
+        path_header: Of the path published last. Shape (1,).
+        end: Last vertex of that path (m). Shape (3,), or (0,) if it has none.
+        vehicle: Position (m) and velocity (m/s). Shape (6,).
+        limits: See the module.
+    """
+    count = len(points)
+    if int(header[0]["trajectory_seq"]) != int(before[0]["trajectory_seq"]) + 1:
+        return _NUMBER
+    if int(header[0]["future_collision_seq"]) != int(path_header[0]["future_collision_seq"]):
+        return _EPOCH
+    for index in range(count):
+        column = point(points[index], index >= count - 2, limits)
+        if column < 0 and index > 0:
+            column = step(points[index], points[index - 1], index == count - 1, limits)
+        if column >= 0:
+            return _POINT + column
+    if count > 0:
+        axis = far_from(points[0, :3], vehicle[:3], limits[0]["near"])
+        if axis < 0 and len(end) == 3:
+            axis = far_from(points[count - 1, :3], end, _END)
+        if axis >= 0:
+            return _POINT + axis
+    return FINE
+
+
+@kernel_jit
+def point(values: np.ndarray, last: bool, limits: np.ndarray) -> int:
+    """Column of a point that cannot be, or -1.
+
+    It lies in the flight box (m), and its speed (m/s), yaw (rad), acceleration (m/s^2) and duration (s) are possible.
+
+    Args:
+        values: The point. Shape (11,).
+        last: Whether it is one of the last two, which may be shorter than the others.
+        limits: See the module.
+    """
+    limit = limits[0]
+    found = first_not_finite(values)
+    if found >= 0:
+        return found
+    found = outside(values[:3], limit["lower"], limit["upper"])
+    if found >= 0:
+        return found
+    if not abs(values[YAW]) <= _LARGEST_YAW:
+        return YAW
+    found = too_fast(values[VELOCITY : VELOCITY + 3], limit["speed"])
+    if found >= 0:
+        return VELOCITY + found
+    for axis in range(3):
+        # held points are tracked without it: whatever is finite will do
+        if not (limit["held"] or abs(values[ACCELERATION + axis]) <= limit["acceleration"]):
+            return ACCELERATION + axis
+    duration, period = values[DURATION], limit["point_period"]
+    whole = abs(duration - period) <= EXACT
+    return FINE if whole or (last and 0.0 < duration <= period) else DURATION
+
+
+@kernel_jit
+def step(values: np.ndarray, before: np.ndarray, last: bool, limits: np.ndarray) -> int:
+    """Column of a point that does not continue the one before it, or -1.
+
+    Its position (m) is that of its velocity and duration; velocities (m/s) change as accelerations allow.
+
+    Args:
+        values: The point. Shape (11,).
+        before: The one before it. Shape (11,).
+        last: Whether the trajectory ends there, at rest.
+        limits: See the module.
+    """
+    limit = limits[0]
+    for axis in range(3):
+        moved, speed = values[axis] - before[axis], values[VELOCITY + axis]
+        if not last and not abs(speed - before[VELOCITY + axis]) <= limit["change"]:
+            return VELOCITY + axis
+        if not abs(moved - speed * values[DURATION]) <= limit["step"]:
+            return axis
+    return FINE
