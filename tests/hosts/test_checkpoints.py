@@ -66,7 +66,7 @@ class Stop:
         loop.taps.injector = None if self.injector is None else self.injector.copy()
         self.keeper.restore(self.detector)
         if self.keeper.content is not None:
-            loop.taps.detector = Watch(loop, self.keeper.content, "inline")
+            loop.taps.detector = Watch(loop, self.keeper.content)
         with np.errstate(all="ignore"):
             loop.run()
         return loop.flight().log

@@ -241,6 +241,14 @@ def test_a_file_whose_keys_are_in_another_order_goes_on_to_the_same_ledger(tmp_p
         assert list(stored_campaign(store).arms) == list(ARMS)
 
 
+def test_the_keys_that_go_with_a_detector_are_of_the_identity(tmp_path, monkeypatch):
+    with pytest.raises(KeyboardInterrupt):
+        flown_into(tmp_path, progress=stop_at(30))
+    monkeypatch.setattr(run_module, "mission_keys", lambda name: {"answer_s": 0.5} if name else {})
+    with pytest.raises(BadInputError, match=r"holds another campaign \(differs in: mission_keys"):
+        flown_into(tmp_path)
+
+
 def test_runs_know_the_model_that_they_fly_with_and_workers_refuse_another(tmp_path, monkeypatch):
     with_model(monkeypatch)
     flown_into(tmp_path / "out", models_dir=tmp_path / "mine")
@@ -256,7 +264,7 @@ def test_runs_know_the_model_that_they_fly_with_and_workers_refuse_another(tmp_p
 
 def test_versions_are_not_mixed_within_a_campaign(flown, tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
-        flown_into(tmp_path, progress=stop_at(3))
+        flown_into(tmp_path, executor=OneByOne(), progress=stop_at(3))
     monkeypatch.setattr(fingerprint, "__version__", "99.0")
     with pytest.raises(BadInputError, match="was begun with mavfi .*, here is 99.0"):
         flown_into(tmp_path)

@@ -48,11 +48,6 @@ def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) ->
     if detector is None:
         return
     loop.marks = True
-    restart = Restarts(loop, "readback").die if recovery.restarts else _never
-    loop.taps.detector = Watch(loop, detector, recovery, restart)
+    restart = {"restart": Restarts(loop, "readback").die} if recovery.restarts else {}
+    loop.taps.detector = Watch(loop, detector, recovery, **restart)
     detector.start()
-
-
-def _never(kernel: str, now: int, after_us: int) -> None:
-    del kernel, now, after_us
-    raise AssertionError("no node is restarted under this policy")

@@ -135,6 +135,11 @@ def record_of(alarm: Alarm, action: Action, state: str, time_us: int) -> AlarmRe
     )
 
 
+def _never(kernel: str, now: int, after_us: int) -> None:
+    del kernel, now, after_us
+    raise AssertionError("no node is restarted under this policy")
+
+
 class Watch:
     """A detector as a tap of a loop, which answers its alarms; it has no memory of its own.
 
@@ -146,7 +151,8 @@ class Watch:
     """
 
     def __init__(
-        self, loop: "Loop", detector: Detector, recovery: Recovery, restart: Callable[[str, int, int], None]
+        self, loop: "Loop", detector: Detector, recovery: Recovery = INLINE,
+        restart: Callable[[str, int, int], None] = _never,
     ) -> None:  # fmt: skip
         self._loop = proxy(loop)  # which owns this: maps of a flight that is over are freed at once
         self._detector, self._recovery, self._restart = detector, recovery, restart
