@@ -2,11 +2,13 @@
 
 import copy
 import itertools
-import multiprocessing
+import json
 import os
+import pickle
 import signal
+import subprocess
+import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -32,18 +34,31 @@ def patience(monkeypatch):
     monkeypatch.setattr(fuzz, "LONGEST_S", 60)
 
 
+CLEAN = """
+import json, pickle, sys
+from tests.robustness.test_fuzz import _outcomes_of
+while sys.stdin.buffer.peek(1):
+    print(json.dumps(_outcomes_of(*pickle.load(sys.stdin.buffer))), flush=True)
+"""
+
+
 @pytest.fixture(scope="module")
 def outcomes():
     """What becomes of contents, each in the file of a reader.
 
     Forks of this process, in which other tests have begun threads of polars, cannot read a ledger: one of its own does.
     """
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as clean:
+    command, pipe = [sys.executable, "-c", CLEAN], subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, cwd=CORPUS.parents[2]) as clean:
+
+        def there(*given):
+            pickle.dump(given, clean.stdin)
+            clean.stdin.flush()
+            return json.loads(clean.stdout.readline())
+
         yield (
             lambda reader, contents, work: (
-                _outcomes(reader, contents, work)
-                if reader.warm
-                else clean.submit(_outcomes_of, reader.name, contents, work).result()
+                _outcomes(reader, contents, work) if reader.warm else there(reader.name, contents, work)
             )
         )
 
