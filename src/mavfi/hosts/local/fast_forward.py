@@ -32,15 +32,6 @@ TICKS = {"dense": 50, "octree": 200}
 """Control ticks between two checkpoints, by the kind of map: an octree is copied whole each time."""
 
 
-class RestartWantedError(MavfiError):
-    """A detector wants a node restarted."""
-
-
-def _restart(kernel: str, now: int, after_us: int) -> None:
-    del now, after_us
-    raise RestartWantedError(f"the node of {kernel} is to be restarted")
-
-
 @dataclass(slots=True)
 class Share:
     """How much of the flights was simulated.
@@ -107,10 +98,7 @@ class FastForward:
             fault: What to inject; None = golden flight.
             detector: None = none.  It is started where its flights begin.
             arm: Name of the detector: the same name always comes with the same detector and recovery.
-            recovery: Answer to its alarms.
-
-        Raises:
-            RestartWantedError: A node is to be restarted, which a checkpoint does not know.
+            recovery: Answer to its alarms; it restarts no nodes, of which a checkpoint knows nothing.
         """
         self.recovery = recovery
         with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
@@ -204,7 +192,7 @@ class _Branch:
 
     def _watch(self) -> None:
         if self._detector is not None:
-            self.loop.taps.detector = Watch(self.loop, self._detector.content, self._recovery, _restart)
+            self.loop.taps.detector = Watch(self.loop, self._detector.content, self._recovery)
 
     def remember(self, saved: Any) -> None:  # noqa: ANN401
         """Restore the memory of the detector, if there is one, from a checkpoint."""

@@ -6,7 +6,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, StateFault
 from mavfi.hosts.host import ArmFlights, ArmSetup, Flight
 from mavfi.hosts.instruction import fly_instruction_faults
-from mavfi.hosts.local.fast_forward import FastForward, RestartWantedError
+from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.flight import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec, Scenario
@@ -80,16 +80,20 @@ class LocalFlights(ArmFlights):
         yield from ((place, flight) for (place, _), flight in zip(batch, found, strict=True))
 
     def _fly(self, arm: str, fault: StateFault | None, *, profile: bool = False) -> Flight:
-        """Fast-forwarded if possible; null faults, whose purpose is to fly through the injector, are not."""
+        """Fast-forwarded if possible.
+
+        Not: null faults, whose purpose is to fly through the injector; detectors that may restart nodes, which act at
+        publications without an alarm too.
+        """
         setup = self._arms[arm]
         detector = self._detector(arm)
-        if self._fast and (fault is None or fault.bit is not None):
+        through = fault is not None and fault.bit is None
+        restarts = detector is not None and setup.recovery.restarts
+        if self._fast and not through and not restarts:
             key = setup.scenario.key()
             try:
                 forward = self._forward.get(key) or FastForward(setup.scenario)
                 flight = forward.fly(fault, detector, arm if detector is not None else "", setup.recovery)
-            except RestartWantedError:
-                self._forward[key] = forward  # it is put back to a checkpoint before the next flight
             except Exception:  # noqa: BLE001 - what cannot be copied or compared; the long way says what is recorded
                 self._forward.pop(key, None)
             else:

@@ -29,7 +29,7 @@ Grain = Literal["stage", "kernel"]
 SameTwice = Literal["accept", "escalate"]
 COLLISION, PATH = "perception.collision_status", "planning.path"
 RESTART_US = 20_000
-"""Until a node that is restarted after an alarm is back (us): it is there and makes its memory anew."""
+"""Time for which a node is away that a detector restarts (us): its process stays, its memory is initialized."""
 MOST_RESTARTS = 5
 """In one flight: detectors can be wrong themselves, and must not keep a vehicle from flying."""
 SCANNING = STAGE_KERNELS[Stage.PERCEPTION]
@@ -141,13 +141,18 @@ def _never(kernel: str, now: int, after_us: int) -> None:
 
 
 class Watch:
-    """A detector as a tap of a loop, which answers its alarms; it has no memory of its own.
+    """A detector as a tap of a loop, which answers its alarms.
+
+    It has memory only if it may restart nodes; such flights are not fast-forwarded.
 
     Args:
         loop: The flight.
         detector: What watches it.
         recovery: How its alarms are answered.
         restart: Restarts the node of a kernel: kernel, instant (us), time until it is back (us).
+
+    Attributes:
+        restarts_left: How many nodes it may still restart.
     """
 
     def __init__(
@@ -156,13 +161,15 @@ class Watch:
     ) -> None:  # fmt: skip
         self._loop = proxy(loop)  # which owns this: maps of a flight that is over are freed at once
         self._detector, self._recovery, self._restart = detector, recovery, restart
+        self.restarts_left = MOST_RESTARTS
+        self._asked: tuple[int, int] | None = None  # instant (us) and number of a collision alarm without an answer
 
     def __call__(self, state: State, now: int) -> State | None:
         """Show a value to the detector; the result of a recomputation passes, unless it is judged again."""
         loop, detector, recovery = self._loop, self._detector, self._recovery
         awaited = loop.awaited.pop(state.spec.name, None)
         alarm = detector.check(state, now) if awaited is None or recovery.same_twice == "escalate" else None
-        if awaited is not None and (alarm is None or not alarm.hard or loop.restarts_left == 0):
+        if awaited is not None and (alarm is None or not alarm.hard or self.restarts_left == 0):
             alarm = None  # a statistic may be right twice, a rule cannot
         if alarm is None or recovery.coupling == "observer":
             detector.accept(state, now)
@@ -177,18 +184,17 @@ class Watch:
         return None if action.withholds else state
 
     def _settle(self, awaited: Awaited, state: State, alarm: Alarm | None) -> None:
-        """Note the outcome of a recomputation."""
+        """Note the outcome of a recomputation, which may have raised an alarm again."""
         alarms = self._loop.record.alarms
         if alarms[awaited.place].action == "recompute":
-            outcome = "accepted" if state.same_bits(awaited.rejected) else "repaired"
-            if alarm is not None:
-                outcome = "rejected"
+            passed = "accepted" if state.same_bits(awaited.rejected) else "repaired"
+            outcome = passed if alarm is None else "rejected"
             alarms[awaited.place] = replace(alarms[awaited.place], outcome=outcome)
 
     def _answer(self, action: Action, state: State, now: int) -> None:
         loop = self._loop
         if action.kind == "restart":
-            loop.restarts_left -= 1
+            self.restarts_left -= 1
             self._restart(action.kernel, now, RESTART_US)
             return
         if action.awaited:
@@ -205,22 +211,22 @@ class Watch:
 
     def _keep_waiting(self, state: State, now: int) -> None:
         """Wait for the path that answers a collision alarm; if it is too late, restart the planner's node."""
-        loop, limit = self._loop, self._recovery.answer_s
+        limit = self._recovery.answer_s
         if not limit or state.spec.name not in (COLLISION, PATH):
             return
         number = int(state.header["future_collision_seq"][0])
-        if loop.asked is None:
+        if self._asked is None:
             if state.spec.name == COLLISION and state.header["collision"][0]:
-                loop.asked = now, number
+                self._asked = now, number
             return
-        since, asked = loop.asked
+        since, asked = self._asked
         if state.spec.name == PATH:
             if number >= asked:
-                loop.asked = None
+                self._asked = None
         elif now - since > 1e6 * limit:
-            loop.asked = None
-            if loop.restarts_left:
+            self._asked = None
+            if self.restarts_left:
                 alarm = Alarm("deadline", Stage.PLANNING, score=1e-6 * (now - since) / limit, hard=True)
                 action = Action("restart", Stage.PLANNING, STATES[PATH].writer)
-                loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
+                self._loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
                 self._answer(action, state, now)

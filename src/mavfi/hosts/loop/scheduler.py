@@ -17,7 +17,7 @@ from mavfi.hosts.host import Flight
 from mavfi.hosts.loop.judge import Judge
 from mavfi.hosts.loop.plant import Plant
 from mavfi.hosts.loop.record import Publications, Record
-from mavfi.hosts.loop.recovery import MOST_RESTARTS, SCANNING, Action, Awaited
+from mavfi.hosts.loop.recovery import SCANNING, Action, Awaited
 from mavfi.hosts.loop.sensing import Sensors
 from mavfi.hosts.loop.taps import Taps
 from mavfi.mission import MissionStatus, Scenario
@@ -49,8 +49,6 @@ class LoopMemory(Memory):
     mapped: bool
     captured_us: int
     failed_plans: int
-    asked: tuple[int, int] | None
-    restarts_left: int
     command: np.ndarray
     reference: np.ndarray
 
@@ -76,8 +74,6 @@ class Loop:
         awaited: Recomputations under way, by state.
         requests: Recomputations that wait for the kernel's next step, by kernel (coupling `observer`).
         down: Kernels whose node is dead.
-        asked: Instant (us) and number of a collision alarm that waits for its path.
-        restarts_left: How many nodes a detector may still restart.
     """
 
     def __init__(
@@ -106,8 +102,6 @@ class Loop:
         self.awaited: dict[str, Awaited] = {}
         self.requests: dict[str, Action] = {}
         self.down: set[str] = set()
-        self.asked: tuple[int, int] | None = None
-        self.restarts_left = MOST_RESTARTS
         self.mapped, self.captured_us, self.failed_plans = False, 0, 0
         self.command = np.zeros(4)
         self.reference = plant.odometry[:3].copy()
