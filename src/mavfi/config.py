@@ -217,7 +217,8 @@ class StackConfig(Config):
         ge=0, le=1e6, description="s after which a rejected sequence number is forgotten; 0 = off"
     )
     alarm: Literal["one_shot", "repeated"] = Field(
-        "one_shot", description="of the collision check: said once, or at each scan until it is answered; event only"
+        "one_shot",
+        description="of the collision check: published once, or at each scan until it is answered; event only",
     )
     max_failed_plans: int = Field(40, gt=0, le=1_000_000)
 

@@ -111,6 +111,8 @@ class MissionSpec(Config):
         return "fresh" if value == "restart" else value
 
 
+RECOVERY = ("coupling", "grain", "same_twice", "answer_s")
+"""Keys of a mission that define the answer to a detector's alarms."""
 _OPTIONS = ("wind", "localization", "dead_node")
 _STACK_OPTIONS = ("alarm",)
 

@@ -107,7 +107,7 @@ class Planned:
 
     @staticmethod
     def of(specs: Iterable[RunSpec], *, last: bool) -> "Planned":
-        """Of run specifications."""
+        """From run specifications."""
         return Planned(tuple(spec.row() for spec in specs), last)
 
     @property

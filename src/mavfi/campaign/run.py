@@ -299,12 +299,12 @@ def identity_of(
     campaign: Campaign, scenarios: Mapping[tuple[str, str], Scenario], models: Mapping[str, str]
 ) -> dict[str, Any]:
     """Plain data that identify the campaign of a ledger."""
-    keys = {name: mission_keys(arm.detector) for name, arm in campaign.arms.items()}
+    keys = {name: dict(own) for name, arm in campaign.arms.items() if (own := mission_keys(arm.detector))}
     return {
         "campaign": campaign.to_json(),
         "scenarios": {"/".join(place): scenario.to_json() for place, scenario in scenarios.items()},
         "models": dict(models),
-        **({"mission_keys": {name: dict(own) for name, own in keys.items() if own}} if any(keys.values()) else {}),
+        **({"mission_keys": keys} if keys else {}),
     }
 
 

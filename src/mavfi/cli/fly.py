@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING
 from mavfi.cli import options
 from mavfi.cli.console import FLIGHTS, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
-from mavfi.mission import MissionSpec
+from mavfi.mission import RECOVERY, MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
     from mavfi.mission import Scenario
 
 DEFAULT_PROFILE = "paper"
-RECOVERY = ("coupling", "grain", "same_twice", "answer_s")
-"""Options of a mission that say how alarms are answered."""
 
 
 @options.with_mission_options

@@ -65,7 +65,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi ros fly --environment sparse --seed 7 --kill octomap@20[/bold]
     """
-    ros_nodes.check_mission(mission, detector)
+    mission = ros_nodes.mission_with(mission, detector)
     check_company(mission, fault, fault_seed, detector, profile, models)
     check_file("--save", save, FLIGHTS)
     from mavfi.faults.spec import parse_state

@@ -47,12 +47,14 @@ def renamed(name: str, value: _Value | None, old_name: str, old_value: _Value | 
     return old_value if value is None else value
 
 
-def check_mission(mission: MissionSpec, detector: str) -> None:
-    """Check that ROS can fly a mission, with the keys that go with a detector; raises `BadInputError` if not."""
+def mission_with(mission: MissionSpec, detector: str) -> MissionSpec:
+    """A mission with the keys that go with a detector; raises `BadInputError` if ROS cannot fly it."""
     from mavfi.hosts.ros1.plan import check_supported
     from mavfi.hosts.watching import with_keys_of
 
-    check_supported(with_keys_of(mission, detector))
+    mission = with_keys_of(mission, detector)
+    check_supported(mission)
+    return mission
 
 
 def cloud_node(text: str) -> CloudNode:

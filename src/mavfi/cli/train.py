@@ -13,14 +13,14 @@ from rich.table import Table
 from mavfi.cli import options
 from mavfi.cli.console import check_folder, check_number, console, titled_table, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.mission import MissionSpec
+from mavfi.mission import RECOVERY, MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.campaign.analysis.statistics import EventRate
     from mavfi.detectors.model import Model
 
 
-@partial(options.with_mission_options, without=("environment", "seed", "start", "goal", "coupling", "dead_node"))
+@partial(options.with_mission_options, without=("environment", "seed", "start", "goal", "dead_node", *RECOVERY))
 def train(
     mission: MissionSpec,
     flights: Annotated[

@@ -61,7 +61,7 @@ class MissionLimits:
         slowdown_cap: Largest slow-down of reference time where the command is saturated.
         tracker_slowdown: Loop time of the tracker / reference time that it advances.
         camera_range: How far the camera sees (m).
-        repeated: Whether alarms of the collision check are said again until they are answered.
+        repeated: Whether the collision check repeats alarms until they are answered.
     """
 
     v_max: float

@@ -1,6 +1,7 @@
 """Detectors by name: the two of the paper, the acceptance test, those of other packages, and `package:Class`."""
 
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -80,6 +81,7 @@ def mission_keys(name: str) -> Mapping[str, Any]:
     return _config_of(name).mission
 
 
+@cache
 def _config_of(name: str) -> DetectorConfig:
     return shipped("detectors", DetectorConfig, name) if name in names("detectors") else DetectorConfig(name=name)
 

@@ -82,7 +82,7 @@ def status(header: np.ndarray, before: np.ndarray, trajectory: np.ndarray, limit
 def known_space(header: np.ndarray, newest: int) -> int:
     """Distances to blocked and to unknown space (m) along a trajectory with a number up to the newest, or none.
 
-    A collision is told exactly where space is blocked.
+    The collision flag is set if and only if space is blocked.
     """
     new = header[0]
     blocked, unknown, number = new["distance_to_blocked"], new["distance_to_unknown"], int(new["trajectory_seq"])

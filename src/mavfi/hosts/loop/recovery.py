@@ -18,7 +18,7 @@ from weakref import proxy
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.errors import BadInputError
 from mavfi.flight_log import AlarmRecord
-from mavfi.mission import MissionSpec
+from mavfi.mission import RECOVERY, MissionSpec
 from mavfi.states import STAGE_KERNELS, STATES, Stage, State, StateSpec
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ class Recovery:
     @staticmethod
     def of(spec: MissionSpec) -> "Recovery":
         """As a mission wants it."""
-        return Recovery(spec.coupling, spec.grain, spec.same_twice, spec.answer_s)
+        return Recovery(*(getattr(spec, key) for key in RECOVERY))
 
     @property
     def restarts(self) -> bool:
