@@ -31,6 +31,7 @@ class Part(Config):
     campaign: str = Field(description="name or path; its arms are those of the bench")
     title: str = Field(description="of its table")
     mission: dict[str, Any] = Field({}, description="keys of a mission, besides those of the campaign")
+    view: str = Field("", description="table that is shown; by default that of schemes for the level of the faults")
 
 
 class Bench(Config):
@@ -53,6 +54,7 @@ class Entry:
 
     campaign: Campaign
     title: str
+    view: str = ""
     left_out: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -103,7 +105,8 @@ def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
     part = bench.parts[name]
     own = load_campaign(part.campaign).at_scale(scale)
     changed = {"name": f"{bench.name}-{name}", "mission": {**own.mission, **part.mission}, "scales": {}}
-    arms = {arm: config.model_dump() for arm, config in bench.arms.items()}
+    nodes_die = own.sampling.level == "instruction"  # what becomes of dead nodes has no effect elsewhere
+    arms = {arm: config.model_dump() for arm, config in bench.arms.items() if config.detector or nodes_die}
     return parse(Campaign, {**own.to_json(), **changed, "arms": arms}, f"bench {bench.name}: {name}")
 
 
@@ -118,7 +121,8 @@ def _entry(bench: Bench, name: str, campaign: Campaign) -> Entry:
             except SpecMismatchError as error:
                 left_out[arm.name] = str(error)
     arms = {arm: config for arm, config in campaign.arms.items() if arm not in left_out}
-    return Entry(campaign.model_copy(update={"arms": arms}), bench.parts[name].title, left_out)
+    part = bench.parts[name]
+    return Entry(campaign.model_copy(update={"arms": arms}), part.title, part.view, left_out)
 
 
 def faults_of(directory: Path) -> str:

@@ -115,7 +115,7 @@ def _table(bench: "Bench", name: str, entry: "Entry", ledger: Path, scale: str) 
     drawn = f"{faults.count(chr(10)) - 1} faults, sha256 {checksum(faults)[:16]}…: "
     drawn += same.get(frozen, f"NOT those published in {bench.name} (sha256 {checksum(frozen or '')[:16]}…)")
     left_out = [f"{arm}: not flown ({reason})" for arm, reason in entry.left_out.items()]
-    found = table(runs, name_for(runs))
+    found = table(runs, entry.view or name_for(runs))
     return replace(found, name=name, title=entry.title, notes=(drawn, *left_out, *found.notes))
 
 

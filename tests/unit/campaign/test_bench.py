@@ -2,6 +2,7 @@
 
 import pytest
 
+from mavfi.campaign.analysis import VIEWS
 from mavfi.campaign.bench import COLUMNS, Bench, checksum, entries, faults_of, frozen_faults, load_bench, with_only
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
@@ -18,6 +19,7 @@ def test_every_part_of_a_shipped_bench_can_be_flown():
     for name in names("bench"):
         for part, entry in entries(load_bench(name), "paper").items():
             assert entry.campaign.arms, part
+            assert (entry.view or "schemes") in VIEWS
             assert not entry.campaign.on_design_seeds
 
 
@@ -30,6 +32,13 @@ def test_a_scheme_that_was_trained_for_other_flights_is_left_out_with_the_reason
 def test_parts_by_level_and_by_name():
     assert list(entries(BENCH, "quick", levels=["instruction"])) == ["instruction"]
     assert list(entries(BENCH, "quick", parts=["sites"])) == ["sites"]
+
+
+def test_policies_of_dead_nodes_are_flown_where_nodes_die():
+    arms = {
+        name: entry.campaign.arms for name, entry in entries(BENCH, "quick", parts=["sites", "instruction"]).items()
+    }
+    assert "readback" in arms["instruction"] and "readback" not in arms["sites"]
 
 
 def test_a_detector_of_ones_own_takes_the_place_of_the_schemes():

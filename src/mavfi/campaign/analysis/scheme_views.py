@@ -12,6 +12,7 @@ from mavfi.campaign.analysis.rows import KERNEL_DUE
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import NUMBER, PER_HOUR, SMALL
 from mavfi.campaign.analysis.views import View, has, register
+from mavfi.campaign.plan import FI
 
 PAIR = "pair"
 """Kind of a row that joins the run of a fault in `fi` with that in an arm; columns of the latter begin with `dr_`."""
@@ -44,6 +45,13 @@ def _lost_by(test: pl.Expr | str, key: str, heading: str, *where: pl.Expr) -> Me
     return m.rate(key, heading, test, LOST, *where)
 
 
+def _watched(runs: Runs) -> list[str]:
+    """Of the lost missions, how many were struck in the fields that the paper's detectors watch."""
+    lost = runs.injected.where("judged", "golden_success", ~pl.col("success"), setting=FI)
+    inside = len(lost.where("monitored"))
+    return [f"{inside} of {len(lost)} lost missions were struck in the fields that the paper's detectors watch"]
+
+
 _COUNTED = (
     m.count("pairs", "faults", kind=PAIR), m.count("lost", "lost", LOST),
     _lost_by("dr_success", "back", "brought back"),
@@ -69,9 +77,10 @@ _NOTES = (
 register(
     View(
         "schemes", "Schemes on the same faults", ("arm",),
-        (*_COUNTED, _lost_by("monitored", "watched", "lost in the paper's fields"), *_HARM, *_ALARMS),
-        where=against_base, headings=("scheme",),
-        notes=lambda _: (*_NOTES, "detected: of the lost ones, alarm on the corrupted publication", ONE_FAULT),
+        (*_COUNTED, *_HARM, *_ALARMS), where=against_base, headings=("scheme",),
+        notes=lambda runs: (
+            *_NOTES, "detected: of the lost ones, alarm on the corrupted publication", *_watched(runs), ONE_FAULT
+        ),
         applies=lambda runs: False,
     ),
     View(
