@@ -17,7 +17,7 @@ export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz failures damage reliability tune format bench coupling machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors coupling machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -85,6 +85,10 @@ fast-forward: setup  ## fly runs of table1 with and without fast-forward, compar
 
 many-injections: setup  ## inject 100,000 faults in forked children, and look for leaks (N=...)
 	@$(BIN)/python -m benchmarks.many_injections $(N)
+
+bench-detectors: setup  ## fly every detector on the same faults, write docs/generated/leaderboard.md and docs/engineers.md
+	@$(BIN)/mavfi bench detectors --scale $(SCALE) --out out/bench-$(SCALE) --workers $(JOBS)
+	@$(BIN)/python -m tools.build_leaderboard out/bench-$(SCALE) $(SCALE)
 
 cluster: setup  ## cost of campaigns of up to 100,000 missions besides their flights; writes the table in docs/cluster.md (N="1000 10000")
 	@$(BIN)/python -m benchmarks.cluster

@@ -43,20 +43,25 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     with compiling(instrumented=fault is not None and fault.startswith("instruction")):
         from mavfi.api import fly_request
+        from mavfi.hosts.host import ArmSetup
         from mavfi.hosts.loop.compose import resolve
         from mavfi.hosts.loop.recovery import Recovery
         from mavfi.hosts.watching import with_keys_of
 
-        mission = with_keys_of(mission, detector)
+        bare, mission = resolve(mission), with_keys_of(mission, detector)
         scenario = resolve(mission)
         watching, label = load_watcher(detector, profile, models, scenario)
-        result = fly_request(scenario, request, fault_seed or 0, watching, label, Recovery.of(mission))
+        setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
+        result = fly_request(setup, request, fault_seed or 0, label, bare)
     if save is not None:
         result.log.save(save)
     if picture is not None:
         from mavfi.reports.picture import draw_flight
 
-        draw_flight(picture, result.flight, result.golden, detector=result.detector)
+        if result.unwatched is None:
+            draw_flight(picture, result.flight, result.golden, detector=result.detector)
+        else:
+            draw_flight(picture, result.unwatched, result.golden, result.flight, detector=result.detector)
     if as_json:
         write_json(result.to_json())
         return

@@ -14,7 +14,7 @@ from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
 from mavfi.detectors.parts import Chain
 from mavfi.detectors.preprocess import PROFILES
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.plugins import build, known, load_object, parameters_of
 
 GROUP = "mavfi.detectors"
@@ -130,7 +130,9 @@ def load_detector(
 
 def _load_model(path: Path, kind: str, profile: str, fits: Mapping[str, Any]) -> Model:
     if not path.is_file():
-        raise BadInputError(f"{path}: no model is trained for this stack and platform; train one with `mavfi train`")
+        raise SpecMismatchError(
+            f"{path}: no model is trained for this stack and platform; train one with `mavfi train`"
+        )
     model = Model.load(path)
     if (model.kind, model.profile) != (kind, profile):
         raise BadInputError(f"{path}: is a model {model.kind}-{model.profile}; needed: {kind}-{profile}")
