@@ -56,6 +56,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     allow_bind_all: Annotated[
         bool, typer.Option("--allow-bind-all", help="Fly even where there can be no private network.")
     ] = False,
+    new_interpreters: Annotated[
+        bool, typer.Option("--new-interpreters", help="roslaunch starts every node as a new program; slower by far.")
+    ] = False,
     as_json: options.AsJson = False,
     save: options.Save = None,
 ) -> None:
@@ -91,7 +94,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     drawn = None if request is None else draw_state(scenario, request, fault_seed or 0)[0]
     plan = Plan(
         scenario, configure(scenario), drawn, watching, mission.coupling, free_running, kills, cloud_node=cloud,
-        register_faults=faults,
+        register_faults=faults, forked=not new_interpreters,
     )  # fmt: skip
     ros_nodes.check(plan)
     with stoppable("Stopped; every process of the flight has ended."):

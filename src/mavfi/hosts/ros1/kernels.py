@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from mavfi.detectors.detector import Detector
 from mavfi.hosts.loop.assemble import new_loop, watch
-from mavfi.hosts.loop.recovery import SCANNING, Recovery
+from mavfi.hosts.loop.recovery import INLINE, SCANNING, Recovery
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.hosts.ros1.convert import MAP
 from mavfi.hosts.ros1.generate import message_type
@@ -18,6 +19,7 @@ from mavfi.hosts.ros1.mirrors import ros_type
 from mavfi.hosts.ros1.nodelet_cloud import NodeletCloud
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Inbox, Ports, fatal
+from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 from mavfi.pipeline.planning import MotionPlanner
 from mavfi.pipeline.ppc import build_pipeline
@@ -148,7 +150,8 @@ class FreeNode(KernelNode):
 
     def run(self) -> None:
         """Work until the end."""
-        load_compiled(self.ports.plan)
+        if not self.ports.plan.forked:
+            fly_begin(self.ports.plan.scenario)
         self.listen(lambda state, number, time_us: self._queue.put((state, time_us, None)))
         if self._marks:
             self.ports.listen(RECOMPUTE, "Recompute", lambda request: self._queue.put((None, 0, request)))
@@ -204,10 +207,10 @@ class FreeNode(KernelNode):
             self._publish(kernel, kernel.stop if request.kind == "stop" else lambda: kernel.abandon(now), now)
 
 
-def load_compiled(plan: Plan) -> None:
+def fly_begin(scenario: Scenario, detector: Detector | None = None, recovery: Recovery = INLINE) -> None:
     """Fly the first seconds in this process: functions are compiled and loaded at their first use."""
-    loop = new_loop(plan.scenario)
-    watch(loop, None if plan.free_running else plan.detector, Recovery(plan.coupling))
+    loop = new_loop(scenario)
+    watch(loop, detector, recovery)
     loop.judge.limit_us = _LOADING_FLIGHT_US
     loop.fly()
 

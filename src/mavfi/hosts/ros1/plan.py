@@ -51,6 +51,7 @@ class Plan:
         patience_s: How long to wait for a node (s, wall clock).
         cloud_node: Who computes the point cloud: the project's kernel, or Debian's nodelet.
         register_faults: Bits flipped in registers of nodes.
+        forked: Whether nodes are forked from a warm process; otherwise roslaunch starts an interpreter for each.
         profile: Whether to note when which state was published; the world then listens to all of them.
         nodes: All nodes of the project except the world.
     """
@@ -67,6 +68,7 @@ class Plan:
     cloud_node: CloudNode = "mavfi"
     register_faults: tuple[RegisterFault, ...] = ()
     profile: bool = False
+    forked: bool = True
     graph: Graph = field(init=False)
     nodes: tuple[str, ...] = field(init=False)
 
