@@ -25,33 +25,16 @@ from mavfi.hosts.ros1.session import configure
 from mavfi.hosts.ros1.session import fly as fly_there
 from mavfi.mission import MissionSpec
 from tests.hosts.missions import Scripted, fault, golden, mission
+from tests.hosts.ros1.flights import NODES, same, short, there
 from tests.hosts.ros1.needs import ros
 
 pytestmark = [*ros, pytest.mark.slow]
-NODES = ("point_cloud", "octomap", "collision_check", "planner", "waypoint", "pid")
-SHORT = (16.0, 0.0, 3.0)
-
-
-def short(**changes):
-    return resolve(MissionSpec(environment="sparse", seed=7, goal=SHORT, **changes))
 
 
 def detector(name, scenario):
     fits = {"stack": scenario.stack.name, "platform": scenario.platform.name, "v_max": scenario.v_max,
             "planner": scenario.planner.name}  # fmt: skip
     return load_detector(name, "paper", None, fits)[0]
-
-
-def there(scenario, fault=None, detector=None, **options):
-    return fly_there(Plan(scenario, configure(scenario), fault, detector, **options)).flight.log
-
-
-def same(log, other):
-    """Whether two records agree in everything: bits, events, injections, alarms, counts."""
-    assert log.digest() == other.digest()
-    assert (log.alarms, log.injections) == (other.alarms, other.injections)
-    assert json.loads(json.dumps(log.meta)) == json.loads(json.dumps(other.meta))
-    assert log.events == other.events
 
 
 def left_behind(folder):
@@ -146,7 +129,7 @@ def test_a_flight_with_other_options_of_a_mission():
 def test_a_flight_with_a_fault_and_an_observer():
     scenario = short()
     wrong = fault("planning.waypoint", "x", 4.0, 62)
-    log = there(scenario, wrong, detector("gaussian", scenario), coupling="observer")
+    log = there(scenario, wrong, detector("gaussian", scenario), recovery=Recovery("observer"))
     same(log, fly_here(scenario, wrong, detector("gaussian", scenario), recovery=Recovery("observer")).log)
     assert log.alarms
 
@@ -169,7 +152,7 @@ def test_an_injected_estimate_and_a_detector_that_wants_it_again(coupling):
     def watching():
         return Scripted("perception.odometry", n=700, stage="perception")
 
-    log = there(scenario, wrong, watching(), coupling=coupling)
+    log = there(scenario, wrong, watching(), recovery=Recovery(coupling))
     same(log, fly_here(scenario, wrong, watching(), recovery=Recovery(coupling)).log)
     assert log.injections[0].activated and [alarm.action for alarm in log.alarms] == ["recompute"]
 

@@ -60,7 +60,7 @@ class Ros1Flights(ArmFlights):
     def _fly(self, arm: str, fault: StateFault | None, *, profile: bool = False) -> Flight:
         setup, first = self._arms[arm], arm not in self._detectors
         plan = Plan(
-            setup.scenario, configure(setup.scenario), fault, self._detector(arm), setup.recovery.coupling,
+            setup.scenario, configure(setup.scenario), fault, self._detector(arm), setup.recovery,
             patience_s=PATIENCE_S, profile=profile,
         )  # fmt: skip
         if first:
