@@ -34,6 +34,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     Example: [bold]mavfi fly --environment dense --seed 10007 --fault state:planning.waypoint.x:bit=62@20.0[/bold]
     """
     check_company(mission, fault, fault_seed, detector, profile, models)
+    if mission.dead_node != "fresh" and not (fault or "").startswith("instruction:"):
+        text = "no node can die; allowed: together with --fault instruction:KERNEL"
+        raise BadInputError(f"--dead-node: {mission.dead_node}: {text}")
     check_file("--save", save, FLIGHTS)
     check_file("--picture", picture, PICTURES)
     from mavfi.faults.spec import parse
@@ -83,9 +86,6 @@ def check_company(
         check_seed("--fault-seed", fault_seed)
         if fault is None:
             raise BadInputError(f"--fault-seed: {fault_seed}: no fault to draw; allowed: together with --fault")
-    if mission.dead_node != "fresh" and not (fault or "").startswith("instruction:"):
-        text = "no node can die; allowed: together with --fault instruction:KERNEL"
-        raise BadInputError(f"--dead-node: {mission.dead_node}: {text}")
     given = {f"--{key.replace('_', '-')}": getattr(mission, key) for key in RECOVERY if _is_chosen(mission, key)}
     for name, value in {"--profile": profile, "--models": models, **given}.items():
         if value is not None and detector == "none":

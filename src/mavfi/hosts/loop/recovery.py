@@ -153,6 +153,8 @@ class Watch:
 
     Attributes:
         restarts_left: How many nodes it may still restart.
+        alarm: What the detector said of the last value, None = nothing.
+        action: The answer to it.
     """
 
     def __init__(
@@ -162,6 +164,8 @@ class Watch:
         self._loop = proxy(loop)  # which owns this: maps of a flight that is over are freed at once
         self._detector, self._recovery, self._restart = detector, recovery, restart
         self.restarts_left = MOST_RESTARTS
+        self.alarm: Alarm | None = None
+        self.action: Action | None = None
         self._asked: tuple[int, int] | None = None  # instant (us) and number of a collision alarm without an answer
 
     def __call__(self, state: State, now: int) -> State | None:
@@ -175,10 +179,11 @@ class Watch:
             detector.accept(state, now)
         if awaited is not None:
             self._settle(awaited, state, alarm)
+        self.alarm, self.action = alarm, None
         if alarm is None:
             self._keep_waiting(state, now)
             return state
-        action = decide(alarm, state.spec, recovery, again=awaited is not None)
+        action = self.action = decide(alarm, state.spec, recovery, again=awaited is not None)
         loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
         self._answer(action, state, now)
         return None if action.withholds else state

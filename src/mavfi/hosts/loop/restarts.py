@@ -18,7 +18,8 @@ from mavfi.mission import DeadNode, MissionStatus
 from mavfi.pipeline.kernel import Kernel
 from mavfi.states import PERIODIC, STATES, State, in_node
 
-_MAP = "perception.map_update"
+CHANGES = "perception.map_update"
+"""State of changes instead of whole values: a node that begins again is sent all of them."""
 
 
 class Restarts:
@@ -39,7 +40,7 @@ class Restarts:
     def _keep(self, state: State, now: int) -> None:
         name = state.spec.name
         self._latest[name] = state
-        if name == _MAP:
+        if name == CHANGES:
             self._updates.append(state)
         if name in self._acted_on and self._acted_on[name](state):
             self._alarms[name] = state
@@ -92,7 +93,9 @@ class Restarts:
     # ---- back again -------------------------------------------------------------------------------------------------
     def _restart(self, now: int, kernel: str) -> None:
         loop, names = self._loop, in_node(kernel)
-        fresh = loop.make_kernels()
+        fresh = loop.renew(kernel)
+        if not fresh:
+            return
         for name in names:
             loop.kernels[name] = fresh[name]
             loop.down.discard(name)
@@ -117,7 +120,7 @@ class Restarts:
 
     def _messages(self, name: str) -> list[State]:
         """What a restarted node is sent of a state."""
-        if name == _MAP:
+        if name == CHANGES:
             return self._updates
         latest, alarm = self._latest.get(name), self._alarms.get(name)
         messages = [] if latest is None else [latest]

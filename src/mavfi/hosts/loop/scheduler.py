@@ -6,7 +6,7 @@ the platform, through the taps; the control kernel's command goes to the plant; 
 
 import heapq
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,6 +74,7 @@ class Loop:
         awaited: Recomputations under way, by state.
         requests: Recomputations that wait for the kernel's next step, by kernel (coupling `observer`).
         down: Kernels whose node is dead.
+        renew: Makes the kernels of a dead node, given one of them, and may make others; none = it does not come back.
     """
 
     def __init__(
@@ -81,7 +82,8 @@ class Loop:
         want_profile: bool = False, marks: bool = False,
     ) -> None:  # fmt: skip
         self.scenario, self.world, self.plant = scenario, world, plant
-        self.make_kernels, self.marks = make_kernels, marks
+        self.marks = marks
+        self.renew: Callable[[str], Mapping[str, Kernel]] = lambda kernel: make_kernels()
         self.kernels = make_kernels()
         self.latency = {name: latency(scenario.platform, name) for name in self.kernels}
         self.readers: dict[str, list[Kernel]] = {
@@ -162,7 +164,7 @@ class Loop:
         """One control period: judge, measure where the vehicle is, hand over, track."""
         for listener in self.before_tick:
             listener(now)
-        self.status = self.judge.status(self.plant, self.failed_plans, now)
+        self.status = self.status or self.judge.status(self.plant, self.failed_plans, now)
         self.record.write_row(now, self.plant.odometry, self.command, self.reference)
         if self.status is None:
             self._control_period(now)
