@@ -34,7 +34,7 @@ class SiteGroup(Config):
     """Fields that are injected as one row of a table; one of them per fault, uniform."""
 
     name: str
-    sites: tuple[str, ...] = Field(min_length=1, description="state.field")
+    sites: tuple[str, ...] = Field(min_length=1, description="state.field; of memories kernel.field")
     strata: dict[str, float] | None = Field(None, description="instead of the campaign's")
 
 
@@ -59,6 +59,27 @@ class StateSampling(Config):
         _check_distinct("sampling.groups", [group.name for group in self.groups])
         for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
             _check_strata(strata)
+        return self
+
+
+class MemorySampling(Config):
+    """Faults in what kernels remember: one bit of a word, uniform over bits and instants of the golden flight."""
+
+    null_runs: ClassVar[int] = NULL_RUNS
+    level: Literal["memory"]
+    kernels: tuple[str, ...] = Field((), description="whose memory; all by default")
+    share: Literal["exposure", "kernel"] = Field(
+        "exposure", description="what `faults` counts: all bits together, most of which are maps, or each kernel"
+    )
+    groups: tuple[SiteGroup, ...] = Field((), description="instead: `faults` for each of these, e.g. planner.acted_seq")
+    strata: dict[str, float] | None = Field(None, description="shares of the faults by bit class; whole words else")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "MemorySampling":
+        _check_distinct("sampling.kernels", self.kernels)
+        _check_distinct("sampling.groups", [group.name for group in self.groups])
+        if self.strata is not None:
+            _check_strata(self.strata)
         return self
 
 
@@ -110,6 +131,7 @@ def _level_of(data: Any) -> str:
 
 Sampling = Annotated[
     Annotated[StateSampling, Tag("state")]
+    | Annotated[MemorySampling, Tag("memory")]
     | Annotated[InstructionSampling, Tag("instruction")]
     | Annotated[RegisterSampling, Tag("register")],
     Discriminator(_level_of),

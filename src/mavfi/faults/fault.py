@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, Self, get_args
 from mavfi.config import checked
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
-from mavfi.states import STATES, find_state
+from mavfi.states import KERNELS, STATES, find_state
 
 NO_SITE = -1
 """`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden flight has no site."""
@@ -113,6 +113,61 @@ class StateFault(_Planned):
         if fault.bit is not None and not 0 <= fault.bit < bits:
             raise BadInputError(f"fault in {fault.site}: bit {fault.bit}; allowed: 0 to {bits - 1}")
         return fault
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryFault(_Planned):
+    """One bit of a word that a kernel remembers, at an instant.
+
+    Attributes:
+        kernel: As in `states.KERNELS`.
+        field: Name of the word in its memory, e.g. "decisions.acted_seq" (see `pipeline.words`).
+        index: Of the word, where several have the name.
+        dtype: Type of the word: "f8", "f4", "i8", "i4", "i2", "u8", "u1" or "?".
+        time_us: Before the steps of this instant; `NO_SITE` = the golden flight had no such word when it was drawn.
+        bit: Bit that is flipped; None = null fault: the whole path through the injector with an empty mask.
+        stratum: Stratum of the draw, e.g. "sign_exponent" (see faults/strata.py), "" = whole words.
+        weight: Probability that a bit drawn from the whole words of its target falls in the stratum.
+        seed: Seed of the draw.
+
+    Raises:
+        BadInputError: There is no such kernel, type or bit.
+    """
+
+    level: ClassVar[Literal["memory"]] = "memory"
+    kernel: str
+    field: str
+    index: int | None = None
+    dtype: str = "f8"
+    time_us: int = 0
+    bit: int | None = None
+    stratum: str = ""
+    weight: float = 1.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for value, allowed in ((self.kernel, KERNELS), (self.dtype, strata.WORD_BITS)):
+            if value not in allowed:
+                raise BadInputError(f"fault in {self.site}: {value!r}: allowed: {', '.join(allowed)}")
+        bits = strata.WORD_BITS[self.dtype]
+        if self.bit is not None and not 0 <= self.bit < bits:
+            raise BadInputError(f"fault in {self.site}: bit {self.bit}; allowed: 0 to {bits - 1}")
+
+    @property
+    def site(self) -> str:
+        """Kernel, field and index as text."""
+        index = "" if self.index is None else f"[{self.index}]"
+        return f"memory:{self.kernel}.{self.field}{index}"
+
+    @property
+    def has_site(self) -> bool:
+        """Whether the golden flight had such a word when the fault was drawn."""
+        return self.time_us != NO_SITE
+
+    @property
+    def bit_class(self) -> str:
+        """Class of the bit in the word's type; "" for a null fault."""
+        return "" if self.bit is None else strata.bit_class(self, self.bit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,10 +360,10 @@ class RegisterFault(_Planned):
         return None
 
 
-Fault = StateFault | InstructionFault | MessageFault | RegisterFault
+Fault = StateFault | MemoryFault | InstructionFault | MessageFault | RegisterFault
 """A planned fault of any level."""
 LEVELS: dict[str, type[Fault]] = {
-    kind.level: kind for kind in (StateFault, InstructionFault, MessageFault, RegisterFault)
+    kind.level: kind for kind in (StateFault, MemoryFault, InstructionFault, MessageFault, RegisterFault)
 }
 
 

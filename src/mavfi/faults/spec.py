@@ -12,12 +12,16 @@ from mavfi.faults.fault import MODELS, RESTART_S, FaultSite, Model, StateFault
 from mavfi.faults.sampling import draw_publication, live_fields, stream
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight_log import Profile
-from mavfi.states import STATES, Field, StateSpec, states_with
+from mavfi.states import KERNELS, STATES, Field, StateSpec, states_with
 
-FORM = "null, state:STATE[.FIELD][[ELEMENT]][:bit=N][@SECONDS], or instruction:KERNEL[:which=CLASS][:model=MODEL]"
+FORM = (
+    "null, state:STATE[.FIELD][[ELEMENT]][:bit=N][@SECONDS], memory:KERNEL[.FIELD][[INDEX]][:bit=N][@SECONDS], or "
+    "instruction:KERNEL[:which=CLASS][:model=MODEL]"
+)
 _PATTERN = re.compile(
     r"(?P<path>[^:@\[\]]+)(\[(?P<element>\d+)\])?(:bit=(?P<bit>\d+))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?"
 )
+_MEMORY = re.compile(r"(?P<path>[^:@]+)(:bit=(?P<bit>\d+))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?")
 _INSTRUCTION = re.compile(r"(?P<kernel>\w+)(:which=(?P<which>.+?))?(:model=(?P<model>\w+))?")
 _LONGEST = 1e9
 
@@ -82,6 +86,23 @@ class StateRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class MemoryRequest:
+    """A fault in the memory of a kernel as a user names it; what is not named is drawn by exposure.
+
+    Attributes:
+        kernel: As in `states.KERNELS`.
+        field: Name of words, or a part of it, with an index if wanted (see `pipeline.words.Words.named`); "" = all.
+        bit: None = drawn from the whole word.
+        time_us: None = drawn from the golden flight.
+    """
+
+    kernel: str
+    field: str = ""
+    bit: int | None = None
+    time_us: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class InstructionRequest:
     """Faults in instructions to be drawn from one mission.
 
@@ -105,11 +126,15 @@ class InstructionRequest:
         return next(iter(self.kernels))
 
 
-def parse(text: str, localization: str = "truth") -> StateRequest | InstructionRequest:
+Request = StateRequest | MemoryRequest | InstructionRequest
+
+
+def parse(text: str, localization: str = "truth") -> Request:
     """Read a fault from the command line.
 
     Args:
-        text: `null` (the empty mask on the way-point in force), `state:` and a site, or `instruction:` and a kernel.
+        text: `null` (the empty mask on the way-point in force), `state:` and a site, `memory:` and a kernel with a name
+            of what it remembers, or `instruction:` and a kernel.
         localization: "truth" or "estimator", which decides what states there are.
 
     Raises:
@@ -144,7 +169,28 @@ def _parse_null(text: str, rest: str, localization: str) -> StateRequest:
 
 
 def _refuse_register(text: str, _rest: str, _localization: str) -> NoReturn:
-    raise BadInputError(f"fault {text!r}: registers are injected by mavfi inject; allowed: state, instruction")
+    raise BadInputError(f"fault {text!r}: registers are injected by mavfi inject; allowed: state, memory, instruction")
+
+
+def _parse_memory(text: str, rest: str, localization: str) -> MemoryRequest:
+    match = _MEMORY.fullmatch(rest)
+    if match is None:
+        _not_understood(text, rest, localization)
+    kernel, _, field = match["path"].partition(".")
+    known = [spec.name for spec in KERNELS.values() if spec.only_with in ("", localization)]
+    if kernel not in known:
+        raise BadInputError(f"fault {text!r}: no kernel {kernel!r}; allowed: {', '.join(known)}")
+    bit = None if match["bit"] is None else int(match["bit"])
+    return MemoryRequest(kernel, field, bit, _instant(text, match["time"]))
+
+
+def _instant(text: str, seconds: str | None) -> int | None:
+    """An instant as text (s) in us."""
+    if seconds is None:
+        return None
+    if not float(seconds) < _LONGEST:
+        raise BadInputError(f"fault {text!r}: instant {seconds} s; allowed: 0 to {_LONGEST:g}")
+    return round(float(seconds) * 1e6)
 
 
 def _parse_instruction(text: str, rest: str, localization: str) -> InstructionRequest:
@@ -179,10 +225,7 @@ def _parse_state(text: str, rest: str, localization: str) -> StateRequest:
     bits = max(WORD_BITS[candidate.dtype] for candidate in fields)
     if bit is not None and bit >= bits:
         raise BadInputError(f"fault {text!r}: no bit {bit} in {named}; allowed: 0 to {bits - 1}")
-    seconds = match["time"]
-    if seconds is not None and not float(seconds) < _LONGEST:
-        raise BadInputError(f"fault {text!r}: instant {seconds} s; allowed: 0 to {_LONGEST:g}")
-    return StateRequest(spec, field, element, bit, None if seconds is None else round(float(seconds) * 1e6))
+    return StateRequest(spec, field, element, bit, _instant(text, match["time"]))
 
 
 def _find(text: str, path: str, localization: str) -> tuple[StateSpec, str | None]:
@@ -200,8 +243,9 @@ def _find(text: str, path: str, localization: str) -> tuple[StateSpec, str | Non
 
 
 _STATE_PARSERS: dict[str, Callable[[str, str, str], StateRequest]] = {"null": _parse_null, "state": _parse_state}
-_PARSERS: dict[str, Callable[[str, str, str], StateRequest | InstructionRequest]] = {
+_PARSERS: dict[str, Callable[[str, str, str], Request]] = {
     **_STATE_PARSERS,
+    "memory": _parse_memory,
     "instruction": _parse_instruction,
     "register": _refuse_register,
 }

@@ -20,13 +20,14 @@ from mavfi.faults.fault import (
     Fault,
     FaultSite,
     InstructionFault,
+    MemoryFault,
     MessageFault,
     RegisterFault,
     StateFault,
     fault_from_json,
 )
 from mavfi.faults.strata import WORD_BITS
-from mavfi.states import STATES
+from mavfi.states import KERNELS, STATES
 
 seeds = st.integers(0, 2**63 - 1)
 fields = [(spec.name, field.name) for spec in STATES.values() for field in spec.fields]
@@ -48,6 +49,11 @@ instruction_faults = st.builds(
     st.lists(st.integers(0, 127), max_size=3).map(tuple), st.integers(0, 2**128), st.integers(0),
     model=st.sampled_from(MODELS), kernel=st.text(), entry=st.text(), seed=seeds, weight=st.floats(0, 9),
 )  # fmt: skip
+memory_faults = st.builds(
+    MemoryFault, st.sampled_from(list(KERNELS)), st.text(), st.none() | st.integers(0, 99),
+    st.sampled_from(list(WORD_BITS)), st.just(NO_SITE) | st.integers(0, 10**9), st.none() | st.just(0),
+    st.sampled_from(["", "mantissa"]), st.floats(0, 1), seeds,
+)  # fmt: skip
 message_faults = st.builds(
     MessageFault, st.text(), st.text(), st.none() | st.integers(0, 63), st.integers(1, 10**6),
     st.none() | st.floats(0, 1, exclude_min=True), seed=seeds,
@@ -56,7 +62,7 @@ register_faults = st.builds(
     RegisterFault, st.sampled_from(REGISTERS), st.sampled_from(ACCESSES), st.text(), st.integers(0, 2**22),
     st.integers(1, LONGEST_WALK), st.floats(0, LONGEST_TIMEOUT, exclude_min=True), st.booleans(), st.text(), seed=seeds,
 )  # fmt: skip
-faults = state_faults | instruction_faults | message_faults | register_faults
+faults = state_faults | memory_faults | instruction_faults | message_faults | register_faults
 
 
 @given(faults)
@@ -77,7 +83,7 @@ def test_every_fault_says_level_site_weight_and_seed(fault):
 
 def test_levels_are_those_of_the_union():
     assert tuple(LEVELS.values()) == get_args(Fault)
-    assert list(LEVELS) == ["state", "instruction", "message", "register"]
+    assert list(LEVELS) == ["state", "memory", "instruction", "message", "register"]
 
 
 def test_a_fault_is_data():
@@ -88,6 +94,8 @@ def test_a_fault_is_data():
 def test_sites_as_text():
     assert StateFault(FaultSite("planning.path", "x", 2)).site == "planning.path.x[2]"
     assert StateFault(FaultSite("control.command", "vx")).site == "control.command.vx"
+    assert MemoryFault("planner", "decisions.acted_seq").site == "memory:planner.decisions.acted_seq"
+    assert MemoryFault("waypoint", "points", 12).site == "memory:waypoint.points[12]"
     assert InstructionFault("m.f", "sha", 1, kernel="pid", entry="track").site == "pid.track"
     assert InstructionFault("m.f", "sha", 1).site == "m.f"
     assert MessageFault("/joints", "position[0]").site == "/joints.position[0]"
@@ -115,6 +123,9 @@ def test_bits_are_flipped_or_the_whole_value_is_replaced(bits, value):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (lambda: MemoryFault("pilot", "x"), "'pilot': allowed: state_estimation, point_cloud"),
+        (lambda: MemoryFault("pid", "law", 0, "f2"), "'f2': allowed: f8, f4"),
+        (lambda: MemoryFault("pid", "fresh", None, "?", bit=1), "bit 1; allowed: 0 to 0"),
         (lambda: MessageFault("t", "f", at=0), "at: 0: allowed: 1 or more"),
         (lambda: MessageFault("t", "f", rate=0.0), "rate: 0.0: allowed: above 0, to 1"),
         (lambda: RegisterFault("vector"), "registers: 'vector': allowed: all, general, fp"),
@@ -122,7 +133,7 @@ def test_bits_are_flipped_or_the_whole_value_is_replaced(bits, value):
         (lambda: RegisterFault(walk=0), "walk: 0: allowed: 1 to 100000"),
         (lambda: RegisterFault(timeout=0.0), "timeout: 0.0: allowed: above 0, to 3600 s"),
         (lambda: RegisterFault(thread=-1), "thread: -1: allowed"),
-        (lambda: fault_from_json({"level": "planet"}), "level 'planet': not known; allowed: state, instruction"),
+        (lambda: fault_from_json({"level": "planet"}), "level 'planet': not known; allowed: state, memory"),
         (lambda: fault_from_json({}), "level None: not known"),
     ],
 )
