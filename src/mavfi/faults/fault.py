@@ -24,6 +24,8 @@ ACCESSES = ("either", "read", "write")
 DEFAULT_WALK = 16
 """Longer than the loops at whose few instructions stops come. From here on injections spread no further, and the target
 stands still for longer (docs/ros-attach.md)."""
+LIFETIME = {"lasts_s": 0.0, "share": 1.0, "width": 1, "times": 1}
+"""Defaults of the keys of a `StateFault` that say how long it lasts and how many bits it has."""
 LONGEST_WALK = 100_000
 LONGEST_TIMEOUT = 3600.0
 
@@ -50,7 +52,7 @@ class _Planned:
     @property
     def has_site(self) -> bool:
         """Whether there is something to change, as far as is known before the run."""
-        return True
+        return getattr(self, "time_us", 0) != NO_SITE
 
     @property
     def bit_class(self) -> str:
@@ -69,7 +71,7 @@ class _Planned:
 
 @dataclass(frozen=True, slots=True)
 class StateFault(_Planned):
-    """One bit of one field of one publication of an inter-kernel state, once.
+    """One bit of one field of one publication of an inter-kernel state, once, or of several publications.
 
     Attributes:
         where: State, field, element.
@@ -79,6 +81,13 @@ class StateFault(_Planned):
         stratum: Stratum of the draw, e.g. "sign_exponent" (see faults/strata.py), "" where named by hand.
         weight: Probability that a bit drawn from the whole word falls in the stratum, for whole-word rates.
         seed: Seed of the draw.
+        lasts_s: Time for which the bit is stuck at its flipped value, in every publication (s); "inf" = for ever.
+        share: Probability that a publication after the first one is changed, drawn by the seed; 1 = all.
+        width: Number of adjacent bits that are flipped, from `bit` on.
+        times: Number of publications, recomputed ones included, in which the bit is stuck at least.
+
+    Raises:
+        BadInputError: A number out of range.
     """
 
     level: ClassVar[Literal["state"]] = "state"
@@ -88,6 +97,23 @@ class StateFault(_Planned):
     stratum: str = ""
     weight: float = 1.0
     seed: int = 0
+    lasts_s: float = 0.0
+    share: float = 1.0
+    width: int = 1
+    times: int = 1
+
+    def __post_init__(self) -> None:
+        for key, right, allowed in (
+            ("lasts_s", self.lasts_s >= 0.0, "0 or more"), ("share", 0.0 < self.share <= 1.0, "above 0, to 1"),
+            ("width", self.width >= 1, "1 or more"), ("times", self.times >= 1, "1 or more"),
+        ):  # fmt: skip
+            if not right:
+                raise BadInputError(f"fault in {self.site}: {key}: {getattr(self, key)}: allowed: {allowed}")
+
+    @property
+    def lasting(self) -> bool:
+        """Whether more than one publication is changed."""
+        return self.times > 1 or self.lasts_s > 0.0
 
     @property
     def site(self) -> str:
@@ -95,23 +121,24 @@ class StateFault(_Planned):
         return str(self.where)
 
     @property
-    def has_site(self) -> bool:
-        """Whether the golden flight had a publication to change when the fault was drawn."""
-        return self.time_us != NO_SITE
-
-    @property
     def bit_class(self) -> str:
         """Class of the bit in the field's type; "" for a null fault."""
         field = STATES[self.where.state].find(self.where.field)
         return "" if self.bit is None else strata.bit_class(field, self.bit)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; what is said only of faults that last or are wider than a bit is left out of the others."""
+        own = {name: value for name, value in LIFETIME.items() if getattr(self, name) == value}
+        data = {name: value for name, value in _Planned.to_json(self).items() if name not in own}
+        return data | ({"lasts_s": "inf"} if data.get("lasts_s") == float("inf") else {})
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
         """Inverse of `to_json`, without the level; a BadInputError if there is no such field or bit."""
         fault = checked(cls, data, "fault of level state")
         bits = strata.WORD_BITS[find_state(fault.where.state).find(fault.where.field).dtype]
-        if fault.bit is not None and not 0 <= fault.bit < bits:
-            raise BadInputError(f"fault in {fault.site}: bit {fault.bit}; allowed: 0 to {bits - 1}")
+        if fault.bit is not None and not 0 <= fault.bit <= bits - fault.width:
+            raise BadInputError(f"fault in {fault.site}: bit {fault.bit}; allowed: 0 to {bits - fault.width}")
         return fault
 
 
@@ -158,11 +185,6 @@ class MemoryFault(_Planned):
         """Kernel, field and index as text."""
         index = "" if self.index is None else f"[{self.index}]"
         return f"memory:{self.kernel}.{self.field}{index}"
-
-    @property
-    def has_site(self) -> bool:
-        """Whether the golden flight had such a word when the fault was drawn."""
-        return self.time_us != NO_SITE
 
     @property
     def bit_class(self) -> str:

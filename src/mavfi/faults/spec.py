@@ -1,5 +1,6 @@
 """Faults as text: `null`, `state:planning.waypoint.x`, `state:planning.trajectory.x[3]:bit=62@5.0`."""
 
+import dataclasses
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -8,18 +9,20 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import MODELS, RESTART_S, FaultSite, Model, StateFault
+from mavfi.faults.fault import LIFETIME, MODELS, RESTART_S, FaultSite, Model, StateFault
 from mavfi.faults.sampling import draw_publication, live_fields, stream
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight_log import Profile
 from mavfi.states import KERNELS, STATES, Field, StateSpec, states_with
 
 FORM = (
-    "null, state:STATE[.FIELD][[ELEMENT]][:bit=N][@SECONDS], memory:KERNEL[.FIELD][[INDEX]][:bit=N][@SECONDS], or "
+    "null, state:STATE[.FIELD][[ELEMENT]][:bit=N][:width=N][:times=N][:lasts=S][:share=P][@SECONDS], "
+    "memory:KERNEL[.FIELD][[INDEX]][:bit=N][@SECONDS], or "
     "instruction:KERNEL[:which=CLASS][:model=MODEL]"
 )
 _PATTERN = re.compile(
-    r"(?P<path>[^:@\[\]]+)(\[(?P<element>\d+)\])?(:bit=(?P<bit>\d+))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?"
+    r"(?P<path>[^:@\[\]]+)(\[(?P<element>\d+)\])?(:bit=(?P<bit>\d+))?(:width=(?P<width>\d+))?(:times=(?P<times>\d+))?"
+    r"(:lasts=(?P<lasts>inf|\d+(\.\d*)?))?(:share=(?P<share>\d+(\.\d*)?))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?"
 )
 _MEMORY = re.compile(r"(?P<path>[^:@]+)(:bit=(?P<bit>\d+))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?")
 _INSTRUCTION = re.compile(r"(?P<kernel>\w+)(:which=(?P<which>.+?))?(:model=(?P<model>\w+))?")
@@ -30,7 +33,7 @@ _LONGEST = 1e9
 class StateRequest:
     """A fault in a state as a user names it: field, element of its list, bit, earliest instant; what is None is drawn.
 
-    A null fault flips nothing.
+    A null fault flips nothing; `lifetime` has the keys of `fault.LIFETIME` that were named.
     """
 
     state: StateSpec
@@ -39,6 +42,7 @@ class StateRequest:
     bit: int | None = None
     time_us: int | None = None
     null: bool = False
+    lifetime: Mapping[str, Any] = dataclasses.field(default_factory=dict, hash=False)
 
     @property
     def needs_profile(self) -> bool:
@@ -55,16 +59,16 @@ class StateRequest:
             profile: Publications of the golden flight, where `needs_profile`.
         """
         random = stream(seed, "spec", self.state.name)
-        field = self._field(random, stack)
+        field, width = self._field(random, stack), self.lifetime.get("width", 1)
         where = FaultSite(self.state.name, field.name, self.element)
         time_us = self.time_us or 0
         if self.needs_profile:
             drawn, element = draw_publication(random, self._later(profile or Profile()), where)
             where = FaultSite(self.state.name, field.name, element)
             time_us = drawn if self.time_us is None else self.time_us
-        drawn_bit = int(random.integers(WORD_BITS[field.dtype])) if self.bit is None else self.bit
+        drawn_bit = int(random.integers(WORD_BITS[field.dtype] - width + 1)) if self.bit is None else self.bit
         bit = None if self.null else drawn_bit
-        return StateFault(where, time_us, bit, seed=seed)
+        return StateFault(where, time_us, bit, seed=seed, **self.lifetime)
 
     def _field(self, random: np.random.Generator, stack: str) -> Field:
         if self.field is not None:
@@ -72,8 +76,8 @@ class StateRequest:
         fields = [self.state.find(name) for name in live_fields(self.state, stack)]
         if self.element is not None:
             fields = [field for field in fields if self.state.in_elements(field.name)]
-        if self.bit is not None:
-            fields = [field for field in fields if self.bit < WORD_BITS[field.dtype]]
+        bits = (self.bit or 0) + self.lifetime.get("width", 1)
+        fields = [field for field in fields if bits <= WORD_BITS[field.dtype]]
         return fields[int(random.integers(len(fields)))]
 
     def _later(self, profile: Profile) -> Profile:
@@ -223,9 +227,21 @@ def _parse_state(text: str, rest: str, localization: str) -> StateRequest:
     if element is not None and not has_elements:
         raise BadInputError(f"fault {text!r}: element [{element}]: {named} is no list; allowed: no element")
     bits = max(WORD_BITS[candidate.dtype] for candidate in fields)
-    if bit is not None and bit >= bits:
-        raise BadInputError(f"fault {text!r}: no bit {bit} in {named}; allowed: 0 to {bits - 1}")
-    return StateRequest(spec, field, element, bit, _instant(text, match["time"]))
+    lifetime = _lifetime(match)
+    last = (bit or 0) + lifetime.get("width", 1) - 1
+    if last >= bits:
+        raise BadInputError(f"fault {text!r}: no bit {last} in {named}; allowed: 0 to {bits - 1}")
+    try:
+        StateFault(FaultSite(spec.name, field or spec.fields[0].name), **lifetime)
+    except BadInputError as error:
+        raise BadInputError(f"fault {text!r}: {error}") from None
+    return StateRequest(spec, field, element, bit, _instant(text, match["time"]), lifetime=lifetime)
+
+
+def _lifetime(match: re.Match[str]) -> dict[str, Any]:
+    """The keys of `LIFETIME` that are named."""
+    found = {name: match[name.removesuffix("_s")] for name in LIFETIME}
+    return {name: type(LIFETIME[name])(value) for name, value in found.items() if value is not None}
 
 
 def _find(text: str, path: str, localization: str) -> tuple[StateSpec, str | None]:

@@ -42,8 +42,9 @@ def _field(fault):
 
 state_faults = st.builds(
     StateFault, sites, st.just(NO_SITE) | st.integers(0, 10**9), st.none() | st.integers(0, 63),
-    st.sampled_from(["", "mantissa"]), st.floats(0, 1), seeds,
-).filter(lambda fault: fault.bit is None or fault.bit < WORD_BITS[_field(fault).dtype])  # fmt: skip
+    st.sampled_from(["", "mantissa"]), st.floats(0, 1), seeds, st.sampled_from([0.0, 0.5, float("inf")]),
+    st.floats(0, 1, exclude_min=True), st.integers(1, 3), st.integers(1, 3),
+).filter(lambda fault: fault.bit is None or fault.bit + fault.width <= WORD_BITS[_field(fault).dtype])  # fmt: skip
 instruction_faults = st.builds(
     InstructionFault, st.text(), st.text(), st.integers(0), st.just(NO_SITE) | st.integers(0),
     st.lists(st.integers(0, 127), max_size=3).map(tuple), st.integers(0, 2**128), st.integers(0),
@@ -91,6 +92,14 @@ def test_a_fault_is_data():
         StateFault(FaultSite("control.command", "vx")).bit = 3
 
 
+def test_what_only_lasting_faults_have_is_left_out_of_the_others():
+    once = StateFault(FaultSite("control.command", "vx"), 5, 62)
+    assert list(once.to_json()) == ["level", "where", "time_us", "bit", "stratum", "weight", "seed"]
+    assert not once.lasting and not StateFault(FaultSite("control.command", "vx"), width=2).lasting
+    stuck = StateFault(FaultSite("control.command", "vx"), 5, 62, lasts_s=float("inf"), times=2)
+    assert stuck.lasting and stuck.to_json() == {**once.to_json(), "lasts_s": "inf", "times": 2}
+
+
 def test_sites_as_text():
     assert StateFault(FaultSite("planning.path", "x", 2)).site == "planning.path.x[2]"
     assert StateFault(FaultSite("control.command", "vx")).site == "control.command.vx"
@@ -123,6 +132,15 @@ def test_bits_are_flipped_or_the_whole_value_is_replaced(bits, value):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (lambda: StateFault(FaultSite("a", "x"), lasts_s=-1.0), "lasts_s: -1.0: allowed: 0 or more"),
+        (lambda: StateFault(FaultSite("a", "x"), lasts_s=float("nan")), "lasts_s: nan: allowed: 0 or more"),
+        (lambda: StateFault(FaultSite("a", "x"), share=0.0), "share: 0.0: allowed: above 0, to 1"),
+        (lambda: StateFault(FaultSite("a", "x"), width=0), "width: 0: allowed: 1 or more"),
+        (lambda: StateFault(FaultSite("a", "x"), times=0), "times: 0: allowed: 1 or more"),
+        (
+            lambda: fault_from_json({**StateFault(FaultSite("control.command", "vx"), bit=63, width=2).to_json()}),
+            "bit 63; allowed: 0 to 62",
+        ),
         (lambda: MemoryFault("pilot", "x"), "'pilot': allowed: state_estimation, point_cloud"),
         (lambda: MemoryFault("pid", "law", 0, "f2"), "'f2': allowed: f8, f4"),
         (lambda: MemoryFault("pid", "fresh", None, "?", bit=1), "bit 1; allowed: 0 to 0"),
