@@ -84,13 +84,13 @@ class LocalFlights(ArmFlights):
         """Fast-forwarded if possible.
 
         Not: null faults, whose purpose is to fly through the injector; faults in memory, which no checkpoint knows;
-        detectors that may restart nodes, which act at publications without an alarm too.
+        detectors that may restart nodes or end in a degraded mode, whose answers depend on earlier alarms.
         """
         setup = self._arms[arm]
         detector = self._detector(arm)
         through = fault is not None and fault.bit is None
-        restarts = detector is not None and setup.recovery.restarts
-        if self._fast and not through and not restarts and not isinstance(fault, MemoryFault):
+        remembers = detector is not None and setup.recovery.remembers
+        if self._fast and not through and not remembers and not isinstance(fault, MemoryFault):
             key = setup.scenario.key()
             try:
                 forward = self._forward.get(key) or FastForward(setup.scenario)
