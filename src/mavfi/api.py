@@ -24,7 +24,7 @@ from mavfi.campaign.samplers.request import draw_request
 from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import Fault
-from mavfi.faults.spec import InstructionRequest, StateRequest, parse
+from mavfi.faults.spec import Request, parse
 from mavfi.hosts.host import ArmSetup, Flight
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.compose import resolve
@@ -151,9 +151,7 @@ def figure(runs: Runs, name: str) -> "Figure":
     return figure_of(runs, name)
 
 
-def fly_request(
-    setup: ArmSetup, request: StateRequest | InstructionRequest | None, seed: int, label: str, bare: Scenario
-) -> FlightResult:
+def fly_request(setup: ArmSetup, request: Request | None, seed: int, label: str, bare: Scenario) -> FlightResult:
     """Fly the golden run, draw the requested fault (None = only the golden run) from it, and fly that.
 
     Args:

@@ -42,8 +42,9 @@ class Injection:
     """What an injector did, at any level.
 
     Attributes:
-        level: "state", "instruction", "message" or "register".
-        site: Where, as text: "planning.waypoint.x", "octomap.insert_scan", "joint_states.position[0]", "xmm0".
+        level: "state", "memory", "instruction", "message" or "register".
+        site: Where, as text: "planning.waypoint.x", "memory:planner.decisions.acted_seq", "octomap.insert_scan",
+            "joint_states.position[0]", "xmm0".
         time_s: When: of the flight (s); of messages and registers outside of a flight, since the tool's start (s).
         bit: Which bit; None for a null fault, or where a whole value was replaced.
         before: Value before; None = not activated, or no number.

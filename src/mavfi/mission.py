@@ -93,6 +93,9 @@ class MissionSpec(Config):
     answer_s: float = Field(
         0.0, ge=0.0, le=60.0, description="Time for a path to answer an alarm, s; then the planner restarts; 0 = never."
     )
+    degraded: Literal["none", "hover"] = Field(
+        "none", description="Where restarts do not help: none (fly on), or hover (commands are withheld from then on)."
+    )
     dead_node: DeadNode = Field(
         "fresh",
         description="What becomes of a node that dies: end (of the mission), fresh (restarted without memory), latched "
@@ -111,7 +114,7 @@ class MissionSpec(Config):
         return "fresh" if value == "restart" else value
 
 
-RECOVERY = ("coupling", "grain", "same_twice", "answer_s")
+RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded")
 """Keys of a mission that define the answer to a detector's alarms."""
 _OPTIONS = ("wind", "localization", "dead_node")
 _STACK_OPTIONS = ("alarm",)

@@ -1,17 +1,18 @@
 """One fault, as a user names it: whatever the text leaves open is drawn from the golden run of a mission."""
 
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.campaign.samplers.memory import draw_memory
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import InstructionFault, StateFault
-from mavfi.faults.spec import InstructionRequest, StateRequest
+from mavfi.faults.fault import InstructionFault, MemoryFault, StateFault
+from mavfi.faults.spec import MemoryRequest, Request, StateRequest
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local import fly
 from mavfi.mission import Scenario
 
 
 def draw_request(
-    scenario: Scenario, request: StateRequest | InstructionRequest, seed: int
-) -> tuple[StateFault | InstructionFault, Flight | None]:
+    scenario: Scenario, request: Request, seed: int
+) -> tuple[StateFault | MemoryFault | InstructionFault, Flight | None]:  # fmt: skip
     """A fault, and the golden flight (which nothing watches) if one was flown for the draw.
 
     Raises:
@@ -19,6 +20,8 @@ def draw_request(
     """
     if isinstance(request, StateRequest):
         return draw_state(scenario, request, seed)
+    if isinstance(request, MemoryRequest):
+        return draw_memory(scenario, request, seed)
     drawn = draw_instruction_faults(scenario, request, seed=seed)
     fault = drawn.faults[request.kernel][0]
     if not fault.has_site:

@@ -98,7 +98,7 @@ class FastForward:
             fault: What to inject; None = golden flight.
             detector: None = none.  It is started where its flights begin.
             arm: Name of the detector: the same name always comes with the same detector and recovery.
-            recovery: Answer to its alarms; it restarts no nodes, of which a checkpoint knows nothing.
+            recovery: Answer to its alarms; it `remembers` nothing, since a checkpoint would not know of it.
         """
         self.recovery = recovery
         with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error

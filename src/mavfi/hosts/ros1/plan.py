@@ -50,6 +50,9 @@ class Plan:
         forked: Whether nodes are forked from a warm process; otherwise roslaunch starts an interpreter for each.
         profile: Whether to note when which state was published; the world then listens to all of them.
         nodes: All nodes of the project except the world.
+
+    Raises:
+        BadInputError: The fault lasts: the injector's node changes one publication.
     """
 
     scenario: Scenario
@@ -69,6 +72,8 @@ class Plan:
     nodes: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
+        if self.fault is not None and self.fault.lasting:
+            raise BadInputError(f"fault in {self.fault.site}: lasts_s or times: on ROS one publication is changed")
         injected = None if self.fault is None else self.fault.where.state
         object.__setattr__(self, "graph", Graph(build_pipeline(self.config), injected, self.gated))
         taps = (INJECTOR,) * (self.fault is not None) + (DETECTOR,) * (self.detector is not None)

@@ -204,3 +204,59 @@ def test_a_mission_says_how_alarms_are_answered():
     spec = MissionSpec(coupling="observer", grain="kernel", same_twice="escalate", answer_s=0.6)
     assert Recovery.of(spec) == Recovery("observer", "kernel", "escalate", 0.6)
     assert Recovery.of(MissionSpec()) == INLINE and not INLINE.restarts
+
+
+# ---- what restarts do not help ------------------------------------------------------------------------------------
+COMMAND = "control.command"
+HOVERS = Recovery(grain="kernel", same_twice="escalate", answer_s=0.6, degraded="hover")
+AFTERWARDS = [(10**9, new_state(COMMAND)), (10**9 + 1, status(9)), (10**9 + 2, new_state("planning.waypoint"))]
+"""The first of them is withheld in the degraded mode, the others pass."""
+
+
+def test_without_a_restart_left_a_rule_broken_twice_ends_in_hover():
+    flight = Flight()
+    assert shown(Always(hard=True), HOVERS, [(1, status(5)), (2, status(5)), *AFTERWARDS], flight, 0) == [
+        False, True, False, True, True,
+    ]  # fmt: skip
+    assert flight.outcomes == [("recompute", "rejected"), ("hover", "accepted")] and flight.restarted == []
+
+
+def test_the_command_that_begins_it_is_withheld():
+    flight = Flight()
+    values = [(1, new_state(COMMAND)), (2, new_state(COMMAND)), (3, new_state(COMMAND))]
+    assert shown(Always(hard=True), HOVERS, values, flight, 0) == [False] * 3
+    assert flight.outcomes[-1] == ("hover", "accepted") and len(flight.outcomes) == 2
+
+
+@pytest.mark.parametrize(
+    ("pitch_us", "hard", "degraded", "expected"),
+    [(200_000, True, "hover", True), (300_000, True, "hover", False), (200_000, False, "hover", False),
+     (200_000, True, "none", False)],
+)  # fmt: skip
+def test_hard_alarms_that_persist_end_in_hover(pitch_us, hard, degraded, expected):
+    flight, recovery = Flight(), Recovery(grain="kernel", degraded=degraded)
+    # every second value is the result of a recomputation, which is not judged
+    values = [(number * pitch_us, status(5)) for number in range(24)]
+    shown(Always(hard), recovery, values, flight)
+    assert ("hover", "accepted") in flight.outcomes or not expected
+    assert sum(action == "hover" for action, _ in flight.outcomes) == expected
+
+
+def test_persisting_takes_two_seconds():
+    flight, recovery = Flight(), Recovery(grain="kernel", degraded="hover")
+    shown(Always(hard=True), recovery, [(number * 100_000, status(5)) for number in range(60)], flight)
+    hovered = next(alarm for alarm in flight.record.alarms if alarm.action == "hover")
+    assert 2.0 < hovered.time_s <= 2.2
+
+
+def test_an_alarm_without_an_answer_ends_in_hover_when_no_restart_is_left():
+    flight = Flight()
+    values = [(1_000_000, status(3, flag=True)), (1_700_000, status(3)), *AFTERWARDS]
+    assert shown(Never(hard=True), HOVERS, values, flight, 0) == [True, True, False, True, True]
+    assert flight.outcomes == [("hover", "accepted")] and flight.restarted == []
+
+
+def test_an_observer_cannot_withhold_commands():
+    with pytest.raises(BadInputError, match="degraded: hover: withholds commands; allowed: with coupling inline"):
+        Recovery("observer", degraded="hover")
+    assert Recovery(degraded="hover").remembers and not INLINE.remembers and ESCALATES.remembers
