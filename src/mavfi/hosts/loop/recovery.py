@@ -153,6 +153,7 @@ class Watch:
 
     Attributes:
         restarts_left: How many nodes it may still restart.
+        states: Names of the states that it must be shown; None = all.
     """
 
     def __init__(
@@ -162,6 +163,9 @@ class Watch:
         self._loop = proxy(loop)  # which owns this: maps of a flight that is over are freed at once
         self._detector, self._recovery, self._restart = detector, recovery, restart
         self.restarts_left = MOST_RESTARTS
+        states = getattr(detector, "states", None)
+        awaited = (WAYPOINT, COLLISION, PATH) if recovery.answer_s else (WAYPOINT,)  # with or without an alarm at it
+        self.states = None if states is None else frozenset(states).union(awaited)
         self._asked: tuple[int, int] | None = None  # instant (us) and number of a collision alarm without an answer
 
     def __call__(self, state: State, now: int) -> State | None:
