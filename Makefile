@@ -17,7 +17,7 @@ export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors coupling machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -98,6 +98,9 @@ memory: setup  ## memory of a worker over 1,500 state-level and 300 instruction-
 
 coupling: setup  ## cost of an observer's delay against a gate; writes the table in docs/ros.md (N=...)
 	@$(BIN)/python -m benchmarks.coupling
+
+detector-cost: setup  ## what detection costs against the kernels; writes the table in docs/models.md (N=5 SEEDS=2)
+	@$(BIN)/python -m benchmarks.detectors
 
 machine-level: setup  ## faults in instructions at machine and at IR level; writes the table in docs/fault-model.md (N=400)
 	@$(BIN)/python -m benchmarks.machine_level

@@ -7,12 +7,13 @@ The leading float64 fields of a header can be read as one plain vector with `flo
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from mavfi.errors import BadInputError
 
+_BYTE = np.dtype(np.uint8)
 STACKS = ("published", "hardened")
 ODOMETRY = {"truth": "sensor.odometry", "estimator": "perception.odometry"}
 """By localization, the state that tells consumers where the vehicle is; both begin with the same 13 fields."""
@@ -226,6 +227,14 @@ def floats(header: np.ndarray, count: int) -> np.ndarray:
     if len(header) == 1:
         return np.ndarray(count, np.float64, header)
     return np.ndarray((len(header), count), np.float64, header, 0, (header.dtype.itemsize, 8))
+
+
+def bytes_of(header: np.ndarray) -> np.ndarray:
+    """The bytes of a header, as an array that shares its memory. Shape (size,), uint8."""
+    base: Any = header.base
+    if type(base) is np.ndarray and base.dtype is _BYTE and base.size == header.nbytes:
+        return base  # as of `new_state`: a view takes several times as long
+    return header.view(np.uint8)
 
 
 def new_state(name: str, count: int = 0) -> State:

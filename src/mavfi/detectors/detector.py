@@ -40,6 +40,9 @@ class Detector(Protocol):
     host recomputes the stage and then calls `accept` with the value that is really published; without one it calls
     `accept` right away.  So references for deltas are always values that were published.
 
+    A detector may have `states`: names of the states that it wants to see; a host need not show it others.  Without it,
+    or where it is None, the detector is shown all of them.
+
     A detector may also have `memory()` and `restore(memory)`: what it remembers, as plain data that `==` compares bit
     for bit, and its inverse.  A host that goes back to an earlier instant copies a detector without them as a whole.
     """

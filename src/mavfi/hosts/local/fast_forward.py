@@ -192,7 +192,8 @@ class _Branch:
 
     def _watch(self) -> None:
         if self._detector is not None:
-            self.loop.taps.detector = Watch(self.loop, self._detector.content, self._recovery)
+            tap = Watch(self.loop, self._detector.content, self._recovery)
+            self.loop.taps.detector, self.loop.taps.watched = tap, tap.states
 
     def remember(self, saved: Any) -> None:  # noqa: ANN401
         """Restore the memory of the detector, if there is one, from a checkpoint."""

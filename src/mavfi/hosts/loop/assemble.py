@@ -49,5 +49,6 @@ def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) ->
         return
     loop.marks = True
     restart = {"restart": Restarts(loop, "readback").die} if recovery.restarts else {}
-    loop.taps.detector = Watch(loop, detector, recovery, **restart)
+    tap = Watch(loop, detector, recovery, **restart)
+    loop.taps.detector, loop.taps.watched = tap, tap.states
     detector.start()

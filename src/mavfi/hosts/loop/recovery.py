@@ -179,6 +179,7 @@ class Watch:
         alarm: What the detector said of the last value, None = nothing.
         action: The answer to it.
         degraded: Whether it withholds every command, and judges nothing.
+        states: Names of the states that it must be shown; None = all.
     """
 
     def __init__(
@@ -192,6 +193,10 @@ class Watch:
         self.action: Action | None = None
         self.degraded = False
         self._hard_us = (0, -GAP_US)  # the first and the last of a row of hard alarms
+        states = getattr(detector, "states", None)
+        awaited = (WAYPOINT, COLLISION, PATH) if recovery.answer_s else (WAYPOINT,)  # with or without an alarm at it
+        awaited += () if recovery.degraded == "none" else (COMMAND,)
+        self.states = None if states is None else frozenset(states).union(awaited)
         self._asked: tuple[int, int] | None = None  # instant (us) and number of a collision alarm without an answer
 
     def __call__(self, state: State, now: int) -> State | None:
