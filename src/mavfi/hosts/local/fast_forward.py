@@ -185,14 +185,15 @@ class _Branch:
         self._flown = False
         self._log: FlightLog | None = None
         self._recovery = forward.recovery
-        self.loop.status, self.loop.taps.detector = None, None
+        self.loop.status, self.loop.taps.detector, self.loop.taps.seal = None, None, None
         self._watch()
         shows = keeps and detector is None
         self.loop.taps.recorders[:] = [lambda state, now: self._shown.append((state, now))] if shows else []
 
     def _watch(self) -> None:
         if self._detector is not None:
-            self.loop.taps.detector = Watch(self.loop, self._detector.content, self._recovery)
+            gate = Watch(self.loop, self._detector.content, self._recovery)
+            self.loop.taps.detector, self.loop.taps.seal = gate, gate.seal
 
     def remember(self, saved: Any) -> None:  # noqa: ANN401
         """Restore the memory of the detector, if there is one, from a checkpoint."""

@@ -83,13 +83,14 @@ class LocalFlights(ArmFlights):
         """Fast-forwarded if possible.
 
         Not: null faults, whose purpose is to fly through the injector; detectors that may restart nodes, which act at
-        publications without an alarm too.
+        publications without an alarm too; detectors that take part in what is not published (`seal`, `duplicates`).
         """
         setup = self._arms[arm]
         detector = self._detector(arm)
         through = fault is not None and fault.bit is None
         restarts = detector is not None and setup.recovery.restarts
-        if self._fast and not through and not restarts:
+        takes_part = hasattr(detector, "seal") or hasattr(detector, "duplicates")
+        if self._fast and not through and not restarts and not takes_part:
             key = setup.scenario.key()
             try:
                 forward = self._forward.get(key) or FastForward(setup.scenario)

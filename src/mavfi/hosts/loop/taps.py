@@ -29,15 +29,18 @@ class Injector(Protocol):
 
 @dataclass(slots=True)
 class Taps:
-    """The taps of one flight, in their order."""
+    """The taps of one flight, in their order; `seal` sees each value as its producer hands it over."""
 
     injector: Injector | None = None
     detector: Tap | None = None
     recorders: list[Recorder] = field(default_factory=list)
+    seal: Recorder | None = None
 
     def __call__(self, state: State, time_us: int) -> State | None:
         """What consumers see of a publication; None = nothing."""
         seen: State | None = state
+        if self.seal is not None:
+            self.seal(state, time_us)
         if self.injector is not None:
             seen = self.injector(state, time_us)
         if self.detector is not None and seen is not None:

@@ -71,6 +71,9 @@ class Plan:
     nodes: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
+        if hasattr(self.detector, "seal") or hasattr(self.detector, "duplicates"):
+            text = "takes part in what is not published; allowed on ROS: detectors of published values"
+            raise BadInputError(f"detector {type(self.detector).__name__}: {text}")
         injected = None if self.fault is None else self.fault.where.state
         object.__setattr__(self, "graph", Graph(build_pipeline(self.config), injected, self.gated))
         taps = (INJECTOR,) * (self.fault is not None) + (DETECTOR,) * (self.detector is not None)
