@@ -87,7 +87,7 @@ class AlarmRecord:
         stage: Stage that it asks to recompute.
         score: How anomalous, in units of the threshold.
         fields: Fields that stand out, "state.field".
-        action: What the host did: "recompute", "abandon" or "stop".
+        action: What the host did: "recompute", "abandon", "stop", "restart" or "resend".
         outcome: What came of it: "replaced", "repaired", "accepted" (the same value again), "rejected" (it broke
             a rule again), or "restarted" (the node).
     """

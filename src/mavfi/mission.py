@@ -84,8 +84,10 @@ class MissionSpec(Config):
     coupling: Literal["inline", "observer"] = Field(
         "inline", description="Of a detector: inline (a gate before the value is seen) or observer (one step late)."
     )
-    grain: Literal["stage", "kernel"] = Field(
-        "stage", description="Computed again after an alarm: the stage, or only the kernel that wrote the value."
+    grain: Literal["stage", "kernel", "message"] = Field(
+        "stage",
+        description="Repeated after an alarm: the stage, only the kernel that wrote the value, or its message: the "
+        "producer's copy is sent again.",
     )
     same_twice: Literal["accept", "escalate"] = Field(
         "accept", description="A recomputation that breaks a rule again: accept, or escalate to a restart of the node."

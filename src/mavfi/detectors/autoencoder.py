@@ -150,9 +150,7 @@ class AutoencoderDetector(ScoringDetector):
     def __init__(self, model: Model, policy: str = "keyed", preprocessor: Preprocessor | None = None) -> None:
         deltas = preprocessor or Preprocessor(model.monitored, model.profile, model.prediction)
         count = len(deltas.fields)
-        sizes = _layers(model, count)
-        weights = model.numbers("weights", int((sizes[:-1] * sizes[1:] + sizes[1:]).sum()))
-        network = Network(model.numbers("scale", count, least=1.0), sizes, weights, np.zeros((3, int(sizes.max()))))
+        network = network_of(model, count)
         one = model.profile == "paper"
         limit = model.numbers("limit", *((1, 1) if one else (count, features.REGIMES)), least=SMALLEST_LIMIT)
         threshold = Threshold(limit, count, model.numbers("key", count, least=SMALLEST_LIMIT))
@@ -162,6 +160,13 @@ class AutoencoderDetector(ScoringDetector):
     def fit(sample: Sample, preprocessor: Preprocessor, figures: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters of a model, see `fit_autoencoder`."""
         return fit_autoencoder(sample, **figures)
+
+
+def network_of(model: Model, fields: int) -> Network:
+    """The network of a model for so many fields; `BadInputError` if it has none."""
+    sizes = _layers(model, fields)
+    weights = model.numbers("weights", int((sizes[:-1] * sizes[1:] + sizes[1:]).sum()))
+    return Network(model.numbers("scale", fields, least=1.0), sizes, weights, np.zeros((3, int(sizes.max()))))
 
 
 def _layers(model: Model, fields: int) -> np.ndarray:

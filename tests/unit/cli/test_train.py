@@ -12,7 +12,7 @@ def test_train_writes_models_that_fly(capsys, tmp_path):
     assert {(m["kind"], m["profile"]) for m in models} == {
         (kind, profile) for kind in ("gaussian", "autoencoder") for profile in ("paper", "tuned")
     }
-    assert all(m["provenance"]["flights"] == 3 and m["false_alarms"]["hours"] > 0 for m in models)
+    assert all(m["provenance"]["flights"] == 3 and m["false_alarms"]["training"]["hours"] > 0 for m in models)
     assert len(list(tmp_path.glob("*.json"))) == 4
     arguments = ["--detector", "gaussian", "--models", str(tmp_path), "--json"]
     assert run(["fly", "--environment", "sparse", "--seed", "7", *arguments]) == 0

@@ -185,7 +185,7 @@ class _Branch:
         self._flown = False
         self._log: FlightLog | None = None
         self._recovery = forward.recovery
-        self.loop.status, self.loop.taps.detector = None, None
+        self.loop.status, self.loop.taps.detector, self.loop.taps.seal = None, None, None
         self._watch()
         shows = keeps and detector is None
         self.loop.taps.recorders[:] = [lambda state, now: self._shown.append((state, now))] if shows else []
@@ -193,7 +193,8 @@ class _Branch:
     def _watch(self) -> None:
         if self._detector is not None:
             tap = Watch(self.loop, self._detector.content, self._recovery)
-            self.loop.taps.detector, self.loop.taps.watched = tap, tap.states
+            taps = self.loop.taps
+            taps.detector, taps.watched, taps.seal = tap, tap.states, tap.seal if tap.seals else None
 
     def remember(self, saved: Any) -> None:  # noqa: ANN401
         """Restore the memory of the detector, if there is one, from a checkpoint."""

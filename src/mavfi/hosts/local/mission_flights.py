@@ -84,12 +84,14 @@ class LocalFlights(ArmFlights):
         """Fast-forwarded if possible.
 
         Not: null faults, whose purpose is to fly through the injector; faults in memory, which no checkpoint knows;
-        detectors that may restart nodes or end in a degraded mode, whose answers depend on earlier alarms.
+        detectors that may restart nodes or end in a degraded mode, whose answers depend on earlier alarms; detectors
+        that take part in what is not published (`seal`, `duplicates`).
         """
         setup = self._arms[arm]
         detector = self._detector(arm)
         through = fault is not None and fault.bit is None
-        remembers = detector is not None and setup.recovery.remembers
+        takes_part = hasattr(detector, "seal") or hasattr(detector, "duplicates")
+        remembers = detector is not None and (setup.recovery.remembers or takes_part)
         if self._fast and not through and not remembers and not isinstance(fault, MemoryFault):
             key = setup.scenario.key()
             try:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from mavfi.hosts.loop.scheduler import Loop
 
 Coupling = Literal["inline", "observer"]
-Grain = Literal["stage", "kernel"]
+Grain = Literal["stage", "kernel", "message"]
 SameTwice = Literal["accept", "escalate"]
 Degraded = Literal["none", "hover"]
 COLLISION, PATH, COMMAND = "perception.collision_status", "planning.path", "control.command"
@@ -47,7 +47,8 @@ class Recovery:
 
     Attributes:
         coupling: Of the detector.
-        grain: What is computed again: the `stage` with its latency, or only the `kernel` that wrote the value.
+        grain: What is repeated: the `stage` with its latency, only the `kernel` that wrote the value, or its `message`:
+            the producer sends the copy that it has kept again, at no modelled cost.
         same_twice: What becomes of a recomputation that breaks a rule again (`Alarm.hard`): `accept`, or `escalate` to
             a restart of the node.
         answer_s: A collision alarm that no path answers for so long (s) restarts the planner's node; 0 = never.
@@ -93,8 +94,8 @@ class Action:
     """Response to an alarm.
 
     Attributes:
-        kind: "recompute", a request to the setpoint generator: "abandon" the way-point in force, or "stop";
-            "restart" of the node of `kernel`; or "hover" from now on.
+        kind: "recompute", a request to the setpoint generator: "abandon" the way-point in force, or "stop"; "restart"
+            of the node of `kernel`; "resend" of the value by its producer; or "hover" from now on.
         stage: Whose latency is charged.
         kernel: The kernel that is stepped again; "" = none, the latency alone is charged.
         restores: Kernels whose memory is put back before, in this order.
@@ -103,7 +104,7 @@ class Action:
         alone: Whether only `kernel` is stepped again, on the inputs that it had, with its own latency.
     """
 
-    kind: Literal["recompute", "abandon", "stop", "restart", "hover"]
+    kind: Literal["recompute", "abandon", "stop", "restart", "resend", "hover"]
     stage: Stage
     kernel: str = ""
     restores: tuple[str, ...] = ()
@@ -141,11 +142,11 @@ def decide(
         kind: Literal["abandon", "stop"] = "stop" if alarm.stop else "abandon"
         return Action(kind, Stage.CONTROL, "waypoint", (), WAYPOINT, gated and spec.name == WAYPOINT)
     if stage is spec.stage:
-        if recovery.grain == "kernel":
-            return Action("recompute", stage, spec.writer, (spec.writer,), spec.name, gated, alone=True)
-        if spec.writer in SCANNING:
-            return Action("recompute", stage, SCANNING[0], SCANNING, spec.name, gated)
-        return Action("recompute", stage, spec.writer, (spec.writer,), spec.name, gated)
+        if recovery.grain == "message":
+            return Action("resend", stage, "", (), spec.name, gated)
+        alone = recovery.grain == "kernel"
+        restores = SCANNING if spec.writer in SCANNING and not alone else (spec.writer,)
+        return Action("recompute", stage, restores[0], restores, spec.name, gated, alone)
     # another stage than the writer's is to run again: this value passes
     return Action("recompute", stage, "pid", ("pid",)) if stage is Stage.CONTROL else Action("recompute", stage)
 
@@ -179,6 +180,7 @@ class Watch:
         alarm: What the detector said of the last value, None = nothing.
         action: The answer to it.
         degraded: Whether it withholds every command, and judges nothing.
+        seals: Whether it must be given each value as its producer hands it over.
         states: Names of the states that it must be shown; None = all.
     """
 
@@ -197,7 +199,16 @@ class Watch:
         awaited = (WAYPOINT, COLLISION, PATH) if recovery.answer_s else (WAYPOINT,)  # with or without an alarm at it
         awaited += () if recovery.degraded == "none" else (COMMAND,)
         self.states = None if states is None else frozenset(states).union(awaited)
+        self._sent: State | None = None
+        self._seal = getattr(detector, "seal", None)
+        self.seals = self._seal is not None or recovery.grain == "message"
         self._asked: tuple[int, int] | None = None  # instant (us) and number of a collision alarm without an answer
+
+    def seal(self, state: State, now: int) -> None:
+        """Keep a value as its producer hands it over; a detector may seal it."""
+        self._sent = state
+        if self._seal is not None:
+            self._seal(state, now)
 
     def __call__(self, state: State, now: int) -> State | None:
         """Show a value to the detector; the result of a recomputation passes, unless it is judged again."""
@@ -237,7 +248,7 @@ class Watch:
     def _settle(self, awaited: Awaited, state: State, alarm: Alarm | None) -> None:
         """Note the outcome of a recomputation, which may have raised an alarm again."""
         alarms = self._loop.record.alarms
-        if alarms[awaited.place].action == "recompute":
+        if alarms[awaited.place].action in ("recompute", "resend"):
             passed = "accepted" if state.same_bits(awaited.rejected) else "repaired"
             outcome = passed if alarm is None else "rejected"
             alarms[awaited.place] = replace(alarms[awaited.place], outcome=outcome)
@@ -253,6 +264,13 @@ class Watch:
             return
         if action.awaited:
             loop.awaited[action.awaited] = Awaited(state, len(loop.record.alarms) - 1)
+        if action.kind == "resend":
+            assert self._sent is not None  # it was handed over before it was judged
+            if action.withholds:
+                loop.deliver(self._sent, now)
+            else:
+                loop.at(now, "resend", self._sent)  # consumers see the value at hand first
+            return
         if self._recovery.coupling == "observer":
             if action.kernel:
                 loop.requests[action.kernel] = action

@@ -74,6 +74,9 @@ class Plan:
     def __post_init__(self) -> None:
         if self.fault is not None and self.fault.lasting:
             raise BadInputError(f"fault in {self.fault.site}: lasts_s or times: on ROS one publication is changed")
+        if hasattr(self.detector, "seal") or hasattr(self.detector, "duplicates"):
+            text = "takes part in what is not published; allowed on ROS: detectors of published values"
+            raise BadInputError(f"detector {type(self.detector).__name__}: {text}")
         injected = None if self.fault is None else self.fault.where.state
         object.__setattr__(self, "graph", Graph(build_pipeline(self.config), injected, self.gated))
         taps = (INJECTOR,) * (self.fault is not None) + (DETECTOR,) * (self.detector is not None)
