@@ -26,7 +26,7 @@ def check_supported(spec: MissionSpec) -> None:
         BadInputError: Nodes that die are to come back otherwise than roslaunch starts them, or alarms are to be
             answered as only the deterministic host can.
     """
-    for key in ("grain", "same_twice", "answer_s"):
+    for key in ("grain", "same_twice", "answer_s", "degraded"):
         value, default = getattr(spec, key), MissionSpec.model_fields[key].default
         if value != default:
             raise BadInputError(f"{key}: {value!r}: not on ROS; allowed: {default}")
