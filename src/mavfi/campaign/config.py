@@ -5,7 +5,6 @@ from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from annotated_types import Ge
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from mavfi.config import Config, config_root, load, parse
@@ -34,7 +33,7 @@ _RENAMED = {
 class Lifetime(Config):
     """How long faults in states last, and how many bits they have; by default one bit of one publication."""
 
-    lasts_s: Annotated[float, Ge(0)] | Literal["inf"] = Field(
+    lasts_s: Annotated[float, Field(ge=0)] | Literal["inf"] = Field(
         0.0, description="stuck in every publication for this time (s, from 0 on); inf = for ever"
     )
     share: float = Field(1.0, gt=0, le=1, description="probability that a publication after the first one is changed")

@@ -17,7 +17,7 @@ from mavfi.campaign.run import status, stored_campaign
 from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
 
-_NAMED = ("grain", "same_twice", "answer_s", "dead_node", "alarm", "epoch_liveness")
+_NAMED = ("grain", "same_twice", "answer_s", "degraded", "dead_node", "alarm", "epoch_liveness")
 """Keys of a mission that are named where they are not the defaults."""
 
 

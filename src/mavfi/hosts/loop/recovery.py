@@ -196,9 +196,9 @@ class Watch:
         self.degraded = False
         self._hard_us = (0, -GAP_US)  # the first and the last of a row of hard alarms
         states = getattr(detector, "states", None)
-        awaited = (WAYPOINT, COLLISION, PATH) if recovery.answer_s else (WAYPOINT,)  # with or without an alarm at it
-        awaited += () if recovery.degraded == "none" else (COMMAND,)
-        self.states = None if states is None else frozenset(states).union(awaited)
+        always = {WAYPOINT} | ({COLLISION, PATH} if recovery.answer_s else set())  # with or without an alarm at them
+        always |= set() if recovery.degraded == "none" else {COMMAND}
+        self.states = None if states is None else always.union(states)
         self._sent: State | None = None
         self._seal = getattr(detector, "seal", None)
         self.seals = self._seal is not None or recovery.grain == "message"

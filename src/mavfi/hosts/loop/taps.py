@@ -1,6 +1,6 @@
 """The functions that every published state passes, in a fixed order: injector, detector, recorders."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -42,7 +42,7 @@ class Taps:
     injector: Injector | None = None
     detector: Tap | None = None
     recorders: list[Recorder] = field(default_factory=list)
-    watched: frozenset[str] | None = None
+    watched: Set[str] | None = None
     seal: Recorder | None = None
 
     def __call__(self, state: State, time_us: int) -> State | None:

@@ -23,8 +23,10 @@ def check_supported(spec: MissionSpec) -> None:
     """Check that nodes of ROS can fly a mission as it is wanted.
 
     Raises:
-        BadInputError: The step of a node that dies is to be repeated.
+        BadInputError: The step of a node that dies is to be repeated, or there is to be a degraded mode.
     """
+    if spec.degraded != "none":
+        raise BadInputError(f"degraded: {spec.degraded!r}: not on ROS; allowed: none")
     if spec.dead_node == "recompute":
         allowed = ", ".join(policy for policy in get_args(DeadNode) if policy != spec.dead_node)
         raise BadInputError(
