@@ -23,6 +23,7 @@ from mavfi.detectors import features
 from mavfi.detectors.everything import CodeRecorder, Codes, codes_are_whole
 from mavfi.detectors.model import Model
 from mavfi.detectors.recorder import WATCHED, Recorder, Recording
+from mavfi.detectors.registry import of_all_fields
 from mavfi.errors import BadInputError
 from mavfi.flight_log import read_arrays
 from mavfi.hosts.local.flight import fly
@@ -178,7 +179,7 @@ def record_flights(
 
 def train(
     folder: Path, flights: int = 100, mission: MissionSpec | None = None, *, workers: int = 2,
-    progress: Progress | None = None, environments: Sequence[str] = (ENVIRONMENT,),
+    progress: Progress | None = None, environments: Sequence[str] = (ENVIRONMENT,), extras: Sequence[str] = (),
 ) -> list[Path]:  # fmt: skip
     """Fly error-free missions, fit every detector in every profile, and write the models.
 
@@ -191,11 +192,15 @@ def train(
         workers: Number of processes; the models do not depend on it.
         progress: Called with flights kept and wanted, of one environment after the other.
         environments: Where they are flown.
+        extras: Detectors that need packages of these are fitted, too: "bench".
 
     Raises:
         BadInputError: A name is not known, too few flights arrive, or the folder cannot be written.
     """
     from mavfi.detectors.training import fit, save  # imports every detector that learns
+
+    for detector in of_all_fields(extras).values():
+        getattr(detector, "check_installed", lambda: None)()
 
     _check_writable(folder)
     scenarios = [training_mission(mission or MissionSpec(), environment=name) for name in environments]
@@ -214,7 +219,7 @@ def train(
         "flights": flights * len(flown),
         "seeds": [seed for recordings in flown for seed in recordings],
     }
-    files = save(fit([one for recordings in flown for one in recordings.values()], provenance), folder)
+    files = save(fit([one for recordings in flown for one in recordings.values()], provenance, extras=extras), folder)
     for disk in disks:
         disk.delete()
     return files

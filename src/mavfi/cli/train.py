@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @partial(options.with_mission_options, without=("environment", "seed", "start", "goal", "dead_node", *RECOVERY))
-def train(
+def train(  # noqa: PLR0913 - one for each option
     mission: MissionSpec,
     flights: Annotated[
         int, typer.Option(help="Error-free missions; fewer than 100 give thresholds that do not hold.")
@@ -37,6 +37,7 @@ def train(
     check_environments: Annotated[
         str, typer.Option(help="Where false alarms are counted; those of --environments by default.")
     ] = "",
+    baselines: Annotated[bool, typer.Option(help="Fit those of other libraries (extra bench), too.")] = False,
     as_json: options.AsJson = False,
 ) -> None:
     """Fly error-free missions, in randomised worlds (none of the evaluation's) by default; fit every detector to them.
@@ -63,7 +64,10 @@ def train(
         training_mission(mission, environment=name)
     kept = f"Stopped. What is flown is kept in {out}; the same command resumes."
     with stoppable(kept), Bar("training flights") as bar:
-        files = train_models(out, flights, mission, workers=workers, progress=bar.show, environments=where)
+        files = train_models(
+            out, flights, mission, workers=workers, progress=bar.show, environments=where,
+            extras=("bench",) * baselines,
+        )  # fmt: skip
     models = [Model.load(path) for path in files]
     kept = f"Stopped. The models are in {out}; their false alarms are not counted."
     with stoppable(kept), Bar("checking flights") as bar:

@@ -1,6 +1,6 @@
 """Detectors by name: the two of the paper, the acceptance test, those of other packages, and `package:Class`."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
@@ -21,7 +21,8 @@ GROUP = "mavfi.detectors"
 """Entry points of this group are detectors: classes without arguments; or, where a class says its `model_kind`, with a
 trained model of that kind and profile.  `mavfi train` fits those that have `fit(sample, preprocessor, figures)`, which
 gives the model's parameters; with a true `watches_all` it is fitted to all fields, with an `Everything` in place of the
-preprocessor, and in one profile only.  The figures are those of configs/detectors/<name>.yaml.  A class with a true
+preprocessor, and in one profile only.  One with an `extra` needs packages of that extra, for which `check_installed`
+looks.  The figures are those of configs/detectors/<name>.yaml.  A class with a true
 `needs_limits` is made with the `MissionLimits` of what is flown, with a true `needs_seed` with the mission's seed."""
 ONLY_PROFILE = "tuned"
 """Of detectors of all fields."""
@@ -35,6 +36,11 @@ _SHIPPED = {
     "autoencoder_all": "mavfi.detectors.all_fields:AutoencoderAllDetector",
     "cusum": "mavfi.detectors.cusum:CusumDetector",
     "conformal": "mavfi.detectors.conformal:ConformalDetector",
+    "isolation_forest": "mavfi.detectors.baselines.outliers:IsolationForestDetector",
+    "pca": "mavfi.detectors.baselines.outliers:PcaDetector",
+    "mahalanobis": "mavfi.detectors.baselines.outliers:MahalanobisDetector",
+    "half_space_trees": "mavfi.detectors.baselines.half_space_trees:HalfSpaceTreesDetector",
+    "matrix_profile": "mavfi.detectors.baselines.matrix_profile:MatrixProfileDetector",
     "checksum": "mavfi.detectors.sealed:Checksum",
     "checksum_large": "mavfi.detectors.sealed:Checksum",
     "duplicate": "mavfi.detectors.duplicate:Duplicate",
@@ -82,9 +88,11 @@ def of_monitored_fields() -> dict[str, Any]:
     return {name: found for name, found in trainable().items() if not _watches_all(found)}
 
 
-def of_all_fields() -> dict[str, Any]:
-    """Those that are fitted to all fields, in one."""
-    return {name: found for name, found in trainable().items() if _watches_all(found)}
+def of_all_fields(extras: Collection[str] = ()) -> dict[str, Any]:
+    """Those that are fitted to all fields, in one; of those that need an extra, those of the given ones."""
+    wanted = ("", *extras)
+    every = trainable().items()
+    return {name: found for name, found in every if _watches_all(found) and getattr(found, "extra", "") in wanted}
 
 
 def _watches_all(factory: Any) -> bool:  # noqa: ANN401
@@ -141,6 +149,8 @@ def load_detector(
     if name == "none":
         return NoDetector(), ""
     factory = load_object("detector", name, GROUP, _SHIPPED)
+    if hasattr(factory, "check_installed"):
+        factory.check_installed()
     if _watches_all(factory):
         profile, settings = ONLY_PROFILE, settings_of(name, ONLY_PROFILE)
     kind = getattr(factory, "model_kind", None)

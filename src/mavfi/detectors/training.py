@@ -1,6 +1,6 @@
 """Fits trained detectors to error-free flights.  The flights come from elsewhere; nothing here flies."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,10 @@ _VELOCITY = ("vx", "vy", "vz")
 
 
 def fit(
-    recordings: Sequence[Recording], provenance: Mapping[str, Any], monitored: str = "paper-13"
+    recordings: Sequence[Recording],
+    provenance: Mapping[str, Any],
+    monitored: str = "paper-13",
+    extras: Collection[str] = (),
 ) -> dict[str, Model]:
     """Fit every detector that learns: those of monitored fields in both profiles, those of all fields in one.
 
@@ -27,6 +30,7 @@ def fit(
         recordings: Error-free flights, 100 or more for thresholds that hold; with codes of all fields or without.
         provenance: Where they come from: stack, platform, v_max, planner, and whatever else tells (seeds, flights).
         monitored: Name of the set of monitored fields.
+        extras: Detectors that need packages of these are fitted, too: "bench".
 
     Returns:
         Models by "<kind>-<profile>".  The same recordings give the same models.
@@ -39,7 +43,7 @@ def fit(
         raise BadInputError(f"provenance of a model: lacks {', '.join(missing)}")
     prediction, errors = best_prediction(recordings)
     origin = {**provenance, "versions": {name: version(name) for name in ("numpy", "scikit-learn")}}
-    models = fit_all_fields(recordings, origin)
+    models = fit_all_fields(recordings, origin, extras)
     for profile in PROFILES:
         preprocessor = Preprocessor(monitored, profile, prediction)
         sample = collect(recordings, preprocessor)
@@ -51,8 +55,10 @@ def fit(
     return models
 
 
-def fit_all_fields(recordings: Sequence[Recording], origin: Mapping[str, Any]) -> dict[str, Model]:
-    """Fit every detector of all fields; none if the recordings have no codes of these.  As of `fit`."""
+def fit_all_fields(
+    recordings: Sequence[Recording], origin: Mapping[str, Any], extras: Collection[str] = ()
+) -> dict[str, Model]:  # fmt: skip
+    """Fit every detector of all fields; none if the recordings have no codes of these.  Arguments as of `fit`."""
     found = [Codes(recording.slots, recording.regimes, recording.codes) for recording in recordings]
     if not all(len(codes.slots) for codes in found):
         return {}
@@ -60,7 +66,7 @@ def fit_all_fields(recordings: Sequence[Recording], origin: Mapping[str, Any]) -
     sample = join([sample_of(codes, everything) for codes in found])
     check_finite(sample)
     models = {}
-    for name, detector in of_all_fields().items():
+    for name, detector in of_all_fields(extras).items():
         parameters = detector.fit(sample, everything, settings_of(name, ONLY_PROFILE).fit)
         kind = detector.model_kind
         models[kind] = Model(kind, ONLY_PROFILE, MONITORED, "", parameters, dict(origin))
