@@ -159,7 +159,7 @@ def fly_request(
     Raises:
         BadInputError: The mission has no such site.
     """
-    fault, golden = (None, None) if request is None else draw_request(scenario, request, seed)
+    fault, golden = (None, None) if request is None else draw_request(scenario, request, seed, detector)
     return _fly_fault(scenario, fault, detector, label, recovery, golden if detector is None else None)
 
 

@@ -10,6 +10,7 @@ comes, so the kernel goes back at its next step: at the next control period for 
 for perception, at the next IMU sample for the state estimator.
 """
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -32,6 +33,8 @@ RESTART_US = 20_000
 """Time for which a node is away that a detector restarts (us): its process stays, its memory is initialized."""
 MOST_RESTARTS = 5
 """In one flight: detectors can be wrong themselves, and must not keep a vehicle from flying."""
+MOST_ALARMS, ALARMS_WITHIN_US = 50, 10_000_000
+"""Hard alarms within a time (us) after which a detector that may restart nodes is not asked any more: it is wrong."""
 SCANNING = STAGE_KERNELS[Stage.PERCEPTION]
 """Kernels that compute again together, from the image on."""
 WAYPOINT = "planning.waypoint"
@@ -166,13 +169,16 @@ class Watch:
         states = getattr(detector, "states", None)
         awaited = (WAYPOINT, COLLISION, PATH) if recovery.answer_s else (WAYPOINT,)  # with or without an alarm at it
         self.states = None if states is None else frozenset(states).union(awaited)
+        self._hard: deque[int] = deque(maxlen=MOST_ALARMS)  # instants (us) of the last hard alarms
+        self._silenced = False
         self._asked: tuple[int, int] | None = None  # instant (us) and number of a collision alarm without an answer
 
     def __call__(self, state: State, now: int) -> State | None:
         """Show a value to the detector; the result of a recomputation passes, unless it is judged again."""
         loop, detector, recovery = self._loop, self._detector, self._recovery
         awaited = loop.awaited.pop(state.spec.name, None)
-        alarm = detector.check(state, now) if awaited is None or recovery.same_twice == "escalate" else None
+        asks = not self._silenced and (awaited is None or recovery.same_twice == "escalate")
+        alarm = detector.check(state, now) if asks else None
         if awaited is not None and (alarm is None or not alarm.hard or self.restarts_left == 0):
             alarm = None  # a statistic may be right twice, a rule cannot
         if alarm is None or recovery.coupling == "observer":
@@ -182,10 +188,19 @@ class Watch:
         if alarm is None:
             self._keep_waiting(state, now)
             return state
+        if alarm.hard and recovery.restarts:
+            self._count(now)
         action = decide(alarm, state.spec, recovery, again=awaited is not None)
         loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
         self._answer(action, state, now)
         return None if action.withholds else state
+
+    def _count(self, now: int) -> None:
+        """Count a hard alarm; too many of them say that the detector is wrong."""
+        self._hard.append(now)
+        if len(self._hard) == MOST_ALARMS and now - self._hard[0] < ALARMS_WITHIN_US:
+            self._silenced = True
+            self._loop.record.note(now, "detector_silenced", {"alarms": MOST_ALARMS})
 
     def _settle(self, awaited: Awaited, state: State, alarm: Alarm | None) -> None:
         """Note the outcome of a recomputation, which may have raised an alarm again."""
