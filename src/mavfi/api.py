@@ -33,6 +33,7 @@ from mavfi.hosts.watching import detector_for, with_keys_of
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import allow_typed
 from mavfi.reports.flight_result import FlightResult
+from mavfi.states import DETECTORS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -164,7 +165,8 @@ def fly_request(setup: ArmSetup, request: Request | None, seed: int, label: str,
     Raises:
         BadInputError: The mission has no such site.
     """
-    fault, golden = (None, None) if request is None else draw_request(setup.scenario, request, seed)
+    detector = None if setup.make_detector is None else setup.make_detector()
+    fault, golden = (None, None) if request is None else draw_request(setup.scenario, request, seed, detector)
     return _fly_fault(setup, fault, label, bare, golden)
 
 
@@ -177,7 +179,8 @@ def _fly_fault(
         return FlightResult(setup.scenario, flight, own, fault)
     flight, own = _flown(setup, fault)
     known = golden if bare == setup.scenario else None
-    alone = None if fault is None else _flown(ArmSetup(bare), fault, known)[0]
+    of_detector = getattr(fault, "kernel", "") in DETECTORS  # without it there is nothing to inject into
+    alone = None if fault is None or of_detector else _flown(ArmSetup(bare), fault, known)[0]
     return FlightResult(setup.scenario, flight, own, fault, label, alone)
 
 

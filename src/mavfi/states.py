@@ -97,6 +97,16 @@ for _spec in _KERNEL_TABLE:
         if _functions:
             INJECTABLE[_name], INJECTED_KERNEL[_name] = _functions, _spec.name
 
+DETECTORS: dict[str, tuple[str, ...]] = {
+    "acceptance": (
+        "judge_status", "judge_path", "judge_trajectory", "judge_waypoint", "judge_command", "judge_tracking",
+        "note_status", "note_path", "note_trajectory",
+    ),
+    "gaussian": ("judge",),
+    "autoencoder": ("judge",),
+}  # fmt: skip
+"""Functions of detectors whose instructions can be injected in flights that they watch, by their source of alarms."""
+
 KERNEL_STAGES: dict[str, Stage] = {name: KERNELS[row].stage for name, row in INJECTED_KERNEL.items()}
 """Stage by the same name."""
 PERIODIC = tuple(spec.name for spec in _KERNEL_TABLE if spec.trigger == "periodic")

@@ -31,7 +31,9 @@ class Part(Config):
     campaign: str = Field(description="name or path; its arms are those of the bench")
     title: str = Field(description="of its table")
     mission: dict[str, Any] = Field({}, description="keys of a mission, besides those of the campaign")
-    view: str = Field("", description="table that is shown; by default that of schemes for the level of the faults")
+    view: str = Field("schemes", description="table that is shown")
+    nodes_die: bool = Field(False, description="of its faults: schemes without a detector are flown, too")
+    scores: bool = Field(False, description="its faults in states are shown to the detectors at any threshold")
 
 
 class Bench(Config):
@@ -52,9 +54,8 @@ class Bench(Config):
 class Entry:
     """A part as it is flown; `left_out`: schemes that cannot fly it, with the reason."""
 
+    part: Part
     campaign: Campaign
-    title: str
-    view: str = ""
     left_out: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -105,8 +106,7 @@ def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
     part = bench.parts[name]
     own = load_campaign(part.campaign).at_scale(scale)
     changed = {"name": f"{bench.name}-{name}", "mission": {**own.mission, **part.mission}, "scales": {}}
-    nodes_die = own.sampling.level == "instruction"  # what becomes of dead nodes has no effect elsewhere
-    arms = {arm: config.model_dump() for arm, config in bench.arms.items() if config.detector or nodes_die}
+    arms = {arm: config.model_dump() for arm, config in bench.arms.items() if config.detector or part.nodes_die}
     return parse(Campaign, {**own.to_json(), **changed, "arms": arms}, f"bench {bench.name}: {name}")
 
 
@@ -121,8 +121,7 @@ def _entry(bench: Bench, name: str, campaign: Campaign) -> Entry:
             except SpecMismatchError as error:
                 left_out[arm.name] = str(error)
     arms = {arm: config for arm, config in campaign.arms.items() if arm not in left_out}
-    part = bench.parts[name]
-    return Entry(campaign.model_copy(update={"arms": arms}), part.title, part.view, left_out)
+    return Entry(bench.parts[name], campaign.model_copy(update={"arms": arms}), left_out)
 
 
 def faults_of(directory: Path) -> str:
@@ -140,12 +139,10 @@ def faults_of(directory: Path) -> str:
 
 
 def _time_of(fault: Any) -> str:
-    """Instant (s) of a fault in a state, call and value of one in an instruction; empty without a site."""
+    """Instant of a fault (s), or number of the call and of the value that it writes; empty without a site."""
     if not fault.has_site:
         return ""
-    if fault.level == "instruction":
-        return f"{fault.call}:{fault.index}"
-    return f"{1e-6 * fault.time_us:.6f}"
+    return f"{1e-6 * fault.time_us:.6f}" if hasattr(fault, "time_us") else f"{fault.call}:{fault.index}"
 
 
 def frozen_faults(bench: Bench, part: str, scale: str) -> str | None:

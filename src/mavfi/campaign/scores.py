@@ -8,7 +8,7 @@ as publications above the threshold.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -159,7 +159,7 @@ def scores(directories: Sequence[Path], executor: Executor, models_dir: Path | N
     """Scores of the detectors of campaigns with the same arms, by arm, over all of their missions and state faults.
 
     Args:
-        directories: Folders of complete ledgers.
+        directories: Folders of complete ledgers with faults in states.
         executor: Runs the flights.
         models_dir: Folder of trained models; None = the shipped ones.
 
@@ -192,8 +192,10 @@ def _tasks(directory: Path, models_dir: Path | None) -> list[tuple[_Task, list[b
     }
     for spec in specs:
         row = rows.get(spec.run_id)
-        if row is not None and isinstance(spec.fault, StateFault):
-            faults[spec.world].append((spec.fault, bool(row["golden_success"]) and not row["success"]))
+        if row is not None:
+            faults[spec.world].append(
+                (cast(StateFault, spec.fault), bool(row["golden_success"]) and not row["success"])
+            )
     return [
         (_Task(campaign, *world, tuple(fault for fault, _ in own), models_dir), [lost for _, lost in own])
         for world, own in faults.items()

@@ -67,7 +67,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     check_folder(out)
     with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
         _fly(flown, out, workers)
-        scored = _scores(chosen, flown, out, workers)
+        scored = _scores(flown, out, workers)
     tables = {name: _table(chosen, name, entry, out / name, scale) for name, entry in flown.items()}
     if scored:
         tables["scores"] = table(scored)
@@ -88,22 +88,18 @@ def _fly(flown: "Mapping[str, Entry]", out: Path, workers: int) -> None:
             run_campaign(entry.campaign, out / name, executor=LocalExecutor(workers), progress=bar.show_campaign)
 
 
-def _scores(bench: "Bench", flown: "Mapping[str, Entry]", out: Path, workers: int) -> "dict[str, Scores]":
-    """Scores of the detectors in the parts that fly what they were trained on, with faults in states."""
+def _scores(flown: "Mapping[str, Entry]", out: Path, workers: int) -> "dict[str, Scores]":
+    """Scores of the detectors in the parts that are for it."""
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.scores import scores
 
-    own = [
-        name for name, entry in flown.items()
-        if not bench.parts[name].mission and entry.campaign.sampling.level == "state"
-    ]  # fmt: skip
-    return scores([out / name for name in own], LocalExecutor(workers)) if own else {}
+    own = [out / name for name, entry in flown.items() if entry.part.scores]
+    return scores(own, LocalExecutor(workers)) if own else {}
 
 
 def _table(bench: "Bench", name: str, entry: "Entry", ledger: Path, scale: str) -> "Table":
     """The table of a part: its schemes, whether its faults are the frozen ones, and who was left out."""
     from mavfi.campaign.analysis import Runs, table
-    from mavfi.campaign.analysis.scheme_views import name_for
     from mavfi.campaign.bench import checksum, faults_of, frozen_faults
 
     runs = Runs.read(ledger)
@@ -115,8 +111,8 @@ def _table(bench: "Bench", name: str, entry: "Entry", ledger: Path, scale: str) 
     drawn = f"{faults.count(chr(10)) - 1} faults, sha256 {checksum(faults)[:16]}…: "
     drawn += same.get(frozen, f"NOT those published in {bench.name} (sha256 {checksum(frozen or '')[:16]}…)")
     left_out = [f"{arm}: not flown ({reason})" for arm, reason in entry.left_out.items()]
-    found = table(runs, entry.view or name_for(runs))
-    return replace(found, name=name, title=entry.title, notes=(drawn, *left_out, *found.notes))
+    found = table(runs, entry.part.view)
+    return replace(found, name=name, title=entry.part.title, notes=(drawn, *left_out, *found.notes))
 
 
 def _write(

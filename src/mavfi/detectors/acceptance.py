@@ -4,8 +4,8 @@ Clouds and map updates have no rules: no mission depends on one of their values,
 repair them.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -117,22 +117,35 @@ class AcceptanceTest:
         odometry: Header that says where the vehicle is; zeros before the first.
     """
 
-    needs_limits = True
+    source, needs_limits = SOURCE, True
 
     def __init__(self, limits: MissionLimits, functions: Functions = PLAIN) -> None:
-        self.limits, self.functions = limits, functions
+        self.limits = limits
         self.record = known.new_record(limits)
         self._accepted = self.record["accepted"]
         self.held = limits.held
-        header = {name: new_state(name).header for name in (_WAYPOINT, _COMMAND, _TRACKING)}
-        self.judge_command = entry(functions.judge_command, header[_COMMAND], self.record)
-        self.judge_tracking = entry(functions.judge_tracking, header[_TRACKING], self.record)
         unread = () if limits.held else (_TRACKING,)
         self.states = frozenset((*RULES, *_POSITIONS)).difference(unread)
         self.start()
+        self._use(functions)
+
+    def _use(self, functions: Functions) -> None:
+        header = {name: new_state(name).header for name in (_WAYPOINT, _COMMAND, _TRACKING)}
+        self.functions = functions
+        self.judge_command = entry(functions.judge_command, header[_COMMAND], self.record)
+        self.judge_tracking = entry(functions.judge_tracking, header[_TRACKING], self.record)
         self.judge_waypoint = entry(
             functions.judge_waypoint, header[_WAYPOINT], bytes_of(self.odometry), self.record, self.blocks
         )
+
+    @property
+    def compiled(self) -> dict[str, Compiled]:
+        """Its compiled functions, by name."""
+        return {field.name: getattr(PLAIN, field.name) for field in fields(Functions)}
+
+    def instrument(self, made: Mapping[str, Compiled]) -> None:
+        """Call others in the place of the compiled functions with these names; of the rest, themselves."""
+        self._use(replace(PLAIN, **made))
 
     def start(self) -> None:
         """Forget the last flight."""

@@ -55,3 +55,14 @@ class Detector(Protocol):
 
     def accept(self, state: State, time_us: int) -> None:
         """Take note of a value that was published."""
+
+
+def part_of(detector: Any, source: str) -> Any:  # noqa: ANN401 - a detector of ours
+    """The part of a detector that raises alarms as `source`, if its compiled functions can be instrumented; or None.
+
+    It has `compiled`, these functions by name, and `instrument`, which puts others in the place of those with the same
+    names, and themselves in the place of all that are not given.
+    """
+    parts = getattr(detector, "parts", (detector,))
+    found = (part for part in parts if getattr(part, "source", "") == source and getattr(part, "compiled", None))
+    return next(found, None)

@@ -4,7 +4,7 @@ A scorer says how far a publication is from normal, a threshold when that is an 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -280,6 +280,16 @@ class ScoringDetector:
         self._scored = None
         self.scorer.accept(state, verdict)
 
+    @property
+    def compiled(self) -> dict[str, Callable[..., Any]]:
+        """Compiled functions that can be instrumented, by name; see `detector.part_of`."""
+        return {"judge": self.scorer.judge} if hasattr(self.scorer, "judge") else {}
+
+    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
+        """Call others in their place, see `detector.part_of`."""
+        if hasattr(self.scorer, "instrument"):
+            self.scorer.instrument(made)
+
     def memory(self) -> tuple[tuple[bytes, ...], bool]:
         """What is remembered, see `Detector`."""
         return self.scorer.memory(), self._persists
@@ -295,7 +305,7 @@ class Chain:
     """Several detectors in a row: the first alarm counts."""
 
     def __init__(self, *detectors: Any) -> None:  # noqa: ANN401 - `Detector`s; those of ours have memory and score
-        self._detectors = detectors
+        self.parts = detectors
         asked = [getattr(detector, "states", None) for detector in detectors]
         every = None in asked
         self.states = None if every else frozenset(name for states in asked for name in states or ())
@@ -304,17 +314,17 @@ class Chain:
 
     def start(self) -> None:
         """Forget the last flight."""
-        for detector in self._detectors:
+        for detector in self.parts:
             detector.start()
 
     def score(self, state: State, time_us: int) -> float | None:
         """The largest of their scores."""
-        scores = [detector.score(state, time_us) for detector in self._detectors if hasattr(detector, "score")]
+        scores = [detector.score(state, time_us) for detector in self.parts if hasattr(detector, "score")]
         return max((score for score in scores if score is not None), default=None)
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """The first alarm that one of them raises."""
-        for detector in self._detectors:
+        for detector in self.parts:
             alarm: Alarm | None = detector.check(state, time_us)
             if alarm is not None:
                 return alarm
@@ -322,14 +332,14 @@ class Chain:
 
     def accept(self, state: State, time_us: int) -> None:
         """Tell all of them."""
-        for detector in self._detectors:
+        for detector in self.parts:
             detector.accept(state, time_us)
 
     def memory(self) -> tuple[Any, ...]:
         """What they remember."""
-        return tuple(detector.memory() for detector in self._detectors)
+        return tuple(detector.memory() for detector in self.parts)
 
     def restore(self, memory: tuple[Any, ...]) -> None:
         """Inverse of `memory`."""
-        for detector, kept in zip(self._detectors, memory, strict=True):
+        for detector, kept in zip(self.parts, memory, strict=True):
             detector.restore(kept)

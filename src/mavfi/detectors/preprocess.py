@@ -159,10 +159,11 @@ class DeltaScorer(Scorer):
             np.zeros(size), np.ones(size), threshold.ratios,
         )  # fmt: skip
         self._tables = (self.features.watch, self.scratch, threshold.limit, *self._tables)
-        self._bind()
+        self.instrument({})
 
-    def _bind(self) -> None:
-        self._judge = entry(self.judge, self.scratch.content, 0, *self._tables)
+    def instrument(self, made: Mapping[str, Callable[..., float]]) -> None:
+        """Call another function in the place of `judge`, if one is given by that name, or else that again."""
+        self._judge = made["judge"] if "judge" in made else entry(self.judge, self.scratch.content, 0, *self._tables)
 
     def __getstate__(self) -> dict[str, Any]:
         """Machine code stays in its process."""
@@ -171,7 +172,7 @@ class DeltaScorer(Scorer):
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Inverse of `__getstate__`."""
         self.__dict__.update(state)
-        self._bind()
+        self.instrument({})
 
     def start(self) -> None:
         """Forget the last flight."""

@@ -6,12 +6,12 @@ from dataclasses import replace
 import polars as pl
 
 from mavfi.campaign.analysis import measures as m
-from mavfi.campaign.analysis.flight_views import INSTRUCTION, ONE_FAULT
+from mavfi.campaign.analysis.flight_views import ONE_FAULT
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.rows import KERNEL_DUE
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import NUMBER, PER_HOUR, SMALL
-from mavfi.campaign.analysis.views import View, has, register
+from mavfi.campaign.analysis.views import View, register
 from mavfi.campaign.plan import FI
 
 PAIR = "pair"
@@ -98,8 +98,3 @@ register(
         headings=("struck", "scheme"), notes=lambda _: (_NOTES[0], ONE_FAULT), applies=lambda runs: False,
     ),
 )  # fmt: skip
-
-
-def name_for(runs: Runs) -> str:
-    """The view of schemes that fits a campaign's level."""
-    return "schemes_instructions" if has(runs.injected, level=INSTRUCTION) else "schemes"

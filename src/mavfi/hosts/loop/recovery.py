@@ -11,6 +11,7 @@ comes, so the kernel goes back at its next step: at the next control period for 
 for perception, at the next IMU sample for the state estimator.
 """
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -36,6 +37,8 @@ MOST_RESTARTS = 5
 """In one flight: detectors can be wrong themselves, and must not keep a vehicle from flying."""
 PERSISTS_US, GAP_US = 2_000_000, 500_000
 """Hard alarms persist if they come for so long, with gaps of at most so long (us)."""
+MOST_ALARMS, ALARMS_WITHIN_US = 50, 10_000_000
+"""Hard alarms within a time (us) after which a detector that may restart nodes is not asked any more: it is wrong."""
 SCANNING = STAGE_KERNELS[Stage.PERCEPTION]
 """Kernels that compute again together, from the image on."""
 WAYPOINT = "planning.waypoint"
@@ -202,6 +205,8 @@ class Watch:
         self._sent: State | None = None
         self._seal = getattr(detector, "seal", None)
         self.seals = self._seal is not None or recovery.grain == "message"
+        self._hard: deque[int] = deque(maxlen=MOST_ALARMS)  # instants (us) of the last hard alarms
+        self._silenced = False
         self._asked: tuple[int, int] | None = None  # instant (us) and number of a collision alarm without an answer
 
     def seal(self, state: State, now: int) -> None:
@@ -217,7 +222,8 @@ class Watch:
         self.alarm = self.action = None
         if self.degraded:
             return None if state.spec.name == COMMAND else state
-        alarm = detector.check(state, now) if awaited is None or recovery.same_twice == "escalate" else None
+        asks = not self._silenced and (awaited is None or recovery.same_twice == "escalate")
+        alarm = detector.check(state, now) if asks else None
         uncured = alarm is not None and self._is_uncured(alarm, now, again=awaited is not None)
         if awaited is not None and (alarm is None or not alarm.hard or self.restarts_left == 0) and not uncured:
             alarm = None  # a statistic may be right twice, a rule cannot
@@ -229,6 +235,8 @@ class Watch:
         if alarm is None:
             self._keep_waiting(state, now)
             return state
+        if alarm.hard and recovery.restarts:
+            self._count(now)
         action = decide(alarm, state.spec, recovery, again=awaited is not None, uncured=uncured)
         self.action = action
         loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
@@ -244,6 +252,13 @@ class Watch:
         self._hard_us = first, last = (now if now - last > GAP_US else first), now
         used_up = again and self._recovery.restarts and self.restarts_left == 0
         return used_up or last - first > PERSISTS_US
+
+    def _count(self, now: int) -> None:
+        """Count a hard alarm; too many of them say that the detector is wrong."""
+        self._hard.append(now)
+        if len(self._hard) == MOST_ALARMS and now - self._hard[0] < ALARMS_WITHIN_US:
+            self._silenced = True
+            self._loop.record.note(now, "detector_silenced", {"alarms": MOST_ALARMS})
 
     def _settle(self, awaited: Awaited, state: State, alarm: Alarm | None) -> None:
         """Note the outcome of a recomputation, which may have raised an alarm again."""

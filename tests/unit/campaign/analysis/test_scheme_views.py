@@ -1,7 +1,6 @@
 """Schemes on the same faults: what is lost, brought back, newly lost, detected."""
 
 from mavfi.campaign.analysis import VIEWS
-from mavfi.campaign.analysis.scheme_views import name_for
 from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, alarm, died, flown, golden, injected, runs
 
 
@@ -54,7 +53,6 @@ def test_at_instruction_level_what_died_stands_apart():
     own = [golden(1), golden(2), golden(1, arm="one"), golden(2, arm="one")]
     own += [*pair(1, died(success=False), died(), fault=INSTRUCTION), *pair(2, LOST, LOST, fault=INSTRUCTION)]
     found = runs(*own)
-    assert name_for(found) == "schemes_instructions"
     entry = row(found, "schemes_instructions")
     assert (entry["died_back"].successes, entry["died_back"].n) == (1, 1)
     assert (entry["sdc_back"].successes, entry["sdc_back"].n) == (0, 1)

@@ -7,7 +7,9 @@ import pytest
 from mavfi.detectors import Alarm
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.recovery import (
+    ALARMS_WITHIN_US,
     INLINE,
+    MOST_ALARMS,
     MOST_RESTARTS,
     RESTART_US,
     Action,
@@ -102,7 +104,8 @@ class Flight:
 
     def __init__(self):
         self.awaited, self.requests, self.busy = {}, {}, {}
-        self.record = SimpleNamespace(alarms=[])
+        self.events = []
+        self.record = SimpleNamespace(alarms=[], note=lambda now, kind, data: self.events.append((now, kind)))
         self.steps, self.restarted = [], []
 
     def recompute(self, action, now):
@@ -160,6 +163,17 @@ def test_a_rule_that_is_broken_twice_restarts_the_node():
     assert flight.restarted == [("collision_check", 2, RESTART_US)]
     assert flight.outcomes == [("recompute", "rejected"), ("restart", "restarted")]
     assert detector.accepted == [], "references are values that were published"
+
+
+@pytest.mark.parametrize("pause", [1, ALARMS_WITHIN_US // (MOST_ALARMS - 1) + 1])
+def test_a_detector_that_alarms_without_end_is_not_asked_any_more(pause):
+    flight, detector = Flight(), Always(hard=True)
+    values = [(place * pause, status(5)) for place in range(2 * MOST_ALARMS)]
+    shown(detector, ESCALATES, values, flight)
+    endless = pause == 1
+    assert [kind for _, kind in flight.events] == (["detector_silenced"] if endless else [])
+    assert (len(flight.outcomes) == MOST_ALARMS) == endless
+    assert detector.accepted[-1] == values[-1][0], "it goes on to take note"
 
 
 @pytest.mark.parametrize(
