@@ -156,7 +156,8 @@ def _run(folder: Path, command: list[str], tell: Callable[[Path], None] | None) 
     finally:
         if not supervision.wait(0.0):
             supervision.stop()
-            supervision.wait(_LAST_WORDS_S)
+            if not supervision.wait(_LAST_WORDS_S):
+                template.end()
 
 
 def _result(folder: Path, plan: Plan) -> Flight:

@@ -48,15 +48,23 @@ class Template:
 
     def usable(self) -> bool:
         """Whether it is there, and would begin in the same way again."""
-        return self._process.poll() is None and self._made_by == _maker()
+        return not self.has_ended() and self._made_by == _maker()
+
+    def has_ended(self) -> bool:
+        """Whether it is gone."""
+        return self._process.poll() is not None
 
     def begin(self, folder: Path, network: list[str]) -> "Supervision":
         """Begin the flight of a folder in a network of its own, see `processes.isolate`; `MavfiError` if that fails."""
         variables = {**os.environ, "PYTHONPATH": files.own_path(), files.FOLDER_VARIABLE: str(folder)}
         told = b""
         with suppress(OSError):  # it has ended
-            self._channel.send(json.dumps([variables, str(folder), network]).encode())
-            told = self._channel.recv(_LONGEST)
+            try:
+                self._channel.send(json.dumps([variables, str(folder), network]).encode())
+                told = self._channel.recv(_LONGEST)
+            except KeyboardInterrupt:
+                self.end()
+                raise
         if not told:
             raise MavfiError("ROS: the process that starts the nodes has ended")
         return Supervision(self._channel, int(told))
@@ -64,6 +72,7 @@ class Template:
     def end(self) -> None:
         """End it; flights that are under way end as well."""
         self._channel.close()
+        self._process.kill()
         self._process.wait()
 
 
@@ -102,12 +111,13 @@ def _maker() -> tuple[object, ...]:
 def template_of_thread(log: Path) -> Template:
     """The template of this thread, made if there is none yet."""
     key = os.getpid(), threading.get_ident()
-    template = _templates.get(key)
-    if template is None or not template.usable():
-        if template is not None:
-            template.end()
-        _templates[key] = template = Template(log)
-    return template
+    for other in [each for each, template in _templates.items() if each[0] == key[0] and template.has_ended()]:
+        _templates.pop(other).end()  # their threads have ended
+    if key in _templates and not _templates[key].usable():
+        _templates.pop(key).end()
+    if key not in _templates:
+        _templates[key] = Template(log)
+    return _templates[key]
 
 
 @atexit.register
