@@ -31,8 +31,8 @@ SameTwice = Literal["accept", "escalate"]
 Degraded = Literal["none", "hover"]
 COLLISION, PATH, COMMAND = "perception.collision_status", "planning.path", "control.command"
 RESTART_US, BACK_OFF = 20_000, 3
-"""Time for which a node is away that a detector restarts (us): its process stays, its memory is initialized; and by what
-it grows with each restart of a flight: together they outlast a fault of 1 s."""
+"""Time for which a node is away that a detector restarts (us): its process stays, its memory is initialized; and its
+growth with each restart of a flight: together they outlast a fault of 1 s."""
 MOST_RESTARTS = 5
 """In one flight: detectors can be wrong themselves, and must not keep a vehicle from flying."""
 PERSISTS_US, GAP_US = 2_000_000, 500_000
