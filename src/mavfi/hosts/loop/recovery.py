@@ -31,8 +31,9 @@ Grain = Literal["stage", "kernel", "message"]
 SameTwice = Literal["accept", "escalate"]
 Degraded = Literal["none", "hover"]
 COLLISION, PATH, COMMAND = "perception.collision_status", "planning.path", "control.command"
-RESTART_US = 20_000
-"""Time for which a node is away that a detector restarts (us): its process stays, its memory is initialized."""
+RESTART_US, BACK_OFF = 20_000, 3
+"""Time for which a node is away that a detector restarts (us): its process stays, its memory is initialized; and its
+growth with each restart of a flight: together they outlast a fault of 1 s."""
 MOST_RESTARTS = 5
 """In one flight: detectors can be wrong themselves, and must not keep a vehicle from flying."""
 PERSISTS_US, GAP_US = 2_000_000, 500_000
@@ -274,8 +275,9 @@ class Watch:
             self.degraded = True
             return
         if action.kind == "restart":
+            away_us = RESTART_US * BACK_OFF ** (MOST_RESTARTS - self.restarts_left)
             self.restarts_left -= 1
-            self._restart(action.kernel, now, RESTART_US)
+            self._restart(action.kernel, now, away_us)
             return
         if action.awaited:
             loop.awaited[action.awaited] = Awaited(state, len(loop.record.alarms) - 1)

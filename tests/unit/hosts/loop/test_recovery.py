@@ -274,3 +274,10 @@ def test_an_observer_cannot_withhold_commands():
     with pytest.raises(BadInputError, match="degraded: hover: withholds commands; allowed: with coupling inline"):
         Recovery("observer", degraded="hover")
     assert Recovery(degraded="hover").remembers and not INLINE.remembers and ESCALATES.remembers
+
+
+def test_each_restart_of_a_flight_takes_longer():
+    flight = Flight()
+    shown(Always(hard=True), ESCALATES, [(now, status(5)) for now in range(4 * MOST_RESTARTS)], flight)
+    assert [away / RESTART_US for _, _, away in flight.restarted] == [1, 3, 9, 27, 81]
+    assert sum(away for _, _, away in flight.restarted) > 1_000_000
