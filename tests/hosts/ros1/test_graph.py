@@ -2,6 +2,8 @@
 
 import pytest
 
+from mavfi.detectors.duplicate import Duplicate
+from mavfi.detectors.sealed import Checksum
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD, Graph, face_of
@@ -34,6 +36,14 @@ def test_without_taps_values_go_straight_to_their_readers():
         assert not way.taps
     assert found["sensor.odometry"].readers == ("collision_check", "planner", "waypoint", "pid")
     assert found["planning.path"].readers == ("planner",)
+
+
+@pytest.mark.parametrize("detector", [Checksum(), Duplicate()])
+def test_detectors_that_take_part_in_what_is_not_published_are_refused(detector):
+    with pytest.raises(
+        BadInputError, match=rf"{type(detector).__name__}: takes part in what is not published; allowed"
+    ):
+        Plan(scenario := mission(), configure(scenario), detector=detector)
 
 
 def test_with_an_estimator_its_kernel_is_a_node_and_the_world_reads_what_it_says():
