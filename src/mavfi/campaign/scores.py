@@ -19,8 +19,8 @@ from mavfi.campaign.analysis.table import NUMBER, RATE, Column, Table
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors.executor import Executor, map_each
 from mavfi.campaign.plan import FI, Arm, arms_of
+from mavfi.campaign.run import ORDERED
 from mavfi.campaign.store import Store
-from mavfi.config import parse
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import StateFault
 from mavfi.faults.state import StateInjector
@@ -185,7 +185,7 @@ def _tasks(directory: Path, models_dir: Path | None) -> list[tuple[_Task, list[b
     """One task for each mission, and which of its faults lose it."""
     rows = {row["run_id"]: row for row in Runs.read(directory).injected.where(setting=FI, site_outcome=ACTIVATED)}
     with Store.open(directory) as store:
-        campaign = parse(Campaign, store.meta("identity")["campaign"], str(directory))
+        campaign = Campaign.model_validate_json(store.meta(ORDERED))
         specs = [run.spec for run in store.runs(done=True)]
     faults: dict[tuple[str, int], list[tuple[StateFault, bool]]] = {
         (environment, seed): [] for environment in campaign.environments for seed in campaign.seeds

@@ -146,11 +146,13 @@ class Everything:
             residuals.note_vehicle(floats(state.header, _MOTION), self.known)
 
     def not_finite(self, state: State) -> np.ndarray:
-        """Indices of the residuals of a publication that are not finite."""
+        """Indices of the residuals of a publication whose number of quanta is not finite."""
         first, last = self._ranges[self.slots[state.spec.name]]
         codes = np.zeros(len(self.fields), np.int16)
         self.measure(state, self.slots[state.spec.name], codes)
-        wrong = ~np.isfinite(self._values[first:last]) & (self.quanta[first:last] > 0.0)
+        values, quanta = self._values[first:last], self.quanta[first:last]
+        with np.errstate(over="ignore"):  # a residual of 1e307 m is finite, and no number of centimetres
+            wrong = (quanta > 0.0) & ~np.isfinite(values / np.where(quanta > 0.0, quanta, 1.0))
         return first + np.flatnonzero(wrong)
 
 

@@ -13,6 +13,11 @@ from mavfi.campaign.scores import Scores
 from mavfi.reports import style
 from mavfi.reports.campaign_report import markdown_table
 
+_COLOURS = (style.BLUE, style.ORANGE, style.GREEN, style.PURPLE, style.SKY, style.AMBER, style.INK)
+_DASHES = ("-", "--", ":")
+_MOST_ALARMS = 1e4
+"""Right edge of the figure, per hour: one in a third of a second."""
+
 
 def leaderboard(tables: Mapping[str, Table], bench: str, scale: str) -> str:
     """All tables of a bench in Markdown, with what was flown and the command that adds a row."""
@@ -39,16 +44,20 @@ def draw_curves(found: Mapping[str, Scores], path: Path) -> Path:
     with style.house_style():
         figure = Figure(figsize=(7.2, 4.2), layout="constrained")
         axes = figure.subplots()
-        looks = style.setting_looks([f"dr_{name}" for name in found])
-        for (name, own), look in zip(found.items(), looks.values(), strict=True):
+        judging = {
+            name: own for name, own in found.items() if own.area() is not None and len(own.golden) + own.struck.any()
+        }
+        for place, (name, own) in enumerate(judging.items()):
+            colour, dashes = _COLOURS[place % len(_COLOURS)], _DASHES[place // len(_COLOURS) % len(_DASHES)]
             _, alarms, shares = zip((0.0, 0.0, 0.0), *own.curve(), strict=True)
             least = 0.5 / own.hours
             x, y = np.maximum(alarms, least), 100 * np.array(shares)
-            axes.step(x, y, where="post", label=name, **style.curve(look, wide=False))
+            axes.step(x, y, where="post", label=name, color=colour, linestyle=dashes, linewidth=1.8)
             now = np.searchsorted(-own.golden, -1.0), (own.struck[own.harmful] > 1.0).mean()  # threshold as shipped
-            axes.plot(max(now[0] / own.hours, least), 100 * now[1], look["marker"], color=look["color"])
+            axes.plot(max(now[0] / own.hours, least), 100 * now[1], "o", color=colour, markeredgecolor="white")
         axes.set(xscale="log", ylim=(-2, 102), xlabel="false alarms per flight hour",
                  ylabel="harmful faults detected (%)", title="Detection against false alarms")  # fmt: skip
         axes.grid(visible=True)
+        axes.set_xlim(right=_MOST_ALARMS)
         figure.legend(loc="outside lower center", ncols=3, title="markers: thresholds as shipped")
         return style.write(figure, path)

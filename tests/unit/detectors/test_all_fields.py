@@ -25,6 +25,7 @@ GROSS = [
     ("planning.waypoint", 20, "x", -1e30),
     ("planning.waypoint", 20, "index", 9999),
     ("planning.waypoint", 20, "duration", 1e6),
+    ("planning.waypoint", 20, "vy", 1e307),  # finite, and too large for a number of quanta
     ("control.command", 333, "vy", 1e20),
     ("control.command", 333, "duration", -40.0),
 ]
