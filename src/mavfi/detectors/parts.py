@@ -244,7 +244,9 @@ class ScoringDetector:
         self.states = scorer.states
         self._counts_waypoints = policy is not keyed
         self._persists = False
-        self._scored: tuple[State, float | None] | None = None
+        self._adapts, self._accept = scorer.adapts, scorer.accept
+        self._scored: State | None = None
+        self._score: float | None = None
 
     def start(self) -> None:
         """Forget the last flight."""
@@ -253,13 +255,15 @@ class ScoringDetector:
 
     def score(self, state: State, time_us: int) -> float | None:
         """Score of a publication, in units of the threshold: > 1 is an alarm; None if it is not watched."""
-        if self._scored is None or self._scored[0] is not state:
-            self._scored = state, self.scorer.score(state)
-        return self._scored[1]
+        if self._scored is not state:
+            self._scored, self._score = state, self.scorer.score(state)
+        return self._score
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Judge a publication."""
-        score = self.score(state, time_us)
+        if self._scored is not state:  # as `score`, without another call
+            self._scored, self._score = state, self.scorer.score(state)
+        score = self._score
         if score is None or score <= 1.0:
             return None
         reading, verdict = self.scorer.judged()
@@ -275,10 +279,10 @@ class ScoringDetector:
             score = self.score(state, time_us)
             self._persists = self._persists if score is None else not score <= 1.0
         verdict = None
-        if self.scorer.adapts and self.score(state, time_us) is not None:
+        if self._adapts and self.score(state, time_us) is not None:
             verdict = self.scorer.judged()[1]
         self._scored = None
-        self.scorer.accept(state, verdict)
+        self._accept(state, verdict)
 
     @property
     def compiled(self) -> dict[str, Callable[..., Any]]:

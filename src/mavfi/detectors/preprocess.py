@@ -159,6 +159,7 @@ class DeltaScorer(Scorer):
             np.zeros(size), np.ones(size), threshold.ratios,
         )  # fmt: skip
         self._tables = (self.features.watch, self.scratch, threshold.limit, *self._tables)
+        self._place = self.scratch.place
         self.instrument({})
 
     def instrument(self, made: Mapping[str, Callable[..., float]]) -> None:
@@ -213,7 +214,7 @@ class DeltaScorer(Scorer):
                 if len(self._vehicles) == _WAITING:
                     self._see()
             return
-        self.scratch.place[features.ACCEPTED] = 1
+        self._place[features.ACCEPTED] = 1
 
     def _see(self) -> None:
         """Remember where the vehicle is: only the last odometry that is finite counts."""
