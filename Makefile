@@ -17,7 +17,7 @@ export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz failures damage reliability tune format bench coupling machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -86,6 +86,10 @@ fast-forward: setup  ## fly runs of table1 with and without fast-forward, compar
 many-injections: setup  ## inject 100,000 faults in forked children, and look for leaks (N=...)
 	@$(BIN)/python -m benchmarks.many_injections $(N)
 
+bench-detectors: setup  ## fly every detector on the same faults, write docs/generated/leaderboard.md and docs/engineers.md
+	@$(BIN)/mavfi bench detectors --scale $(SCALE) --out out/bench-$(SCALE) --workers $(JOBS)
+	@$(BIN)/python -m tools.build_leaderboard out/bench-$(SCALE) $(SCALE)
+
 cluster: setup  ## cost of campaigns of up to 100,000 missions besides their flights; writes the table in docs/cluster.md (N="1000 10000")
 	@$(BIN)/python -m benchmarks.cluster
 
@@ -94,6 +98,9 @@ memory: setup  ## memory of a worker over 1,500 state-level and 300 instruction-
 
 coupling: setup  ## cost of an observer's delay against a gate; writes the table in docs/ros.md (N=...)
 	@$(BIN)/python -m benchmarks.coupling
+
+detector-cost: setup  ## what detection costs against the kernels; writes the table in docs/models.md (N=5 SEEDS=2)
+	@$(BIN)/python -m benchmarks.detectors
 
 machine-level: setup  ## faults in instructions at machine and at IR level; writes the table in docs/fault-model.md (N=400)
 	@$(BIN)/python -m benchmarks.machine_level

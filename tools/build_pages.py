@@ -1,18 +1,27 @@
 """Write what the documentation derives from the code: the states, the graph and topics of ROS, the reference pages."""
 
+import re
 from pathlib import Path
+from typing import cast
 
+from mavfi.faults.strata import WORD_BITS
+from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.hosts.ros1.definitions import PACKAGE as PACKAGE_OF_MESSAGES
 from mavfi.hosts.ros1.definitions import type_name
 from mavfi.hosts.ros1.graph import JUDGED_BY_WORLD, WORLD, Graph
 from mavfi.hosts.ros1.mirrors import STANDARDS
 from mavfi.hosts.ros1.session import configure
 from mavfi.mission import MissionSpec
+from mavfi.pipeline.memory import Remembers
 from mavfi.pipeline.ppc import build_pipeline
+from mavfi.pipeline.words import words_of
 from mavfi.states import STACKS, STATES, Field, StateSpec
 from tools import build_reference
 from tools.markers import DOCS, between
+
+_INSTANT_US = 10_000_000
 
 
 def field_text(field: Field) -> str:
@@ -39,6 +48,25 @@ def state_table() -> str:
 def _graph() -> Graph:
     config = configure(resolve(MissionSpec(environment="sparse", seed=0)))
     return Graph(build_pipeline(config))
+
+
+def memory_table() -> str:
+    """The table of what kernels remember, 10 s into a flight of the default mission."""
+    loop = new_loop(resolve(MissionSpec()))
+    loop.begin()
+    loop.run(_INSTANT_US // CONTROL_PERIOD_US)
+    lines = ["| kernel | words, by name | kbit |", "|---|---|---:|"]
+    for name, kernel in loop.kernels.items():
+        found = list(words_of(cast(Remembers, kernel)))
+        fields: dict[str, list[str]] = {}
+        for words in found:
+            start, _, last = re.sub(r"\[\d+\]", "[ ]", words.name).rpartition(".")
+            if last not in fields.setdefault(start, []):
+                fields[start].append(last)
+        shown = ", ".join(f"`{start}.`({', '.join(own)})" if start else ", ".join(own) for start, own in fields.items())
+        kbits = sum(words.count * WORD_BITS[words.dtype] for words in found) / 1000
+        lines.append(f"| `{name}` | {shown} | {kbits:,.1f} |")
+    return "\n".join(lines)
 
 
 def ros_topics() -> str:
@@ -88,9 +116,10 @@ def ros_page() -> str:
 def pages() -> dict[Path, str]:
     """Every written page, as it should be."""
     fault_model = DOCS / "fault-model.md"
+    model = between(fault_model.read_text(encoding="utf-8"), "states", state_table())
     return {
         DOCS / "ros.md": ros_page(),
-        fault_model: between(fault_model.read_text(encoding="utf-8"), "states", state_table()),
+        fault_model: between(model, "memory", memory_table()),
         **build_reference.pages(),
     }
 

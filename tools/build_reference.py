@@ -50,6 +50,12 @@ As text, for `--fault` of `mavfi fly` and `mavfi ros fly`; whatever is left out 
 | `state:planning.waypoint.x` | of this field |
 | `state:planning.trajectory.x[3]` | of this element |
 | `state:planning.waypoint.x:bit=62@20.0` | bit 62 of the first publication at or after 20 s |
+| `state:planning.waypoint.x:bit=60:lasts=1@5` | stuck at its flipped value for 1 s; `inf` = for ever |
+| `state:planning.waypoint.x:lasts=10:share=0.2` | for 10 s, in 20 % of the publications |
+| `state:planning.waypoint.x:width=4:times=2` | 4 adjacent bits, in two publications, recomputed ones included |
+| `memory:planner` | one bit of what the kernel remembers, at an instant of the golden flight |
+| `memory:planner.acted_seq` | of the words with this name, or the end or a part of it |
+| `memory:waypoint.points[33]:bit=62@20.0` | bit 62 of word 33 of an array, before the steps at 20 s |
 | `instruction:octomap` | one bit in the result of one instruction that the kernel executes |
 | `instruction:pid:which=floating_point` | of this class of instructions ([fault model](../fault-model.md)) |
 | `instruction:pid:model=zero` | the value becomes zero; other models: `one_bit`, `bits`, `random` |

@@ -13,7 +13,8 @@ _PUBLIC = {
     "figure": "mavfi.api", "allow_plugins": "mavfi.plugins",
     "MissionSpec": "mavfi.mission", "Scenario": "mavfi.mission", "MissionStatus": "mavfi.mission",
     "StateFault": "mavfi.faults.fault", "InstructionFault": "mavfi.faults.fault", "MessageFault": "mavfi.faults.fault",
-    "RegisterFault": "mavfi.faults.fault", "FaultSite": "mavfi.faults.fault", "Fault": "mavfi.faults.fault",
+    "MemoryFault": "mavfi.faults.fault", "RegisterFault": "mavfi.faults.fault", "FaultSite": "mavfi.faults.fault",
+    "Fault": "mavfi.faults.fault",
     "Injection": "mavfi.flight_log", "FlightLog": "mavfi.flight_log", "FlightRecord": "mavfi.flight_record",
     "Effect": "mavfi.outcomes", "QoF": "mavfi.qof", "STATES": "mavfi.states", "KERNELS": "mavfi.states",
     "Campaign": "mavfi.campaign.config", "Study": "mavfi.campaign.config", "Runs": "mavfi.campaign.analysis.runs",
@@ -40,6 +41,7 @@ if TYPE_CHECKING:
     from mavfi.faults.fault import Fault as Fault
     from mavfi.faults.fault import FaultSite as FaultSite
     from mavfi.faults.fault import InstructionFault as InstructionFault
+    from mavfi.faults.fault import MemoryFault as MemoryFault
     from mavfi.faults.fault import MessageFault as MessageFault
     from mavfi.faults.fault import RegisterFault as RegisterFault
     from mavfi.faults.fault import StateFault as StateFault

@@ -24,7 +24,7 @@ from mavfi.campaign.samplers.request import draw_request
 from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import Fault
-from mavfi.faults.spec import InstructionRequest, StateRequest, parse
+from mavfi.faults.spec import Request, parse
 from mavfi.hosts.host import ArmSetup, Flight
 from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.hosts.loop.compose import resolve
@@ -33,6 +33,7 @@ from mavfi.hosts.watching import detector_for, with_keys_of
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import allow_typed
 from mavfi.reports.flight_result import FlightResult
+from mavfi.states import DETECTORS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,7 +45,7 @@ def fly(
     mission: MissionSpec | None = None, *, fault: Fault | str | None = None, fault_seed: int = 0,
     detector: Detector | str | None = None, profile: str = "paper", models: Path | str | None = None, **options: Any,
 ) -> FlightResult:  # fmt: skip
-    """Fly one mission; with a fault, its golden run too.
+    """Fly one mission; with a fault, its golden run too; with a detector as well, the same fault without it.
 
     Args:
         mission: What to fly; None = what the options say.
@@ -61,13 +62,14 @@ def fly(
     Raises:
         BadInputError: Something is not known, or does not fit together.
     """
-    spec = _spec(mission, options)
-    spec = with_keys_of(spec, detector) if isinstance(detector, str) else spec
+    asked = _spec(mission, options)
+    spec = with_keys_of(asked, detector) if isinstance(detector, str) else asked
     scenario = resolve(spec)
     watching, label = _watching(scenario, detector, profile, models)
+    own = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(spec))
     if not isinstance(fault, str):
-        return _fly_fault(scenario, fault, watching, label, Recovery.of(spec))
-    return fly_request(scenario, parse(fault, spec.localization), fault_seed, watching, label, Recovery.of(spec))
+        return _fly_fault(own, fault, label, resolve(asked))
+    return fly_request(own, parse(fault, spec.localization), fault_seed, label, resolve(asked))
 
 
 def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **options: Any) -> Fault:
@@ -150,34 +152,50 @@ def figure(runs: Runs, name: str) -> "Figure":
     return figure_of(runs, name)
 
 
-def fly_request(
-    scenario: Scenario, request: StateRequest | InstructionRequest | None, seed: int, detector: Detector | None,
-    label: str, recovery: Recovery,
-) -> FlightResult:  # fmt: skip
+def fly_request(setup: ArmSetup, request: Request | None, seed: int, label: str, bare: Scenario) -> FlightResult:
     """Fly the golden run, draw the requested fault (None = only the golden run) from it, and fly that.
+
+    Args:
+        setup: What is flown.
+        request: The fault.
+        seed: Of the draw.
+        label: Name of the detector; "" = none.
+        bare: The mission as it is without the detector and the keys that go with it; the fault is flown there too.
 
     Raises:
         BadInputError: The mission has no such site.
     """
-    fault, golden = (None, None) if request is None else draw_request(scenario, request, seed)
-    return _fly_fault(scenario, fault, detector, label, recovery, golden if detector is None else None)
+    detector = None if setup.make_detector is None else setup.make_detector()
+    fault, golden = (None, None) if request is None else draw_request(setup.scenario, request, seed, detector)
+    return _fly_fault(setup, fault, label, bare, golden)
 
 
 def _fly_fault(
-    scenario: Scenario, fault: Fault | None, detector: Detector | None, label: str, recovery: Recovery,
-    golden: Flight | None = None,
-) -> FlightResult:  # fmt: skip
-    setup = ArmSetup(scenario, None if detector is None else lambda: detector, recovery)
-    flights = LocalHost().mission({label: setup}, fast_forward=False)
+    setup: ArmSetup, fault: Fault | None, label: str, bare: Scenario, golden: Flight | None = None
+) -> FlightResult:
+    """Fly the golden run and the fault; `golden`: the golden run without a detector, where it is known."""
+    if setup.make_detector is None:
+        flight, own = _flown(setup, fault, golden)
+        return FlightResult(setup.scenario, flight, own, fault)
+    flight, own = _flown(setup, fault)
+    known = golden if bare == setup.scenario else None
+    of_detector = getattr(fault, "kernel", "") in DETECTORS  # without it there is nothing to inject into
+    alone = None if fault is None or of_detector else _flown(ArmSetup(bare), fault, known)[0]
+    return FlightResult(setup.scenario, flight, own, fault, label, alone)
+
+
+def _flown(setup: ArmSetup, fault: Fault | None, golden: Flight | None = None) -> tuple[Flight, Flight | None]:
+    """The flight, and the golden run that it is compared with; without a fault the golden run alone."""
+    flights = LocalHost().mission({"": setup}, fast_forward=False)
     if golden is not None:
-        flights.know(label, golden)
-    golden = flights.golden(label)
+        flights.know("", golden)
+    golden = flights.golden("")
     if fault is None:
-        return FlightResult(scenario, golden, detector=label)
-    ((_, flight),) = flights.injected([(label, fault)])
+        return golden, None
+    ((_, flight),) = flights.injected([("", fault)])
     if isinstance(flight, Exception):
         raise flight
-    return FlightResult(scenario, flight, golden, fault, label)
+    return flight, golden
 
 
 def _spec(mission: MissionSpec | None, options: dict[str, Any]) -> MissionSpec:

@@ -42,8 +42,9 @@ class Injection:
     """What an injector did, at any level.
 
     Attributes:
-        level: "state", "instruction", "message" or "register".
-        site: Where, as text: "planning.waypoint.x", "octomap.insert_scan", "joint_states.position[0]", "xmm0".
+        level: "state", "memory", "instruction", "message" or "register".
+        site: Where, as text: "planning.waypoint.x", "memory:planner.decisions.acted_seq", "octomap.insert_scan",
+            "joint_states.position[0]", "xmm0".
         time_s: When: of the flight (s); of messages and registers outside of a flight, since the tool's start (s).
         bit: Which bit; None for a null fault, or where a whole value was replaced.
         before: Value before; None = not activated, or no number.
@@ -86,7 +87,7 @@ class AlarmRecord:
         stage: Stage that it asks to recompute.
         score: How anomalous, in units of the threshold.
         fields: Fields that stand out, "state.field".
-        action: What the host did: "recompute", "abandon" or "stop".
+        action: What the host did: "recompute", "abandon", "stop", "restart" or "resend".
         outcome: What came of it: "replaced", "repaired", "accepted" (the same value again), "rejected" (it broke
             a rule again), or "restarted" (the node).
     """

@@ -84,14 +84,19 @@ class MissionSpec(Config):
     coupling: Literal["inline", "observer"] = Field(
         "inline", description="Of a detector: inline (a gate before the value is seen) or observer (one step late)."
     )
-    grain: Literal["stage", "kernel"] = Field(
-        "stage", description="Computed again after an alarm: the stage, or only the kernel that wrote the value."
+    grain: Literal["stage", "kernel", "message"] = Field(
+        "stage",
+        description="Repeated after an alarm: the stage, only the kernel that wrote the value, or its message: the "
+        "producer's copy is sent again.",
     )
     same_twice: Literal["accept", "escalate"] = Field(
         "accept", description="A recomputation that breaks a rule again: accept, or escalate to a restart of the node."
     )
     answer_s: float = Field(
         0.0, ge=0.0, le=60.0, description="Time for a path to answer an alarm, s; then the planner restarts; 0 = never."
+    )
+    degraded: Literal["none", "hover"] = Field(
+        "none", description="Where restarts do not help: none (fly on), or hover (commands are withheld from then on)."
     )
     dead_node: DeadNode = Field(
         "fresh",
@@ -111,7 +116,7 @@ class MissionSpec(Config):
         return "fresh" if value == "restart" else value
 
 
-RECOVERY = ("coupling", "grain", "same_twice", "answer_s")
+RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded")
 """Keys of a mission that define the answer to a detector's alarms."""
 _OPTIONS = ("wind", "localization", "dead_node")
 _STACK_OPTIONS = ("alarm",)

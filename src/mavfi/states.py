@@ -7,12 +7,13 @@ The leading float64 fields of a header can be read as one plain vector with `flo
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from mavfi.errors import BadInputError
 
+_BYTE = np.dtype(np.uint8)
 STACKS = ("published", "hardened")
 ODOMETRY = {"truth": "sensor.odometry", "estimator": "perception.odometry"}
 """By localization, the state that tells consumers where the vehicle is; both begin with the same 13 fields."""
@@ -95,6 +96,16 @@ for _spec in _KERNEL_TABLE:
     for _name, _functions in PLANNERS.items() if _spec.name == "planner" else ((_spec.name, _spec.functions),):
         if _functions:
             INJECTABLE[_name], INJECTED_KERNEL[_name] = _functions, _spec.name
+
+DETECTORS: dict[str, tuple[str, ...]] = {
+    "acceptance": (
+        "judge_status", "judge_path", "judge_trajectory", "judge_waypoint", "judge_command", "judge_tracking",
+        "note_status", "note_path", "note_trajectory",
+    ),
+    "gaussian": ("judge",),
+    "autoencoder": ("judge",),
+}  # fmt: skip
+"""Functions of detectors whose instructions can be injected in flights that they watch, by their source of alarms."""
 
 KERNEL_STAGES: dict[str, Stage] = {name: KERNELS[row].stage for name, row in INJECTED_KERNEL.items()}
 """Stage by the same name."""
@@ -226,6 +237,14 @@ def floats(header: np.ndarray, count: int) -> np.ndarray:
     if len(header) == 1:
         return np.ndarray(count, np.float64, header)
     return np.ndarray((len(header), count), np.float64, header, 0, (header.dtype.itemsize, 8))
+
+
+def bytes_of(header: np.ndarray) -> np.ndarray:
+    """The bytes of a header, as an array that shares its memory. Shape (size,), uint8."""
+    base: Any = header.base
+    if type(base) is np.ndarray and base.dtype is _BYTE and base.size == header.nbytes:
+        return base  # as of `new_state`: a view takes several times as long
+    return header.view(np.uint8)
 
 
 def new_state(name: str, count: int = 0) -> State:

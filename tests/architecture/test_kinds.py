@@ -9,7 +9,10 @@ from tests.architecture.source import dotted, modules
 
 HOMES = ("campaign/samplers/", "hosts/", "campaign/analysis/")
 """Samplers draw faults of a level, hosts inject them, views show them."""
-KINDS = {"StateFault", "InstructionFault", "RegisterFault", "MessageFault", "StateRequest", "InstructionRequest"}
+KINDS = {
+    "StateFault", "MemoryFault", "InstructionFault", "RegisterFault", "MessageFault", "StateRequest", "MemoryRequest",
+    "InstructionRequest",
+}  # fmt: skip
 ASKED = {"level", "scheme", "host", "kernels"}
 """Attributes and names which say what kind of experiment this is."""
 ALLOWED = {

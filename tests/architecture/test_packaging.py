@@ -40,13 +40,15 @@ def test_the_version_is_in_the_changelog_and_the_citation():
 
 
 def test_whatever_is_imported_is_asked_for():
-    wanted_for_all = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["cluster"]]
+    extras = PROJECT["optional-dependencies"]
+    wanted_for_all = [*PROJECT["dependencies"], *extras["cluster"], *extras["bench"]]
     asked = {canonicalize_name(Requirement(wanted).name) for wanted in wanted_for_all}
     imported = {name.split(".")[0] for tree in modules().values() for name in imports(tree)}
     homes = packages_distributions()
     of_ros = finder.ALLOWED | set(finder.GENERATED)  # Debian's, wanted by one package alone: see test_code.py
     foreign = imported - set(sys.stdlib_module_names) - {"mavfi"} - (of_ros - {"yaml"})
-    assert {name for name in foreign if not {canonicalize_name(home) for home in homes[name]} & asked} == set()
+    known = {name: {canonicalize_name(home) for home in homes.get(name, [name])} for name in foreign}
+    assert {name for name, own in known.items() if not own & asked} == set()
 
 
 def test_only_the_dask_executor_needs_the_extra_and_only_when_it_is_used():

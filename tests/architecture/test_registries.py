@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from mavfi import config
-from mavfi.detectors.registry import DetectorConfig, detector_names, settings_of, trainable
+from mavfi.detectors.registry import (
+    DetectorConfig,
+    detector_names,
+    of_all_fields,
+    of_monitored_fields,
+    settings_of,
+    trainable,
+)  # fmt: skip
 from mavfi.mission import MissionStatus
 from mavfi.states import MONITORED_SETS, PPC_STAGES, STACKS, STATES, Stage
 
@@ -89,9 +96,15 @@ def test_what_the_paper_flew_is_shipped():
 
 
 def test_detectors_that_learn_are_entry_points_with_a_file_each():
-    assert list(trainable()) == ["gaussian", "autoencoder"]
-    assert set(config.names("detectors")) == {*trainable(), "recommended"} <= set(detector_names())
-    assert [settings_of(name, "tuned").gate for name in (*trainable(), "another")] == [True] * 3
+    assert list(of_monitored_fields()) == ["gaussian", "autoencoder"]
+    assert {"limits", "autoencoder_all", "cusum", "conformal"} <= set(of_all_fields())
+    others = {"recommended", "checksum", "checksum_large", "duplicate", "oracle", "random"}
+    assert set(config.names("detectors")) == {*trainable(), *others} <= set(detector_names())
+    assert all(settings_of(name, "tuned").gate for name in (*of_monitored_fields(), "another"))
+    assert set(of_all_fields(["bench"])) - set(of_all_fields()) == {
+        "isolation_forest", "pca", "mahalanobis", "half_space_trees", "matrix_profile",
+    }  # fmt: skip
+    assert not any(settings_of(name, "tuned").gate for name in of_all_fields(["bench"]))
 
 
 @pytest.mark.parametrize("name", config.names("environments"))

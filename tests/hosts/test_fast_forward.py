@@ -37,8 +37,12 @@ FAULTS = [
     fault("control.command", "vx", 1e4, 62),
     fault("control.command", "vx", 8.0),
     StateFault(FaultSite("planning.path", "x", 0), NO_SITE, 60),
+    replace(fault("control.command", "vx", 4.0, 61), lasts_s=1.0),
+    replace(fault("planning.waypoint", "y", 5.0, 52), times=2),
+    replace(fault("control.command", "vy", 6.0, 50), lasts_s=float("inf"), share=0.3, seed=7),
 ]
-"""They break the mission, or are masked at once or late; at the very start, without a site, never striking, null."""
+"""They break the mission, or are masked at once or late; at the very start, without a site, never striking, null; or
+last."""
 
 ARMS = {
     "published": {

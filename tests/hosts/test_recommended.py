@@ -3,18 +3,24 @@
 import pytest
 
 import mavfi
+from mavfi.cli import run
 from mavfi.mission import MissionSpec, MissionStatus
+from tests.architecture.source import ROOT
 
 pytestmark = pytest.mark.slow
 DENSE = MissionSpec(environment="dense", seed=402)
+TOUR = ["fly", "--environment", "dense", "--seed", "10007", "--fault", "state:perception.collision_status.collision",
+        "--fault-seed", "1", "--detector", "recommended"]  # fmt: skip
 LOST = ("collision:bit=0@3.4", "future_collision_seq:bit=31@3.4")
 
 
 @pytest.mark.parametrize("fault", LOST)
 def test_a_mission_that_an_unheard_alarm_loses_comes_back(fault):
     fault = f"state:perception.collision_status.{fault}"
-    assert mavfi.fly(DENSE, fault=fault).log.status is MissionStatus.COLLISION
-    saved = mavfi.fly(DENSE, fault=fault, detector="recommended").log
+    result = mavfi.fly(DENSE, fault=fault, detector="recommended")
+    assert result.unwatched.log.digest() == mavfi.fly(DENSE, fault=fault).log.digest()
+    assert result.to_json()["without_detector"]["status"] == "collision"
+    saved = result.log
     assert saved.status is MissionStatus.SUCCESS
     assert [(alarm.source, alarm.action, alarm.outcome) for alarm in saved.alarms] == [
         ("acceptance", "recompute", "repaired")
@@ -28,3 +34,15 @@ def test_without_a_fault_there_is_no_alarm_and_no_other_flight(autopilot):
     )
     assert watched.alarms == [] and watched.status is MissionStatus.SUCCESS
     assert (watched.rows == alone.rows).all()
+
+
+def test_the_tour_of_the_readme_tells_the_three_flights_apart(capsys, tmp_path):
+    assert " ".join(TOUR) in (ROOT / "README.md").read_text(encoding="utf-8")
+    picture = tmp_path / "flight.svg"
+    assert run([*TOUR, "--picture", str(picture)]) == 0
+    text = capsys.readouterr().out
+    assert text.index("✓ Reached the goal.") < text.index("without the detector: ✗ Touched an obstacle")
+    drawn = picture.read_text(encoding="utf-8")
+    for label in ("golden run", "with the fault", "with the fault and detector recommended", "alarm at the injection"):
+        assert f"<!-- {label} -->" in drawn
+    assert "collision at " in drawn and ", with the detector " in drawn

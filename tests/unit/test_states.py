@@ -9,6 +9,7 @@ from mavfi.states import (
     STACKS,
     STATES,
     Stage,
+    bytes_of,
     find_state,
     floats,
     new_state,
@@ -34,6 +35,16 @@ def test_the_leading_floats_of_a_state_share_its_memory(name):
             plain.reshape(records, count)[-1] = np.arange(1.0, count + 1.0)
             assert [array[field.name][-1] for field in fields[:count]] == list(range(1, count + 1))
             assert all(array[field.name][-1] == 0 for field in fields[count:])
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_the_bytes_of_a_header_share_its_memory(name):
+    made = new_state(name)
+    received = np.frombuffer(made.header.tobytes() * 2, made.header.dtype)[1:]
+    for header in (made.header, made.header.copy(), received, np.zeros(2, made.header.dtype)[1:]):
+        content = bytes_of(header)
+        assert (content.dtype, content.tobytes()) == (np.uint8, header.tobytes())
+        assert np.shares_memory(content, header)
 
 
 def test_no_elements_give_no_floats():

@@ -30,12 +30,26 @@ _RENAMED = {
 """Keys of campaigns of schema 1, and where they went."""
 
 
+class Lifetime(Config):
+    """How long faults in states last, and how many bits they have; by default one bit of one publication."""
+
+    lasts_s: Annotated[float, Field(ge=0)] | Literal["inf"] = Field(
+        0.0, description="stuck in every publication for this time (s, from 0 on); inf = for ever"
+    )
+    share: float = Field(1.0, gt=0, le=1, description="probability that a publication after the first one is changed")
+    width: int = Field(1, ge=1, le=64, description="adjacent bits")
+    times: int = Field(1, ge=1, description="publications, recomputed ones included, in which it is stuck at least")
+
+
 class SiteGroup(Config):
     """Fields that are injected as one row of a table; one of them per fault, uniform."""
 
     name: str
-    sites: tuple[str, ...] = Field(min_length=1, description="state.field")
+    sites: tuple[str, ...] = Field(min_length=1, description="state.field; of memories kernel.field")
     strata: dict[str, float] | None = Field(None, description="instead of the campaign's")
+    lifetime: Lifetime | None = Field(
+        None, description="instead of the campaign's; groups of the same sites then have the same draws"
+    )
 
 
 class StateSampling(Config):
@@ -51,6 +65,7 @@ class StateSampling(Config):
     strata: dict[str, float] = Field(
         default_factory=lambda: {"sign_exponent": 2.0, "mantissa": 1.0}, description="shares of the faults by bit class"
     )
+    lifetime: Lifetime = Lifetime()
 
     @model_validator(mode="after")
     def _consistent(self) -> "StateSampling":
@@ -59,6 +74,29 @@ class StateSampling(Config):
         _check_distinct("sampling.groups", [group.name for group in self.groups])
         for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
             _check_strata(strata)
+        return self
+
+
+class MemorySampling(Config):
+    """Faults in what kernels remember: one bit of a word, uniform over bits and instants of the golden flight."""
+
+    null_runs: ClassVar[int] = NULL_RUNS
+    level: Literal["memory"]
+    kernels: tuple[str, ...] = Field((), description="whose memory; all by default")
+    share: Literal["exposure", "kernel"] = Field(
+        "exposure", description="what `faults` counts: all bits together, most of which are maps, or each kernel"
+    )
+    groups: tuple[SiteGroup, ...] = Field((), description="instead: `faults` for each of these, e.g. planner.acted_seq")
+    strata: dict[str, float] | None = Field(None, description="shares of the faults by bit class; whole words else")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "MemorySampling":
+        _check_distinct("sampling.kernels", self.kernels)
+        _check_distinct("sampling.groups", [group.name for group in self.groups])
+        if self.strata is not None:
+            _check_strata(self.strata)
+        if any(group.lifetime or group.strata for group in self.groups):
+            raise ValueError("sampling.groups: keys lifetime and strata: allowed with faults in states")
         return self
 
 
@@ -110,6 +148,7 @@ def _level_of(data: Any) -> str:
 
 Sampling = Annotated[
     Annotated[StateSampling, Tag("state")]
+    | Annotated[MemorySampling, Tag("memory")]
     | Annotated[InstructionSampling, Tag("instruction")]
     | Annotated[RegisterSampling, Tag("register")],
     Discriminator(_level_of),

@@ -11,6 +11,7 @@ from mavfi.campaign.store import FILE, Store
 
 ASSUMED: Mapping[tuple[str, str], tuple[float, float, float]] = {
     ("local", "state"): (1.0, 0.5, 2500.0),
+    ("local", "memory"): (2.0, 0.7, 2500.0),
     ("local", "instruction"): (4.0, 2.0, 5000.0),
 }
 """Wall time of a golden run and of one with a fault (s), and bytes per run, by host and level: means of the shipped

@@ -9,6 +9,7 @@ from mavfi.campaign.plan import RunSpec, arms_of
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.errors import BadInputError
+from mavfi.faults.fault import MemoryFault, StateFault
 from mavfi.flight_record import record_of
 from mavfi.hosts.host import ArmSetup, Flight, Host, Recorded
 from mavfi.hosts.local import fly
@@ -116,7 +117,7 @@ def explain(directory: Path, run_id: str) -> Explanation:
 def _recorded(store: Store, spec: RunSpec) -> tuple[Flight, list[Publication]]:
     """A run and its publications in order; none for a run that ends in a forked process."""
     seen: list[Publication] = []
-    if spec.fault is not None and spec.fault.level != "state":
+    if not isinstance(spec.fault, StateFault | MemoryFault | None):
         return fly_again(store, spec), seen
     _, setup = _setup_of_run(store, spec)
     detector = None if setup.make_detector is None else setup.make_detector()

@@ -9,7 +9,7 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +20,10 @@ from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.fingerprint import code, versions
 from mavfi.detectors import features
+from mavfi.detectors.everything import CodeRecorder, Codes, codes_are_whole
 from mavfi.detectors.model import Model
 from mavfi.detectors.recorder import WATCHED, Recorder, Recording
+from mavfi.detectors.registry import of_all_fields
 from mavfi.errors import BadInputError
 from mavfi.flight_log import read_arrays
 from mavfi.hosts.local.flight import fly
@@ -36,7 +38,7 @@ CHECKING_SEED = TRAINING_SEED + 500_000
 Progress = Callable[[int, int], None]
 _MOST_FLIGHTS_PER_WANTED = 3
 FOLDER = ".flights"  # folder of the recordings, in the folder of the models
-_PARTS = ("kinds", "times_us", "content")
+_PARTS = tuple(Recording.__annotations__)
 
 
 class KeptRecordings:
@@ -83,8 +85,11 @@ class KeptRecordings:
 
 def _is_whole(recording: Recording) -> bool:
     """Whether the parts have the types of a recording, and fit together."""
-    parts = recording.kinds, recording.times_us, recording.content
-    if [part.dtype for part in parts] != [np.int8, np.int64, np.uint8] or any(part.ndim != 1 for part in parts):
+    parts = [getattr(recording, name) for name in _PARTS]
+    types = [np.int8, np.int64, np.uint8, np.int8, np.int8, np.int16]
+    if [part.dtype for part in parts] != types or any(part.ndim != 1 for part in parts):
+        return False
+    if not codes_are_whole(Codes(parts[3], parts[4], parts[5])):
         return False
     kinds, ends = recording.kinds, len(WATCHED)
     if len(kinds) != len(recording.times_us) or ((kinds < features.ODOMETRY) | (kinds >= ends)).any():
@@ -110,21 +115,24 @@ class _Task:
         return f"{'training' if self.model is None else 'checking'} flight with seed {self.scenario.seed}"
 
 
-def training_mission(mission: MissionSpec, seed: int = TRAINING_SEED) -> Scenario:
-    """A mission in a training world; autopilot profile, platform, planner and so on are those of another mission.
+def training_mission(mission: MissionSpec, seed: int = TRAINING_SEED, environment: str = ENVIRONMENT) -> Scenario:
+    """A mission in another world; autopilot profile, platform, planner and so on stay.
 
     Raises:
         BadInputError: A name is not known, or things do not fit together.
     """
-    world = {"environment": ENVIRONMENT, "seed": seed, "start": None, "goal": None}
+    world = {"environment": environment, "seed": seed, "start": None, "goal": None}
     return resolve(mission.model_copy(update=world))
 
 
 def record_flight(task: _Task) -> Recording | None:
     """Fly one error-free mission; None if it did not reach its goal."""
-    recorder = Recorder()
-    log = fly(task.scenario, recorders=[recorder.accept]).log
-    return recorder.recording() if log.status is MissionStatus.SUCCESS else None
+    recorder, everything = Recorder(), CodeRecorder(task.scenario.stack.name)
+    log = fly(task.scenario, recorders=[recorder.accept, everything.accept]).log
+    if log.status is not MissionStatus.SUCCESS:
+        return None
+    codes = everything.codes()
+    return replace(recorder.recording(), slots=codes.slots, regimes=codes.regimes, codes=codes.own)
 
 
 def record_flights(
@@ -171,60 +179,78 @@ def record_flights(
 
 def train(
     folder: Path, flights: int = 100, mission: MissionSpec | None = None, *, workers: int = 2,
-    progress: Progress | None = None,
+    progress: Progress | None = None, environments: Sequence[str] = (ENVIRONMENT,), extras: Sequence[str] = (),
 ) -> list[Path]:  # fmt: skip
-    """Fly error-free missions in randomised worlds, fit every detector in every profile, and write the models.
+    """Fly error-free missions, fit every detector in every profile, and write the models.
 
     Recordings are kept in the folder until the models are written: the same call resumes an interrupted training.
 
     Args:
         folder: Where the models are written.
-        flights: Missions that reach their goals.
+        flights: Missions that reach their goals, in each environment.
         mission: How they are flown; environment, seed, start and goal are training's own.
         workers: Number of processes; the models do not depend on it.
-        progress: Called with flights kept and wanted.
+        progress: Called with flights kept and wanted, of one environment after the other.
+        environments: Where they are flown.
+        extras: Detectors that need packages of these are fitted, too: "bench".
 
     Raises:
         BadInputError: A name is not known, too few flights arrive, or the folder cannot be written.
     """
     from mavfi.detectors.training import fit, save  # imports every detector that learns
 
+    for detector in of_all_fields(extras).values():
+        getattr(detector, "check_installed", lambda: None)()
+
     _check_writable(folder)
-    scenario = training_mission(mission or MissionSpec())
-    disk = KeptRecordings(folder, scenario)
-    recordings = record_flights(scenario, flights, workers, progress, disk)
+    scenarios = [training_mission(mission or MissionSpec(), environment=name) for name in environments]
+    disks = [KeptRecordings(folder, scenario) for scenario in scenarios]
+    flown = [
+        record_flights(scenario, flights, workers, progress, disk)
+        for scenario, disk in zip(scenarios, disks, strict=True)
+    ]
+    scenario = scenarios[0]
     provenance = {
         "stack": scenario.stack.name,
         "platform": scenario.platform.name,
         "v_max": scenario.v_max,
         "planner": scenario.planner.name,
-        "environment": ENVIRONMENT,
-        "flights": flights,
-        "seeds": list(recordings),
+        "environment": ", ".join(environments),
+        "flights": flights * len(flown),
+        "seeds": [seed for recordings in flown for seed in recordings],
     }
-    files = save(fit(list(recordings.values()), provenance), folder)
-    disk.delete()
+    files = save(fit([one for recordings in flown for one in recordings.values()], provenance, extras=extras), folder)
+    for disk in disks:
+        disk.delete()
     return files
 
 
 def count_false_alarms(
-    models: Sequence[Model], folder: Path, flights: int, mission: MissionSpec, workers: int, progress: Progress
-) -> list[EventRate]:
-    """Alarms per flight hour of each model in the folder, on as many error-free missions with seeds of their own.
+    models: Sequence[Model], folder: Path, flights: int, mission: MissionSpec, workers: int, progress: Progress,
+    environments: Sequence[str] = (ENVIRONMENT,),
+) -> list[dict[str, EventRate]]:  # fmt: skip
+    """Alarms per flight hour of each model in the folder by environment, on error-free missions with other seeds.
 
-    Missions are flown as of `train`; `progress` is called with flights done and wanted.
+    There are `flights` of these in each environment, flown as of `train`; `progress` is called with flights done and
+    wanted.
 
     Raises:
         MavfiError: A worker was lost.
     """
-    scenarios = [training_mission(mission, seed) for seed in range(CHECKING_SEED, CHECKING_SEED + flights)]
-    tasks = [_Task(scenario, model, folder) for scenario in scenarios for model in models]
-    counted: dict[str, list[tuple[int, float]]] = {model.sha256: [] for model in models}
+    seeds = range(CHECKING_SEED, CHECKING_SEED + flights)
+    places = [(name, training_mission(mission, seed, name)) for name in environments for seed in seeds]
+    tasks = [_Task(scenario, model, folder) for _, scenario in places for model in models]
+    counted: dict[tuple[str, str], list[tuple[int, float]]] = {}
     for done, (task, result) in enumerate(map_each(LocalExecutor(workers), _count_alarms, tasks), 1):
-        counted[task.model.sha256 if task.model else ""].append(result)
+        assert task.model is not None  # only these are counted
+        counted.setdefault((task.model.sha256, task.scenario.environment.name), []).append(result)
         progress(done, len(tasks))
-    flown = [sorted(own) for own in counted.values()]
-    return [event_rate_by_flight([events for events, _ in own], [hours for _, hours in own]) for own in flown]
+
+    def rate(model: Model, environment: str) -> EventRate:
+        flown = sorted(counted.get((model.sha256, environment), []))
+        return event_rate_by_flight([events for events, _ in flown], [hours for _, hours in flown])
+
+    return [{name: rate(model, name) for name in environments} for model in models]
 
 
 def _count_alarms(task: _Task) -> tuple[int, float]:

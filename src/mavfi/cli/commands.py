@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from mavfi.cli import (
+    bench,
     campaign,
     explain,
     export,
@@ -44,6 +45,7 @@ for verb in (
 for verb in (pack.pack, pack.unpack):
     campaign.app.command(verb.__name__)(verb)
 app.add_typer(campaign.app, name="campaign")
+app.add_typer(bench.app, name="bench")
 app.add_typer(ros.app, name="ros")
 
 

@@ -42,10 +42,23 @@ def panel(result: FlightResult) -> Panel:
     below = f"{scenario.platform.name} · {scenario.planner.name} · {scenario.v_max:g} m/s"
     parts: list[RenderableType] = [
         title, Text(below, style="dim"), Text(),
-        Text(f"{'✓' if success else '✗'} {result.status.value}", style=f"bold {colour}"), Text(), _figures(result),
+        Text.assemble(_verdict(result.status), style="bold"), *_unwatched(result), Text(), _figures(result),
         *_fault(result), *_alarms(result), Text(), Text(f"digest {result.record.digest[:16]}…", style="dim"),
     ]  # fmt: skip
     return Panel(Group(*parts), box=box.ROUNDED, border_style=colour, padding=(0, 2), expand=False)
+
+
+def _verdict(status: MissionStatus) -> Text:
+    success = status is MissionStatus.SUCCESS
+    return Text(f"{'✓' if success else '✗'} {status.value}", style="green" if success else "red")
+
+
+def _unwatched(result: FlightResult) -> list[RenderableType]:
+    """How the same fault ends without the detector."""
+    if result.unwatched is None:
+        return []
+    log = result.unwatched.log
+    return [Text.assemble("  without the detector: ", _verdict(log.status), f" ({log.column('time')[-1]:.1f} s)")]
 
 
 def _figures(result: FlightResult) -> Table:

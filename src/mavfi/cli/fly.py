@@ -34,6 +34,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     Example: [bold]mavfi fly --environment dense --seed 10007 --fault state:planning.waypoint.x:bit=62@20.0[/bold]
     """
     check_company(mission, fault, fault_seed, detector, profile, models)
+    if mission.dead_node != "fresh" and not (fault or "").startswith("instruction:"):
+        text = "no node can die; allowed: together with --fault instruction:KERNEL"
+        raise BadInputError(f"--dead-node: {mission.dead_node}: {text}")
     check_file("--save", save, FLIGHTS)
     check_file("--picture", picture, PICTURES)
     from mavfi.faults.spec import parse
@@ -43,20 +46,25 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     with compiling(instrumented=fault is not None and fault.startswith("instruction")):
         from mavfi.api import fly_request
+        from mavfi.hosts.host import ArmSetup
         from mavfi.hosts.loop.compose import resolve
         from mavfi.hosts.loop.recovery import Recovery
         from mavfi.hosts.watching import with_keys_of
 
-        mission = with_keys_of(mission, detector)
+        bare, mission = resolve(mission), with_keys_of(mission, detector)
         scenario = resolve(mission)
         watching, label = load_watcher(detector, profile, models, scenario)
-        result = fly_request(scenario, request, fault_seed or 0, watching, label, Recovery.of(mission))
+        setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
+        result = fly_request(setup, request, fault_seed or 0, label, bare)
     if save is not None:
         result.log.save(save)
     if picture is not None:
         from mavfi.reports.picture import draw_flight
 
-        draw_flight(picture, result.flight, result.golden, detector=result.detector)
+        if result.unwatched is None:
+            draw_flight(picture, result.flight, result.golden, detector=result.detector)
+        else:
+            draw_flight(picture, result.unwatched, result.golden, result.flight, detector=result.detector)
     if as_json:
         write_json(result.to_json())
         return
@@ -78,9 +86,6 @@ def check_company(
         check_seed("--fault-seed", fault_seed)
         if fault is None:
             raise BadInputError(f"--fault-seed: {fault_seed}: no fault to draw; allowed: together with --fault")
-    if mission.dead_node != "fresh" and not (fault or "").startswith("instruction:"):
-        text = "no node can die; allowed: together with --fault instruction:KERNEL"
-        raise BadInputError(f"--dead-node: {mission.dead_node}: {text}")
     given = {f"--{key.replace('_', '-')}": getattr(mission, key) for key in RECOVERY if _is_chosen(mission, key)}
     for name, value in {"--profile": profile, "--models": models, **given}.items():
         if value is not None and detector == "none":

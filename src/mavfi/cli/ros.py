@@ -56,6 +56,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     allow_bind_all: Annotated[
         bool, typer.Option("--allow-bind-all", help="Fly even where there can be no private network.")
     ] = False,
+    new_interpreters: Annotated[
+        bool, typer.Option("--new-interpreters", help="roslaunch starts every node as a new program; slower by far.")
+    ] = False,
     as_json: options.AsJson = False,
     save: options.Save = None,
 ) -> None:
@@ -74,15 +77,14 @@ def fly(  # noqa: PLR0913 - one parameter per option
     kills = tuple(ros_nodes.instant("--kill", text) for text in kill or ())
     cloud = ros_nodes.cloud_node(point_cloud_node)
     faults = ros_nodes.register_faults(
-        ros_nodes.renamed("--register-fault", register_fault, "--strike", strike),
-        ros_nodes.renamed("--registers", registers, "--strike-registers", strike_registers),
-        ros_nodes.renamed("--register-seed", register_seed, "--strike-seed", strike_seed),
+        (register_fault, registers, register_seed), (strike, strike_registers, strike_seed)
     )
     from mavfi.hosts.ros1 import finder
 
     finder.require()
     from mavfi.campaign.samplers.request import draw_state
     from mavfi.hosts.loop.compose import resolve
+    from mavfi.hosts.loop.recovery import Recovery
     from mavfi.hosts.ros1.plan import Plan
     from mavfi.hosts.ros1.session import configure
 
@@ -90,14 +92,12 @@ def fly(  # noqa: PLR0913 - one parameter per option
     watching, label = load_watcher(detector, profile, models, scenario)
     drawn = None if request is None else draw_state(scenario, request, fault_seed or 0)[0]
     plan = Plan(
-        scenario, configure(scenario), drawn, watching, mission.coupling, free_running, kills, cloud_node=cloud,
-        register_faults=faults,
+        scenario, configure(scenario), drawn, watching, Recovery.of(mission), free_running, kills, cloud_node=cloud,
+        register_faults=faults, forked=not new_interpreters,
     )  # fmt: skip
     ros_nodes.check(plan)
     with stoppable("Stopped; every process of the flight has ended."):
         result, flight = _fly(plan, label, allow_bind_all, quiet=as_json)
-    if save is not None:
-        flight.flight.log.save(save)
     _show(plan, result, flight, as_json, save)
 
 
@@ -122,10 +122,12 @@ def _invite(folder: Path) -> None:
 
 def _show(plan: Plan, result: FlightResult, flight: RosFlight, as_json: bool, written: Path | None) -> None:
     log = flight.flight.log
+    if written is not None:
+        log.save(written)
     nodes = [event for event in log.events if event.kind in _NODE_EVENTS]
     if as_json:
         ros = {
-            "nodes": list(plan.nodes), "coupling": plan.coupling if plan.detector is not None else None,
+            "nodes": list(plan.nodes), "coupling": plan.recovery.coupling if plan.detector is not None else None,
             "free_running": plan.free_running, "wall_s": flight.times,
             "lives": [{"time_s": 1e-6 * event.time_us, "event": event.kind, **event.data} for event in nodes],
             **ros_nodes.to_json(plan, log),

@@ -206,10 +206,10 @@ def _trained(
     listener: Listener, chosen: tuple[str, str], fields: list[str], source: str, seconds: float
 ) -> tuple[dict[str, Probe], Detector, int]:
     """Watched numbers, trained detector, and number of messages that it has learned from."""
-    from mavfi.detectors.registry import trainable
+    from mavfi.detectors.registry import of_monitored_fields
     from mavfi.hosts.node.watch import make_probes, train
 
-    check_name("--detector", chosen[0], trainable())
+    check_name("--detector", chosen[0], of_monitored_fields())
     used: list[int] = []
     if source == "online":
         probes = make_probes(listener.first(), fields)

@@ -77,11 +77,22 @@ def instant(option: str, text: str) -> tuple[str, int]:
     return node, round(1e6 * time_s)
 
 
-def register_faults(texts: list[str] | None, registers: str | None, seed: int | None) -> tuple[RegisterFault, ...]:
-    """Faults in registers of nodes, each "NODE@SECONDS"; the first one has the seed, each further one the next."""
+_Registers = tuple[list[str] | None, str | None, int | None]
+
+
+def register_faults(given: _Registers, older: _Registers) -> tuple[RegisterFault, ...]:
+    """Faults in registers of nodes, each "NODE@SECONDS"; the first one has the seed, each further one the next.
+
+    Args:
+        given: Values of `--register-fault`, `--registers` and `--register-seed`.
+        older: Values under their older names.
+    """
     from mavfi.faults.fault import REGISTERS
     from mavfi.hosts.ros1.register_injector import fault_in_node
 
+    texts = renamed("--register-fault", given[0], "--strike", older[0])
+    registers = renamed("--registers", given[1], "--strike-registers", older[1])
+    seed = renamed("--register-seed", given[2], "--strike-seed", older[2])
     for option, value in (("--registers", registers), ("--register-seed", seed)):
         if value is not None and not texts:
             raise BadInputError(f"{option}: {value}: allowed: with --register-fault only")
@@ -108,11 +119,10 @@ def without_registers(plan: Plan, with_fault: bool) -> Flight:
     In lock-step its digest is that of the flight on ROS.
     """
     from mavfi.hosts.local import fly
-    from mavfi.hosts.loop.recovery import Recovery
     from mavfi.hosts.ros1.pinhole import functions_of
 
     fault = plan.fault if with_fault else None
-    return fly(plan.scenario, fault, plan.detector, recovery=Recovery(plan.coupling), functions=functions_of(plan))
+    return fly(plan.scenario, fault, plan.detector, recovery=plan.recovery, functions=functions_of(plan))
 
 
 def effect(plan: Plan, log: FlightLog) -> str | None:

@@ -21,17 +21,26 @@ if TYPE_CHECKING:
 
 
 @partial(options.with_mission_options, without=("environment", "seed", "start", "goal", "dead_node", *RECOVERY))
-def train(
+def train(  # noqa: PLR0913 - one for each option
     mission: MissionSpec,
     flights: Annotated[
         int, typer.Option(help="Error-free missions; fewer than 100 give thresholds that do not hold.")
     ] = 100,
     out: Annotated[Path, typer.Option(help="Folder of the models; made if absent.")] = Path("out/models"),
     workers: Annotated[int, typer.Option(help="Processes; the models do not depend on them.")] = 2,
-    check: Annotated[int, typer.Option(help="Flights of other seeds on which false alarms are counted.")] = 10,
+    check: Annotated[
+        int, typer.Option(help="Flights of other seeds in each environment, on which false alarms are counted.")
+    ] = 10,
+    environments: Annotated[
+        str, typer.Option(help="Where the missions are flown, separated by commas: --flights in each.")
+    ] = "training",
+    check_environments: Annotated[
+        str, typer.Option(help="Where false alarms are counted; those of --environments by default.")
+    ] = "",
+    baselines: Annotated[bool, typer.Option(help="Fit those of other libraries (extra bench), too.")] = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Fly error-free missions in randomised worlds (none of the evaluation's), and fit every detector to them.
+    """Fly error-free missions, in randomised worlds (none of the evaluation's) by default; fit every detector to them.
 
     Ctrl-C stops (exit code 130); the same command resumes.
 
@@ -44,23 +53,35 @@ def train(
     # all that is slow to import comes before what Ctrl-C stops: no import is to be broken off half-way
     import sklearn.neural_network  # noqa: F401
 
-    from mavfi.campaign.training import count_false_alarms
+    from mavfi.campaign.training import count_false_alarms, training_mission
     from mavfi.campaign.training import train as train_models
     from mavfi.cli.progress import Bar
     from mavfi.detectors.model import Model
 
+    where = [name.strip() for name in environments.split(",")]
+    where_checked = [name.strip() for name in check_environments.split(",")] if check_environments else where
+    for name in where_checked:
+        training_mission(mission, environment=name)
     kept = f"Stopped. What is flown is kept in {out}; the same command resumes."
     with stoppable(kept), Bar("training flights") as bar:
-        files = train_models(out, flights, mission, workers=workers, progress=bar.show)
+        files = train_models(
+            out, flights, mission, workers=workers, progress=bar.show, environments=where,
+            extras=("bench",) * baselines,
+        )  # fmt: skip
     models = [Model.load(path) for path in files]
     kept = f"Stopped. The models are in {out}; their false alarms are not counted."
     with stoppable(kept), Bar("checking flights") as bar:
-        alarms = count_false_alarms(models, out, check, mission, workers, bar.show)
+        alarms = count_false_alarms(models, out, check, mission, workers, bar.show, where_checked)
     if as_json:
         rows = zip(files, models, alarms, strict=True)
-        write_json({"models": [{"file": str(f), **_told(m), "false_alarms": asdict(a)} for f, m, a in rows]})
+        write_json({"models": [{"file": str(f), **_told(m), "false_alarms": _rates(a)} for f, m, a in rows]})
         return
     console().print(_table(models, alarms, out))
+
+
+def _rates(alarms: dict[str, EventRate]) -> dict[str, Any]:
+    """Plain data."""
+    return {name: asdict(rate) for name, rate in alarms.items()}
 
 
 def _told(model: Model) -> dict[str, Any]:
@@ -72,21 +93,31 @@ def _told(model: Model) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _table(models: list[Model], alarms: list[EventRate], folder: Path) -> Table:
+def _table(models: list[Model], alarms: list[dict[str, EventRate]], folder: Path) -> Table:
     origin = models[0].provenance
     seeds = origin["seeds"]
     shown = titled_table(
         f"Trained on {origin['flights']} error-free flights · stack {origin['stack']} · {origin['platform']} · "
         f"{origin['planner']} · {origin['v_max']:g} m/s",
         caption=f"worlds: {origin['environment']}, seeds {min(seeds)} to {max(seeds)}; false alarms: per flight hour, "
-        f"on {alarms[0].hours:.2f} h of error-free flight in other such worlds; files: {folder}",
+        f"on {_exposure(alarms[0])} of error-free flight with other seeds; files: {folder}",
         caption_justify="left",
     )
-    for heading in ("detector", "profile", "alarm above", "false alarms", "sha256"):
+    places = list(alarms[0])
+    counted = ["false alarms"] if len(places) == 1 else [f"in {name}" for name in places]
+    for heading in ("detector", "profile", "alarm above", *counted, "sha256"):
         shown.add_column(heading, overflow="fold")
-    for model, rate in zip(models, alarms, strict=True):
-        shown.add_row(model.kind, model.profile, _threshold(model), _alarms(rate), model.sha256[:16])
+    for model, rates in zip(models, alarms, strict=True):
+        cells = (_alarms(rate) for rate in rates.values())
+        shown.add_row(model.kind, model.profile, _threshold(model), *cells, model.sha256[:16])
     return shown
+
+
+def _exposure(rates: dict[str, EventRate]) -> str:
+    """Hours of flight by environment."""
+    if len(rates) == 1:
+        return f"{next(iter(rates.values())).hours:.2f} h"
+    return ", ".join(f"{rate.hours:.2f} h ({name})" for name, rate in rates.items())
 
 
 def _alarms(rate: EventRate) -> str:

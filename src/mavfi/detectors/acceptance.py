@@ -4,193 +4,101 @@ Clouds and map updates have no rules: no mission depends on one of their values,
 repair them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from mavfi.detectors import following, rules
+from mavfi.detectors import following, known, rules
 from mavfi.detectors.detector import Alarm
 from mavfi.detectors.gate import IMPLAUSIBLE
 from mavfi.detectors.limits import MissionLimits
-from mavfi.states import ODOMETRY, State, floats, new_state
+from mavfi.numerics.jit import entry, kernel_jit
+from mavfi.states import ODOMETRY, State, bytes_of, floats, new_state
 
 SOURCE = "acceptance"
-_WAYPOINT_FLOATS, _VEHICLE_FLOATS = 11, 6
-_KEPT = 3
-"""Trajectories that a way-point may name: the one in force, the one that waits, and one to spare."""
-_COUNTERS = 4
-_SHARE_OF_LATENCY = 0.7
-"""Of the planner's latency: it has begun before that."""
-_JITTER_US = 300_000
-"""How much longer it can have taken."""
-_NO_POINTS = np.zeros((0, rules.POINT_WIDTH))
-_STATUS, _PATH, _TRAJECTORY = "perception.collision_status", "planning.path", "planning.trajectory"
+Compiled = Callable[..., Any]
+_VEHICLE_FLOATS = 6
 _WAYPOINT, _COMMAND, _TRACKING = "planning.waypoint", "control.command", "control.tracking"
+_POSITIONS = tuple(ODOMETRY.values())
 
 
-class Published:
-    """What was published last, as far as rules need it; it is replaced, never changed.
-
-    Attributes:
-        limits: Of the mission, see `MissionLimits.numbers`.
-        headers: Header published last, by state; zeros before the first.
-        vehicle: Record whose first six numbers are position (m) and velocity (m/s).
-        end: Last vertex of the path (m). Shape (3,), or (0,).
-        counters: Instants (us) at which the collision counter took its last values, and the values.
-        trajectories: Points of the last trajectories that have any, by number, and the same as bytes.
-        switched: Whether a way-point was published since the last command.
-        fresh: Whether a way-point was published since the last report of the tracker.
-    """
-
-    def __init__(self, limits: MissionLimits) -> None:
-        self.limits = limits.numbers()
-        self.held = limits.held
-        self._planning_us = int(_SHARE_OF_LATENCY * 1e6 * limits.planner_latency)
-        self.start()
-
-    def start(self) -> None:
-        """Forget the last flight."""
-        self.headers = {name: new_state(name).header for name in RULES}
-        self.vehicle: np.ndarray = np.zeros(_VEHICLE_FLOATS)
-        self.end = np.zeros(0)
-        self.counters: tuple[tuple[int, int], ...] = ((-(1 << 62), 0),)
-        self.trajectories: dict[int, tuple[np.ndarray, bytes]] = {}
-        self.switched = self.fresh = True
-
-    def motion(self) -> np.ndarray:
-        """Position (m) and velocity (m/s) of the vehicle. Shape (6,)."""
-        return np.ndarray(_VEHICLE_FLOATS, np.float64, self.vehicle)
-
-    def newest(self) -> np.ndarray:
-        """Points of the trajectory published last that has any. Shape (n, 11)."""
-        return next(reversed(self.trajectories.values()))[0] if self.trajectories else _NO_POINTS
-
-    def points_of(self, number: int) -> np.ndarray:
-        """Points of a trajectory by number. Shape (n, 11); (0, 11) if it is not known."""
-        found = self.trajectories.get(number)
-        return _NO_POINTS if found is None else found[0]
-
-    def answerable(self, now: int) -> np.ndarray:
-        """Collision counters that a path of now can answer: the one known when the planner began, and later ones."""
-        began = now - self._planning_us
-        known = [value for time, value in self.counters if time <= began][-1:]
-        return np.array(known + [value for time, value in self.counters if time > began - _JITTER_US], np.int64)
-
-    def memory(self) -> tuple[Any, ...]:
-        """All of it as plain data."""
-        return (
-            tuple(header.tobytes() for header in self.headers.values()), self.motion().tobytes(), self.end.tobytes(),
-            self.counters, tuple((number, content) for number, (_, content) in self.trajectories.items()),
-            self.switched, self.fresh,
-        )  # fmt: skip
-
-    def restore(self, memory: tuple[Any, ...]) -> None:
-        """Inverse of `memory`."""
-        headers, vehicle, end, self.counters, trajectories, self.switched, self.fresh = memory
-        for (name, header), content in zip(self.headers.items(), headers, strict=True):
-            self.headers[name] = np.frombuffer(content, header.dtype).copy()
-        self.vehicle, self.end = np.frombuffer(vehicle).copy(), np.frombuffer(end).copy()
-        self.trajectories = {number: (_points(content), content) for number, content in trajectories}
+@kernel_jit
+def judge_status(header: np.ndarray, record: np.ndarray) -> int:
+    """See `rules.status`."""
+    before, trajectory = (
+        record[0]["last_status"].view(known.STATUS),
+        record[0]["last_trajectory"].view(known.TRAJECTORY),
+    )
+    return rules.status(header, before, trajectory, record)
 
 
-def _points(content: bytes) -> np.ndarray:
-    return np.frombuffer(content).reshape(-1, rules.POINT_WIDTH).copy()
+@kernel_jit
+def judge_path(
+    header: np.ndarray, vertices: np.ndarray, now: int, odometry: np.ndarray, record: np.ndarray, blocks: np.ndarray
+) -> int:
+    """See `rules.path`; now in us, `odometry` begins with position and velocity."""
+    epochs, vehicle = known.answerable(now, record), odometry.view(np.float64)
+    return rules.path(header, vertices, epochs, vehicle, known.newest(record, blocks), record)
 
 
-class Rule(NamedTuple):
-    """What a state must be, given what was published before.
-
-    Attributes:
-        broken_by: Place of the field that breaks it among those of header and element, or -1; changes nothing.
-        note: Take note of a value that was published.
-    """
-
-    broken_by: Callable[[Published, State, int], int]
-    note: Callable[[Published, State, int], None]
+@kernel_jit
+def judge_trajectory(header: np.ndarray, points: np.ndarray, odometry: np.ndarray, record: np.ndarray) -> int:
+    """See `rules.trajectory`."""
+    before, path = record[0]["last_trajectory"].view(known.TRAJECTORY), record[0]["last_path"].view(known.PATH)
+    end = record[0]["end"][: 3 if record[0]["ended"] else 0]
+    return rules.trajectory(header, points, before, path, end, odometry.view(np.float64), record)
 
 
-def _judge_status(known: Published, state: State, now: int) -> int:
-    return rules.status(state.header, known.headers[_STATUS], known.headers[_TRAJECTORY], known.limits)
+@kernel_jit
+def judge_waypoint(header: np.ndarray, odometry: np.ndarray, record: np.ndarray, blocks: np.ndarray) -> int:
+    """See `following.waypoint`; the way-point is the candidate then."""
+    known.settle(record)
+    known.propose(header, known.OF_WAYPOINT, record)
+    before, newest = (
+        record[0]["last_waypoint"].view(known.WAYPOINT),
+        record[0]["last_trajectory"].view(known.TRAJECTORY),
+    )
+    points = known.points_of(int(header[0]["trajectory_seq"]), record, blocks)
+    values = record[0]["candidate"][: 8 * rules.POINT_WIDTH].view(np.float64)
+    return following.waypoint(values, header, before, newest, points, odometry.view(np.float64), record)
 
 
-def _note_status(known: Published, state: State, now: int) -> None:
-    counter = int(state.header["future_collision_seq"][0])
-    if counter != known.counters[-1][1]:
-        known.counters = (*known.counters[1 - _COUNTERS :], (now, counter))
-    known.headers[_STATUS] = state.header
+@kernel_jit
+def judge_command(header: np.ndarray, record: np.ndarray) -> int:
+    """See `following.command`; the command is the candidate then."""
+    known.settle(record)
+    known.propose(header, known.OF_COMMAND, record)
+    return following.command(header, record[0]["last_command"].view(known.COMMAND), record[0]["switched"], record)
 
 
-def _judge_path(known: Published, state: State, now: int) -> int:
-    vertices = floats(state.elements, 3).reshape(-1, 3)
-    return rules.path(
-        state.header, vertices, known.answerable(now), known.motion(), known.newest(), known.limits
-    )  # fmt: skip
+@kernel_jit
+def judge_tracking(header: np.ndarray, record: np.ndarray) -> int:
+    """See `following.tracking`; the report is the candidate then."""
+    known.settle(record)
+    known.propose(header, known.OF_TRACKING, record)
+    duration = record[0]["last_waypoint"].view(known.WAYPOINT)[0]["duration"] if record[0]["fresh"] else 0.0
+    return following.tracking(header, record[0]["last_tracking"].view(known.TRACKING), duration, record)
 
 
-def _note_path(known: Published, state: State, now: int) -> None:
-    known.end = floats(state.elements[-1:], 3).copy() if len(state.elements) else np.zeros(0)
-    known.headers[_PATH] = state.header
+@dataclass(frozen=True, slots=True)
+class Functions:
+    """Entry points from Python into compiled code; a host may hand in instrumented ones."""
+
+    judge_status: Compiled = judge_status
+    judge_path: Compiled = judge_path
+    judge_trajectory: Compiled = judge_trajectory
+    judge_waypoint: Compiled = judge_waypoint
+    judge_command: Compiled = judge_command
+    judge_tracking: Compiled = judge_tracking
+    note_status: Compiled = known.note_status
+    note_path: Compiled = known.note_path
+    note_trajectory: Compiled = known.note_trajectory
 
 
-def _judge_trajectory(known: Published, state: State, now: int) -> int:
-    points = floats(state.elements, rules.POINT_WIDTH).reshape(-1, rules.POINT_WIDTH)
-    before, path = known.headers[_TRAJECTORY], known.headers[_PATH]
-    return rules.trajectory(state.header, points, before, path, known.end, known.motion(), known.limits)
-
-
-def _note_trajectory(known: Published, state: State, now: int) -> None:
-    known.headers[_TRAJECTORY] = state.header
-    if len(state.elements):
-        content = state.elements.tobytes()
-        number = int(state.header["trajectory_seq"][0])
-        kept = [item for item in known.trajectories.items() if item[0] != number][1 - _KEPT :]
-        known.trajectories = dict([*kept, (number, (_points(content), content))])
-
-
-def _judge_waypoint(known: Published, state: State, now: int) -> int:
-    header = state.header
-    before, newest = known.headers[_WAYPOINT], known.headers[_TRAJECTORY]
-    points = known.points_of(int(header["trajectory_seq"][0]))
-    values = floats(header, _WAYPOINT_FLOATS)
-    return following.waypoint(values, header, before, newest, points, known.motion(), known.limits)
-
-
-def _note_waypoint(known: Published, state: State, now: int) -> None:
-    known.headers[_WAYPOINT] = state.header
-    known.switched = known.fresh = True
-
-
-def _judge_command(known: Published, state: State, now: int) -> int:
-    return following.command(state.header, known.headers[_COMMAND], known.switched, known.limits)
-
-
-def _note_command(known: Published, state: State, now: int) -> None:
-    known.headers[_COMMAND] = state.header
-    known.switched = False
-
-
-def _judge_tracking(known: Published, state: State, now: int) -> int:
-    if not known.held:
-        return rules.FINE  # nobody reads it
-    duration = float(known.headers[_WAYPOINT]["duration"][0]) if known.fresh else 0.0
-    return following.tracking(state.header, known.headers[_TRACKING], duration, known.limits)
-
-
-def _note_tracking(known: Published, state: State, now: int) -> None:
-    known.headers[_TRACKING] = state.header
-    known.fresh = False
-
-
-RULES: dict[str, Rule] = {
-    _STATUS: Rule(_judge_status, _note_status),
-    _PATH: Rule(_judge_path, _note_path),
-    _TRAJECTORY: Rule(_judge_trajectory, _note_trajectory),
-    _WAYPOINT: Rule(_judge_waypoint, _note_waypoint),
-    _COMMAND: Rule(_judge_command, _note_command),
-    _TRACKING: Rule(_judge_tracking, _note_tracking),
-}
-"""The rule of each state, by its name in `STATES`; a state without one is not judged."""
+PLAIN = Functions()
+"""The functions themselves."""
 
 
 class AcceptanceTest:
@@ -198,28 +106,68 @@ class AcceptanceTest:
 
     Args:
         limits: Of the mission.
+        functions: Its compiled code.
+
+    Attributes:
+        states: Names of the states that it is to be shown.
+        limits: As given.
+        functions: As given.
+        record: Limits and memory, see `known.KNOWN`. Shape (1,).
+        blocks: Points of trajectories, see `known`. Shape (KEPT, capacity, 11).
+        odometry: Header that says where the vehicle is; zeros before the first.
     """
 
-    needs_limits = True
+    source, needs_limits = SOURCE, True
 
-    def __init__(self, limits: MissionLimits) -> None:
-        self.known = Published(limits)
+    def __init__(self, limits: MissionLimits, functions: Functions = PLAIN) -> None:
+        self.limits = limits
+        self.record = known.new_record(limits)
+        self._accepted = self.record["accepted"]
+        self.held = limits.held
+        unread = () if limits.held else (_TRACKING,)
+        self.states = frozenset((*RULES, *_POSITIONS)).difference(unread)
+        self.start()
+        self._use(functions)
+
+    def _use(self, functions: Functions) -> None:
+        header = {name: new_state(name).header for name in (_WAYPOINT, _COMMAND, _TRACKING)}
+        self.functions = functions
+        self._at_ticks = {_COMMAND: entry(functions.judge_command, header[_COMMAND], self.record)}
+        if self.held:
+            self._at_ticks[_TRACKING] = entry(functions.judge_tracking, header[_TRACKING], self.record)
+        self.judge_waypoint = entry(
+            functions.judge_waypoint, header[_WAYPOINT], bytes_of(self.odometry), self.record, self.blocks
+        )
+
+    @property
+    def compiled(self) -> dict[str, Compiled]:
+        """Its compiled functions, by name."""
+        return {field.name: getattr(PLAIN, field.name) for field in fields(Functions)}
+
+    def instrument(self, made: Mapping[str, Compiled]) -> None:
+        """Call others in the place of the compiled functions with these names; of the rest, themselves."""
+        self._use(replace(PLAIN, **made))
 
     def start(self) -> None:
         """Forget the last flight."""
-        self.known.start()
+        known.forget(self.record)
+        self.blocks = np.zeros((known.KEPT, known.CAPACITY, rules.POINT_WIDTH))
+        self.odometry = new_state(ODOMETRY["truth"]).header
+        self.candidate: State | None = None
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Judge a publication."""
-        rule = RULES.get(state.spec.name)
-        if rule is None:
-            return None
-        place = rule.broken_by(self.known, state, time_us)
-        if place < 0:
-            return None
-        spec = state.spec
-        field = (*spec.header, *spec.elements)[place].name
-        return Alarm(SOURCE, spec.stage.value, score=IMPLAUSIBLE, fields=(f"{spec.name}.{field}",), hard=True)
+        name = state.spec.name
+        judge = self._at_ticks.get(name)
+        if judge is not None:  # most publications: without the detour of the table
+            self.candidate = state
+            place = judge(state.header, self.record)
+        else:
+            rule = RULES.get(name)
+            if rule is None or rule.judge is None:
+                return None
+            place = rule.judge(self, state, time_us)
+        return None if place < 0 else _alarm(state, place)
 
     def score(self, state: State, time_us: int) -> float | None:
         """2 of what breaks a rule, else 0; None if there is no rule."""
@@ -229,19 +177,121 @@ class AcceptanceTest:
 
     def accept(self, state: State, time_us: int) -> None:
         """Take note of a value that was published."""
-        rule = RULES.get(state.spec.name)
-        if rule is not None:
-            rule.note(self.known, state, time_us)
-        elif state.spec.name in _POSITIONS:
-            self.known.vehicle = state.header
+        if state is self.candidate:
+            self._accepted[0] = True
+            return
+        name = state.spec.name
+        if name in _POSITIONS:
+            self.odometry = state.header
+        elif name in RULES:
+            RULES[name].note(self, state, time_us)
+
+    def make_room(self, count: int) -> None:
+        """Make room for trajectories of so many points."""
+        capacity = self.blocks.shape[1]
+        if count > capacity:
+            blocks = np.zeros((known.KEPT, max(count, 2 * capacity), rules.POINT_WIDTH))
+            blocks[:, :capacity] = self.blocks
+            self.blocks = blocks
 
     def memory(self) -> tuple[Any, ...]:
         """What is remembered, see `Detector`."""
-        return self.known.memory()
+        known.settle(self.record)
+        own = self.record[0]
+        stored = zip(own["blocks"][: own["stored"]], own["counts"], strict=False)
+        trajectories = tuple(self.blocks[place, :count].tobytes() for place, count in stored)
+        vehicle = floats(self.odometry, _VEHICLE_FLOATS).tobytes()
+        return self.record.view(np.uint8)[known.MEMORY].tobytes(), vehicle, trajectories
 
     def restore(self, memory: tuple[Any, ...]) -> None:
         """Inverse of `memory`."""
-        self.known.restore(memory)
+        self.start()
+        content, vehicle, trajectories = memory
+        self.record.view(np.uint8)[known.MEMORY] = np.frombuffer(content, np.uint8)
+        floats(self.odometry, _VEHICLE_FLOATS)[:] = np.frombuffer(vehicle)
+        for place, points in enumerate(trajectories):
+            found = np.frombuffer(points).reshape(-1, rules.POINT_WIDTH)
+            self.make_room(len(found))
+            self.blocks[place, : len(found)] = found
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Machine code stays in its process."""
+        return AcceptanceTest, (self.limits,), self.memory()
+
+    __setstate__ = restore
 
 
-_POSITIONS = tuple(ODOMETRY.values())
+class Rule(NamedTuple):
+    """What a state must be, given what was published before.
+
+    Attributes:
+        judge: Place of the field that breaks it among those of header and element, or -1; None = `check` calls the
+            compiled function itself, where the state is read at all.
+        note: Take note of a value that was published.
+    """
+
+    judge: Callable[[AcceptanceTest, State, int], int] | None
+    note: Callable[[AcceptanceTest, State, int], None]
+
+
+def _judge_status(test: AcceptanceTest, state: State, now: int) -> int:
+    return int(test.functions.judge_status(state.header, test.record))
+
+
+def _note_status(test: AcceptanceTest, state: State, now: int) -> None:
+    test.functions.note_status(state.header, now, test.record)
+
+
+def _judge_path(test: AcceptanceTest, state: State, now: int) -> int:
+    vertices = _rows(state.elements, 3)
+    return int(
+        test.functions.judge_path(state.header, vertices, now, bytes_of(test.odometry), test.record, test.blocks)
+    )
+
+
+def _note_path(test: AcceptanceTest, state: State, now: int) -> None:
+    test.functions.note_path(state.header, _rows(state.elements, 3), test.record)
+
+
+def _judge_trajectory(test: AcceptanceTest, state: State, now: int) -> int:
+    points = _rows(state.elements, rules.POINT_WIDTH)
+    return int(test.functions.judge_trajectory(state.header, points, bytes_of(test.odometry), test.record))
+
+
+def _note_trajectory(test: AcceptanceTest, state: State, now: int) -> None:
+    test.make_room(len(state.elements))
+    points = _rows(state.elements, rules.POINT_WIDTH)
+    test.functions.note_trajectory(state.header, points, test.record, test.blocks)
+
+
+def _judge_waypoint(test: AcceptanceTest, state: State, now: int) -> int:
+    test.candidate = state
+    return int(test.judge_waypoint(state.header, bytes_of(test.odometry), test.record, test.blocks))
+
+
+def _note_candidate(test: AcceptanceTest, state: State, now: int) -> None:
+    """Of a header that was not judged last: judging makes it the candidate."""
+    test.check(state, now)
+    if state is test.candidate:
+        test.accept(state, now)
+
+
+RULES: dict[str, Rule] = {
+    "perception.collision_status": Rule(_judge_status, _note_status),
+    "planning.path": Rule(_judge_path, _note_path),
+    "planning.trajectory": Rule(_judge_trajectory, _note_trajectory),
+    _WAYPOINT: Rule(_judge_waypoint, _note_candidate),
+    _COMMAND: Rule(None, _note_candidate),
+    _TRACKING: Rule(None, _note_candidate),
+}
+"""The rule of each state, by its name in `STATES`; a state without one is not judged."""
+
+
+def _rows(elements: np.ndarray, width: int) -> np.ndarray:
+    return floats(elements, width).reshape(-1, width)
+
+
+def _alarm(state: State, place: int) -> Alarm:
+    spec = state.spec
+    field = (*spec.header, *spec.elements)[place].name
+    return Alarm(SOURCE, spec.stage.value, score=IMPLAUSIBLE, fields=(f"{spec.name}.{field}",), hard=True)

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.features import Watch
+from mavfi.detectors.features import Scratch, Watch
 from mavfi.detectors.model import SMALLEST_LIMIT, Model
-from mavfi.detectors.parts import ScoringDetector, Threshold, Verdict, find_policy
-from mavfi.detectors.preprocess import DeltaScorer, Preprocessor
+from mavfi.detectors.parts import ScoringDetector, Threshold, find_policy
+from mavfi.detectors.preprocess import DeltaScorer, Preprocessor, conclude
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import tanh
@@ -91,29 +91,43 @@ def read_residuals(
     return regime
 
 
+@kernel_jit
+def settle_network(
+    watch: Watch, scratch: Scratch, limit: np.ndarray, network: Network, held: np.ndarray
+) -> None:  # fmt: skip
+    """What was judged last was published: hold its deltas if they are normal."""
+    place = watch.places[scratch.place[features.SLOT]]
+    for index in range(place[features.FIRST], place[features.LAST]):
+        held[index] = scratch.deltas[index] if scratch.score[0] <= 1.0 else 0
+    features.settle(scratch, watch)
+
+
+@kernel_jit
+def judge_network(
+    content: np.ndarray, slot: int, watch: Watch, scratch: Scratch, limit: np.ndarray, network: Network,
+    held: np.ndarray,
+) -> float:  # fmt: skip
+    """Score of a publication, see `preprocess.DeltaScorer`: of all last deltas; those held have shape (n,)."""
+    if scratch.place[features.ACCEPTED] != 0:
+        settle_network(watch, scratch, limit, network, held)
+    features.propose(content, slot, scratch)
+    scratch.deltas[:] = held
+    regime = read_residuals(content, slot, watch, network, scratch.deltas, scratch.distance)
+    return conclude(regime, watch.places[slot], scratch, limit)
+
+
 class AutoencoderScorer(DeltaScorer):
     """Reconstruction errors of all last deltas.
 
     Every delta is judged once: one that is published in spite of an alarm is not held for the vectors that follow.
     """
 
-    adapts = True
+    judge, settle = staticmethod(judge_network), staticmethod(settle_network)
 
     def __init__(self, preprocessor: Preprocessor, network: Network) -> None:
-        super().__init__(preprocessor)
-        self._network = network
-        self._held = np.zeros_like(self._deltas)
-        self.kept += (self._held,)
-
-    def measure(self, content: np.ndarray, slot: int) -> int:
-        """See `read_residuals`."""
-        self._deltas[:] = self._held
-        return int(read_residuals(content, slot, self.features.watch, self._network, self._deltas, self._distance))
-
-    def learn(self, content: np.ndarray, slot: int, verdict: Verdict) -> None:
-        """Hold normal deltas."""
-        first, last = self.features.range_of(slot)
-        self._held[first:last] = self._deltas[first:last] if verdict.score <= 1.0 else 0
+        held = np.zeros(len(preprocessor.fields), np.int16)
+        super().__init__(preprocessor, network, held)
+        self.kept += (held,)
 
 
 class AutoencoderDetector(ScoringDetector):
@@ -136,9 +150,7 @@ class AutoencoderDetector(ScoringDetector):
     def __init__(self, model: Model, policy: str = "keyed", preprocessor: Preprocessor | None = None) -> None:
         deltas = preprocessor or Preprocessor(model.monitored, model.profile, model.prediction)
         count = len(deltas.fields)
-        sizes = _layers(model, count)
-        weights = model.numbers("weights", int((sizes[:-1] * sizes[1:] + sizes[1:]).sum()))
-        network = Network(model.numbers("scale", count, least=1.0), sizes, weights, np.zeros((3, int(sizes.max()))))
+        network = network_of(model, count)
         one = model.profile == "paper"
         limit = model.numbers("limit", *((1, 1) if one else (count, features.REGIMES)), least=SMALLEST_LIMIT)
         threshold = Threshold(limit, count, model.numbers("key", count, least=SMALLEST_LIMIT))
@@ -148,6 +160,13 @@ class AutoencoderDetector(ScoringDetector):
     def fit(sample: Sample, preprocessor: Preprocessor, figures: Mapping[str, Any]) -> dict[str, Any]:
         """Parameters of a model, see `fit_autoencoder`."""
         return fit_autoencoder(sample, **figures)
+
+
+def network_of(model: Model, fields: int) -> Network:
+    """The network of a model for so many fields; `BadInputError` if it has none."""
+    sizes = _layers(model, fields)
+    weights = model.numbers("weights", int((sizes[:-1] * sizes[1:] + sizes[1:]).sum()))
+    return Network(model.numbers("scale", fields, least=1.0), sizes, weights, np.zeros((3, int(sizes.max()))))
 
 
 def _layers(model: Model, fields: int) -> np.ndarray:

@@ -40,6 +40,9 @@ class Detector(Protocol):
     host recomputes the stage and then calls `accept` with the value that is really published; without one it calls
     `accept` right away.  So references for deltas are always values that were published.
 
+    A detector may have `states`: names of the states that it wants to see; a host need not show it others.  Without it,
+    or where it is None, the detector is shown all of them.
+
     A detector may also have `memory()` and `restore(memory)`: what it remembers, as plain data that `==` compares bit
     for bit, and its inverse.  A host that goes back to an earlier instant copies a detector without them as a whole.
     """
@@ -52,3 +55,14 @@ class Detector(Protocol):
 
     def accept(self, state: State, time_us: int) -> None:
         """Take note of a value that was published."""
+
+
+def part_of(detector: Any, source: str) -> Any:  # noqa: ANN401 - a detector of ours
+    """The part of a detector that raises alarms as `source`, if its compiled functions can be instrumented; or None.
+
+    It has `compiled`, these functions by name, and `instrument`, which puts others in the place of those with the same
+    names, and themselves in the place of all that are not given.
+    """
+    parts = getattr(detector, "parts", (detector,))
+    found = (part for part in parts if getattr(part, "source", "") == source and getattr(part, "compiled", None))
+    return next(found, None)

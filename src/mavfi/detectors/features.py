@@ -58,6 +58,33 @@ class Watch(NamedTuple):
     vehicle: np.ndarray
 
 
+class Scratch(NamedTuple):
+    """What was judged last.
+
+    Attributes:
+        content: Its bytes. Shape (largest size,), uint8.
+        place: Its slot, number of bytes, and regime; and whether it was accepted, and is to be taken note of with the
+            next call: one call for each publication. Shape (4,), int64.
+        score: Of it. Shape (1,).
+        deltas: Shape (n,), int16.
+        distance: See `parts.Reading`. Shape (n,).
+        unit: See `parts.Reading`. Shape (n,).
+        ratios: See `parts.Verdict`. Shape (n,).
+    """
+
+    content: np.ndarray
+    place: np.ndarray
+    score: np.ndarray
+    deltas: np.ndarray
+    distance: np.ndarray
+    unit: np.ndarray
+    ratios: np.ndarray
+
+
+SLOT, SIZE, JUDGED_REGIME, ACCEPTED = range(4)
+"""Places in `Scratch.place`."""
+
+
 class Events(NamedTuple):
     """A recorded flight.
 
@@ -194,8 +221,22 @@ def commit(content: np.ndarray, slot: int, watch: Watch) -> None:
 
 
 @kernel_jit
-def note_vehicle(content: np.ndarray, vehicle: np.ndarray) -> None:
-    """Remember where the vehicle is; odometry that is not finite is not taken.
+def propose(content: np.ndarray, slot: int, scratch: Scratch) -> None:
+    """Keep a publication of a state (`slot`) that is judged; see `Scratch`."""
+    scratch.content[: len(content)] = content
+    scratch.place[SLOT], scratch.place[SIZE] = slot, len(content)
+
+
+@kernel_jit
+def settle(scratch: Scratch, watch: Watch) -> None:
+    """What was judged last is what was published last of its state."""
+    commit(scratch.content[: scratch.place[SIZE]], scratch.place[SLOT], watch)
+    scratch.place[ACCEPTED] = 0
+
+
+@kernel_jit
+def note_vehicle(content: np.ndarray, vehicle: np.ndarray) -> bool:
+    """Remember where the vehicle is, and say whether; odometry that is not finite is not taken.
 
     Args:
         content: Bytes of its odometry, led by x, y, z, vx, vy, vz.
@@ -203,10 +244,11 @@ def note_vehicle(content: np.ndarray, vehicle: np.ndarray) -> None:
     """
     for index in range(KNOWN):
         if not math.isfinite(real_at(content, 8 * index)):
-            return
+            return False
     for index in range(KNOWN):
         vehicle[index] = real_at(content, 8 * index)
     vehicle[KNOWN] = 1.0
+    return True
 
 
 @kernel_jit

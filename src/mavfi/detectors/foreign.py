@@ -13,7 +13,7 @@ from mavfi.detectors.detector import Detector
 from mavfi.detectors.features import Events
 from mavfi.detectors.model import Model
 from mavfi.detectors.preprocess import Preprocessor
-from mavfi.detectors.registry import settings_of, trainable
+from mavfi.detectors.registry import of_monitored_fields, settings_of
 from mavfi.detectors.samples import sample_of
 from mavfi.errors import BadInputError
 from mavfi.states import Field, Stage, State, StateSpec
@@ -37,12 +37,14 @@ def foreign_state(spec: StateSpec, values: Sequence[float]) -> State:
 
 
 def learn(kind: str, profile: str, states: Sequence[State], specs: Mapping[str, StateSpec]) -> Detector:
-    """A detector of a kind in `trainable()`, fitted to normal publications (in their order) of states with these specs.
+    """A detector of a kind in `of_monitored_fields()`, fitted to normal publications of states with these specs.
+
+    The publications are given in their order.
 
     Raises:
         BadInputError: The kind is not known, a source published too little, or a number is not finite.
     """
-    known = trainable()
+    known = of_monitored_fields()
     if kind not in known:
         raise BadInputError(f"detector {kind!r}: not known; allowed: {', '.join(known)}")
     order = {name: slot for slot, name in enumerate(specs)}

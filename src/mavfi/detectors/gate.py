@@ -1,13 +1,14 @@
 """The physics gate: what no vehicle of this kind can do, known without training.  It is its own source of alarms."""
 
 import math
-from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.parts import Reading, Scorer, ScoringDetector, Threshold, Verdict
-from mavfi.numerics.jit import kernel_jit
-from mavfi.states import STATES, State, StateSpec, floats
+from mavfi.detectors.detector import Alarm
+from mavfi.detectors.features import integer_at, real_at
+from mavfi.numerics.jit import entry, kernel_jit
+from mavfi.states import STATES, State, bytes_of, new_state
 
 SOURCE = "physics_gate"
 SPEED_MARGIN = 1.5
@@ -25,7 +26,25 @@ IMPLAUSIBLE = 2.0
 _FINE = -1
 _WAYPOINT_FLOATS, _COMMAND_FLOATS = 11, 5
 _SPEED, _LOWER, _UPPER = 0, 1, 4
-_SEQUENCE, _TRAJECTORY = 0, 1
+STATES_JUDGED = ("perception.collision_status", "planning.waypoint", "control.command")
+_SLOTS = {name: slot for slot, name in enumerate(STATES_JUDGED)}
+_STATUS, _WAYPOINT, _COMMAND = range(3)
+_COUNTER, _COUNTED, _NUMBER, _NUMBERED, _POSITION = range(5)
+_ACCEPTED = 7
+
+
+def _places(slot: int, *names: str) -> list[int]:
+    """Byte offsets of fields of a header, and then their places."""
+    dtype = STATES[STATES_JUDGED[slot]].header_dtype
+    known = list(dtype.names or ())
+    return [
+        *(sum(dtype[name].itemsize for name in known[: known.index(own)]) for own in names),
+        *map(known.index, names),
+    ]
+
+
+_TIME_AT, _COUNTER_AT, _TIME_FIELD, _COUNTER_FIELD = _places(_STATUS, "time_to_collision", "future_collision_seq")
+_NUMBER_AT, _ = _places(_WAYPOINT, "trajectory_seq")
 
 
 @kernel_jit
@@ -94,75 +113,110 @@ def implausible_waypoint(values: np.ndarray, before: np.ndarray, limits: np.ndar
     return _FINE if found < 0 else found + 4
 
 
-class PlausibilityScorer(Scorer):
+@kernel_jit
+def judge(content: np.ndarray, slot: int, limits: np.ndarray, kept: np.ndarray, then: np.ndarray) -> int:
+    """Index of a field of a header that cannot be right, or -1.
+
+    Args:
+        content: Bytes of the header. Shape (size,), uint8.
+        slot: Place of its state in `STATES_JUDGED`.
+        limits: As of `implausible_command`.
+        kept: What is remembered: collision counter and whether it is known, the same of the number of the last
+            way-point's trajectory, and that way-point's position (m). Shape (7,).
+        then: What will be remembered if this is accepted, and whether it was: then it is with the next call, so that
+            there is one call for each publication. Shape (8,).
+    """
+    settle(kept, then)
+    if slot == _STATUS:
+        time, counter = real_at(content, _TIME_AT), integer_at(content, _COUNTER_AT)
+        then[_COUNTER], then[_COUNTED] = counter, 1.0
+        if not (0.0 <= time <= LONGEST_TIME_TO_COLLISION):
+            return _TIME_FIELD
+        growth = counter - kept[_COUNTER]
+        return _FINE if kept[_COUNTED] == 0.0 or 0.0 <= growth <= 1.0 else _COUNTER_FIELD
+    if slot == _COMMAND:
+        return implausible_command(content[: 8 * _COMMAND_FLOATS].view(np.float64), limits)
+    values, number = content[: 8 * _WAYPOINT_FLOATS].view(np.float64), integer_at(content, _NUMBER_AT)
+    then[_NUMBER], then[_NUMBERED], then[_POSITION:_ACCEPTED] = number, 1.0, values[:3]
+    same = kept[_NUMBERED] != 0.0 and kept[_NUMBER] == number
+    return implausible_waypoint(values, kept[_POSITION : _ACCEPTED if same else _POSITION], limits)
+
+
+@kernel_jit
+def settle(kept: np.ndarray, then: np.ndarray) -> None:
+    """Remember what was judged last, if it was accepted; arguments as of `judge`."""
+    if then[_ACCEPTED] != 0.0:
+        kept[:] = then[:_ACCEPTED]
+    then[:_ACCEPTED], then[_ACCEPTED] = kept, 0.0
+
+
+class PhysicsGate:
     """Finite numbers, the arena, speeds, steps of way-points, a collision counter that goes up by 0 or 1.
 
-    A field is IMPLAUSIBLE away from what can be, or 0.
+    What cannot be is an alarm for its own stage.
 
     Args:
         v_max: Speed limit of the mission (m/s).
         arena: Lower and upper corner that way-points must stay within (m).
+
+    Attributes:
+        states: Names of the states that it is to be shown.
     """
 
-    def __init__(self, v_max: float, arena: tuple[tuple[float, ...], tuple[float, ...]]) -> None:
-        self._limits = np.array([SPEED_MARGIN * v_max, *arena[0], *arena[1]], np.float64)
-        self._rules: dict[str, Callable[[State], int]] = {
-            "perception.collision_status": self._judge_status,
-            "planning.waypoint": self._judge_waypoint,
-            "control.command": self._judge_command,
-        }
-        watched = [(STATES[name], field.name) for name in self._rules for field in STATES[name].header]
-        self.fields = tuple(f"{spec.name}.{field}" for spec, field in watched)
-        self.stages = tuple(spec.stage.value for spec, _ in watched)
-        owners = [spec.name for spec, _ in watched]
-        self._ranges = {name: (owners.index(name), owners.index(name) + owners.count(name)) for name in self._rules}
-        self._distance, self._unit = np.zeros(len(owners)), np.ones(len(owners))
-        self._known, self._numbers, self._position = np.zeros(2, bool), np.zeros(2, np.int64), np.zeros(3)
-        self.kept = self._known, self._numbers, self._position
-
-    def read(self, state: State) -> Reading | None:
-        """Measure a publication."""
-        rule = self._rules.get(state.spec.name)
-        if rule is None:
-            return None
-        first, last = self._ranges[state.spec.name]
-        self._distance[first:last] = 0.0
-        found = rule(state)
-        if found >= 0:
-            self._distance[first + found] = IMPLAUSIBLE
-        return Reading(self._distance, self._unit, first, last, 0)
-
-    def accept(self, state: State, verdict: Verdict | None) -> None:
-        """Take note of a value that was published."""
-        if state.spec.name == "perception.collision_status":
-            self._known[_SEQUENCE], self._numbers[_SEQUENCE] = True, state.header["future_collision_seq"][0]
-        elif state.spec.name == "planning.waypoint":
-            self._known[_TRAJECTORY], self._numbers[_TRAJECTORY] = True, state.header["trajectory_seq"][0]
-            self._position[:] = floats(state.header, 3)
-
-    def _judge_status(self, state: State) -> int:
-        if not (0.0 <= float(state.header["time_to_collision"][0]) <= LONGEST_TIME_TO_COLLISION):
-            return _index(state.spec, "time_to_collision")
-        step = int(state.header["future_collision_seq"][0]) - int(self._numbers[_SEQUENCE])
-        return _FINE if step in (0, 1) or not self._known[_SEQUENCE] else _index(state.spec, "future_collision_seq")
-
-    def _judge_waypoint(self, state: State) -> int:
-        same = self._known[_TRAJECTORY] and self._numbers[_TRAJECTORY] == state.header["trajectory_seq"][0]
-        before = self._position if same else self._position[:0]
-        return int(implausible_waypoint(floats(state.header, _WAYPOINT_FLOATS), before, self._limits))
-
-    def _judge_command(self, state: State) -> int:
-        return int(implausible_command(floats(state.header, _COMMAND_FLOATS), self._limits))
-
-
-class PhysicsGate(ScoringDetector):
-    """What cannot be is an alarm for its own stage; arguments as of `PlausibilityScorer`."""
+    states = frozenset(STATES_JUDGED)
 
     def __init__(self, v_max: float, arena: tuple[tuple[float, ...], tuple[float, ...]] = UNKNOWN_ARENA) -> None:
-        scorer = PlausibilityScorer(v_max, arena)
-        size = len(scorer.fields)
-        super().__init__(SOURCE, scorer, Threshold(np.ones((size, 1)), size))
+        self._given = v_max, arena
+        self._limits = np.array([SPEED_MARGIN * v_max, *arena[0], *arena[1]], np.float64)
+        self._kept, self._then = np.zeros(_ACCEPTED), np.zeros(_ACCEPTED + 1)
+        self._candidate: State | None = None
+        content = bytes_of(new_state(STATES_JUDGED[_WAYPOINT]).header)
+        self._judge = entry(judge, content, _WAYPOINT, self._limits, self._kept, self._then)
 
+    def start(self) -> None:
+        """Forget the last flight."""
+        self._candidate = None
+        self._kept[:], self._then[:] = 0.0, 0.0
 
-def _index(spec: StateSpec, field: str) -> int:
-    return [candidate.name for candidate in spec.header].index(field)
+    def check(self, state: State, time_us: int) -> Alarm | None:
+        """Judge a publication."""
+        slot = _SLOTS.get(state.spec.name)
+        if slot is None:
+            return None
+        self._candidate = state
+        place = self._judge(bytes_of(state.header), slot, self._limits, self._kept, self._then)
+        if place < 0:
+            return None
+        spec = state.spec
+        return Alarm(SOURCE, spec.stage.value, score=IMPLAUSIBLE, fields=(f"{spec.name}.{spec.header[place].name}",))
+
+    def score(self, state: State, time_us: int) -> float | None:
+        """2 of what cannot be, else 0; None of states that are not judged."""
+        if state.spec.name not in _SLOTS:
+            return None
+        return 0.0 if self.check(state, time_us) is None else IMPLAUSIBLE
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Take note of a value that was published."""
+        if state is not self._candidate:
+            if state.spec.name not in _SLOTS:
+                return
+            self.check(state, time_us)
+        self._then[_ACCEPTED] = 1.0
+
+    def memory(self) -> bytes:
+        """What is remembered, see `Detector`."""
+        settle(self._kept, self._then)
+        self._candidate = None
+        return self._kept.tobytes()
+
+    def restore(self, memory: bytes) -> None:
+        """Inverse of `memory`."""
+        self.start()
+        self._kept[:] = np.frombuffer(memory)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Machine code stays in its process."""
+        return PhysicsGate, self._given, self.memory()
+
+    __setstate__ = restore

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.features import Watch
+from mavfi.detectors.features import Scratch, Watch
 from mavfi.detectors.model import SMALLEST_LIMIT, Model
-from mavfi.detectors.parts import NOT_FINITE, ScoringDetector, Threshold, Verdict
-from mavfi.detectors.preprocess import DeltaScorer, Preprocessor
+from mavfi.detectors.parts import NOT_FINITE, ScoringDetector, Threshold
+from mavfi.detectors.preprocess import DeltaScorer, Preprocessor, conclude
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics import welford
 from mavfi.numerics.jit import kernel_jit
@@ -57,6 +57,51 @@ def distances(
     return regime
 
 
+@kernel_jit
+def settle_online(
+    watch: Watch, scratch: Scratch, limit: np.ndarray, statistics: np.ndarray, min_count: float
+) -> None:  # fmt: skip
+    """What was judged last was published: learn its deltas if they are normal; a first publication has none."""
+    slot = scratch.place[features.SLOT]
+    if scratch.score[0] < NOT_FINITE and watch.memory[slot, features.SEEN] != 0.0:
+        first, last = watch.places[slot, features.FIRST], watch.places[slot, features.LAST]
+        update(statistics, scratch.deltas, scratch.ratios, first, last)
+    features.settle(scratch, watch)
+
+
+@kernel_jit
+def judge_online(
+    content: np.ndarray, slot: int, watch: Watch, scratch: Scratch, limit: np.ndarray, statistics: np.ndarray,
+    min_count: float,
+) -> float:  # fmt: skip
+    """Score of a publication, see `preprocess.DeltaScorer`; statistics and count as of `deviations`."""
+    if scratch.place[features.ACCEPTED] != 0:
+        settle_online(watch, scratch, limit, statistics, min_count)
+    features.propose(content, slot, scratch)
+    regime = deviations(
+        content, slot, watch, statistics, min_count, scratch.deltas, scratch.distance, scratch.unit
+    )  # fmt: skip
+    return conclude(regime, watch.places[slot], scratch, limit)
+
+
+@kernel_jit
+def settle_frozen(watch: Watch, scratch: Scratch, limit: np.ndarray, centre: np.ndarray) -> None:
+    """What was judged last was published."""
+    features.settle(scratch, watch)
+
+
+@kernel_jit
+def judge_frozen(
+    content: np.ndarray, slot: int, watch: Watch, scratch: Scratch, limit: np.ndarray, centre: np.ndarray
+) -> float:
+    """Score of a publication, see `preprocess.DeltaScorer`; centre as of `distances`."""
+    if scratch.place[features.ACCEPTED] != 0:
+        features.settle(scratch, watch)
+    features.propose(content, slot, scratch)
+    regime = distances(content, slot, watch, centre, scratch.deltas, scratch.distance)
+    return conclude(regime, watch.places[slot], scratch, limit)
+
+
 class OnlineScorer(DeltaScorer):
     """Distances from running means that start at the trained ones; a value is judged before it is learned.
 
@@ -66,11 +111,11 @@ class OnlineScorer(DeltaScorer):
         min_count: Samples before a field is judged.
     """
 
-    adapts = True
+    judge, settle = staticmethod(judge_online), staticmethod(settle_online)
 
     def __init__(self, preprocessor: Preprocessor, statistics: np.ndarray, min_count: float) -> None:
-        super().__init__(preprocessor)
-        self._trained, self._statistics, self._min_count = statistics, statistics.copy(), min_count
+        self._trained, self._statistics = statistics, statistics.copy()
+        super().__init__(preprocessor, self._statistics, min_count)
         self.kept += (self._statistics,)
 
     def start(self) -> None:
@@ -78,29 +123,11 @@ class OnlineScorer(DeltaScorer):
         super().start()
         self._statistics[:] = self._trained
 
-    def measure(self, content: np.ndarray, slot: int) -> int:
-        """See `deviations`."""
-        watch, statistics = self.features.watch, self._statistics
-        return int(
-            deviations(content, slot, watch, statistics, self._min_count, self._deltas, self._distance, self._unit)
-        )
-
-    def learn(self, content: np.ndarray, slot: int, verdict: Verdict) -> None:
-        """Learn normal deltas; a first publication has none."""
-        if verdict.score < NOT_FINITE and self.features.watch.memory[slot, features.SEEN] != 0.0:
-            update(self._statistics, self._deltas, verdict.ratios, *self.features.range_of(slot))
-
 
 class FrozenScorer(DeltaScorer):
-    """Distances from a trained centre of each field and regime, shape (n, regimes)."""
+    """Distances from a trained centre of each field and regime, shape (n, regimes): the table of its functions."""
 
-    def __init__(self, preprocessor: Preprocessor, centre: np.ndarray) -> None:
-        super().__init__(preprocessor)
-        self._centre = centre
-
-    def measure(self, content: np.ndarray, slot: int) -> int:
-        """See `distances`."""
-        return int(distances(content, slot, self.features.watch, self._centre, self._deltas, self._distance))
+    judge, settle = staticmethod(judge_frozen), staticmethod(settle_frozen)
 
 
 class GaussianDetector(ScoringDetector):

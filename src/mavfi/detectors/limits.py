@@ -32,9 +32,10 @@ _SCALARS = (
 )  # fmt: skip
 _PLACES = ("lower", "upper", "goal")
 _FLAGS = ("held", "every_map", "repeated")
-_NUMBERS = np.dtype(
+NUMBERS = np.dtype(
     [*((name, "f8") for name in _SCALARS), *((name, "f8", (3,)) for name in _PLACES), *((name, "?") for name in _FLAGS)]
 )
+"""Type of the record that compiled rules read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +87,7 @@ class MissionLimits:
 
     def numbers(self) -> np.ndarray:
         """What compiled rules read: one record. Shape (1,)."""
-        record = np.zeros(1, _NUMBERS)
+        record = np.zeros(1, NUMBERS)
         travel = 1.5 * self.v_max * (self.velocity_lag + 2.0 * self.plan_latency)
         change = _ACCELERATION_MARGIN * self.a_max * self.point_period
         if not self.held:

@@ -4,7 +4,7 @@ A scorer says how far a publication is from normal, a threshold when that is an 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -57,14 +57,23 @@ class Scorer(ABC):
     Attributes:
         fields: Watched fields, "state.field".
         stages: Stage of each.
+        states: Names of the states that it is to be shown; None = all.
         kept: All that is remembered of a flight; 0 before it.
         adapts: Whether `accept` needs the verdict on what was published.
+        threshold: Makes scores of what it measures.
     """
 
     fields: tuple[str, ...]
     stages: tuple[str, ...]
+    states: frozenset[str] | None = None
     kept: tuple[np.ndarray, ...] = ()
     adapts = False
+    threshold: "Threshold"
+    _judged: "tuple[Reading, Verdict]"
+
+    def use(self, threshold: "Threshold") -> None:
+        """Take the threshold; before the first flight."""
+        self.threshold = threshold
 
     @abstractmethod
     def read(self, state: State) -> Reading | None:
@@ -72,6 +81,18 @@ class Scorer(ABC):
 
         The arrays hold until the next call.
         """
+
+    def score(self, state: State) -> float | None:
+        """Score of a publication, None if it is not watched; changes nothing that is remembered."""
+        reading = self.read(state)
+        if reading is None:
+            return None
+        self._judged = reading, self.threshold.judge(reading)
+        return self._judged[1].score
+
+    def judged(self) -> "tuple[Reading, Verdict]":
+        """Reading of the publication scored last, and verdict on it."""
+        return self._judged
 
     @abstractmethod
     def accept(self, state: State, verdict: Verdict | None) -> None:
@@ -131,8 +152,22 @@ def mean_square_ratio(reading: Reading, limit: np.ndarray, ratios: np.ndarray) -
     return score
 
 
+@kernel_jit
+def score_of(reading: Reading, limit: np.ndarray, ratios: np.ndarray) -> float:
+    """Score of a reading: of its mean square where there is one limit, else the largest ratio."""
+    if reading.regime < 0:
+        return NOT_FINITE
+    if limit.shape == (1, 1):
+        return mean_square_ratio(reading, limit, ratios)
+    return largest_ratio(reading, limit, ratios)
+
+
 class Threshold:
     """Makes scores of readings.
+
+    Attributes:
+        limit: As given.
+        ratios: Of the reading judged last, see `Verdict`.
 
     Args:
         limit: By field and regime, shape (n, regimes); or of the mean squared distance, shape (1, 1).
@@ -142,15 +177,12 @@ class Threshold:
     """
 
     def __init__(self, limit: np.ndarray, size: int, usual: np.ndarray | None = None) -> None:
-        self._limit, self._usual = limit, usual
-        self._ratio = mean_square_ratio if limit.shape == (1, 1) else largest_ratio
-        self._ratios = np.zeros(size)
+        self.limit, self._usual = limit, usual
+        self.ratios = np.zeros(size)
 
     def judge(self, reading: Reading) -> Verdict:
         """The score of a reading."""
-        if reading.regime < 0:
-            return Verdict(NOT_FINITE, self._ratios)
-        return Verdict(self._ratio(reading, self._limit, self._ratios), self._ratios)
+        return Verdict(score_of(reading, self.limit, self.ratios), self.ratios)
 
     def standing_out(self, reading: Reading, verdict: Verdict, not_finite: np.ndarray) -> np.ndarray:
         """Indices of the fields that an alarm names.
@@ -208,40 +240,59 @@ class ScoringDetector:
 
     def __init__(self, source: str, scorer: Scorer, threshold: Threshold, policy: Policy = keyed) -> None:
         self.source, self.scorer, self.threshold, self.policy = source, scorer, threshold, policy
-        self._learns = scorer.adapts or policy is not keyed
+        scorer.use(threshold)
+        self.states = scorer.states
+        self._counts_waypoints = policy is not keyed
         self._persists = False
-        self._judged: tuple[State, Reading, Verdict] | None = None
+        self._adapts, self._accept = scorer.adapts, scorer.accept
+        self._scored: State | None = None
+        self._score: float | None = None
 
     def start(self) -> None:
         """Forget the last flight."""
-        self._judged, self._persists = None, False
+        self._scored, self._persists = None, False
         self.scorer.start()
 
     def score(self, state: State, time_us: int) -> float | None:
         """Score of a publication, in units of the threshold: > 1 is an alarm; None if it is not watched."""
-        judged = self._judge(state)
-        return None if judged is None else float(judged[1].score)
+        if self._scored is not state:
+            self._scored, self._score = state, self.scorer.score(state)
+        return self._score
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """Judge a publication."""
-        judged = self._judge(state)
-        if judged is None or judged[1].score <= 1.0:
+        if self._scored is not state:  # as `score`, without another call
+            self._scored, self._score = state, self.scorer.score(state)
+        score = self._score
+        if score is None or score <= 1.0:
             return None
-        reading, verdict = judged
+        reading, verdict = self.scorer.judged()
         lacking = self.scorer.not_finite(state) if reading.regime < 0 else _NONE
         found = self.threshold.standing_out(reading, verdict, lacking)
         names = tuple(self.scorer.fields[index] for index in found)
-        alarm = Alarm(self.source, self.scorer.stages[found[0]], score=float(verdict.score), fields=names)
+        alarm = Alarm(self.source, self.scorer.stages[found[0]], score=float(score), fields=names)
         return self.policy(alarm, state, self._persists)
 
     def accept(self, state: State, time_us: int) -> None:
         """Take note of a value that was published."""
-        judged = self._judge(state) if self._learns else None
-        self._judged = None
-        verdict = None if judged is None else judged[1]
-        self.scorer.accept(state, verdict)
-        if verdict is not None and state.spec.name == _WAYPOINT:
-            self._persists = not verdict.score <= 1.0
+        if self._counts_waypoints and state.spec.name == _WAYPOINT:
+            score = self.score(state, time_us)
+            self._persists = self._persists if score is None else not score <= 1.0
+        verdict = None
+        if self._adapts and self.score(state, time_us) is not None:
+            verdict = self.scorer.judged()[1]
+        self._scored = None
+        self._accept(state, verdict)
+
+    @property
+    def compiled(self) -> dict[str, Callable[..., Any]]:
+        """Compiled functions that can be instrumented, by name; see `detector.part_of`."""
+        return {"judge": self.scorer.judge} if hasattr(self.scorer, "judge") else {}
+
+    def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
+        """Call others in their place, see `detector.part_of`."""
+        if hasattr(self.scorer, "instrument"):
+            self.scorer.instrument(made)
 
     def memory(self) -> tuple[tuple[bytes, ...], bool]:
         """What is remembered, see `Detector`."""
@@ -249,43 +300,35 @@ class ScoringDetector:
 
     def restore(self, memory: tuple[tuple[bytes, ...], bool]) -> None:
         """Inverse of `memory`."""
-        self._judged = None
+        self._scored = None
         kept, self._persists = memory
         self.scorer.restore(kept)
-
-    def _judge(self, state: State) -> tuple[Reading, Verdict] | None:
-        """Reading and verdict; a publication is checked and then accepted, and is measured once for both."""
-        if self._judged is not None and self._judged[0] is state:
-            return self._judged[1:]
-        self._judged = None
-        reading = self.scorer.read(state)
-        if reading is None:
-            return None
-        self._judged = state, reading, self.threshold.judge(reading)
-        return self._judged[1:]
 
 
 class Chain:
     """Several detectors in a row: the first alarm counts."""
 
     def __init__(self, *detectors: Any) -> None:  # noqa: ANN401 - `Detector`s; those of ours have memory and score
-        self._detectors = detectors
+        self.parts = detectors
+        asked = [getattr(detector, "states", None) for detector in detectors]
+        every = None in asked
+        self.states = None if every else frozenset(name for states in asked for name in states or ())
         if not all(hasattr(detector, "restore") for detector in detectors):
             self.memory = self.restore = None  # type: ignore[assignment, method-assign] # a host copies the whole
 
     def start(self) -> None:
         """Forget the last flight."""
-        for detector in self._detectors:
+        for detector in self.parts:
             detector.start()
 
     def score(self, state: State, time_us: int) -> float | None:
         """The largest of their scores."""
-        scores = [detector.score(state, time_us) for detector in self._detectors if hasattr(detector, "score")]
+        scores = [detector.score(state, time_us) for detector in self.parts if hasattr(detector, "score")]
         return max((score for score in scores if score is not None), default=None)
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """The first alarm that one of them raises."""
-        for detector in self._detectors:
+        for detector in self.parts:
             alarm: Alarm | None = detector.check(state, time_us)
             if alarm is not None:
                 return alarm
@@ -293,14 +336,14 @@ class Chain:
 
     def accept(self, state: State, time_us: int) -> None:
         """Tell all of them."""
-        for detector in self._detectors:
+        for detector in self.parts:
             detector.accept(state, time_us)
 
     def memory(self) -> tuple[Any, ...]:
         """What they remember."""
-        return tuple(detector.memory() for detector in self._detectors)
+        return tuple(detector.memory() for detector in self.parts)
 
     def restore(self, memory: tuple[Any, ...]) -> None:
         """Inverse of `memory`."""
-        for detector, kept in zip(self._detectors, memory, strict=True):
+        for detector, kept in zip(self.parts, memory, strict=True):
             detector.restore(kept)

@@ -4,15 +4,16 @@
 to what was predicted first, in float64, then its code.  Integers: difference, saturated to 16 bits.
 """
 
-from abc import abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 
 from mavfi.detectors import features
-from mavfi.detectors.parts import Reading, Scorer, Verdict
+from mavfi.detectors.parts import Reading, Scorer, Threshold, Verdict, score_of
 from mavfi.errors import BadInputError
-from mavfi.states import MONITORED_SETS, ODOMETRY, STATES, State, StateSpec
+from mavfi.numerics.jit import entry, kernel_jit
+from mavfi.states import MONITORED_SETS, ODOMETRY, STATES, State, StateSpec, bytes_of
 
 PROFILES = ("paper", "tuned")
 PREDICTIONS = {"interval": features.CODE_OF_INTERVAL, "trapezoid": features.CODE_OF_TRAPEZOID}
@@ -22,6 +23,8 @@ velocity on the way to them, "trapezoid" where they carry the velocity at their 
 _HALF_METRE, _QUARTER, _ONE_SECOND, _EIGHTH = -1, -2, 0, -3
 _POSITIONS = {"x": "vx", "y": "vy", "z": "vz"}
 _PLANNED = "planning.waypoint"
+_WAITING = 100
+"""Odometry that waits at most until one of it is remembered."""
 
 
 class Preprocessor:
@@ -31,6 +34,7 @@ class Preprocessor:
         fields: Names of the watched fields, "state.field", in the order of the vector.
         stages: Stage of each.
         slots: Number of each watched state, by name.
+        states: States that it has to be shown: the watched ones and, for predictions, where the vehicle is.
         watch: Tables and memory.
     """
 
@@ -85,6 +89,8 @@ class Preprocessor:
             last=np.zeros((len(specs), size), np.uint8),
             vehicle=np.zeros(features.KNOWN + 1),
         )
+        predicts = bool((self.watch.table[:, features.RULE] >= features.CODE_OF_INTERVAL).any())
+        self.states = frozenset(self.slots).union(ODOMETRY.values() if predicts else ())
 
     @property
     def kept(self) -> tuple[np.ndarray, ...]:
@@ -96,11 +102,6 @@ class Preprocessor:
         for part in self.kept:
             part[...] = 0
 
-    def note(self, state: State) -> None:
-        """Remember where the vehicle is, if this state says so."""
-        if state.spec.name in ODOMETRY.values():
-            features.note_vehicle(state.header.view(np.uint8), self.watch.vehicle)
-
     def range_of(self, slot: int) -> tuple[int, int]:
         """First and one past the last index in the vector of a watched state's fields."""
         first, last = self.watch.places[slot, : features.LAST + 1]
@@ -111,41 +112,129 @@ class Preprocessor:
         return int(np.searchsorted(self.watch.places[:, features.LAST], index, side="right"))
 
 
+@kernel_jit
+def conclude(regime: int, place: np.ndarray, scratch: features.Scratch, limit: np.ndarray) -> float:
+    """Score of the distances in `scratch`, which keeps it; `place` is a row of a place table."""
+    scratch.place[features.JUDGED_REGIME] = regime
+    reading = Reading(scratch.distance, scratch.unit, place[features.FIRST], place[features.LAST], regime)
+    score = score_of(reading, limit, scratch.ratios)
+    scratch.score[0] = score
+    return score
+
+
 class DeltaScorer(Scorer):
-    """A scorer of the deltas of a preprocessor, which has the fields that the model was trained on."""
+    """A scorer of the deltas of a preprocessor, which has the fields that the model was trained on.
 
-    def __init__(self, preprocessor: Preprocessor) -> None:
+    One compiled call scores a publication, and takes note of the one before it if that was accepted.
+
+    Args:
+        preprocessor: Of the fields.
+        tables: What else the compiled functions read or remember.
+
+    Attributes:
+        judge: Compiled: bytes and slot of a publication, `features.Watch`, `features.Scratch`, limits of the threshold,
+            then the tables; gives the score.
+        settle: Compiled: takes note of what was judged last; the same arguments without bytes and slot.
+        features: The preprocessor.
+        scratch: What was judged last.
+    """
+
+    judge: ClassVar[Callable[..., float]]
+    settle: ClassVar[Callable[..., None]]
+
+    def __init__(self, preprocessor: Preprocessor, *tables: Any) -> None:  # noqa: ANN401 - arrays, tuples of them, numbers
         self.features, self.kept = preprocessor, preprocessor.kept
-        self.fields, self.stages = preprocessor.fields, preprocessor.stages
-        size = len(self.fields)
-        self._deltas = np.zeros(size, np.int16)
-        self._distance, self._unit = np.zeros(size), np.ones(size)
+        self.fields, self.stages, self.states = preprocessor.fields, preprocessor.stages, preprocessor.states
+        self._tables: tuple[Any, ...] = tables
+        self._slots, self._last = preprocessor.slots, preprocessor.watch.last
+        self._candidate: State | None = None
+        self._vehicles: list[np.ndarray] = []
 
-    @abstractmethod
-    def measure(self, content: np.ndarray, slot: int) -> int:
-        """Fill in `_deltas`, `_distance` and, where they are no plain numbers, `_unit`; see `features.measure`."""
+    def use(self, threshold: Threshold) -> None:
+        """Take the threshold; before the first flight."""
+        super().use(threshold)
+        size = len(self.fields)
+        self.scratch = features.Scratch(
+            np.zeros(self._last.shape[1], np.uint8), np.zeros(4, np.int64), np.zeros(1), np.zeros(size, np.int16),
+            np.zeros(size), np.ones(size), threshold.ratios,
+        )  # fmt: skip
+        self._tables = (self.features.watch, self.scratch, threshold.limit, *self._tables)
+        self._place = self.scratch.place
+        self.instrument({})
+
+    def instrument(self, made: Mapping[str, Callable[..., float]]) -> None:
+        """Call another function in the place of `judge`, if one is given by that name, or else that again."""
+        self._judge = made["judge"] if "judge" in made else entry(self.judge, self.scratch.content, 0, *self._tables)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Machine code stays in its process."""
+        return {name: value for name, value in self.__dict__.items() if name != "_judge"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Inverse of `__getstate__`."""
+        self.__dict__.update(state)
+        self.instrument({})
+
+    def start(self) -> None:
+        """Forget the last flight."""
+        super().start()
+        self._forget()
+
+    def _forget(self) -> None:
+        self._candidate = None
+        self.scratch.place[features.ACCEPTED] = 0
+        self._vehicles.clear()
 
     def read(self, state: State) -> Reading | None:
         """Measure a publication."""
-        slot = self.features.slots.get(state.spec.name)
+        return None if self.score(state) is None else self.judged()[0]
+
+    def score(self, state: State) -> float | None:
+        """Score of a publication."""
+        slot = self._slots.get(state.spec.name)
         if slot is None:
             return None
-        regime = self.measure(state.header.view(np.uint8), slot)
-        return Reading(self._distance, self._unit, *self.features.range_of(slot), regime)
+        if self._vehicles:
+            self._see()
+        self._candidate = state
+        return self._judge(bytes_of(state.header), slot, *self._tables)
+
+    def judged(self) -> tuple[Reading, Verdict]:
+        """Reading of the publication scored last, and verdict on it."""
+        own, place = self.scratch, self.scratch.place
+        first, last = self.features.range_of(int(place[features.SLOT]))
+        reading = Reading(own.distance, own.unit, first, last, int(place[features.JUDGED_REGIME]))
+        return reading, Verdict(float(own.score[0]), own.ratios)
 
     def accept(self, state: State, verdict: Verdict | None) -> None:
         """Take note of a value that was published."""
-        slot = self.features.slots.get(state.spec.name)
-        if slot is None:
-            self.features.note(state)
+        if state is not self._candidate and self.score(state) is None:
+            if state.spec.name in self.features.states:
+                self._vehicles.append(state.header)
+                if len(self._vehicles) == _WAITING:
+                    self._see()
             return
-        content = state.header.view(np.uint8)
-        if verdict is not None and self.adapts:
-            self.learn(content, slot, verdict)
-        features.commit(content, slot, self.features.watch)
+        self._place[features.ACCEPTED] = 1
 
-    def learn(self, content: np.ndarray, slot: int, verdict: Verdict) -> None:  # noqa: B027 - few learn
-        """Adapt to a value that was published, before it becomes the last one; `_deltas` are its own."""
+    def _see(self) -> None:
+        """Remember where the vehicle is: only the last odometry that is finite counts."""
+        vehicle = self.features.watch.vehicle
+        for header in reversed(self._vehicles):
+            if features.note_vehicle(bytes_of(header), vehicle):
+                break
+        self._vehicles.clear()
+
+    def memory(self) -> tuple[bytes, ...]:
+        """What is remembered of the flight."""
+        if self.scratch.place[features.ACCEPTED]:
+            self.settle(*self._tables)
+        self._see()
+        return super().memory()
+
+    def restore(self, memory: tuple[bytes, ...]) -> None:
+        """Inverse of `memory`."""
+        super().restore(memory)
+        self._forget()
 
     def not_finite(self, state: State) -> np.ndarray:
         """Indices of the watched fields of a publication that are not finite."""

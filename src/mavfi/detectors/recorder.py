@@ -1,6 +1,6 @@
 """What training needs of an error-free flight."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,11 +22,16 @@ class Recording:
         kinds: Index in WATCHED, or features.ODOMETRY. Shape (m,), int8.
         times_us: Instants (us). Shape (m,), int64.
         content: The published headers, one after the other. Shape (total,), uint8.
+        slots, regimes, codes: As of `everything.Codes`, whose `own` is `codes`; without publications if nothing but
+            monitored states was recorded.
     """
 
     kinds: np.ndarray
     times_us: np.ndarray
     content: np.ndarray
+    slots: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int8))
+    regimes: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int8))
+    codes: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int16))
 
     @property
     def ends(self) -> np.ndarray:

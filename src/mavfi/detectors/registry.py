@@ -1,6 +1,6 @@
 """Detectors by name: the two of the paper, the acceptance test, those of other packages, and `package:Class`."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any, cast
@@ -14,20 +14,38 @@ from mavfi.detectors.limits import MissionLimits
 from mavfi.detectors.model import FITTED_TO, Model, check_fits, model_name
 from mavfi.detectors.parts import Chain
 from mavfi.detectors.preprocess import PROFILES
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.plugins import build, known, load_object, parameters_of
 
 GROUP = "mavfi.detectors"
 """Entry points of this group are detectors: classes without arguments; or, where a class says its `model_kind`, with a
 trained model of that kind and profile.  `mavfi train` fits those that have `fit(sample, preprocessor, figures)`, which
-gives the model's parameters; the figures are those of configs/detectors/<name>.yaml.  A class with a true
-`needs_limits` is made with the `MissionLimits` of what is flown."""
+gives the model's parameters; with a true `watches_all` it is fitted to all fields, with an `Everything` in place of the
+preprocessor, and in one profile only.  One with an `extra` needs packages of that extra, for which `check_installed`
+looks.  The figures are those of configs/detectors/<name>.yaml.  A class with a true
+`needs_limits` is made with the `MissionLimits` of what is flown, with a true `needs_seed` with the mission's seed."""
+ONLY_PROFILE = "tuned"
+"""Of detectors of all fields."""
 SHIPPED_MODELS = Path(__file__).parents[1] / "data" / "models"
 _SHIPPED = {
     "gaussian": "mavfi.detectors.gaussian:GaussianDetector",
     "autoencoder": "mavfi.detectors.autoencoder:AutoencoderDetector",
     "acceptance": "mavfi.detectors.acceptance:AcceptanceTest",
     "recommended": "mavfi.detectors.acceptance:AcceptanceTest",
+    "limits": "mavfi.detectors.all_fields:LimitsDetector",
+    "autoencoder_all": "mavfi.detectors.all_fields:AutoencoderAllDetector",
+    "cusum": "mavfi.detectors.cusum:CusumDetector",
+    "conformal": "mavfi.detectors.conformal:ConformalDetector",
+    "isolation_forest": "mavfi.detectors.baselines.outliers:IsolationForestDetector",
+    "pca": "mavfi.detectors.baselines.outliers:PcaDetector",
+    "mahalanobis": "mavfi.detectors.baselines.outliers:MahalanobisDetector",
+    "half_space_trees": "mavfi.detectors.baselines.half_space_trees:HalfSpaceTreesDetector",
+    "matrix_profile": "mavfi.detectors.baselines.matrix_profile:MatrixProfileDetector",
+    "checksum": "mavfi.detectors.sealed:Checksum",
+    "checksum_large": "mavfi.detectors.sealed:Checksum",
+    "duplicate": "mavfi.detectors.duplicate:Duplicate",
+    "oracle": "mavfi.detectors.sealed:Oracle",
+    "random": "mavfi.detectors.random_alarms:RandomAlarms",
     "none": "mavfi.detectors.registry:NoDetector",
 }
 
@@ -46,6 +64,7 @@ class DetectorConfig(Config):
     name: str = Field(description="entry point of the group mavfi.detectors")
     paper: ProfileSettings = Field(ProfileSettings(), description="as the paper's")
     tuned: ProfileSettings = Field(ProfileSettings(gate=True), description="limits by field and regime")
+    options: dict[str, Any] = Field({}, description="arguments of the class, where nothing is trained")
     mission: dict[str, Any] = Field({}, description="keys of a mission that go with it, where these are not chosen")
 
 
@@ -62,6 +81,22 @@ def trainable() -> dict[str, Any]:
     """The detectors that learn, by name: those of mavfi, then those of other packages."""
     every = {name: load_object("detector", name, GROUP, _SHIPPED) for name in _SHIPPED | known(GROUP, _SHIPPED)}
     return {name: found for name, found in every.items() if hasattr(found, "model_kind") and hasattr(found, "fit")}
+
+
+def of_monitored_fields() -> dict[str, Any]:
+    """Those that are fitted to a monitored set, in two profiles."""
+    return {name: found for name, found in trainable().items() if not _watches_all(found)}
+
+
+def of_all_fields(extras: Collection[str] = ()) -> dict[str, Any]:
+    """Those that are fitted to all fields, in one; of those that need an extra, those of the given ones."""
+    wanted = ("", *extras)
+    every = trainable().items()
+    return {name: found for name, found in every if _watches_all(found) and getattr(found, "extra", "") in wanted}
+
+
+def _watches_all(factory: Any) -> bool:  # noqa: ANN401
+    return bool(getattr(factory, "watches_all", False))
 
 
 def settings_of(name: str, profile: str) -> ProfileSettings:
@@ -97,7 +132,8 @@ def load_detector(
         profile: "paper" or "tuned".
         models_dir: Folder of trained models; None = the shipped ones.
         fits: What the model must have been trained for: stack, platform, v_max (m/s), planner; `limits`, if given, are
-            the `MissionLimits` that rules hold publications to; their arena is that of the physics gate.
+            the `MissionLimits` that rules hold publications to; their arena is that of the physics gate; `seed` of the
+            mission, for what is drawn.
         policy: Recovery policy instead of the profile's.
         gate: Whether the physics gate stands in front; None = as the profile says.
         sigmas: The paper's n instead of the model's.
@@ -113,10 +149,14 @@ def load_detector(
     if name == "none":
         return NoDetector(), ""
     factory = load_object("detector", name, GROUP, _SHIPPED)
+    if hasattr(factory, "check_installed"):
+        factory.check_installed()
+    if _watches_all(factory):
+        profile, settings = ONLY_PROFILE, settings_of(name, ONLY_PROFILE)
     kind = getattr(factory, "model_kind", None)
     limits: MissionLimits | None = fits.get("limits")
     if kind is None:
-        return _build(name, factory, *_needed(name, factory, limits)), ""
+        return _build(name, factory, *_needed(name, factory, fits), **_config_of(name).options), ""
     path = (models_dir or SHIPPED_MODELS) / f"{model_name(fits['stack'], fits['platform'], str(kind), profile)}.json"
     model = _load_model(path, str(kind), profile, fits)
     try:
@@ -130,7 +170,9 @@ def load_detector(
 
 def _load_model(path: Path, kind: str, profile: str, fits: Mapping[str, Any]) -> Model:
     if not path.is_file():
-        raise BadInputError(f"{path}: no model is trained for this stack and platform; train one with `mavfi train`")
+        raise SpecMismatchError(
+            f"{path}: no model is trained for this stack and platform; train one with `mavfi train`"
+        )
     model = Model.load(path)
     if (model.kind, model.profile) != (kind, profile):
         raise BadInputError(f"{path}: is a model {model.kind}-{model.profile}; needed: {kind}-{profile}")
@@ -138,15 +180,15 @@ def _load_model(path: Path, kind: str, profile: str, fits: Mapping[str, Any]) ->
     return model
 
 
-def _needed(name: str, factory: Any, limits: MissionLimits | None) -> tuple[MissionLimits, ...]:  # noqa: ANN401
-    if not getattr(factory, "needs_limits", False):
-        return ()
-    if limits is None:
-        raise BadInputError(f"detector {name!r}: needs the limits of the mission")
-    return (limits,)
+def _needed(name: str, factory: Any, fits: Mapping[str, Any]) -> list[Any]:  # noqa: ANN401
+    needed = [key for key in ("limits", "seed") if getattr(factory, f"needs_{key}", False)]
+    for key in needed:
+        if fits.get(key) is None:
+            raise BadInputError(f"detector {name!r}: needs the {key} of the mission")
+    return [fits[key] for key in needed]
 
 
-def _build(name: str, factory: Any, *arguments: Model | MissionLimits, **options: object) -> Detector:  # noqa: ANN401
+def _build(name: str, factory: Any, *arguments: object, **options: object) -> Detector:  # noqa: ANN401
     given = {key: value for key, value in options.items() if value is not None}
     unknown = set(given) - set(parameters_of("detector", name, factory))
     if unknown:

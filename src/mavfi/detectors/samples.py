@@ -49,13 +49,23 @@ def collect(recordings: Sequence[Recording], preprocessor: Preprocessor) -> Samp
     parts = [_without_odometry(recording, preprocessor) for recording in recordings]
     if not parts:
         raise BadInputError("training: no recordings; fly at least one error-free flight")
-    sample = Sample(*(np.concatenate([getattr(part, name) for part in parts]) for name in Sample.__annotations__))
+    sample = join(parts)
     for name, slot in preprocessor.slots.items():
         if not np.any((sample.slots == slot) & ~sample.first):
             raise BadInputError(f"training: {name} was published less than twice in every recorded flight")
+    check_finite(sample)
+    return sample
+
+
+def check_finite(sample: Sample) -> None:
+    """Refuse recordings with numbers that are not finite."""
     if np.any(sample.regimes < 0):
         raise BadInputError("training: a recorded flight holds numbers that are not finite")
-    return sample
+
+
+def join(parts: Sequence[Sample]) -> Sample:
+    """All flights in one, in their order."""
+    return Sample(*(np.concatenate([getattr(part, name) for part in parts]) for name in Sample.__annotations__))
 
 
 def _without_odometry(recording: Recording, preprocessor: Preprocessor) -> Sample:

@@ -1,31 +1,36 @@
 """Fits trained detectors to error-free flights.  The flights come from elsewhere; nothing here flies."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from mavfi.detectors.everything import MONITORED, Codes, Everything, sample_of
 from mavfi.detectors.model import FITTED_TO, Model
 from mavfi.detectors.preprocess import PREDICTIONS, PROFILES, Preprocessor
 from mavfi.detectors.recorder import Recording
-from mavfi.detectors.registry import settings_of, trainable
-from mavfi.detectors.samples import collect
+from mavfi.detectors.registry import ONLY_PROFILE, of_all_fields, of_monitored_fields, settings_of
+from mavfi.detectors.samples import check_finite, collect, join
 from mavfi.errors import BadInputError
 
 _VELOCITY = ("vx", "vy", "vz")
 
 
 def fit(
-    recordings: Sequence[Recording], provenance: Mapping[str, Any], monitored: str = "paper-13"
+    recordings: Sequence[Recording],
+    provenance: Mapping[str, Any],
+    monitored: str = "paper-13",
+    extras: Collection[str] = (),
 ) -> dict[str, Model]:
-    """Fit every detector that learns in both profiles.
+    """Fit every detector that learns: those of monitored fields in both profiles, those of all fields in one.
 
     Args:
-        recordings: Error-free flights, 100 or more for thresholds that hold.
+        recordings: Error-free flights, 100 or more for thresholds that hold; with codes of all fields or without.
         provenance: Where they come from: stack, platform, v_max, planner, and whatever else tells (seeds, flights).
-        monitored: Name of the monitored set.
+        monitored: Name of the set of monitored fields.
+        extras: Detectors that need packages of these are fitted, too: "bench".
 
     Returns:
         Models by "<kind>-<profile>".  The same recordings give the same models.
@@ -38,15 +43,33 @@ def fit(
         raise BadInputError(f"provenance of a model: lacks {', '.join(missing)}")
     prediction, errors = best_prediction(recordings)
     origin = {**provenance, "versions": {name: version(name) for name in ("numpy", "scikit-learn")}}
-    models = {}
+    models = fit_all_fields(recordings, origin, extras)
     for profile in PROFILES:
         preprocessor = Preprocessor(monitored, profile, prediction)
         sample = collect(recordings, preprocessor)
         told = origin if profile == "paper" else {**origin, "innovation_m": errors}
-        for name, detector in trainable().items():
+        for name, detector in of_monitored_fields().items():
             parameters = detector.fit(sample, preprocessor, settings_of(name, profile).fit)
             kind = detector.model_kind
             models[f"{kind}-{profile}"] = Model(kind, profile, monitored, prediction, parameters, told)
+    return models
+
+
+def fit_all_fields(
+    recordings: Sequence[Recording], origin: Mapping[str, Any], extras: Collection[str] = ()
+) -> dict[str, Model]:  # fmt: skip
+    """Fit every detector of all fields; none if the recordings have no codes of these.  Arguments as of `fit`."""
+    found = [Codes(recording.slots, recording.regimes, recording.codes) for recording in recordings]
+    if not all(len(codes.slots) for codes in found):
+        return {}
+    everything = Everything(origin["stack"])
+    sample = join([sample_of(codes, everything) for codes in found])
+    check_finite(sample)
+    models = {}
+    for name, detector in of_all_fields(extras).items():
+        parameters = detector.fit(sample, everything, settings_of(name, ONLY_PROFILE).fit)
+        kind = detector.model_kind
+        models[kind] = Model(kind, ONLY_PROFILE, MONITORED, "", parameters, dict(origin))
     return models
 
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Literal, Self, get_args
 from mavfi.config import checked
 from mavfi.errors import BadInputError
 from mavfi.faults import strata
-from mavfi.states import STATES, find_state
+from mavfi.states import KERNELS, STATES, find_state
 
 NO_SITE = -1
 """`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden flight has no site."""
@@ -24,6 +24,8 @@ ACCESSES = ("either", "read", "write")
 DEFAULT_WALK = 16
 """Longer than the loops at whose few instructions stops come. From here on injections spread no further, and the target
 stands still for longer (docs/ros-attach.md)."""
+LIFETIME = {"lasts_s": 0.0, "share": 1.0, "width": 1, "times": 1}
+"""Defaults of the keys of a `StateFault` that say how long it lasts and how many bits it has."""
 LONGEST_WALK = 100_000
 LONGEST_TIMEOUT = 3600.0
 
@@ -50,7 +52,7 @@ class _Planned:
     @property
     def has_site(self) -> bool:
         """Whether there is something to change, as far as is known before the run."""
-        return True
+        return getattr(self, "time_us", 0) != NO_SITE
 
     @property
     def bit_class(self) -> str:
@@ -69,7 +71,7 @@ class _Planned:
 
 @dataclass(frozen=True, slots=True)
 class StateFault(_Planned):
-    """One bit of one field of one publication of an inter-kernel state, once.
+    """One bit of one field of one publication of an inter-kernel state, once, or of several publications.
 
     Attributes:
         where: State, field, element.
@@ -79,6 +81,13 @@ class StateFault(_Planned):
         stratum: Stratum of the draw, e.g. "sign_exponent" (see faults/strata.py), "" where named by hand.
         weight: Probability that a bit drawn from the whole word falls in the stratum, for whole-word rates.
         seed: Seed of the draw.
+        lasts_s: Time for which the bit is stuck at its flipped value, in every publication (s); "inf" = for ever.
+        share: Probability that a publication after the first one is changed, drawn by the seed; 1 = all.
+        width: Number of adjacent bits that are flipped, from `bit` on.
+        times: Number of publications, recomputed ones included, in which the bit is stuck at least.
+
+    Raises:
+        BadInputError: A number out of range.
     """
 
     level: ClassVar[Literal["state"]] = "state"
@@ -88,6 +97,23 @@ class StateFault(_Planned):
     stratum: str = ""
     weight: float = 1.0
     seed: int = 0
+    lasts_s: float = 0.0
+    share: float = 1.0
+    width: int = 1
+    times: int = 1
+
+    def __post_init__(self) -> None:
+        for key, right, allowed in (
+            ("lasts_s", self.lasts_s >= 0.0, "0 or more"), ("share", 0.0 < self.share <= 1.0, "above 0, to 1"),
+            ("width", self.width >= 1, "1 or more"), ("times", self.times >= 1, "1 or more"),
+        ):  # fmt: skip
+            if not right:
+                raise BadInputError(f"fault in {self.site}: {key}: {getattr(self, key)}: allowed: {allowed}")
+
+    @property
+    def lasting(self) -> bool:
+        """Whether more than one publication is changed."""
+        return self.times > 1 or self.lasts_s > 0.0
 
     @property
     def site(self) -> str:
@@ -95,24 +121,75 @@ class StateFault(_Planned):
         return str(self.where)
 
     @property
-    def has_site(self) -> bool:
-        """Whether the golden flight had a publication to change when the fault was drawn."""
-        return self.time_us != NO_SITE
-
-    @property
     def bit_class(self) -> str:
         """Class of the bit in the field's type; "" for a null fault."""
         field = STATES[self.where.state].find(self.where.field)
         return "" if self.bit is None else strata.bit_class(field, self.bit)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; what is said only of faults that last or are wider than a bit is left out of the others."""
+        own = {name: value for name, value in LIFETIME.items() if getattr(self, name) == value}
+        data = {name: value for name, value in _Planned.to_json(self).items() if name not in own}
+        return data | ({"lasts_s": "inf"} if data.get("lasts_s") == float("inf") else {})
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
         """Inverse of `to_json`, without the level; a BadInputError if there is no such field or bit."""
         fault = checked(cls, data, "fault of level state")
         bits = strata.WORD_BITS[find_state(fault.where.state).find(fault.where.field).dtype]
-        if fault.bit is not None and not 0 <= fault.bit < bits:
-            raise BadInputError(f"fault in {fault.site}: bit {fault.bit}; allowed: 0 to {bits - 1}")
+        if fault.bit is not None and not 0 <= fault.bit <= bits - fault.width:
+            raise BadInputError(f"fault in {fault.site}: bit {fault.bit}; allowed: 0 to {bits - fault.width}")
         return fault
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryFault(_Planned):
+    """One bit of a word that a kernel remembers, at an instant.
+
+    Attributes:
+        kernel: As in `states.KERNELS`.
+        field: Name of the word in its memory, e.g. "decisions.acted_seq" (see `pipeline.words`).
+        index: Of the word, where several have the name.
+        dtype: Type of the word: "f8", "f4", "i8", "i4", "i2", "u8", "u1" or "?".
+        time_us: Before the steps of this instant; `NO_SITE` = the golden flight had no such word when it was drawn.
+        bit: Bit that is flipped; None = null fault: the whole path through the injector with an empty mask.
+        stratum: Stratum of the draw, e.g. "sign_exponent" (see faults/strata.py), "" = whole words.
+        weight: Probability that a bit drawn from the whole words of its target falls in the stratum.
+        seed: Seed of the draw.
+
+    Raises:
+        BadInputError: There is no such kernel, type or bit.
+    """
+
+    level: ClassVar[Literal["memory"]] = "memory"
+    kernel: str
+    field: str
+    index: int | None = None
+    dtype: str = "f8"
+    time_us: int = 0
+    bit: int | None = None
+    stratum: str = ""
+    weight: float = 1.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for value, allowed in ((self.kernel, KERNELS), (self.dtype, strata.WORD_BITS)):
+            if value not in allowed:
+                raise BadInputError(f"fault in {self.site}: {value!r}: allowed: {', '.join(allowed)}")
+        bits = strata.WORD_BITS[self.dtype]
+        if self.bit is not None and not 0 <= self.bit < bits:
+            raise BadInputError(f"fault in {self.site}: bit {self.bit}; allowed: 0 to {bits - 1}")
+
+    @property
+    def site(self) -> str:
+        """Kernel, field and index as text."""
+        index = "" if self.index is None else f"[{self.index}]"
+        return f"memory:{self.kernel}.{self.field}{index}"
+
+    @property
+    def bit_class(self) -> str:
+        """Class of the bit in the word's type; "" for a null fault."""
+        return "" if self.bit is None else strata.bit_class(self, self.bit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,10 +382,10 @@ class RegisterFault(_Planned):
         return None
 
 
-Fault = StateFault | InstructionFault | MessageFault | RegisterFault
+Fault = StateFault | MemoryFault | InstructionFault | MessageFault | RegisterFault
 """A planned fault of any level."""
 LEVELS: dict[str, type[Fault]] = {
-    kind.level: kind for kind in (StateFault, InstructionFault, MessageFault, RegisterFault)
+    kind.level: kind for kind in (StateFault, MemoryFault, InstructionFault, MessageFault, RegisterFault)
 }
 
 

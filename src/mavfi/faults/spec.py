@@ -1,5 +1,6 @@
 """Faults as text: `null`, `state:planning.waypoint.x`, `state:planning.trajectory.x[3]:bit=62@5.0`."""
 
+import dataclasses
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -8,16 +9,22 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import MODELS, RESTART_S, FaultSite, Model, StateFault
+from mavfi.faults.fault import LIFETIME, MODELS, RESTART_S, FaultSite, Model, StateFault
 from mavfi.faults.sampling import draw_publication, live_fields, stream
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight_log import Profile
-from mavfi.states import STATES, Field, StateSpec, states_with
+from mavfi.states import KERNELS, STATES, Field, StateSpec, states_with
 
-FORM = "null, state:STATE[.FIELD][[ELEMENT]][:bit=N][@SECONDS], or instruction:KERNEL[:which=CLASS][:model=MODEL]"
-_PATTERN = re.compile(
-    r"(?P<path>[^:@\[\]]+)(\[(?P<element>\d+)\])?(:bit=(?P<bit>\d+))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?"
+FORM = (
+    "null, state:STATE[.FIELD][[ELEMENT]][:bit=N][:width=N][:times=N][:lasts=S][:share=P][@SECONDS], "
+    "memory:KERNEL[.FIELD][[INDEX]][:bit=N][@SECONDS], or "
+    "instruction:KERNEL[:which=CLASS][:model=MODEL]"
 )
+_PATTERN = re.compile(
+    r"(?P<path>[^:@\[\]]+)(\[(?P<element>\d+)\])?(:bit=(?P<bit>\d+))?(:width=(?P<width>\d+))?(:times=(?P<times>\d+))?"
+    r"(:lasts=(?P<lasts>inf|\d+(\.\d*)?))?(:share=(?P<share>\d+(\.\d*)?))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?"
+)
+_MEMORY = re.compile(r"(?P<path>[^:@]+)(:bit=(?P<bit>\d+))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?")
 _INSTRUCTION = re.compile(r"(?P<kernel>\w+)(:which=(?P<which>.+?))?(:model=(?P<model>\w+))?")
 _LONGEST = 1e9
 
@@ -26,7 +33,7 @@ _LONGEST = 1e9
 class StateRequest:
     """A fault in a state as a user names it: field, element of its list, bit, earliest instant; what is None is drawn.
 
-    A null fault flips nothing.
+    A null fault flips nothing; `lifetime` has the keys of `fault.LIFETIME` that were named.
     """
 
     state: StateSpec
@@ -35,6 +42,7 @@ class StateRequest:
     bit: int | None = None
     time_us: int | None = None
     null: bool = False
+    lifetime: Mapping[str, Any] = dataclasses.field(default_factory=dict, hash=False)
 
     @property
     def needs_profile(self) -> bool:
@@ -51,16 +59,16 @@ class StateRequest:
             profile: Publications of the golden flight, where `needs_profile`.
         """
         random = stream(seed, "spec", self.state.name)
-        field = self._field(random, stack)
+        field, width = self._field(random, stack), self.lifetime.get("width", 1)
         where = FaultSite(self.state.name, field.name, self.element)
         time_us = self.time_us or 0
         if self.needs_profile:
             drawn, element = draw_publication(random, self._later(profile or Profile()), where)
             where = FaultSite(self.state.name, field.name, element)
             time_us = drawn if self.time_us is None else self.time_us
-        drawn_bit = int(random.integers(WORD_BITS[field.dtype])) if self.bit is None else self.bit
+        drawn_bit = int(random.integers(WORD_BITS[field.dtype] - width + 1)) if self.bit is None else self.bit
         bit = None if self.null else drawn_bit
-        return StateFault(where, time_us, bit, seed=seed)
+        return StateFault(where, time_us, bit, seed=seed, **self.lifetime)
 
     def _field(self, random: np.random.Generator, stack: str) -> Field:
         if self.field is not None:
@@ -68,8 +76,8 @@ class StateRequest:
         fields = [self.state.find(name) for name in live_fields(self.state, stack)]
         if self.element is not None:
             fields = [field for field in fields if self.state.in_elements(field.name)]
-        if self.bit is not None:
-            fields = [field for field in fields if self.bit < WORD_BITS[field.dtype]]
+        bits = (self.bit or 0) + self.lifetime.get("width", 1)
+        fields = [field for field in fields if bits <= WORD_BITS[field.dtype]]
         return fields[int(random.integers(len(fields)))]
 
     def _later(self, profile: Profile) -> Profile:
@@ -79,6 +87,23 @@ class StateRequest:
             return profile
         later = np.flatnonzero((profile.times_us[name] >= self.time_us) & (profile.counts[name] > 0))[:1]
         return Profile({name: profile.times_us[name][later]}, {name: profile.counts[name][later]})
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryRequest:
+    """A fault in the memory of a kernel as a user names it; what is not named is drawn by exposure.
+
+    Attributes:
+        kernel: As in `states.KERNELS`.
+        field: Name of words, or a part of it, with an index if wanted (see `pipeline.words.Words.named`); "" = all.
+        bit: None = drawn from the whole word.
+        time_us: None = drawn from the golden flight.
+    """
+
+    kernel: str
+    field: str = ""
+    bit: int | None = None
+    time_us: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +130,15 @@ class InstructionRequest:
         return next(iter(self.kernels))
 
 
-def parse(text: str, localization: str = "truth") -> StateRequest | InstructionRequest:
+Request = StateRequest | MemoryRequest | InstructionRequest
+
+
+def parse(text: str, localization: str = "truth") -> Request:
     """Read a fault from the command line.
 
     Args:
-        text: `null` (the empty mask on the way-point in force), `state:` and a site, or `instruction:` and a kernel.
+        text: `null` (the empty mask on the way-point in force), `state:` and a site, `memory:` and a kernel with a name
+            of what it remembers, or `instruction:` and a kernel.
         localization: "truth" or "estimator", which decides what states there are.
 
     Raises:
@@ -144,7 +173,28 @@ def _parse_null(text: str, rest: str, localization: str) -> StateRequest:
 
 
 def _refuse_register(text: str, _rest: str, _localization: str) -> NoReturn:
-    raise BadInputError(f"fault {text!r}: registers are injected by mavfi inject; allowed: state, instruction")
+    raise BadInputError(f"fault {text!r}: registers are injected by mavfi inject; allowed: state, memory, instruction")
+
+
+def _parse_memory(text: str, rest: str, localization: str) -> MemoryRequest:
+    match = _MEMORY.fullmatch(rest)
+    if match is None:
+        _not_understood(text, rest, localization)
+    kernel, _, field = match["path"].partition(".")
+    known = [spec.name for spec in KERNELS.values() if spec.only_with in ("", localization)]
+    if kernel not in known:
+        raise BadInputError(f"fault {text!r}: no kernel {kernel!r}; allowed: {', '.join(known)}")
+    bit = None if match["bit"] is None else int(match["bit"])
+    return MemoryRequest(kernel, field, bit, _instant(text, match["time"]))
+
+
+def _instant(text: str, seconds: str | None) -> int | None:
+    """An instant as text (s) in us."""
+    if seconds is None:
+        return None
+    if not float(seconds) < _LONGEST:
+        raise BadInputError(f"fault {text!r}: instant {seconds} s; allowed: 0 to {_LONGEST:g}")
+    return round(float(seconds) * 1e6)
 
 
 def _parse_instruction(text: str, rest: str, localization: str) -> InstructionRequest:
@@ -177,12 +227,21 @@ def _parse_state(text: str, rest: str, localization: str) -> StateRequest:
     if element is not None and not has_elements:
         raise BadInputError(f"fault {text!r}: element [{element}]: {named} is no list; allowed: no element")
     bits = max(WORD_BITS[candidate.dtype] for candidate in fields)
-    if bit is not None and bit >= bits:
-        raise BadInputError(f"fault {text!r}: no bit {bit} in {named}; allowed: 0 to {bits - 1}")
-    seconds = match["time"]
-    if seconds is not None and not float(seconds) < _LONGEST:
-        raise BadInputError(f"fault {text!r}: instant {seconds} s; allowed: 0 to {_LONGEST:g}")
-    return StateRequest(spec, field, element, bit, None if seconds is None else round(float(seconds) * 1e6))
+    lifetime = _lifetime(match)
+    last = (bit or 0) + lifetime.get("width", 1) - 1
+    if last >= bits:
+        raise BadInputError(f"fault {text!r}: no bit {last} in {named}; allowed: 0 to {bits - 1}")
+    try:
+        StateFault(FaultSite(spec.name, field or spec.fields[0].name), **lifetime)
+    except BadInputError as error:
+        raise BadInputError(f"fault {text!r}: {error}") from None
+    return StateRequest(spec, field, element, bit, _instant(text, match["time"]), lifetime=lifetime)
+
+
+def _lifetime(match: re.Match[str]) -> dict[str, Any]:
+    """The keys of `LIFETIME` that are named."""
+    found = {name: match[name.removesuffix("_s")] for name in LIFETIME}
+    return {name: type(LIFETIME[name])(value) for name, value in found.items() if value is not None}
 
 
 def _find(text: str, path: str, localization: str) -> tuple[StateSpec, str | None]:
@@ -200,8 +259,9 @@ def _find(text: str, path: str, localization: str) -> tuple[StateSpec, str | Non
 
 
 _STATE_PARSERS: dict[str, Callable[[str, str, str], StateRequest]] = {"null": _parse_null, "state": _parse_state}
-_PARSERS: dict[str, Callable[[str, str, str], StateRequest | InstructionRequest]] = {
+_PARSERS: dict[str, Callable[[str, str, str], Request]] = {
     **_STATE_PARSERS,
+    "memory": _parse_memory,
     "instruction": _parse_instruction,
     "register": _refuse_register,
 }

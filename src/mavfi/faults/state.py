@@ -1,4 +1,4 @@
-"""State-level faults: one bit of one field of one published inter-kernel state, once."""
+"""State-level faults: one bit of one field of one published inter-kernel state, once, or for a time."""
 
 from copy import copy
 from dataclasses import replace
@@ -7,12 +7,15 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, StateFault
+from mavfi.faults.sampling import stream
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight_log import Injection
 from mavfi.states import STATES, State, StateSpec, find_state
 
+Number = float | int | bool
 
-def flip(state: State, site: FaultSite, bit: int | None) -> tuple[State, float | int | bool, float | int | bool]:
+
+def flip(state: State, site: FaultSite, bit: int | None, width: int = 1) -> tuple[State, Number, Number]:
     """Flip one bit of one field in a copy of a state; gives the copy, and the field's value before and after.
 
     Args:
@@ -20,13 +23,27 @@ def flip(state: State, site: FaultSite, bit: int | None) -> tuple[State, float |
         site: Field, and element where the field belongs to the elements (clamped to those that are there).
         bit: 0 = least significant bit of the field (IEEE 754 binary32 or binary64, two's complement); a flag has
             bit 0 only; None = flip nothing.
+        width: Number of bits, from that one on.
 
     Raises:
         BadInputError: The field has no such bit, or the state has no element.
     """
-    described = state.spec.find(site.field)
-    if bit is not None and not 0 <= bit < WORD_BITS[described.dtype]:
-        raise BadInputError(f"{site}: no bit {bit}; allowed: 0 to {WORD_BITS[described.dtype] - 1}")
+    bits = WORD_BITS[state.spec.find(site.field).dtype]
+    if bit is not None and not 0 <= bit <= bits - width:
+        raise BadInputError(f"{site}: no bit {bit + width - 1 if bit >= 0 else bit}; allowed: 0 to {bits - 1}")
+    changed, before, after, _ = _with_bits(state, site, mask_of(bit, width))
+    return changed, before, after
+
+
+def mask_of(bit: int | None, width: int) -> int:
+    """Adjacent bits of a word, from one on; None = no bit."""
+    return 0 if bit is None else ((1 << width) - 1) << bit
+
+
+def _with_bits(
+    state: State, site: FaultSite, mask: int, stuck: int | None = None
+) -> tuple[State, Number, Number, int]:  # fmt: skip
+    """A copy with some bits of a field flipped, or as those of the word `stuck`; its value before, after, its word."""
     changed = state.copy()
     in_elements = state.spec.in_elements(site.field)
     container = changed.elements if in_elements else changed.header
@@ -34,12 +51,14 @@ def flip(state: State, site: FaultSite, bit: int | None) -> tuple[State, float |
         raise BadInputError(f"{site}: the state carries no {state.spec.element} to change")
     row = min(site.element or 0, len(container) - 1) if in_elements else 0
     before = container[site.field][row].item()
-    if bit is not None:
-        names = container.dtype.fields
-        assert names is not None  # states are structured arrays
-        offset = row * container.dtype.itemsize + names[site.field][1] + bit // 8
-        container.view(np.uint8)[offset] ^= np.uint8(1 << bit % 8)
-    return changed, before, container[site.field][row].item()
+    names = container.dtype.fields
+    assert names is not None  # states are structured arrays
+    start, size = row * container.dtype.itemsize + names[site.field][1], names[site.field][0].itemsize
+    raw = container.view(np.uint8)[start : start + size]
+    word = int.from_bytes(raw.tobytes(), "little")
+    word = (word & ~mask) | ((~word if stuck is None else stuck) & mask)
+    raw[:] = np.frombuffer(word.to_bytes(size, "little"), np.uint8)
+    return changed, before, container[site.field][row].item(), word
 
 
 class ActedOn:
@@ -100,7 +119,7 @@ class CounterWatch:
 
 
 class StateInjector:
-    """A tap that injects one fault, once; every other publication passes untouched."""
+    """A tap that injects one fault, once or while it lasts; every other publication passes untouched."""
 
     def __init__(self, fault: StateFault, watch: CounterWatch | None = None) -> None:
         """Arm the fault; `watch` has seen the publications before this injector is put in, None = there were none."""
@@ -112,6 +131,8 @@ class StateInjector:
         self._in_elements = self._spec.in_elements(fault.where.field)
         self._spec.find(fault.where.field)
         self._armed = fault.has_site
+        self._since_us, self._stuck = 0, 0
+        self._seen, self._changed = 0, 0  # publications since the fault began, and those that it changed
 
     def copy(self) -> "StateInjector":
         """One that has done the same, and then does other things."""
@@ -125,27 +146,47 @@ class StateInjector:
         return not self._armed
 
     def __call__(self, state: State, time_us: int) -> State:
-        """The publication itself, or, once, a copy with a bit flipped; `time_us` is now."""
+        """The publication itself, or a copy with a bit flipped or stuck; `time_us` is now."""
         if state.spec is not self._spec or not self._armed:
             return state
-        acted_on = self._acted_on(state)
-        if not acted_on or time_us < self._fault.time_us or (self._in_elements and len(state.elements) == 0):
+        acted_on, empty = self._acted_on(state), self._in_elements and len(state.elements) == 0
+        if empty or (not self._seen and (not acted_on or time_us < self._fault.time_us)):
             return state
-        self._armed = False
-        return self._inject(state, time_us)
+        if self._seen and not self._lasts(time_us):
+            return state
+        self._seen += 1
+        self._armed = self._seen < self._fault.times or self._fault.lasts_s > 0.0
+        return self._inject(state, time_us) if self._seen == 1 or self._hits() else state
+
+    def _lasts(self, time_us: int) -> bool:
+        fault = self._fault
+        self._armed = self._seen < fault.times or time_us - self._since_us <= 1e6 * fault.lasts_s
+        return self._armed
+
+    def _hits(self) -> bool:
+        """Whether an intermittent fault changes this publication: a function of the seed and its number."""
+        fault = self._fault
+        return fault.share == 1.0 or stream(fault.seed, "share", self._seen).random() < fault.share
 
     def _inject(self, state: State, time_us: int) -> State:
-        fault, site = self._fault, self._fault.where
+        fault, site, first = self._fault, self._fault.where, not self._changed
         if self._in_elements:
             # the list may be shorter than in the golden flight; the record names what was injected
             site = replace(site, element=min(site.element or 0, len(state.elements) - 1))
-        injected, before, after = flip(state, site, fault.bit)
-        activated = injected.same_bits(state) == (fault.bit is None)
-        self.injections.append(Injection(fault.level, str(site), time_us / 1e6, fault.bit, before, after, activated))
+        mask = mask_of(fault.bit, fault.width)
+        injected, before, after, word = _with_bits(state, site, mask, None if first else self._stuck)
+        self._changed += 1
+        if first:
+            self._since_us, self._stuck = time_us, word
+            activated = injected.same_bits(state) == (fault.bit is None)
+            injection = Injection(fault.level, str(site), time_us / 1e6, fault.bit, before, after, activated)
+            self.injections.append(injection)
         return injected
 
     def finish(self) -> list[Injection]:
-        """The injections; if the publication never came, one record that says so."""
+        """The injection, where it lasts with the number of publications; one that says so if none ever came."""
+        if self.injections and self._fault.lasting:
+            return [replace(self.injections[0], details={"publications": self._changed})]
         if not self.injections:
             fault = self._fault
             time_s = fault.time_us / 1e6 if fault.has_site else 0.0

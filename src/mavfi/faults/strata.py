@@ -4,16 +4,30 @@ The paper finds that sign and exponent decide (section III-C); pooled over all b
 So bits are drawn per stratum, and each draw keeps the weight that leads back to a whole word.
 """
 
-from mavfi.errors import BadInputError
-from mavfi.states import Field
+from typing import Protocol
 
-WORD_BITS = {"f8": 64, "f4": 32, "i4": 32, "?": 1}
-"""Bits of a field by its type; a flag has one, and flipping it inverts the flag."""
+from mavfi.errors import BadInputError
+
+WORD_BITS = {"f8": 64, "f4": 32, "i8": 64, "i4": 32, "i2": 16, "u8": 64, "u1": 8, "?": 1}
+"""Bits of a word by its type; a flag has one, and flipping it inverts the flag."""
+
+
+class Typed(Protocol):
+    """A field of a state, or a word of a memory."""
+
+    @property
+    def dtype(self) -> str:
+        """NumPy type string, a key of `WORD_BITS`."""
+
 
 _CLASSES: dict[str, dict[str, range]] = {
     "f8": {"sign": range(63, 64), "exponent": range(52, 63), "mantissa": range(52)},
     "f4": {"sign": range(31, 32), "exponent": range(23, 31), "mantissa": range(23)},
+    "i8": {"sign": range(63, 64), "other": range(63)},
     "i4": {"sign": range(31, 32), "other": range(31)},
+    "i2": {"sign": range(15, 16), "other": range(15)},
+    "u8": {"other": range(64)},
+    "u1": {"other": range(8)},
     "?": {"flag": range(1)},
 }
 
@@ -24,12 +38,12 @@ STRATA: dict[str, tuple[str, ...]] = {
     "exponent": ("exponent",),
 }
 """Bit classes of each stratum.  The first two part every word in two; the headline figures are of the first one.
-Integers count with sign and other bits, a flag's only bit with the headline."""
+Integers count with sign and other bits, a flag's only bit with the headline; what has no sign has other bits only."""
 
 HEADLINE = "sign_exponent"
 
 
-def bits_of(field: Field, stratum: str) -> range:
+def bits_of(field: Typed, stratum: str) -> range:
     """Bits of a field in a stratum, empty where its type has none; a BadInputError if there is no such stratum."""
     if stratum not in STRATA:
         raise BadInputError(f"stratum {stratum!r}: not known; allowed: {', '.join(STRATA)}")
@@ -39,11 +53,11 @@ def bits_of(field: Field, stratum: str) -> range:
     return range(min(part.start for part in parts), max(part.stop for part in parts))
 
 
-def bit_class(field: Field, bit: int) -> str:
+def bit_class(field: Typed, bit: int) -> str:
     """Class of one bit: "sign", "exponent", "mantissa", "other" (integers) or "flag"."""
     return next(name for name, bits in _CLASSES[field.dtype].items() if bit in bits)
 
 
-def word_share(field: Field, stratum: str) -> float:
+def word_share(field: Typed, stratum: str) -> float:
     """Share of the field's bits that belong to the stratum."""
     return len(bits_of(field, stratum)) / WORD_BITS[field.dtype]

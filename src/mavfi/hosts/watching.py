@@ -42,6 +42,7 @@ def detector_for(
         "v_max": scenario.v_max,
         "planner": scenario.planner.name,
         "limits": limits_of(scenario, world),
+        "seed": scenario.seed,
     }
     return load_detector(name, profile, models_dir, fits)
 

@@ -159,6 +159,17 @@ def kernel_jit(function: F) -> F:
     return cast(F, compiled)
 
 
+def entry(function: F, *arguments: Any) -> F:  # noqa: ANN401 - examples, of which the types count
+    """Machine code of a function for arguments of the types of these, to be called with such alone.
+
+    A dispatcher looks up the types of its arguments at each call, which takes longer than short functions do.  What is
+    no dispatcher (plain Python, an instrumented function) is given back as it is.
+    """
+    if not isinstance(function, Kernel):
+        return function
+    return cast(F, function.compile(tuple(map(numba.typeof, arguments))))
+
+
 def uncached_copy(dispatcher: Any) -> Any:
     """A dispatcher of the same function with the same flags that has its IR, which code loaded from a cache lacks."""
     flags, locals_ = dict(dispatcher.targetoptions), dict(dispatcher.locals)

@@ -52,6 +52,9 @@ class OccupancyMap(Protocol):
     def same(self, saved: Any) -> bool:  # noqa: ANN401
         """Whether `save` would give the same, bit for bit."""
 
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What it remembers as numbers, by name: its own arrays, no copies."""
+
 
 class DenseMap:
     """Log-odds in an array.
@@ -124,6 +127,10 @@ class DenseMap:
         changes, takes_back = saved
         return self._takes_back == takes_back and self._changes.same(changes, int(takes_back))
 
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Log-odds of the voxels; stamps only have to be new."""
+        return {"log_odds": self.log_odds}
+
 
 class OctreeMap:
     """Log-odds in an octree, which takes more memory when it needs it; arguments as of `DenseMap`.
@@ -194,6 +201,12 @@ class OctreeMap:
         """Whether the nodes are the same, in the same places, now and at the last mark."""
         nodes, marked = saved
         return _same_nodes(octree.compact_copy(self.tree), nodes) and _same_nodes(self._marked, marked)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Children and log-odds of the nodes that were ever used, and the counters."""
+        used = len(octree.compact_copy(self.tree).log_odds)
+        tree = self.tree
+        return {"children": tree.children[:used], "log_odds": tree.log_odds[:used], "counters": tree.counters}
 
 
 def _same_nodes(one: Octree, other: Octree) -> bool:

@@ -42,6 +42,9 @@ class Keeper(Protocol):
     def same(self, saved: Any) -> bool:  # noqa: ANN401
         """Whether it is what it was when `save` gave this, bit for bit."""
 
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What it remembers as numbers, by name: its own arrays, no copies."""
+
 
 Saved = tuple[Memory, tuple[Any, ...]]
 """Copies of a kernel's memory, and of its keepers."""
@@ -168,3 +171,7 @@ class Foreign(Generic[Content]):
             return pickle.dumps(self.content) == pickle.dumps(saved)
         except Exception:  # noqa: BLE001 - whatever a user's object raises
             return False
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """None: nothing is known of it."""
+        return {}

@@ -83,3 +83,7 @@ class Room:
         changes, marked, updates = saved
         revocable = len(self._changes) - self._marked
         return self.updates == updates and revocable == len(changes) - marked and self._changes.same(changes, revocable)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Cells and counters."""
+        return {"cells": self.cells, "wide": self.wide, "narrow": self.narrow}

@@ -86,6 +86,10 @@ class Routes:
             return bool((self.random == saved).all())
         return self._searches.same(saved)
 
+    def arrays(self) -> dict[str, np.ndarray]:
+        """State of the generator; of a planner of a user's own nothing is known."""
+        return {"random": self.random} if isinstance(self.search, SamplingSearch) else {}
+
     def between(self, start: np.ndarray, counter: np.ndarray, goal: np.ndarray | None = None) -> np.ndarray | None:
         """Vertices from (next to) `start` to (next to) the goal (None = the mission's) in `counter`, or None."""
         config, room = self._config, self.room

@@ -107,6 +107,7 @@ def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -
 
 _ABSENT = {
     "state": ("published", "no such publication came"),
+    "memory": ("remembered", "the kernel did not remember such a word then"),
     "instruction": ("executed", "the instruction was not executed"),
 }
 """By level: what the golden run never did at an absent site, and why a fault was not activated."""

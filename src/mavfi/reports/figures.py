@@ -206,7 +206,7 @@ def _signed(share: float, _: float) -> str:
 
 
 # ---- sites -------------------------------------------------------------------------------------------------------
-_SITES = {"state": "state", "instruction": "kernel", "message": "site", "register": "site"}
+_SITES = {"state": "state", "memory": "kernel", "instruction": "kernel", "message": "site", "register": "site"}
 """Column whose values are compared, by level."""
 
 

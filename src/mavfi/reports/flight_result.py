@@ -30,6 +30,8 @@ class FlightResult:
         golden: Its golden run with the same detector; None where the flight is golden itself.
         fault: What was injected; None = nothing.
         detector: Name and profile, e.g. "gaussian (paper)"; "" = none watched.
+        unwatched: The flight with the same fault without the detector and the keys of a mission that go with it; None
+            where no detector watched, or nothing was injected.
     """
 
     scenario: Scenario
@@ -37,6 +39,7 @@ class FlightResult:
     golden: Flight | None = None
     fault: Fault | None = None
     detector: str = ""
+    unwatched: Flight | None = None
 
     def __repr__(self) -> str:
         mission = f"{self.scenario.environment.name}, seed {self.scenario.seed}"
@@ -87,8 +90,9 @@ class FlightResult:
             status, status_text, flight_time_s, energy_j, distance_m, battery_used, digest, injections, alarms, replans,
             events (counts by kind), what flew (environment, seed, autopilot, platform, planner, map, vehicle, v_max,
             wind, localization, detector, start, goal, course_m, time_limit_s), fault, effect, kernel (what the injected
-            call did; its flight goes on with a restart of the node where that died), and golden (the figures of the
-            golden run); the last four are null for a golden flight, kernel also for faults of other levels.
+            call did; its flight goes on with a restart of the node where that died), golden (the figures of the golden
+            run), and without_detector (those of the flight with the same fault); the last five are null for a golden
+            flight, kernel also for faults of other levels, without_detector where none watched.
         """
         log, scenario = self.flight.log, self.scenario
         return {
@@ -106,6 +110,8 @@ class FlightResult:
             "kernel": None if log.kernel is None else asdict(log.kernel),
             "golden": None if self.golden is None or self.golden_record is None
             else _figures(self.golden.log, self.golden_record),
+            "without_detector": None if self.unwatched is None
+            else _figures(self.unwatched.log, record_of(self.unwatched.log)),
         }  # fmt: skip
 
 

@@ -86,7 +86,7 @@ def draw_flight(
             for course in courses:
                 axes.plot(course.points[:, 0], course.points[:, index], **course.look)
         handles = [*map(_line, courses), *_draw_marks(figure, views, marks)]
-        _label(figure, views, flight, golden)
+        _label(figure, views, flight, golden, recovered)
         _legend(figure, handles, rows, known, flight.world)
         for axes, index in views:
             axes.set_xlim(lower[0], upper[0])
@@ -97,7 +97,9 @@ def draw_flight(
 def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None, detector: str) -> list[_Drawn]:
     courses = []
     if golden is not None:
-        look = {"color": style.BLUE, "linewidth": 1.2, "zorder": 6}
+        thin = {"color": style.BLUE, "linewidth": 1.2, "zorder": 6}
+        wide = {"color": style.SKY, "linewidth": 6.0, "zorder": 4}  # seen even where all three are the same path
+        look = thin if recovered is None else wide
         courses.append(_Drawn("golden run", _positions(golden), look))
     injected = bool(flight.log.injections)
     watched = "" if recovered is not None or not detector else f"detector {detector}"
@@ -279,15 +281,17 @@ def _draw_marks(figure: Figure, views: Views, marks: list[_Drawn]) -> list[Line2
     return handles
 
 
-def _label(figure: Figure, views: Views, flight: Flight, golden: Flight | None) -> None:
+def _label(figure: Figure, views: Views, flight: Flight, golden: Flight | None, recovered: Flight | None) -> None:
     (above, _), (side, _) = views
     scenario = flight.log.meta["scenario"]
     height = figure.get_figheight()
     title = f"{scenario['environment']['name']} · seed {scenario['seed']} · autopilot {scenario['stack']['name']}"
     figure.text(0.6 / _WIDTH, 1 - 0.24 / height, title, fontsize=12.5, fontweight="bold", va="center")
-    below = f"{flight.log.column('time')[-1]:.1f} s"
+    below = _ending(flight)
+    if recovered is not None:
+        below += f", with the detector {_ending(recovered)}"
     if golden is not None:
-        below += f" (golden run {golden.log.column('time')[-1]:.1f} s)"
+        below += f" (golden run {_ending(golden)})"
     for injection in flight.log.injections:
         if injection.activated and injection.bit is not None:
             before, after = change(injection.before, injection.after, digits=4)
@@ -301,6 +305,13 @@ def _label(figure: Figure, views: Views, flight: Flight, golden: Flight | None) 
     beside = "along the path" if flight.world.is_voxels else "obstacles near the path"
     heights = f"from the side: {beside}; heights × {_SIDE_STRETCH:g}"
     side.text(0, 1.02, heights, transform=side.transAxes, color=style.GREY, va="bottom")
+
+
+def _ending(flight: Flight) -> str:
+    """When a flight ended, and how, unless at the goal."""
+    time = f"{flight.log.column('time')[-1]:.1f} s"
+    success = flight.log.status is MissionStatus.SUCCESS
+    return time if success else f"{flight.log.status.label.replace('_', ' ')} at {time}"
 
 
 def _line(course: _Drawn) -> Line2D:

@@ -58,7 +58,15 @@ def test_modules_of_the_ros_host_need_no_ros_to_be_imported():
         (["--kill", "world@3"], "allowed: point_cloud, octomap"),
         (["--coupling", "observer"], "--detector"),
         (["--coupling", "both", "--detector", "gaussian"], "inline, observer"),
-        (["--dead-node", "readback"], "dead_node: 'readback': on ROS, roslaunch starts nodes again without memory"),
+        (["--dead-node", "recompute"], "dead_node: 'recompute': on ROS, what a process computes dies with it"),
+        (
+            ["--dead-node", "readback", "--free-running"],
+            "dead_node: 'readback': not with --free-running; allowed: fresh",
+        ),
+        (
+            ["--detector", "gaussian", "--grain", "kernel", "--free-running"],
+            "grain: 'kernel': not with --free-running; allowed: stage",
+        ),
         (["--fault-seed", "3"], "--fault"),
         (["--fault", "state:no.such"], "no state"),
         (["--seed", "-1"], "--seed"),
@@ -73,11 +81,13 @@ def test_bad_input_is_one_line_and_exit_code_2(capsys, monkeypatch, arguments, t
     assert text.count("\n") == 1 and told in text
 
 
-def test_a_campaign_on_ros_refuses_other_policies_for_dead_nodes_too():
+def test_a_campaign_on_ros_refuses_that_a_dead_step_is_repeated_too():
     host = Ros1Host()
     assert host.resolve(MissionSpec(dead_node="restart")).dead_node == "fresh"
-    with pytest.raises(BadInputError, match="dead_node: 'latched': on ROS, .*; allowed: fresh$"):
-        host.resolve(MissionSpec(dead_node="latched"))
+    with pytest.raises(
+        BadInputError, match="dead_node: 'recompute': on ROS, .*; allowed: end, fresh, latched, readback$"
+    ):
+        host.resolve(MissionSpec(dead_node="recompute"))
 
 
 def test_packages_are_named_once_and_leave_the_big_ones_out():

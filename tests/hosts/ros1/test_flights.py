@@ -25,15 +25,10 @@ from mavfi.hosts.ros1.session import configure
 from mavfi.hosts.ros1.session import fly as fly_there
 from mavfi.mission import MissionSpec
 from tests.hosts.missions import Scripted, fault, golden, mission
+from tests.hosts.ros1.flights import NODES, same, short, there
 from tests.hosts.ros1.needs import ros
 
 pytestmark = [*ros, pytest.mark.slow]
-NODES = ("point_cloud", "octomap", "collision_check", "planner", "waypoint", "pid")
-SHORT = (16.0, 0.0, 3.0)
-
-
-def short(**changes):
-    return resolve(MissionSpec(environment="sparse", seed=7, goal=SHORT, **changes))
 
 
 def detector(name, scenario):
@@ -42,24 +37,12 @@ def detector(name, scenario):
     return load_detector(name, "paper", None, fits)[0]
 
 
-def there(scenario, fault=None, detector=None, **options):
-    return fly_there(Plan(scenario, configure(scenario), fault, detector, **options)).flight.log
-
-
-def same(log, other):
-    """Whether two records agree in everything: bits, events, injections, alarms, counts."""
-    assert log.digest() == other.digest()
-    assert (log.alarms, log.injections) == (other.alarms, other.injections)
-    assert json.loads(json.dumps(log.meta)) == json.loads(json.dumps(other.meta))
-    assert log.events == other.events
-
-
 def left_behind(folder):
     """Processes that belong to the flight with that folder."""
     found = []
-    for path in Path("/proc").glob("[0-9]*/environ"):
+    for path in Path("/proc").glob("[0-9]*/cwd"):
         try:
-            if f"MAVFI_ROS_FLIGHT={folder}".encode() in path.read_bytes() and is_alive(int(path.parent.name)):
+            if os.readlink(path).startswith(str(folder)) and is_alive(int(path.parent.name)):
                 found.append(path.parent.name)
         except OSError:
             pass
@@ -70,6 +53,52 @@ def left_behind(folder):
 def test_a_golden_flight():
     """As is the one of `test_campaign`."""
     same(there(mission()), golden().log)
+
+
+def test_nodes_that_are_new_interpreters_fly_the_same_flight():
+    """All other flights of these tests are flown by forks of one process."""
+    same(there(short(), forked=False), fly_here(short()).log)
+
+
+def test_a_forked_node_is_a_process_of_its_own():
+    """With a name, a command line and a session, and a child of roslaunch."""
+    seen = {}
+
+    def look(folder):
+        thread = threading.Thread(target=lambda: seen.update(nodes_of(folder)))
+        thread.start()
+        threads.append(thread)
+
+    threads = []
+    scenario = short()
+    fly_there(Plan(scenario, configure(scenario)), tell=look)
+    threads[0].join()
+    assert set(seen) == {*NODES, "world"}
+    assert len({process["session"] for process in seen.values()}) == len(seen)
+    for node, process in seen.items():
+        assert process["command"][1:4] == ["-m", "mavfi.hosts.ros1.node", node]
+        assert f"__name:={node}" in process["command"]
+        assert process["parent"] == "roslaunch"
+
+
+def nodes_of(folder):
+    """What /proc says of the nodes of a flight, by their names."""
+    found = {}
+    until = time.monotonic() + 60
+    while len(found) < len(NODES) + 1 and time.monotonic() < until:
+        for path in Path("/proc").glob("[0-9]*"):
+            try:
+                name = (path / "comm").read_text().strip()
+                told = (path / "stat").read_text().rpartition(")")[2].split()
+                if name in (*NODES, "world") and f"{folder}/" in (path / "cmdline").read_text():
+                    found[name] = {
+                        "session": int(told[3]), "parent": Path(f"/proc/{told[1]}/comm").read_text().strip(),
+                        "command": (path / "cmdline").read_text().rstrip("\0").split("\0"),
+                    }  # fmt: skip
+            except OSError:
+                pass
+        time.sleep(0.02)
+    return found
 
 
 def test_a_flight_with_a_state_fault():
@@ -100,7 +129,7 @@ def test_a_flight_with_other_options_of_a_mission():
 def test_a_flight_with_a_fault_and_an_observer():
     scenario = short()
     wrong = fault("planning.waypoint", "x", 4.0, 62)
-    log = there(scenario, wrong, detector("gaussian", scenario), coupling="observer")
+    log = there(scenario, wrong, detector("gaussian", scenario), recovery=Recovery("observer"))
     same(log, fly_here(scenario, wrong, detector("gaussian", scenario), recovery=Recovery("observer")).log)
     assert log.alarms
 
@@ -123,7 +152,7 @@ def test_an_injected_estimate_and_a_detector_that_wants_it_again(coupling):
     def watching():
         return Scripted("perception.odometry", n=700, stage="perception")
 
-    log = there(scenario, wrong, watching(), coupling=coupling)
+    log = there(scenario, wrong, watching(), recovery=Recovery(coupling))
     same(log, fly_here(scenario, wrong, watching(), recovery=Recovery(coupling)).log)
     assert log.injections[0].activated and [alarm.action for alarm in log.alarms] == ["recompute"]
 

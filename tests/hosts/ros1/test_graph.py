@@ -2,11 +2,13 @@
 
 import pytest
 
+from mavfi.detectors.duplicate import Duplicate
+from mavfi.detectors.sealed import Checksum
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD, Graph, face_of
 from mavfi.hosts.ros1.plan import Plan
-from mavfi.hosts.ros1.ports import world_listens
+from mavfi.hosts.ros1.ports import peers, world_listens
 from mavfi.hosts.ros1.session import configure, isolation, launch_text
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import PERIODIC, STATES, Stage
@@ -34,6 +36,14 @@ def test_without_taps_values_go_straight_to_their_readers():
         assert not way.taps
     assert found["sensor.odometry"].readers == ("collision_check", "planner", "waypoint", "pid")
     assert found["planning.path"].readers == ("planner",)
+
+
+@pytest.mark.parametrize("detector", [Checksum(), Duplicate()])
+def test_detectors_that_take_part_in_what_is_not_published_are_refused(detector):
+    with pytest.raises(
+        BadInputError, match=rf"{type(detector).__name__}: takes part in what is not published; allowed"
+    ):
+        Plan(scenario := mission(), configure(scenario), detector=detector)
 
 
 def test_with_an_estimator_its_kernel_is_a_node_and_the_world_reads_what_it_says():
@@ -101,6 +111,15 @@ def test_nodes_come_back_but_the_end_of_the_world_is_the_end():
     assert plan.nodes == (*Graph(KERNELS).nodes, INJECTOR)
     assert text.count('respawn="true"') == len(plan.nodes)
     assert text.count('required="true"') == 1 and 'name="world"' in text
+
+
+def test_peers_have_read_a_value_or_published_it_last():
+    found = ways("planning.waypoint", gate=False)
+    assert peers(found["planning.trajectory"], "planner") == ("collision_check", "waypoint")
+    assert peers(found["perception.point_cloud"], "octomap") == ("point_cloud",)
+    assert peers(found["sensor.depth"], "point_cloud") == (WORLD,)
+    assert peers(found["planning.waypoint"], "pid") == ("collision_check", "planner", INJECTOR)
+    assert peers(ways(None, gate=True)["control.command"], "pid") == (DETECTOR,)
 
 
 def test_values_behind_a_tap_are_held_until_they_count():

@@ -17,6 +17,7 @@ from mavfi.errors import BadInputError
 from mavfi.flight_log import Event, Injection
 from mavfi.hosts.local import fly as fly_here
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.node import nodelets
 from mavfi.hosts.ros1 import finder
 from mavfi.hosts.ros1.nodelet_cloud import points_of
@@ -214,7 +215,7 @@ class TestFlights:
     )
     def test_a_nodelet_that_fails_is_restarted_and_the_flight_goes_on(self, in_time, number, why):
         began = time.monotonic()
-        flown = plan(None, Sender(number), 5, coupling="observer", restart_us=200_000)
+        flown = plan(None, Sender(number), 5, recovery=Recovery("observer"), restart_us=200_000)
         log = fly_there(flown).flight.log
         assert lives(log) == [("node_lost", NODE, why), ("node_back", NODE, None)]
         lost, back = (event for event in log.events if "node_" in event.kind)

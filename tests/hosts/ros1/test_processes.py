@@ -1,6 +1,8 @@
 """What keeps a flight together and takes it down: inbox, supervisor, watchdog."""
 
+import json
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -8,10 +10,14 @@ import time
 
 import pytest
 
+from mavfi.errors import MavfiError
+from mavfi.hosts.ros1 import template
 from mavfi.hosts.ros1.ports import Inbox
+from mavfi.hosts.ros1.processes import isolate
 from mavfi.hosts.ros1.remote import Counter, Watchdog
 from mavfi.hosts.ros1.roll_call import is_alive
 from mavfi.hosts.ros1.supervisor import children
+from tests.hosts.ros1.needs import ABSENT
 
 ORPHANS = """
 import ctypes, os, subprocess, sys, time
@@ -39,6 +45,75 @@ before = reachable()
 loopback_up()
 print(before, reachable())
 """
+
+
+SHOWN = """
+import os, sys
+from pathlib import Path
+from mavfi.hosts.ros1.processes import show_as
+show_as("planner", ["python", "-m", "node", "planner", *sys.argv[2:]])
+print(Path("/proc/self/comm").read_text().strip(), Path("/proc/self/cmdline").read_bytes().rstrip(b"\\0"))
+print(len(Path("/proc/self/environ").read_bytes()) > 0 and os.environ["KEPT"])
+"""
+ISOLATED = """
+import json, os, sys
+from pathlib import Path
+from mavfi.hosts.ros1.processes import isolate
+before = os.readlink("/proc/self/ns/net"), os.getuid()
+isolate(json.loads(sys.argv[1]))
+links = [line.split(":")[0].strip() for line in Path("/proc/self/net/dev").read_text().splitlines()[2:]]
+print(before[0] != os.readlink("/proc/self/ns/net"), links, os.getuid())
+"""
+
+
+def test_a_process_shows_the_name_and_the_command_line_that_it_is_given():
+    done = subprocess.run(
+        [sys.executable, "-c", SHOWN, " " * 200], capture_output=True, text=True, check=True,
+        env={**os.environ, "KEPT": "kept"},
+    )  # fmt: skip
+    assert done.stdout.splitlines() == ["planner b'python\\x00-m\\x00node\\x00planner'", "kept"]
+
+
+def test_a_command_line_without_room_is_cut_off():
+    done = subprocess.run(
+        [sys.executable, "-c", SHOWN, " " * 20, "long" * 1000], capture_output=True, text=True, check=True,
+        env={**os.environ, "KEPT": "kept"},
+    )  # fmt: skip
+    first, second = done.stdout.splitlines()
+    assert re.match(r"planner b'python.*long", first) and second == "kept"
+
+
+@pytest.mark.parametrize("command", [["unshare", "-n"], ["unshare", "-Urn"]])
+def test_a_process_leaves_the_network_as_unshare_does(command):
+    if subprocess.run([*command, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("not allowed here")
+    done = subprocess.run(
+        [sys.executable, "-c", ISOLATED, json.dumps(command)], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "True ['lo'] 0\n"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(ABSENT), reason="ROS is not installed")
+def test_a_thread_keeps_its_template_until_the_interpreter_is_another_one(tmp_path, monkeypatch):
+    first = template.template_of_thread(tmp_path / "log")
+    assert template.template_of_thread(tmp_path / "log") is first
+    others = []
+    thread = threading.Thread(target=lambda: others.append(template.template_of_thread(tmp_path / "log")))
+    thread.start()
+    thread.join()
+    assert others[0] is not first
+    monkeypatch.setattr(sys, "executable", "/bin/false")
+    absent = template.template_of_thread(tmp_path / "log")
+    with pytest.raises(MavfiError, match="has ended"):
+        absent.begin(tmp_path, [])
+    assert not absent.usable()
+
+
+def test_without_a_command_a_process_stays_where_it_is():
+    network = os.readlink("/proc/self/ns/net")
+    isolate([])
+    assert os.readlink("/proc/self/ns/net") == network
 
 
 def test_an_inbox_keeps_what_came_before_it_was_wanted():

@@ -10,10 +10,11 @@ def test_train_writes_models_that_fly(capsys, tmp_path):
     assert run(["train", "--flights", "3", "--check", "1", "--workers", "1", "--out", str(tmp_path), "--json"]) == 0
     models = json.loads(capsys.readouterr().out)["models"]
     assert {(m["kind"], m["profile"]) for m in models} == {
-        (kind, profile) for kind in ("gaussian", "autoencoder") for profile in ("paper", "tuned")
+        *((kind, profile) for kind in ("gaussian", "autoencoder") for profile in ("paper", "tuned")),
+        *((kind, "tuned") for kind in ("limits", "autoencoder_all", "cusum", "conformal")),
     }
-    assert all(m["provenance"]["flights"] == 3 and m["false_alarms"]["hours"] > 0 for m in models)
-    assert len(list(tmp_path.glob("*.json"))) == 4
+    assert all(m["provenance"]["flights"] == 3 and m["false_alarms"]["training"]["hours"] > 0 for m in models)
+    assert len(list(tmp_path.glob("*.json"))) == 8
     arguments = ["--detector", "gaussian", "--models", str(tmp_path), "--json"]
     assert run(["fly", "--environment", "sparse", "--seed", "7", *arguments]) == 0
     assert json.loads(capsys.readouterr().out)["detector"] == "gaussian (paper)"

@@ -1,10 +1,10 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
-from mavfi.detectors import following, load_detector, rules
-from mavfi.detectors.acceptance import RULES, SOURCE, AcceptanceTest
+from mavfi.detectors import following, known, load_detector, rules
+from mavfi.detectors.acceptance import PLAIN, RULES, SOURCE, AcceptanceTest, Functions
 from mavfi.errors import BadInputError
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
@@ -77,9 +77,9 @@ def drive(vx=2.0, vy=0.0, yaw_rate=0.5, duration=0.02):
     return make(COMMAND, vx=vx, vy=vy, yaw_rate=yaw_rate, duration=duration)
 
 
-def flying(stack, *more):
+def flying(stack, *more, functions=PLAIN):
     """In flight: alarm 1 was answered by trajectory 1, the way-point in force is its point 1."""
-    detector = AcceptanceTest(LIMITS[stack])
+    detector = AcceptanceTest(LIMITS[stack], functions)
     detector.start()
     before = (
         odometry(HERE, SPEED), status(1, True, 5.0), short(line(stack), stack), points(stack), step_of(stack, 0),
@@ -292,12 +292,44 @@ def test_judging_changes_nothing_and_memory_is_restored(stack):
 
 @pytest.mark.parametrize("stack", LIMITS)
 def test_compiled_rules_agree_with_plain_python(stack, monkeypatch):
-    judged = [(flying(stack, *before), state) for state, before in everything(stack)]
-    compiled = [detector.check(state, NOW) for detector, state in judged]
-    for module in (rules, following):
+    compiled = [flying(stack, *before).check(state, NOW) for state, before in everything(stack)]
+    for module in (rules, following, known):
         for name, found in list(vars(module).items()):
             monkeypatch.setattr(module, name, getattr(found, "py_func", found))
-    assert [detector.check(state, NOW) for detector, state in judged] == compiled
+    plain = Functions(*(getattr(PLAIN, field.name).py_func for field in fields(Functions)))
+    assert [
+        flying(stack, *before, functions=plain).check(state, NOW) for state, before in everything(stack)
+    ] == compiled
+
+
+def test_a_trajectory_for_which_there_is_no_room_makes_more():
+    detector = flying("published")
+    several = known.CAPACITY + 7
+    long = make(TRAJECTORY, several, trajectory_seq=2, future_collision_seq=1)
+    floats(long.elements, 11)[:] = np.arange(several)[:, None]
+    detector.accept(long, NOW)
+    other = AcceptanceTest(LIMITS["published"])
+    other.restore(detector.memory())
+    followed = make(WAYPOINT, trajectory_seq=2, index=0, future_collision_seq=1)
+    for number in (0, 1):  # of the old trajectory, and of the long one
+        floats(followed.header, 11)[:] = number
+        assert {watching.check(followed, NOW) is None for watching in (detector, other)} == {number == 0}
+    assert other.memory() == detector.memory()
+    detector.start()
+    assert detector.memory() == AcceptanceTest(LIMITS["published"]).memory()
+
+
+@pytest.mark.parametrize("stack", LIMITS)
+def test_states_that_it_does_not_ask_for_change_nothing(stack):
+    detector = flying(stack)
+    memory = detector.memory()
+    unread = set(STATES) - detector.states
+    assert ("control.tracking" in unread) == (stack == "hardened")
+    for name in unread:
+        state = new_state(name)
+        assert detector.check(state, NOW) is None
+        detector.accept(state, NOW)
+    assert detector.memory() == memory
 
 
 def test_what_no_rule_is_about_passes():

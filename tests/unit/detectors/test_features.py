@@ -4,7 +4,7 @@ import pytest
 from mavfi.detectors import features
 from mavfi.detectors.preprocess import Preprocessor
 from mavfi.errors import BadInputError
-from mavfi.states import MONITORED_SETS
+from mavfi.states import MONITORED_SETS, ODOMETRY
 from tests.unit.detectors.streams import command, odometry, status, waypoint
 
 
@@ -15,7 +15,8 @@ class Stream:
         self.preprocessor = Preprocessor(monitored, profile, prediction)
 
     def publish(self, state):
-        self.preprocessor.note(state)
+        if state.spec.name == ODOMETRY["truth"]:
+            features.note_vehicle(state.header.view(np.uint8), self.preprocessor.watch.vehicle)
         slot = self.preprocessor.slots.get(state.spec.name)
         if slot is None:
             return None, None

@@ -1,10 +1,12 @@
+import pickle
+
 import numpy as np
 import pytest
 
 from mavfi.detectors import Alarm, load_detector
 from mavfi.detectors.parts import NOT_FINITE, Reading, Threshold, find_policy
 from mavfi.errors import BadInputError
-from tests.unit.detectors.streams import command, flight, later, strike
+from tests.unit.detectors.streams import LIMITS, command, flight, later, strike
 from tests.unit.detectors.streams import waypoint as point
 from tests.unit.detectors.test_registry import FITS
 
@@ -82,6 +84,21 @@ def test_a_detector_goes_on_from_what_it_remembered(model_folder, name, profile)
         again.restore(memory)
         assert again.memory() == memory
         assert [(again.check(*event), again.accept(*event)) for event in wild[400:]] == first
+
+
+@pytest.mark.parametrize(("name", "profile"), [*DETECTORS, ("acceptance", "paper")])
+def test_a_pickled_detector_goes_on_from_what_it_remembered(model_folder, name, profile):
+    detector, _ = load_detector(name, profile, model_folder, {**FITS, "limits": LIMITS["published"]})
+    events = flight(6, ticks=200)
+    detector.start()
+    for state, time_us in events[:300]:
+        detector.check(state, time_us)
+        detector.accept(state, time_us)
+    other = pickle.loads(pickle.dumps(detector))
+    for event in events[300:]:
+        assert other.check(*event) == detector.check(*event)
+        assert detector.accept(*event) is other.accept(*event) is None
+        assert other.memory() == detector.memory()
 
 
 def test_a_publication_that_is_checked_again_after_another_one_is_measured_again():

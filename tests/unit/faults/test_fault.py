@@ -20,13 +20,14 @@ from mavfi.faults.fault import (
     Fault,
     FaultSite,
     InstructionFault,
+    MemoryFault,
     MessageFault,
     RegisterFault,
     StateFault,
     fault_from_json,
 )
 from mavfi.faults.strata import WORD_BITS
-from mavfi.states import STATES
+from mavfi.states import KERNELS, STATES
 
 seeds = st.integers(0, 2**63 - 1)
 fields = [(spec.name, field.name) for spec in STATES.values() for field in spec.fields]
@@ -41,12 +42,18 @@ def _field(fault):
 
 state_faults = st.builds(
     StateFault, sites, st.just(NO_SITE) | st.integers(0, 10**9), st.none() | st.integers(0, 63),
-    st.sampled_from(["", "mantissa"]), st.floats(0, 1), seeds,
-).filter(lambda fault: fault.bit is None or fault.bit < WORD_BITS[_field(fault).dtype])  # fmt: skip
+    st.sampled_from(["", "mantissa"]), st.floats(0, 1), seeds, st.sampled_from([0.0, 0.5, float("inf")]),
+    st.floats(0, 1, exclude_min=True), st.integers(1, 3), st.integers(1, 3),
+).filter(lambda fault: fault.bit is None or fault.bit + fault.width <= WORD_BITS[_field(fault).dtype])  # fmt: skip
 instruction_faults = st.builds(
     InstructionFault, st.text(), st.text(), st.integers(0), st.just(NO_SITE) | st.integers(0),
     st.lists(st.integers(0, 127), max_size=3).map(tuple), st.integers(0, 2**128), st.integers(0),
     model=st.sampled_from(MODELS), kernel=st.text(), entry=st.text(), seed=seeds, weight=st.floats(0, 9),
+)  # fmt: skip
+memory_faults = st.builds(
+    MemoryFault, st.sampled_from(list(KERNELS)), st.text(), st.none() | st.integers(0, 99),
+    st.sampled_from(list(WORD_BITS)), st.just(NO_SITE) | st.integers(0, 10**9), st.none() | st.just(0),
+    st.sampled_from(["", "mantissa"]), st.floats(0, 1), seeds,
 )  # fmt: skip
 message_faults = st.builds(
     MessageFault, st.text(), st.text(), st.none() | st.integers(0, 63), st.integers(1, 10**6),
@@ -56,7 +63,7 @@ register_faults = st.builds(
     RegisterFault, st.sampled_from(REGISTERS), st.sampled_from(ACCESSES), st.text(), st.integers(0, 2**22),
     st.integers(1, LONGEST_WALK), st.floats(0, LONGEST_TIMEOUT, exclude_min=True), st.booleans(), st.text(), seed=seeds,
 )  # fmt: skip
-faults = state_faults | instruction_faults | message_faults | register_faults
+faults = state_faults | memory_faults | instruction_faults | message_faults | register_faults
 
 
 @given(faults)
@@ -77,7 +84,7 @@ def test_every_fault_says_level_site_weight_and_seed(fault):
 
 def test_levels_are_those_of_the_union():
     assert tuple(LEVELS.values()) == get_args(Fault)
-    assert list(LEVELS) == ["state", "instruction", "message", "register"]
+    assert list(LEVELS) == ["state", "memory", "instruction", "message", "register"]
 
 
 def test_a_fault_is_data():
@@ -85,9 +92,19 @@ def test_a_fault_is_data():
         StateFault(FaultSite("control.command", "vx")).bit = 3
 
 
+def test_what_only_lasting_faults_have_is_left_out_of_the_others():
+    once = StateFault(FaultSite("control.command", "vx"), 5, 62)
+    assert list(once.to_json()) == ["level", "where", "time_us", "bit", "stratum", "weight", "seed"]
+    assert not once.lasting and not StateFault(FaultSite("control.command", "vx"), width=2).lasting
+    stuck = StateFault(FaultSite("control.command", "vx"), 5, 62, lasts_s=float("inf"), times=2)
+    assert stuck.lasting and stuck.to_json() == {**once.to_json(), "lasts_s": "inf", "times": 2}
+
+
 def test_sites_as_text():
     assert StateFault(FaultSite("planning.path", "x", 2)).site == "planning.path.x[2]"
     assert StateFault(FaultSite("control.command", "vx")).site == "control.command.vx"
+    assert MemoryFault("planner", "decisions.acted_seq").site == "memory:planner.decisions.acted_seq"
+    assert MemoryFault("waypoint", "points", 12).site == "memory:waypoint.points[12]"
     assert InstructionFault("m.f", "sha", 1, kernel="pid", entry="track").site == "pid.track"
     assert InstructionFault("m.f", "sha", 1).site == "m.f"
     assert MessageFault("/joints", "position[0]").site == "/joints.position[0]"
@@ -115,6 +132,18 @@ def test_bits_are_flipped_or_the_whole_value_is_replaced(bits, value):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
+        (lambda: StateFault(FaultSite("a", "x"), lasts_s=-1.0), "lasts_s: -1.0: allowed: 0 or more"),
+        (lambda: StateFault(FaultSite("a", "x"), lasts_s=float("nan")), "lasts_s: nan: allowed: 0 or more"),
+        (lambda: StateFault(FaultSite("a", "x"), share=0.0), "share: 0.0: allowed: above 0, to 1"),
+        (lambda: StateFault(FaultSite("a", "x"), width=0), "width: 0: allowed: 1 or more"),
+        (lambda: StateFault(FaultSite("a", "x"), times=0), "times: 0: allowed: 1 or more"),
+        (
+            lambda: fault_from_json({**StateFault(FaultSite("control.command", "vx"), bit=63, width=2).to_json()}),
+            "bit 63; allowed: 0 to 62",
+        ),
+        (lambda: MemoryFault("pilot", "x"), "'pilot': allowed: state_estimation, point_cloud"),
+        (lambda: MemoryFault("pid", "law", 0, "f2"), "'f2': allowed: f8, f4"),
+        (lambda: MemoryFault("pid", "fresh", None, "?", bit=1), "bit 1; allowed: 0 to 0"),
         (lambda: MessageFault("t", "f", at=0), "at: 0: allowed: 1 or more"),
         (lambda: MessageFault("t", "f", rate=0.0), "rate: 0.0: allowed: above 0, to 1"),
         (lambda: RegisterFault("vector"), "registers: 'vector': allowed: all, general, fp"),
@@ -122,7 +151,7 @@ def test_bits_are_flipped_or_the_whole_value_is_replaced(bits, value):
         (lambda: RegisterFault(walk=0), "walk: 0: allowed: 1 to 100000"),
         (lambda: RegisterFault(timeout=0.0), "timeout: 0.0: allowed: above 0, to 3600 s"),
         (lambda: RegisterFault(thread=-1), "thread: -1: allowed"),
-        (lambda: fault_from_json({"level": "planet"}), "level 'planet': not known; allowed: state, instruction"),
+        (lambda: fault_from_json({"level": "planet"}), "level 'planet': not known; allowed: state, memory"),
         (lambda: fault_from_json({}), "level None: not known"),
     ],
 )

@@ -3,7 +3,7 @@ import pytest
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite
-from mavfi.faults.spec import InstructionRequest, parse
+from mavfi.faults.spec import InstructionRequest, MemoryRequest, parse
 from mavfi.flight_log import Profile
 from mavfi.states import STACKS
 
@@ -96,11 +96,19 @@ def test_no_site_without_a_publication():
         ("state:planning.waypoint.x[3]", "no element"),
         ("state:control.command[0]", "no element"),
         ("state:planning.waypoint.x@1e99", "0 to 1e+09"),
+        ("state:planning.waypoint.x:bit=63:width=2", "no bit 64 in planning.waypoint.x; allowed: 0 to 63"),
+        ("state:planning.waypoint.x:share=2", "share: 2.0: allowed: above 0, to 1"),
+        ("state:planning.waypoint.x:times=0", "times: 0: allowed: 1 or more"),
+        ("state:planning.waypoint.x:lasts=long", "null, state:STATE"),
+        ("memory:pilot", "no kernel 'pilot'; allowed: point_cloud, octomap"),
+        ("memory:state_estimation.aligned", "no kernel 'state_estimation'; allowed: point_cloud"),
+        ("memory:planner.acted_seq:bit=x", "allowed: null, state:"),
+        ("memory:planner.acted_seq@1e99", "0 to 1e+09"),
         ("instruction:", "allowed: null, state:"),
         ("instruction:pid:bit=3", "allowed: null, state:"),
         ("instruction:pid:which=left", "instructions 'left': not understood; allowed: all, floating_point"),
         ("instruction:pid:model=two_bits", "no model 'two_bits'; allowed: one_bit"),
-        ("register:1234", "registers are injected by mavfi inject; allowed: state, instruction"),
+        ("register:1234", "registers are injected by mavfi inject; allowed: state, memory"),
     ],
 )
 def test_errors_are_one_line_that_says_what_is_allowed(text, names):
@@ -111,6 +119,24 @@ def test_errors_are_one_line_that_says_what_is_allowed(text, names):
     assert names in message
     assert repr(text) in message
     assert "allowed:" in message
+
+
+def test_a_lifetime_can_be_named():
+    fault = parse("state:planning.waypoint.x:bit=60:lasts=1@5").resolve(0, "published")
+    assert (fault.bit, fault.time_us, fault.lasts_s, fault.lasting) == (60, 5_000_000, 1.0, True)
+    fault = parse("state:planning.waypoint.x:width=3:times=2:lasts=inf:share=0.25@5").resolve(0, "published")
+    assert (fault.width, fault.times, fault.lasts_s, fault.share) == (3, 2, float("inf"), 0.25)
+    drawn = {parse("state:planning.waypoint:width=40@5").resolve(seed, "published").bit for seed in range(300)}
+    assert drawn == set(range(25)), "a burst lies within a word that can hold it"
+
+
+def test_faults_in_memory_name_kernel_and_word():
+    assert parse("memory:octomap") == MemoryRequest("octomap")
+    assert parse("memory:planner.acted_seq:bit=3@5") == MemoryRequest("planner", "acted_seq", 3, 5_000_000)
+    assert parse("memory:collision_check.trajectories[1].x[12]@0.5") == MemoryRequest(
+        "collision_check", "trajectories[1].x[12]", None, 500_000
+    )
+    assert parse("memory:state_estimation.filter", "estimator") == MemoryRequest("state_estimation", "filter")
 
 
 def test_faults_in_instructions_name_kernel_class_and_model():

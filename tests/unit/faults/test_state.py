@@ -1,5 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, FaultSite, StateFault
@@ -127,10 +131,8 @@ class Sticky(StateInjector):
 
 
 class Twice(StateInjector):
-    def __call__(self, state, time_us):
-        if len(self.injections) == 1:
-            self._armed = True
-        return super().__call__(state, time_us)
+    def __init__(self, fault):
+        super().__init__(replace(fault, times=2))
 
 
 class Liar(StateInjector):
@@ -220,3 +222,93 @@ def test_injection_is_strict_json_even_if_the_value_is_not_finite():
     injector(state, 0)
     [injection] = injector.finish()
     assert injection.to_json()["after"] == "nan"
+
+
+# ---- faults that last -----------------------------------------------------------------------------------------------
+PERIOD_US = 20_000
+
+
+def lasting_values(make, fault, values) -> list[int]:
+    """Words of the way-points that consumers see, published at the control period."""
+    injector, seen = make(fault), []
+    for number, value in enumerate(values):
+        state = injector(waypoint(value), number * PERIOD_US)
+        seen.append(int(state.header["x"].view(np.uint64)[0]))
+    return seen
+
+
+def expected_values(fault, values) -> list[int]:
+    """The same, from the definition, without a share."""
+    words = [int(np.array([value]).view(np.uint64)[0]) for value in values]
+    first = next((place for place in range(len(words)) if place * PERIOD_US >= fault.time_us), len(words))
+    mask = sum(1 << bit for bit in range(fault.bit, fault.bit + fault.width))
+    for place in range(first, len(words)):
+        if place == first:
+            stuck = ~words[place] & mask
+        in_time = (place - first) * PERIOD_US <= 1e6 * fault.lasts_s
+        if place - first < fault.times or in_time:
+            words[place] = words[place] & ~mask | stuck
+    return words
+
+
+@given(
+    st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=12), st.integers(0, 60), st.integers(1, 4),
+    st.integers(1, 4), st.sampled_from([0.0, 0.02, 0.05, float("inf")]), st.integers(0, 250_000),
+)  # fmt: skip
+def test_a_fault_that_lasts_sticks_as_its_definition_says(values, bit, width, times, lasts_s, time_us):
+    fault = StateFault(WAYPOINT, time_us, bit, lasts_s=lasts_s, width=width, times=times)
+    assert lasting_values(StateInjector, fault, values) == expected_values(fault, values)
+
+
+class Toggling(StateInjector):
+    def _inject(self, state, time_us):
+        self._stuck = ~int(state.header["x"].view(np.uint64)[0])
+        return super()._inject(state, time_us)
+
+
+class TooShort(StateInjector):
+    def __init__(self, fault):
+        super().__init__(replace(fault, lasts_s=fault.lasts_s - 1e-6 * PERIOD_US))
+
+
+class Narrow(StateInjector):
+    def __init__(self, fault):
+        super().__init__(replace(fault, width=fault.width - 1))
+
+
+class OnceOnly(StateInjector):
+    def __init__(self, fault):
+        super().__init__(replace(fault, lasts_s=0.0))
+
+
+@pytest.mark.parametrize("mutant", [Toggling, TooShort, Narrow, OnceOnly, Never, Liar])
+def test_the_definition_catches_mutants_of_faults_that_last(mutant):
+    fault, values = StateFault(WAYPOINT, 40_000, 52, lasts_s=0.06, width=2), [1.0, 2.0, 3.0, 9.0, 5.0, 6.0, 7.0, 8.0]
+    assert lasting_values(StateInjector, fault, values) == expected_values(fault, values)
+    assert lasting_values(mutant, fault, values) != expected_values(fault, values)
+
+
+def test_an_intermittent_fault_hits_its_share_and_the_seed_says_which():
+    values = [float(number) for number in range(1, 2001)]
+
+    def hits(seed, share=0.3):
+        fault = StateFault(WAYPOINT, 0, 63, seed=seed, lasts_s=float("inf"), share=share)
+        return [word >> 63 for word in lasting_values(StateInjector, fault, values)]
+
+    assert hits(1) == hits(1) and hits(1) != hits(2) and hits(1)[0] == hits(2)[0] == 1
+    assert abs(sum(hits(1)) - 600) < 5 * np.sqrt(2000 * 0.3 * 0.7)
+    assert all(hits(1, 1.0))
+
+
+def test_the_record_counts_what_was_changed_and_says_when_it_is_over():
+    fault = StateFault(WAYPOINT, 0, 63, lasts_s=0.05)
+    injector = StateInjector(fault)
+    for number in range(3):
+        injector(waypoint(), number * PERIOD_US)
+    copy = injector.copy()
+    assert not injector.spent
+    assert injector(state := waypoint(), 3 * PERIOD_US) is state and injector.spent and not copy.spent
+    [injection] = injector.finish()
+    assert injection.details == {"publications": 3} and (injection.before, injection.after) == (50.0, -50.0)
+    assert copy(waypoint(), 50_000).header["x"][0] == -50.0 and copy.finish()[0].details == {"publications": 4}
+    assert StateInjector(StateFault(WAYPOINT, 0, 63)).finish()[0].details == {}

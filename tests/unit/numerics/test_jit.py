@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mavfi.numerics import jit
-from mavfi.numerics.jit import SignatureFiles, kernel_jit
+from mavfi.numerics.jit import SignatureFiles, entry, kernel_jit
 
 
 class Index:
@@ -94,3 +94,23 @@ def test_a_user_without_a_home_has_a_folder_that_no_other_can_write(monkeypatch,
     own.rmdir()
     own.symlink_to(tmp_path)
     assert not jit._cache_root().exists()
+
+
+def test_an_entry_takes_arguments_of_its_types_alone():
+    @kernel_jit
+    def first(values, add):
+        return values[0] + add
+
+    direct = entry(first, np.zeros(3), 0)
+    assert direct(np.array([2.0, 9.0]), 5) == 7.0
+    with pytest.raises(TypeError):
+        direct(np.zeros(3, np.float32), 5)
+    with pytest.raises(TypeError):
+        direct([2.0], 5)
+
+
+def test_the_entry_of_a_plain_function_is_that():
+    def plain(value):
+        return value
+
+    assert entry(plain, 3) is plain

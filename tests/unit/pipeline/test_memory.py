@@ -43,6 +43,9 @@ class Keeper:
     def same(self, saved):
         return self.value == saved
 
+    def arrays(self):
+        return {}
+
 
 class Thing(Remembers):
     def __init__(self):

@@ -4,12 +4,20 @@ from typing import Any
 
 from mavfi.campaign.analysis.measures import POPULATIONS
 from mavfi.campaign.analysis.statistics import CONFIDENCE
-from mavfi.campaign.config import ArmConfig, Campaign, InstructionSampling, RegisterSampling, Sampling, StateSampling
+from mavfi.campaign.config import (
+    ArmConfig,
+    Campaign,
+    InstructionSampling,
+    MemorySampling,
+    RegisterSampling,
+    Sampling,
+    StateSampling,
+)
 from mavfi.campaign.run import status, stored_campaign
 from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
 
-_NAMED = ("grain", "same_twice", "answer_s", "dead_node", "alarm", "epoch_liveness")
+_NAMED = ("grain", "same_twice", "answer_s", "degraded", "dead_node", "alarm", "epoch_liveness")
 """Keys of a mission that are named where they are not the defaults."""
 
 
@@ -39,6 +47,9 @@ def drawn(sampling: Sampling, campaign: Campaign) -> dict[str, Any]:
             shares = sorted(sampling.strata.items(), reverse=True)
             strata = " : ".join(f"{POPULATIONS.get(name, name)} {share:g}" for name, share in shares)
             return {"each": each, **_flights(campaign, each, f"drawn {strata}, fields: {sampling.sites}")}
+        case MemorySampling():
+            each = "group" if sampling.groups else {"kernel": "kernel", "exposure": "environment"}[sampling.share]
+            return {"each": each, **_flights(campaign, each, "uniform over remembered bits and instants")}
         case InstructionSampling():
             stratified = ", drawn by value class and source line" if sampling.scheme == "stratified" else ""
             how = f"instructions: {sampling.which}, model {sampling.model}{stratified}"

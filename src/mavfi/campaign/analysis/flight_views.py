@@ -29,7 +29,7 @@ _HEALS_WITH_MEMORY = (
     "a recomputation begins with the memory that the stage had before its step: it heals what the step corrupted, not "
     "a map or a path that an earlier one did, nor a kernel that died"
 )
-STATE, INSTRUCTION = "state", "instruction"
+STATE, MEMORY, INSTRUCTION = "state", "memory", "instruction"
 TOTAL = ("environment", ALL)
 SETTING = ("environment", "setting")
 
@@ -40,12 +40,17 @@ def of_states(runs: Runs) -> bool:
     return has(runs.injected, level=STATE)
 
 
+def of_values(runs: Runs) -> bool:
+    """Whether faults were injected into values of the pipeline, published or remembered."""
+    return of_states(runs) or has(runs.injected, level=MEMORY)
+
+
 def _by_stages(runs: Runs) -> bool:
     return len(runs.injected.where(pl.col("target") == pl.col("stage"), level=STATE)) > 0
 
 
 def _by_groups(runs: Runs) -> bool:
-    return len(runs.injected.where(pl.col("target") != pl.col("stage"), level=STATE)) > 0
+    return len(runs.injected.where(pl.col("target") != pl.col("stage"), pl.col("level").is_in((STATE, MEMORY)))) > 0
 
 
 def _compared(runs: Runs) -> bool:
@@ -109,6 +114,12 @@ register(
             "paper: instruction level, 100 golden flights, 300 with a fault", *unknown_note(of_missions(runs)),
         ), leads=True, applies=of_states,
     ),
+    View(
+        "memory_success", "Success of missions, faults in memory", SETTING, (m.leading_success, m.other_success),
+        where=of_missions,
+        notes=lambda runs: (ONE_FAULT, _SETTINGS, INTERVALS, *unknown_note(of_missions(runs))), leads=True,
+        applies=lambda runs: has(runs.injected, level=MEMORY),
+    ),
 )  # fmt: skip
 
 
@@ -127,6 +138,7 @@ def _recovery_rate(_: Runs, found: Recovery) -> Any:
 
 def _papers_recovery(own: Runs) -> float | None:
     leads = own.first("population") in m.LEADING and paper.comparable(own.campaign, own.first("detector_profile"))
+    leads = leads and own.first("level") != MEMORY
     return paper.recovery(own.first("environment"), own.first("setting")) if leads else None
 
 
@@ -197,7 +209,7 @@ def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
     """A view over all environments, and where there are several one with each of them."""
     applies = more.pop("applies", of_states)
     columns: dict[str, Any] = {"measures": (m.leading_success, m.other_success, m.hurt), "notes": _slow_note}
-    columns["where"] = lambda runs: runs.injected.where("judged", level=STATE)
+    columns["where"] = lambda runs: runs.injected.where("judged", pl.col("level").is_in((STATE, MEMORY)))
     register(
         View(name, title, (*by, "setting"), applies=applies, **columns, **more),
         View(
@@ -210,7 +222,7 @@ def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
 _by("by_stage", "Success by stage of the fault", ("stage",), applies=_by_stages)
 _by("by_target", "Success by group of fields", ("target",), applies=_by_groups)
 _by("by_state", "Success by inter-kernel state", ("state",))
-_by("by_bits", "Success by class of the flipped bit", ("bit_class",))
+_by("by_bits", "Success by class of the flipped bit", ("bit_class",), applies=of_values)
 _by("by_field", f"Success by field, {FEWEST} flights or more", ("state", "field"), least=FEWEST)
 _by("by_every_field", "Success by field", ("state", "field"), applies=lambda _: False)
 
@@ -246,15 +258,15 @@ def _statuses(runs: Runs, _: tuple[str, ...]) -> Any:
 register(
     View(
         "outcomes", "Effects of faults", SETTING, _EFFECTS, where=lambda runs: runs.injected, notes=_effect_notes,
-        applies=of_states,
+        applies=of_values,
     ),
     View(
         "outcomes_by_stage", "Effects of faults, by stage", (*SETTING, "stage"), _EFFECTS, notes=_effect_notes,
-        where=lambda runs: runs.injected, applies=of_states,
+        where=lambda runs: runs.injected, applies=of_values,
     ),
     View(
         "endings", "How missions ended", SETTING, (m.count("n", "n"), _statuses), where=of_missions,
-        applies=of_states,
+        applies=of_values,
     ),
 )  # fmt: skip
 
@@ -302,6 +314,6 @@ register(
             m.median("energy_j", "energy", "number .1f kJ"), m.median("distance_m", "distance", "number .1f m"),
             m.median("replans", "replans", "number g"),
         ),
-        where=lambda runs: runs.golden.where("success"), applies=of_states,
+        where=lambda runs: runs.golden.where("success"), applies=of_values,
     ),
 )  # fmt: skip

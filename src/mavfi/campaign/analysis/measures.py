@@ -173,11 +173,21 @@ def hurt(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 
 # ---- pairs -------------------------------------------------------------------------------------------------------
 def against_fi(runs: Runs) -> Runs:
-    """Runs of the other arms, each with the run of the same fault in `fi`: `fi_success`; unmatched ones left out."""
+    """Runs of `fi`, each with the run of the same fault in every other arm; runs without a partner are left out.
+
+    Columns of the latter begin with `dr_`: success, inflation, detected; the success in `fi` is `fi_success`.
+    """
     judged, pair = runs.injected.where("judged"), ["environment", "target", "index"]
     alone = judged.where(setting=FI).frame.drop("setting", "arm", "detector", "detector_profile")
     arms = judged.where(pl.col("setting") != FI).frame.select(
-        *pair, "setting", "arm", "detector", "detector_profile", pl.col("success").alias("dr_success")
+        *pair,
+        "setting",
+        "arm",
+        "detector",
+        "detector_profile",
+        dr_success="success",
+        dr_inflation="inflation",
+        dr_detected="detected_at_site",
     )
     joined = alone.rename({"success": "fi_success"}).join(arms, on=pair, maintain_order="left_right")
     return Runs(joined, runs.records, runs.campaign)

@@ -7,13 +7,13 @@ import polars as pl
 
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.store import Run
-from mavfi.faults.fault import Fault, InstructionFault, MessageFault, RegisterFault, StateFault
+from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, MessageFault, RegisterFault, StateFault
 from mavfi.flight_log import AlarmRecord, Injection
 from mavfi.flight_record import AFTERMATH, INSTANT, End, FlightRecord
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import DUE, effect_of
 from mavfi.qof import energy
-from mavfi.states import KERNEL_STAGES, STATES
+from mavfi.states import KERNEL_STAGES, KERNELS, STATES
 
 ALL_BITS = "all_bits"  # population of faults whose bits were drawn uniformly, so that no stratum of them is apart
 GOLDEN, INJECTED, NULL = "golden", "injected", "null"  # kinds of run
@@ -77,6 +77,11 @@ def _site_columns(fault: Fault) -> dict[str, Any]:
             return {
                 "stage": str(spec.stage), "kernel": spec.writer, "state": where.state, "field": where.field,
                 "element": where.element, "population": fault.stratum,
+            }  # fmt: skip
+        case MemoryFault():
+            return {
+                "stage": str(KERNELS[fault.kernel].stage), "kernel": fault.kernel, "field": fault.field,
+                "element": fault.index, "population": fault.stratum or ALL_BITS,
             }  # fmt: skip
         case InstructionFault():
             return {

@@ -19,6 +19,10 @@ def sampler_for(campaign: "Campaign") -> Sampler:
         from mavfi.campaign.samplers.instructions import InstructionSampler
 
         return InstructionSampler(campaign)
+    if level == "memory":
+        from mavfi.campaign.samplers.memory import MemorySampler
+
+        return MemorySampler(campaign)
     if level == "register":
         from mavfi.campaign.samplers.register import RegisterSampler
 

@@ -5,13 +5,14 @@ A golden flight counts; a second one finds out what the drawn instructions are (
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.detector import Detector
+from mavfi.detectors.detector import Detector, part_of
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.faults.instruction import Locating, Profiling, Resolving, Site, budget_for, choose
 from mavfi.faults.instruction.build import name_of
@@ -26,8 +27,8 @@ from mavfi.hosts.local import fly
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import fly_until, prefix_of
 from mavfi.mission import Scenario
-from mavfi.pipeline.functions import PLAIN
-from mavfi.states import INJECTABLE
+from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.states import DETECTORS, INJECTABLE
 
 _ROUNDS, _SPARE = 6, 40
 
@@ -53,22 +54,23 @@ def draw_instruction_faults(
         RefusedError: A kernel cannot be instrumented exactly.
     """
     for kernel in request.kernels:
-        check_kernel(kernel, scenario.planner.name)
+        check_kernel(kernel, scenario.planner.name, detector)
     parse_selection(request.which)
-    names = [name for kernel in request.kernels for name in INJECTABLE[kernel]]
-    counted = {name: Profiling(getattr(PLAIN, name)) for name in dict.fromkeys(names)}
-    golden = fly(scenario, None, detector, functions=PLAIN.instrumented(tuple(counted), lambda name, _: counted[name]))
+    functions = {kernel: _functions(kernel, detector) for kernel in request.kernels}
+    plain = {name: function for own in functions.values() for name, function in own.items()}
+    counted = {name: Profiling(function) for name, function in plain.items()}
+    with _instrumented(detector, counted) as table:
+        golden = fly(scenario, None, detector, functions=table)
 
-    def fly_again(functions: Mapping[str, Any], enough: Callable[[], bool] = lambda: False) -> None:
-        table = PLAIN.instrumented(tuple(functions), lambda name, _: functions[name])
-        loop = new_loop(scenario, functions=table)
-        watch(loop, detector)
-        with np.errstate(all="ignore"):
+    def fly_again(made: Mapping[str, Any], enough: Callable[[], bool] = lambda: False) -> None:
+        with _instrumented(detector, made) as table, np.errstate(all="ignore"):
+            loop = new_loop(scenario, functions=table)
+            watch(loop, detector)
             fly_until(loop, enough)
         prefix_of(loop).check(golden.log)
 
     draws = [
-        _Draw(kernel, number, request, {name: counted[name] for name in INJECTABLE[kernel]}, seed, address)
+        _Draw(kernel, number, request, {name: counted[name] for name in functions[kernel]}, seed, address)
         for kernel, number in request.kernels.items()
     ]
     (_draw_strata if request.sampling == "stratified" else _draw_uniform)(draws, fly_again)
@@ -77,6 +79,28 @@ def draw_instruction_faults(
         {draw.kernel: _counts(list(draw.counted.values())) for draw in draws},
         {draw.kernel: draw.faults() for draw in draws},
     )
+
+
+def _functions(kernel: str, detector: Detector | None) -> dict[str, Any]:
+    """The compiled functions of a kernel, or of a detector by that name."""
+    if kernel in DETECTORS:
+        compiled: dict[str, Any] = part_of(detector, kernel).compiled
+        return compiled
+    return {name: getattr(PLAIN, name) for name in INJECTABLE[kernel]}
+
+
+@contextmanager
+def _instrumented(detector: Detector | None, made: Mapping[str, Any]) -> Iterator[KernelFunctions]:
+    """Functions for the kernels, with those that are made; the detector calls its own meanwhile."""
+    parts = [part for part in (part_of(detector, source) for source in DETECTORS) if part is not None]
+    for part in parts:
+        part.instrument({name: function for name, function in made.items() if name in part.compiled})
+    own = {field.name for field in fields(KernelFunctions)}
+    try:
+        yield PLAIN.instrumented(tuple(own.intersection(made)), lambda name, _: made[name])
+    finally:
+        for part in parts:
+            part.instrument({})
 
 
 _Place = tuple[str, int, int]  # function, call, index
@@ -134,7 +158,8 @@ def _draw_uniform(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
         wanted: dict[str, dict[int, list[int]]] = {}
         for _, (name, call, index) in places:
             wanted.setdefault(name, {}).setdefault(call, []).append(index)
-        resolving = {name: Resolving(getattr(PLAIN, name), calls) for name, calls in wanted.items()}
+        plain = {name: function.function for draw in draws for name, function in draw.counted.items()}
+        resolving = {name: Resolving(plain[name], calls) for name, calls in wanted.items()}
         fly_again(resolving, lambda own=resolving: all(function.done for function in own.values()))
         for draw, (name, call, index) in places:
             draw.take((name, call, index), resolving[name].sites[call, index])
@@ -151,7 +176,8 @@ def _draw_strata(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
         wanted.setdefault(member.function, {}).setdefault(member.digest, []).append((member.site.block, chosen.number))
     if not wanted:
         return
-    locating = {name: Locating(getattr(PLAIN, name), blocks) for name, blocks in wanted.items()}
+    plain = {name: function.function for draw, _ in picks for name, function in draw.counted.items()}
+    locating = {name: Locating(plain[name], blocks) for name, blocks in wanted.items()}
     fly_again(locating)
     for draw, chosen in picks:
         member = chosen.member

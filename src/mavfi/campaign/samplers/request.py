@@ -1,32 +1,40 @@
 """One fault, as a user names it: whatever the text leaves open is drawn from the golden run of a mission."""
 
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.campaign.samplers.memory import draw_memory
+from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import InstructionFault, StateFault
-from mavfi.faults.spec import InstructionRequest, StateRequest
+from mavfi.faults.fault import InstructionFault, MemoryFault, StateFault
+from mavfi.faults.spec import MemoryRequest, Request, StateRequest
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local import fly
 from mavfi.mission import Scenario
+from mavfi.states import DETECTORS
 
 
 def draw_request(
-    scenario: Scenario, request: StateRequest | InstructionRequest, seed: int
-) -> tuple[StateFault | InstructionFault, Flight | None]:
+    scenario: Scenario, request: Request, seed: int, detector: Detector | None = None
+) -> tuple[StateFault | MemoryFault | InstructionFault, Flight | None]:  # fmt: skip
     """A fault, and the golden flight (which nothing watches) if one was flown for the draw.
+
+    The detector watches only where the fault is in an instruction of it.
 
     Raises:
         BadInputError: The mission has no such site.
     """
     if isinstance(request, StateRequest):
         return draw_state(scenario, request, seed)
-    drawn = draw_instruction_faults(scenario, request, seed=seed)
+    if isinstance(request, MemoryRequest):
+        return draw_memory(scenario, request, seed)
+    own = detector if request.kernel in DETECTORS else None
+    drawn = draw_instruction_faults(scenario, request, seed=seed, detector=own)
     fault = drawn.faults[request.kernel][0]
     if not fault.has_site:
         raise BadInputError(
             f"fault instruction:{request.kernel}: this mission executes no instruction {request.which!r} there; "
             "allowed: a class that it executes"
         )
-    return fault, drawn.golden
+    return fault, drawn.golden if own is None else None
 
 
 def draw_state(scenario: Scenario, request: StateRequest, seed: int) -> tuple[StateFault, Flight | None]:

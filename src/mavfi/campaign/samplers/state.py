@@ -9,12 +9,12 @@ from typing import Any
 
 from mavfi.campaign.config import Campaign, StateSampling
 from mavfi.campaign.samplers.sampler import Block, Draw, Sampled
-from mavfi.faults.fault import Fault
+from mavfi.faults.fault import Fault, StateFault
 from mavfi.faults.sampling import Target, draw, group_target, share_out, stage_target
-from mavfi.faults.strata import HEADLINE
+from mavfi.faults.strata import HEADLINE, WORD_BITS
 from mavfi.flight_log import Profile
 from mavfi.hosts.host import ArmSetup, MissionFlights
-from mavfi.states import PPC_STAGES
+from mavfi.states import PPC_STAGES, STATES
 
 
 class StateSampler:
@@ -33,6 +33,8 @@ class StateSampler:
         self._campaign, self._sampling = campaign, campaign.sampling
         self._autopilot, self._localization = spec.autopilot, spec.localization
         self._targets = {target.name: (target, shares) for target, shares in self._find_targets()}
+        self._lifetimes = {group.name: group.lifetime for group in self._sampling.groups if group.lifetime}
+        self._alike = {name: self._first_alike(name) for name in self._targets}
         self._blocks: dict[str, Sequence[Block]] = {}
         for target, shares in self._targets.values():
             for stratum in shares:
@@ -51,6 +53,11 @@ class StateSampler:
             for stage in PPC_STAGES
         ]
 
+    def _first_alike(self, name: str) -> str:
+        """The first target of the same fields, whose draws a target with a lifetime of its own has."""
+        same = (other for other, (target, _) in self._targets.items() if target.fields == self._targets[name][0].fields)
+        return next(same) if name in self._lifetimes else name
+
     def blocks(self, environment: str) -> Sequence[Block]:
         """Target by target."""
         if environment not in self._blocks:
@@ -59,7 +66,9 @@ class StateSampler:
 
     def _block(self, environment: str, place: int, name: str) -> Block:
         campaign = self._campaign
-        strata = share_out(self._targets[name][1], campaign.faults, campaign.first_seed, environment, name)
+        strata = share_out(
+            self._targets[name][1], campaign.faults, campaign.first_seed, environment, self._alike[name]
+        )  # fmt: skip
 
         def draw_one(index: int) -> Draw:
             return Draw(name, index, campaign.first_seed + index % campaign.missions, stratum=strata[index])
@@ -77,11 +86,23 @@ class StateSampler:
         """From the profile of the golden run; without one, faults have no site."""
         profile = _profile(golden)
         return [
-            draw(
-                self._targets[d.target][0], d.stratum, profile, d.seed, environment, d.index // self._campaign.missions
+            self._lasting(
+                d.target,
+                draw(
+                    self._targets[self._alike[d.target]][0], d.stratum, profile, d.seed, environment,
+                    d.index // self._campaign.missions,
+                ),
             )
             for d in draws
-        ]
+        ]  # fmt: skip
+
+    def _lasting(self, target: str, fault: StateFault) -> StateFault:
+        """A fault with the lifetime of its target; a burst that reaches beyond its word begins earlier."""
+        lifetime = (self._lifetimes.get(target) or self._sampling.lifetime).model_dump()
+        bits = WORD_BITS[STATES[fault.where.state].find(fault.where.field).dtype]
+        width = min(lifetime["width"], bits)
+        bit = None if fault.bit is None else min(fault.bit, bits - width)
+        return replace(fault, **{**lifetime, "lasts_s": float(lifetime["lasts_s"]), "width": width, "bit": bit})
 
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
         """A fault with an empty mask, of each stage in turn."""

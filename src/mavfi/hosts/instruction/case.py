@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction.plan import injection_of
@@ -16,7 +17,7 @@ from mavfi.hosts.host import Flight
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import Remembers
-from mavfi.states import INJECTABLE, INJECTED_KERNEL, PLANNERS, State
+from mavfi.states import DETECTORS, INJECTABLE, INJECTED_KERNEL, PLANNERS, State
 
 WAITING = "not_activated"
 """State of a case whose instruction has not come yet."""
@@ -63,7 +64,8 @@ class Case:
 
     Attributes:
         fault: As drawn.
-        kernel: The kernel of the pipeline, and `call` of its function, that are injected, at `time_us` (us).
+        kernel: The kernel of the pipeline, "" = the detector, and `call` of its function, that are injected, at
+            `time_us` (us).
         value: The machine code's report of the injected value.
         how: How the call ended, or `WAITING`; `detail`: signal, budget or exception.
         report: Of the child that went on flying.
@@ -81,22 +83,27 @@ class Case:
     golden: Output | None = None
 
 
-def check_kernel(kernel: str, planner: str) -> None:
-    """Check that a kernel can be injected in a mission with this planner.
+def check_kernel(kernel: str, planner: str, detector: Detector | None = None) -> None:
+    """Check that a kernel, or a detector in its place, can be injected in a mission with this planner and detector.
 
     Raises:
-        BadInputError: There is no such kernel, or it is a planner and the mission flies another one.
+        BadInputError: There is no such kernel, it is a planner and the mission flies another one, or it is a detector
+            that does not watch the mission.
     """
+    if kernel in DETECTORS:
+        if part_of(detector, kernel) is None:
+            raise BadInputError(f"kernel {kernel!r}: this detector does not watch the mission; allowed: with it alone")
+        return
     if kernel not in INJECTABLE:
-        raise BadInputError(f"kernel {kernel!r}: not known; allowed: {', '.join(INJECTABLE)}")
+        raise BadInputError(f"kernel {kernel!r}: not known; allowed: {', '.join((*INJECTABLE, *DETECTORS))}")
     if kernel in PLANNERS and kernel != planner:
         raise BadInputError(f"kernel {kernel!r}: the planner of this mission is {planner!r}; allowed: planner {kernel}")
 
 
-def case_of(fault: InstructionFault, scenario: Scenario) -> Case:
-    """A fault before its injection; `BadInputError` if the mission has no such kernel."""
-    check_kernel(fault.kernel, scenario.planner.name)
-    return Case(fault, INJECTED_KERNEL[fault.kernel], fault.call)
+def case_of(fault: InstructionFault, scenario: Scenario, detector: Detector | None = None) -> Case:
+    """A fault before its injection; `BadInputError` if the mission has no such kernel or detector."""
+    check_kernel(fault.kernel, scenario.planner.name, detector)
+    return Case(fault, INJECTED_KERNEL.get(fault.kernel, ""), fault.call)
 
 
 def flight_of(case: Case, golden: Flight) -> Flight:

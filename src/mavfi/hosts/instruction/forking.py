@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mavfi.detectors.detector import Detector
+from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import MavfiError
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction import Ended, ForkPoint, MismatchError
@@ -35,7 +35,7 @@ from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import copied
-from mavfi.states import State
+from mavfi.states import DETECTORS, State
 
 TIMEOUT = 60.0
 """Wall-clock limit of an injected flight (s): for what the budget of instructions does not see."""
@@ -61,6 +61,8 @@ class _ForkingFunction:
         self._forks, self._name, self._function, self._calls = forks, name, function, 0
 
     def __call__(self, *args: Any) -> Any:
+        if self._forks.loop.repeating:  # faults are addressed by calls of first runs, as in flights without a detector
+            return self._function(*args)
         call, self._calls = self._calls, self._calls + 1
         for case in self._forks.cases:
             if case.call == call and case.fault.entry == self._name and self._forks.child is None:
@@ -85,13 +87,18 @@ class Forks:
         self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None,
         recovery: Recovery = INLINE,
     ) -> None:  # fmt: skip
-        self.cases = [case_of(fault, scenario) for fault in faults]
+        self.cases = [case_of(fault, scenario, detector) for fault in faults]
         self.child: _Child | None = None
         self._awaited: dict[str, list[Case]] = {}
-        names = tuple(dict.fromkeys(case.fault.entry for case in self.cases if case.fault.has_site))
+        sites = [case for case in self.cases if case.fault.has_site]
+        names = tuple(dict.fromkeys(case.fault.entry for case in sites if case.kernel))
         functions = PLAIN.instrumented(names, lambda name, function: _ForkingFunction(self, name, function))
         self.loop = new_loop(scenario, functions=functions)
-        self._watched = detector is not None
+        self._detector = detector
+        for source in {case.fault.kernel for case in sites if not case.kernel}:
+            part = part_of(detector, source)
+            entries = {case.fault.entry for case in sites if case.fault.kernel == source}
+            part.instrument({name: _ForkingFunction(self, name, part.compiled[name]) for name in entries})
         watch(self.loop, detector, recovery)
         self._restarts = Restarts(self.loop, scenario.dead_node)
         self.loop.after_step.append(self._stepped)
@@ -103,7 +110,7 @@ class Forks:
         try:
             check_fault(case.fault, variant, function)
         except MismatchError:
-            if not self._watched:
+            if self._detector is None:
                 raise
             case.call += 1  # calls have shifted: this one has arguments of other types
             return False, None
@@ -122,9 +129,12 @@ class Forks:
         else:
             ended = self._fork(case, dead=True)
             if ended is None:
+                if not case.kernel and self._detector is not None:
+                    self._restarts.detector_dies(self._detector, self.loop.now, round(1e6 * case.fault.restart_s))
                 return True, function(*args)
             case.report = _report_of(ended)
-        self._awaited.setdefault(case.kernel, []).append(case)
+        if case.kernel:
+            self._awaited.setdefault(case.kernel, []).append(case)
         return False, None
 
     def _fork(self, case: Case, *, dead: bool) -> Ended | None:
@@ -149,7 +159,7 @@ class Forks:
         result = variant.inject(fault.index, *fault.masks, fault.budget, *args)
         child.call_same = digest(_as_tuples((result, args))) == golden
         report = variant.report()
-        if self._watched and changed_nothing(report):
+        if self._detector is not None and changed_nothing(report):
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True, missed=True)))
         if child.call_same and report is not None and (report.planned or report.site.value_class in DATA):
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True)))
@@ -192,6 +202,11 @@ class Forks:
                 raise
             with self.child.point.guard():
                 raise
+        finally:
+            for source in DETECTORS:
+                part = part_of(self._detector, source)
+                if part is not None:
+                    part.instrument({})
         if self.child is not None:
             assert golden is not None  # for a child it is never enough
             report = ChildReport(golden.log, self.child.output, self.child.call_same)

@@ -98,7 +98,7 @@ class FastForward:
             fault: What to inject; None = golden flight.
             detector: None = none.  It is started where its flights begin.
             arm: Name of the detector: the same name always comes with the same detector and recovery.
-            recovery: Answer to its alarms; it restarts no nodes, of which a checkpoint knows nothing.
+            recovery: Answer to its alarms; it `remembers` nothing, since a checkpoint would not know of it.
         """
         self.recovery = recovery
         with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
@@ -185,14 +185,16 @@ class _Branch:
         self._flown = False
         self._log: FlightLog | None = None
         self._recovery = forward.recovery
-        self.loop.status, self.loop.taps.detector = None, None
+        self.loop.status, self.loop.taps.detector, self.loop.taps.seal = None, None, None
         self._watch()
         shows = keeps and detector is None
         self.loop.taps.recorders[:] = [lambda state, now: self._shown.append((state, now))] if shows else []
 
     def _watch(self) -> None:
         if self._detector is not None:
-            self.loop.taps.detector = Watch(self.loop, self._detector.content, self._recovery)
+            tap = Watch(self.loop, self._detector.content, self._recovery)
+            taps = self.loop.taps
+            taps.detector, taps.watched, taps.seal = tap, tap.states, tap.seal if tap.seals else None
 
     def remember(self, saved: Any) -> None:  # noqa: ANN401
         """Restore the memory of the detector, if there is one, from a checkpoint."""

@@ -1,11 +1,13 @@
 """One flight in one process, deterministic to the bit."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from mavfi.detectors.detector import Detector
-from mavfi.faults.fault import StateFault
+from mavfi.faults.fault import MemoryFault, StateFault
 from mavfi.faults.state import StateInjector
 from mavfi.hosts.host import Flight
+from mavfi.hosts.local.memory_faults import MemoryInjector
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.taps import Recorder
@@ -14,7 +16,7 @@ from mavfi.pipeline.functions import PLAIN, KernelFunctions
 
 
 def fly(
-    scenario: Scenario, fault: StateFault | None = None, detector: Detector | None = None, *,
+    scenario: Scenario, fault: StateFault | MemoryFault | None = None, detector: Detector | None = None, *,
     recovery: Recovery = INLINE, profile: bool = False, recorders: Sequence[Recorder] = (),
     functions: KernelFunctions = PLAIN,
 ) -> Flight:  # fmt: skip
@@ -33,8 +35,13 @@ def fly(
         BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
     """
     loop = new_loop(scenario, profile=profile, functions=functions)
-    if fault is not None:
+    if isinstance(fault, StateFault):
         loop.taps.injector = StateInjector(fault)
+    in_memory = MemoryInjector(loop, fault) if isinstance(fault, MemoryFault) else None
+    loop.taps.injector = in_memory or loop.taps.injector
     watch(loop, detector, recovery)
     loop.taps.recorders.extend(recorders)
-    return loop.fly()
+    flight = loop.fly()
+    if in_memory is not None and in_memory.effect is not None:
+        flight.log = replace(flight.log, kernel=in_memory.effect)
+    return flight

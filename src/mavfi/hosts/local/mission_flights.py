@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, InstructionFault, StateFault
+from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, StateFault
 from mavfi.hosts.host import ArmFlights, ArmSetup, Flight
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local.fast_forward import FastForward
@@ -16,7 +16,7 @@ class LocalHost:
     """The deterministic host."""
 
     name = "local"
-    levels = frozenset({"state", "instruction"})
+    levels = frozenset({"state", "memory", "instruction"})
     deterministic = True
     in_process = True
 
@@ -53,8 +53,9 @@ class LocalFlights(ArmFlights):
                 batches.setdefault(arm, []).append((place, fault))
                 continue
             try:
-                if not isinstance(fault, StateFault):
-                    raise BadInputError(f"host local: faults of level {fault.level!r}: allowed: state, instruction")
+                if not isinstance(fault, (StateFault, MemoryFault)):
+                    allowed = "state, memory, instruction"
+                    raise BadInputError(f"host local: faults of level {fault.level!r}: allowed: {allowed}")
                 yield place, self._fly(arm, fault)
             except Exception as error:  # noqa: BLE001 - it ends this flight, not the others
                 yield place, error
@@ -79,17 +80,19 @@ class LocalFlights(ArmFlights):
             return
         yield from ((place, flight) for (place, _), flight in zip(batch, found, strict=True))
 
-    def _fly(self, arm: str, fault: StateFault | None, *, profile: bool = False) -> Flight:
+    def _fly(self, arm: str, fault: StateFault | MemoryFault | None, *, profile: bool = False) -> Flight:
         """Fast-forwarded if possible.
 
-        Not: null faults, whose purpose is to fly through the injector; detectors that may restart nodes, which act at
-        publications without an alarm too.
+        Not: null faults, whose purpose is to fly through the injector; faults in memory, which no checkpoint knows;
+        detectors that may restart nodes or end in a degraded mode, whose answers depend on earlier alarms; detectors
+        that take part in what is not published (`seal`, `duplicates`).
         """
         setup = self._arms[arm]
         detector = self._detector(arm)
         through = fault is not None and fault.bit is None
-        restarts = detector is not None and setup.recovery.restarts
-        if self._fast and not through and not restarts:
+        takes_part = hasattr(detector, "seal") or hasattr(detector, "duplicates")
+        remembers = detector is not None and (setup.recovery.remembers or takes_part)
+        if self._fast and not through and not remembers and not isinstance(fault, MemoryFault):
             key = setup.scenario.key()
             try:
                 forward = self._forward.get(key) or FastForward(setup.scenario)

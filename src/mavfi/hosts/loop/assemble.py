@@ -5,6 +5,7 @@ from functools import partial
 
 from mavfi.detectors.detector import Detector
 from mavfi.hosts.loop.compose import pipeline_config
+from mavfi.hosts.loop.duplicate import Duplicates
 from mavfi.hosts.loop.plant import MakePlant
 from mavfi.hosts.loop.recovery import INLINE, Recovery, Watch
 from mavfi.hosts.loop.restarts import Restarts
@@ -49,5 +50,10 @@ def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) ->
         return
     loop.marks = True
     restart = {"restart": Restarts(loop, "readback").die} if recovery.restarts else {}
-    loop.taps.detector = Watch(loop, detector, recovery, **restart)
+    tap = Watch(loop, detector, recovery, **restart)
+    loop.taps.detector, loop.taps.watched = tap, tap.states
+    loop.taps.seal = tap.seal if tap.seals else None
+    duplicates = getattr(detector, "duplicates", ())
+    if duplicates:
+        loop.verify = Duplicates(loop, duplicates)
     detector.start()

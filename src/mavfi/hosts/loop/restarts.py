@@ -11,14 +11,17 @@
 from collections.abc import Sequence
 from weakref import proxy
 
+from mavfi.detectors.detector import Detector
 from mavfi.faults.state import ActedOn
 from mavfi.hosts.loop.recovery import WAYPOINT
 from mavfi.hosts.loop.scheduler import Loop
+from mavfi.hosts.loop.taps import Tap
 from mavfi.mission import DeadNode, MissionStatus
 from mavfi.pipeline.kernel import Kernel
 from mavfi.states import PERIODIC, STATES, State, in_node
 
-_MAP = "perception.map_update"
+CHANGES = "perception.map_update"
+"""State of changes instead of whole values: a node that begins again is sent all of them."""
 
 
 class Restarts:
@@ -39,7 +42,7 @@ class Restarts:
     def _keep(self, state: State, now: int) -> None:
         name = state.spec.name
         self._latest[name] = state
-        if name == _MAP:
+        if name == CHANGES:
             self._updates.append(state)
         if name in self._acted_on and self._acted_on[name](state):
             self._alarms[name] = state
@@ -59,6 +62,28 @@ class Restarts:
             self._recompute(kernel, now, lost)
         else:
             self._lose(kernel, now, after_us)
+
+    def detector_dies(self, detector: Detector, now: int, after_us: int) -> None:
+        """Let the detector die now: what is published passes, and the flight goes on.
+
+        Under the policy `end` for good; under `recompute` its call is simply made again.  Else it is there again after
+        a time without memory, and is sent the last publication of each state, as a restarted node is.
+        """
+        if self._policy == "recompute":
+            return
+        taps = self._loop.taps
+        tap, taps.detector = taps.detector, None
+        if self._policy != "end":
+            self._loop.actions["detector back"] = lambda now: self._watch_again(detector, tap, now)
+            self._loop.at(now + after_us, "detector back")
+
+    def _watch_again(self, detector: Detector, tap: Tap | None, now: int) -> None:
+        detector.start()
+        for name in STATES:  # in the order of the data flow
+            if name in self._latest:
+                detector.accept(self._latest[name], now)
+        self._loop.awaited.clear()  # recomputed meanwhile
+        self._loop.taps.detector = tap
 
     def _lose(self, kernel: str, now: int, after_us: int) -> None:
         loop, names = self._loop, in_node(kernel)
@@ -92,7 +117,9 @@ class Restarts:
     # ---- back again -------------------------------------------------------------------------------------------------
     def _restart(self, now: int, kernel: str) -> None:
         loop, names = self._loop, in_node(kernel)
-        fresh = loop.make_kernels()
+        fresh = loop.renew(kernel)
+        if not fresh:
+            return
         for name in names:
             loop.kernels[name] = fresh[name]
             loop.down.discard(name)
@@ -117,7 +144,7 @@ class Restarts:
 
     def _messages(self, name: str) -> list[State]:
         """What a restarted node is sent of a state."""
-        if name == _MAP:
+        if name == CHANGES:
             return self._updates
         latest, alarm = self._latest.get(name), self._alarms.get(name)
         messages = [] if latest is None else [latest]

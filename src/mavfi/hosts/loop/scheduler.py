@@ -6,7 +6,7 @@ the platform, through the taps; the control kernel's command goes to the plant; 
 
 import heapq
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,6 +74,10 @@ class Loop:
         awaited: Recomputations under way, by state.
         requests: Recomputations that wait for the kernel's next step, by kernel (coupling `observer`).
         down: Kernels whose node is dead.
+        renew: Makes the kernels of a dead node, given one of them, and may make others; none = it does not come back.
+        verify: Called with a kernel, the results of a step, and the instant: gives the results to publish, and the time
+            that this takes (us); None = results are published as they are.
+        repeating: Whether the step under way repeats another one, to verify it.
     """
 
     def __init__(
@@ -81,7 +85,8 @@ class Loop:
         want_profile: bool = False, marks: bool = False,
     ) -> None:  # fmt: skip
         self.scenario, self.world, self.plant = scenario, world, plant
-        self.make_kernels, self.marks = make_kernels, marks
+        self.marks = marks
+        self.renew: Callable[[str], Mapping[str, Kernel]] = lambda kernel: make_kernels()
         self.kernels = make_kernels()
         self.latency = {name: latency(scenario.platform, name) for name in self.kernels}
         self.readers: dict[str, list[Kernel]] = {
@@ -102,6 +107,8 @@ class Loop:
         self.awaited: dict[str, Awaited] = {}
         self.requests: dict[str, Action] = {}
         self.down: set[str] = set()
+        self.verify: Callable[[Kernel, list[State], int], tuple[list[State], int]] | None = None
+        self.repeating = False
         self.mapped, self.captured_us, self.failed_plans = False, 0, 0
         self.command = np.zeros(4)
         self.reference = plant.odometry[:3].copy()
@@ -162,7 +169,7 @@ class Loop:
         """One control period: judge, measure where the vehicle is, hand over, track."""
         for listener in self.before_tick:
             listener(now)
-        self.status = self.judge.status(self.plant, self.failed_plans, now)
+        self.status = self.status or self.judge.status(self.plant, self.failed_plans, now)
         self.record.write_row(now, self.plant.odometry, self.command, self.reference)
         if self.status is None:
             self._control_period(now)
@@ -200,7 +207,11 @@ class Loop:
             return
         if self.marks and kernel.name not in SCANNING:
             kernel.mark()
-        self.finish(kernel, kernel.step(now), now, self.latency[kernel.name] if latency_us is None else latency_us)
+        states, cost = kernel.step(now), self.latency[kernel.name] if latency_us is None else latency_us
+        if self.verify is not None:
+            states, more = self.verify(kernel, states, now)
+            cost += more
+        self.finish(kernel, states, now, cost)
 
     def finish(self, kernel: Kernel, states: list[State], now: int, latency_us: int) -> None:
         """Publish a kernel's results when its latency has passed; those of a dead node are lost."""
@@ -241,6 +252,10 @@ class Loop:
         seen = self.taps(state, now)
         if seen is not None:
             self.publish(seen, now)
+
+    def resend(self, now: int, state: State) -> None:
+        """Send a value that its producer has kept once more."""
+        self.deliver(state, now)
 
     def publish(self, state: State, now: int) -> None:
         """Show a value to its consumers; steps that it makes due begin."""

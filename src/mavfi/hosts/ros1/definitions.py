@@ -19,10 +19,18 @@ bool due
 string[] states
 uint64[] numbers
 """,
+    "Recall": """# Asks a node for a value that it has published or consumed, as it was on its topic.
+string state
+uint64 number
+---
+bool held
+uint8[] value
+""",
 }
 """Text of every service of the package by its name."""
 _OTHERS = {
-    "Operation": """# One operation of one kernel; publish_us: stamp of what is published at once, -1 = it is held.
+    "Operation": """# One operation of one kernel; state: of the number, where that matters;
+# publish_us: stamp of what is published at once, -1 = it is held.
 uint8 RECEIVE = 0
 uint8 STEP = 1
 uint8 PUBLISH = 2
@@ -30,11 +38,17 @@ uint8 MARK = 3
 uint8 ROLLBACK = 4
 uint8 STOP = 5
 uint8 ABANDON = 6
+uint8 AGAIN = 7
+uint8 RECALL = 8
+uint8 RESUME = 9
+uint8 RESET = 10
+uint8 FORGET = 11
 uint8 action
 string kernel
 uint64 number
 int64 time_us
 int64 publish_us
+string state
 """,
     "Verdict": """# What a detector says of one publication.
 std_msgs/Header header

@@ -13,7 +13,8 @@ FOLDER_VARIABLE = "MAVFI_ROS_FLIGHT"
 MESSAGES, DEFINITIONS, LOG, JOIN, PID = "messages", "definitions", "log", "join", "pid"
 FLIGHT, PROFILE, FAILURE, TIMES = "flight.npz", "profile.npz", "failure.txt", "times.json"
 INJECTIONS = "injections.json"
-LAUNCH_FILE = "flight.launch"
+LAUNCH_FILE, PACKAGE, EXECUTABLE = "flight.launch", "mavfi", "node"
+_CORE = "roscore.xml"
 _PORT_VARIABLE, _USUAL_PORT = "MAVFI_ROS_PORT", "11311"
 _TOLD = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOME", "ROS_LOG_DIR", "ROS_PACKAGE_PATH", "PYTHONPATH", "LD_LIBRARY_PATH")
 
@@ -68,9 +69,18 @@ def environment(folder: Path) -> dict[str, str]:
         "PYTHONPATH": os.pathsep.join(paths),
         "ROS_PACKAGE_PATH": f"{folder}:{folder / MESSAGES}:{folder / DEFINITIONS}:{given['ROS_PACKAGE_PATH']}",
         "ROS_MASTER_URI": f"http://127.0.0.1:{master_port()}", "ROS_IP": "127.0.0.1",
-        "ROS_HOME": str(folder), "ROS_LOG_DIR": str(folder / LOG), FOLDER_VARIABLE: str(folder),
+        "ROS_HOME": str(folder), "ROS_ETC_DIR": str(folder), "ROS_LOG_DIR": str(folder / LOG),
+        FOLDER_VARIABLE: str(folder),
         "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1",
     }  # fmt: skip
+
+
+def write_core(folder: Path) -> None:
+    """Write what roslaunch starts with every master; Debian's own file asks two programs for these names, for 1 s."""
+    (folder / _CORE).write_text(
+        '<launch>\n  <param name="/rosdistro" value="Debian"/>\n'
+        '  <node pkg="rosout" type="rosout" name="rosout" respawn="true"/>\n</launch>\n'
+    )
 
 
 def write_join(folder: Path, isolated: bool, own_users: bool) -> None:

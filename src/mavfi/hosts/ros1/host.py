@@ -7,7 +7,7 @@ from mavfi.faults.fault import Fault, StateFault
 from mavfi.hosts.host import ArmFlights, ArmSetup, Flight
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.ros1 import finder
-from mavfi.hosts.ros1.kernels import load_compiled
+from mavfi.hosts.ros1.kernels import fly_begin
 from mavfi.hosts.ros1.plan import Plan, check_supported
 from mavfi.hosts.ros1.session import configure, fly, isolation
 from mavfi.mission import MissionSpec, Scenario
@@ -60,9 +60,11 @@ class Ros1Flights(ArmFlights):
     def _fly(self, arm: str, fault: StateFault | None, *, profile: bool = False) -> Flight:
         setup, first = self._arms[arm], arm not in self._detectors
         plan = Plan(
-            setup.scenario, configure(setup.scenario), fault, self._detector(arm), setup.recovery.coupling,
+            setup.scenario, configure(setup.scenario), fault, self._detector(arm), setup.recovery,
             patience_s=PATIENCE_S, profile=profile,
         )  # fmt: skip
         if first:
-            load_compiled(plan)  # a node that compiles must not look like one that hangs
+            fly_begin(
+                plan.scenario, plan.detector, setup.recovery
+            )  # a node that compiles must not look like one that hangs
         return fly(plan).flight

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from mavfi.detectors.detector import Detector
 from mavfi.hosts.loop.assemble import new_loop, watch
-from mavfi.hosts.loop.recovery import SCANNING, Recovery
+from mavfi.hosts.loop.recovery import INLINE, SCANNING, Recovery
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.hosts.ros1.convert import MAP
 from mavfi.hosts.ros1.generate import message_type
@@ -18,7 +19,8 @@ from mavfi.hosts.ros1.mirrors import ros_type
 from mavfi.hosts.ros1.nodelet_cloud import NodeletCloud
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Inbox, Ports, fatal
-from mavfi.pipeline.kernel import Kernel, PipelineConfig
+from mavfi.mission import Scenario
+from mavfi.pipeline.kernel import Kernel, PipelineConfig, repeat
 from mavfi.pipeline.planning import MotionPlanner
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.platforms.compute import latency
@@ -32,18 +34,24 @@ class KernelNode:
     """Builds the kernels of a node, and advertises their results."""
 
     def __init__(self, name: str, plan: Plan) -> None:
-        built = build_pipeline(plan.config)
-        self.kernels = {kernel: built[kernel] for kernel in plan.graph.nodes[name]}
         self.ports = Ports(name, plan)
-        if plan.foreign and "point_cloud" in self.kernels:
-            self.kernels["point_cloud"] = NodeletCloud(plan, self.ports)
+        self.kernels: dict[str, Kernel] = {}
+        self.renew()
         self.lock = threading.Lock()
         written = [state for kernel in self.kernels.values() for state in kernel.writes]
         self._outlets = {
             state: self.ports.outlet(way, way.first) for state in written if (way := self.ports.ways[state])
         }
         if "planner" in self.kernels:
-            offer_planning(self.kernels["planner"], plan.config, self.lock)
+            offer_planning(lambda: self.kernels["planner"], plan.config, self.lock)
+
+    def renew(self) -> None:
+        """Make the kernels; a nodelet's remains, which has no memory."""
+        plan, cloud = self.ports.plan, self.kernels.get("point_cloud")
+        built = build_pipeline(plan.config)
+        if plan.foreign and "point_cloud" in plan.graph.nodes[self.ports.node]:
+            built["point_cloud"] = cloud or NodeletCloud(plan, self.ports)
+        self.kernels = {kernel: built[kernel] for kernel in plan.graph.nodes[self.ports.node]}
 
     def reading(self, state: str) -> list[Kernel]:
         """The kernels of this node that read a state."""
@@ -65,6 +73,7 @@ class LockStepNode(KernelNode):
         self._taken: dict[int, tuple[State, int]] = {}
         self._due: dict[str, tuple[int, State]] = {}
         self._results: dict[int, State] = {}
+        self._recalled: dict[int, State | None] = {}
         self._at_once = plan.published_at_once()
         operation = message_type("Operation")
         self._actions: dict[int, Callable[[Kernel, Any], Any]] = {
@@ -73,9 +82,14 @@ class LockStepNode(KernelNode):
             operation.ROLLBACK: lambda kernel, order: kernel.rollback(),
             operation.STOP: lambda kernel, order: kernel.stop(),  # type: ignore[attr-defined]
             operation.ABANDON: lambda kernel, order: kernel.abandon(order.time_us),  # type: ignore[attr-defined]
+            operation.AGAIN: lambda kernel, order: repeat(kernel),
             operation.RECEIVE: self._receive,
             operation.PUBLISH: self._publish,
+            operation.RECALL: self._recall,
+            operation.RESUME: self._resume,
+            operation.RESET: self._reset,
         }
+        self._resuming = operation.RESUME
         self._giving = (operation.STEP, operation.STOP, operation.ABANDON)
 
     def run(self) -> None:
@@ -99,6 +113,8 @@ class LockStepNode(KernelNode):
                     response.numbers = list(range(order.number, order.number + len(answer)))
                     response.states = [state.spec.name for state in answer]
                     self._keep(answer, response.numbers, order.publish_us)
+                elif order.action == self._resuming:
+                    response.states = list(answer)
                 elif answer:
                     response.due = True
         return response
@@ -112,6 +128,8 @@ class LockStepNode(KernelNode):
 
     def _receive(self, kernel: Kernel, order: Any) -> bool:
         number = order.number
+        if self._recalled.get(number, self) is None:
+            return False  # nobody had it
         waiting, state = self._due.get(kernel.name, (-1, None))
         if waiting != number or state is None:
             state = self._take(number)
@@ -122,13 +140,35 @@ class LockStepNode(KernelNode):
 
     def _take(self, number: int) -> State:
         """A value that came over a topic, for one of the kernels that read it."""
+        recalled = self._recalled.get(number)
+        if recalled is not None:
+            return recalled
         if number not in self._taken:
             state: State = self._inbox.take(number, self.ports.plan.patience_s)
+            self.ports.kept.put(state, number)
             self._taken[number] = state, len(self.reading(state.spec.name))
         state, left = self._taken.pop(number)
         if left > 1:
             self._taken[number] = state, left - 1
         return state
+
+    # ---- after a restart --------------------------------------------------------------------------------------------
+    def _recall(self, kernel: Kernel, order: Any) -> None:
+        """Ask the peers for a value."""
+        state = self.ports.recall(order.state, order.number)
+        self._recalled[order.number] = state
+        if state is not None:
+            self.ports.kept.put_late(state, order.number)
+
+    def _resume(self, kernel: Kernel, order: Any) -> tuple[str, ...]:
+        known = sorted((number, state) for number, state in self._recalled.items() if state is not None)
+        return kernel.resume({state.spec.name: state for _, state in known}, order.time_us)
+
+    def _reset(self, kernel: Kernel, order: Any) -> None:
+        """Initialize the memory; what was computed is published when it is due."""
+        self.renew()
+        self._due.clear()
+        self._recalled.clear()
 
     def _publish(self, kernel: Kernel, order: Any) -> None:
         state = self._results.pop(order.number)
@@ -148,7 +188,8 @@ class FreeNode(KernelNode):
 
     def run(self) -> None:
         """Work until the end."""
-        load_compiled(self.ports.plan)
+        if not self.ports.plan.forked:
+            fly_begin(self.ports.plan.scenario)
         self.listen(lambda state, number, time_us: self._queue.put((state, time_us, None)))
         if self._marks:
             self.ports.listen(RECOMPUTE, "Recompute", lambda request: self._queue.put((None, 0, request)))
@@ -204,10 +245,10 @@ class FreeNode(KernelNode):
             self._publish(kernel, kernel.stop if request.kind == "stop" else lambda: kernel.abandon(now), now)
 
 
-def load_compiled(plan: Plan) -> None:
+def fly_begin(scenario: Scenario, detector: Detector | None = None, recovery: Recovery = INLINE) -> None:
     """Fly the first seconds in this process: functions are compiled and loaded at their first use."""
-    loop = new_loop(plan.scenario)
-    watch(loop, None if plan.free_running else plan.detector, Recovery(plan.coupling))
+    loop = new_loop(scenario)
+    watch(loop, detector, recovery)
     loop.judge.limit_us = _LOADING_FLIGHT_US
     loop.fly()
 
@@ -229,18 +270,18 @@ def find_path(planner: MotionPlanner, start: np.ndarray, goal: np.ndarray) -> np
     return found if np.array_equal(found[0], start) else np.vstack([start, found])
 
 
-def offer_planning(planner: Kernel, config: PipelineConfig, lock: threading.Lock) -> None:
-    """Offer the service `/plan` of type `nav_msgs/GetPlan`, answered on the present map of the planner.
+def offer_planning(present: Callable[[], Kernel], config: PipelineConfig, lock: threading.Lock) -> None:
+    """Offer the service `/plan` of type `nav_msgs/GetPlan`, answered on the present map of the present planner.
 
     The goal of the mission replaces (0, 0, 0) in a request; `lock` is held while the planner computes.
     """
     import rospy
     from nav_msgs.srv import GetPlan, GetPlanResponse
 
-    assert isinstance(planner, MotionPlanner)
-
     def answer(request: Any) -> Any:
         start, goal = (_position(pose) for pose in (request.start, request.goal))
+        planner = present()
+        assert isinstance(planner, MotionPlanner)
         with lock, np.errstate(all="ignore"):
             path = find_path(planner, start, goal if goal.any() else config.goal)
         response = GetPlanResponse()

@@ -1,6 +1,5 @@
 """The program of a node: `python -m mavfi.hosts.ros1.node NAME`, started by roslaunch."""
 
-import ctypes
 import signal
 import sys
 import traceback
@@ -11,18 +10,17 @@ from mavfi.hosts.ros1.folder import FAILURE, MESSAGES, flight_folder
 from mavfi.hosts.ros1.graph import DETECTOR, INJECTOR, WORLD
 from mavfi.hosts.ros1.plan import Plan, load_plan
 from mavfi.hosts.ros1.ports import die
+from mavfi.hosts.ros1.processes import end_with_parent
 
-_PARENT_DIED = 1  # PR_SET_PDEATHSIG of <linux/prctl.h>
 
-
-def main() -> None:
-    """Run the node that the command line names, until it is killed or the flight is over."""
-    ctypes.CDLL(None).prctl(_PARENT_DIED, signal.SIGKILL)  # no node outlives its roslaunch
+def main(plan: Plan | None = None) -> None:
+    """Run the node that the command line names, of a plan that is known or read, until it is killed or all is over."""
+    end_with_parent()  # no node outlives its roslaunch
     finder.enable(flight_folder() / MESSAGES)
     import rospy
 
     name = rospy.myargv(sys.argv)[1]
-    plan = load_plan()
+    plan = plan or load_plan()
     warnings.filterwarnings("ignore", "The publisher should be created", SyntaxWarning)  # without a queue, on purpose
     rospy.init_node(name, disable_signals=True, disable_rostime=True, disable_rosout=True)
     try:

@@ -6,9 +6,13 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Hashable
+from contextlib import suppress
+from io import BytesIO
 from typing import Any, NoReturn, TypeVar
 
 from mavfi.errors import MavfiError
+from mavfi.faults.state import ActedOn
+from mavfi.hosts.loop.restarts import CHANGES
 from mavfi.hosts.ros1.convert import from_msg, from_stamp, to_msg
 from mavfi.hosts.ros1.generate import message_type, state_types
 from mavfi.hosts.ros1.graph import JUDGED_BY_WORLD, Way
@@ -18,6 +22,7 @@ from mavfi.states import STATES, State
 
 _BUFFER = 1 << 22
 _POLL_S = 0.005
+_KEPT = 2
 _Given = TypeVar("_Given")
 _Answer = TypeVar("_Answer")
 Arrived = Callable[[State, int, int], None]
@@ -70,19 +75,53 @@ class Inbox:
             return self._things.pop(key)
 
 
+class Kept:
+    """The last values that a node has published or consumed, for nodes that begin again without memory.
+
+    Of each state the two of the highest numbers, since one may not have come to its instant yet, and the last one that
+    consumers act upon; all changes of a map.
+    """
+
+    def __init__(self) -> None:
+        self._values: dict[str, dict[int, State]] = {}
+        self._acted_on = {name: ActedOn(spec) for name, spec in STATES.items() if spec.acted_on}
+        self._alarms: dict[tuple[str, int], State] = {}
+
+    def put(self, state: State, number: int) -> None:
+        """Keep a value; values of one state come in order."""
+        name = state.spec.name
+        self.put_late(state, number)
+        if name in self._acted_on and self._acted_on[name](state):
+            self._alarms = {key: kept for key, kept in self._alarms.items() if key[0] != name} | {(name, number): state}
+
+    def put_late(self, state: State, number: int) -> None:
+        """Keep a value that comes out of order."""
+        values = self._values.setdefault(state.spec.name, {})
+        values[number] = state
+        if state.spec.name != CHANGES and len(values) > _KEPT:
+            del values[min(values)]
+
+    def find(self, name: str, number: int) -> State | None:
+        """A value, None = it is not kept."""
+        return self._values.get(name, {}).get(number) or self._alarms.get((name, number))
+
+
 class Outlet:
     """Publishes the values of one state to `listeners` nodes of the flight, and mirrors in standard types."""
 
-    def __init__(self, state: str, topic: str, listeners: int, mirrors: list[Mirror]) -> None:
+    def __init__(self, state: str, topic: str, listeners: int, mirrors: list[Mirror], kept: Kept | None) -> None:
         import rospy
 
         self._kind = state_types()[state]
         self._publisher = rospy.Publisher(topic, self._kind, queue_size=None, tcp_nodelay=True)
         self._listeners = listeners
         self._mirrors = mirrors
+        self._kept = kept
 
     def publish(self, state: State, number: int, time_us: int) -> None:
         """Publish one value."""
+        if self._kept is not None:
+            self._kept.put(state, number)
         self._publisher.publish(to_msg(state, number, time_us, self._kind))
         for mirror in self._mirrors:
             mirror.publish(state, time_us)
@@ -99,15 +138,18 @@ class Ports:
         self.node = node
         self.plan = plan
         self.ways = plan.graph.ways
+        self.kept = Kept()
         self._outlets: list[Outlet] = []
         self._subscribers: list[Any] = []
         self._others: list[tuple[Any, int]] = []
         self._conditions: list[Callable[[], bool]] = []
+        self._peers: dict[str, Any] = {}
 
     def outlet(self, way: Way, topic: str) -> Outlet:
         """Publish values of a state on one of the topics of its way."""
         mirrors = mirrors_of(way.state, self.plan) if topic == way.final else []
-        outlet = Outlet(way.state, topic, listeners(way, topic, self.plan), mirrors)
+        kept = self.kept if topic == way.final and not self.plan.free_running else None
+        outlet = Outlet(way.state, topic, listeners(way, topic, self.plan), mirrors, kept)
         self._outlets.append(outlet)
         return outlet
 
@@ -171,7 +213,52 @@ class Ports:
             self.wait_until_connected()
             return TriggerResponse(True, str(os.getpid()))
 
+        self.offer_recall()
         rospy.Service(f"/{self.node}/ready", Trigger, answer)
+
+    # ---- values of the past -----------------------------------------------------------------------------------------
+    def offer_recall(self) -> None:
+        """Offer the service `/<node>/recall`: it answers with a value that is kept here."""
+        import rospy
+        from mavfi_msgs.srv import Recall, RecallResponse
+
+        def answer(request: Any) -> Any:
+            state = self.kept.find(request.state, request.number)
+            if state is None:
+                return RecallResponse(False, b"")
+            content = BytesIO()
+            to_msg(state, request.number, 0, state_types()[request.state]).serialize(content)
+            return RecallResponse(True, content.getvalue())
+
+        rospy.Service(f"/{self.node}/recall", Recall, answer)
+
+    def recall(self, name: str, number: int) -> State | None:
+        """Ask living peers for a value of a state that was published before this node began; None = nobody has it."""
+        import rospy
+
+        for peer in peers(self.ways[name], self.node):
+            with suppress(rospy.ServiceException, rospy.ROSException, OSError):
+                answer = self._asking(peer)(name, number)
+                if answer.held:
+                    message = state_types()[name]()
+                    message.deserialize(answer.value)
+                    return from_msg(message, STATES[name])
+        return None
+
+    def _asking(self, peer: str) -> Any:
+        """The connection to the service of a peer."""
+        import rospy
+        from mavfi_msgs.srv import Recall
+
+        if peer not in self._peers:
+            self._peers[peer] = rospy.ServiceProxy(f"/{peer}/recall", Recall, persistent=True)
+        return self._peers[peer]
+
+
+def peers(way: Way, node: str) -> tuple[str, ...]:
+    """Nodes that keep what came out on the topic of a way: those that read it, and the last in the way."""
+    last = (way.writer, *way.taps)[-1]
+    return tuple(peer for peer in dict.fromkeys((*way.readers, last)) if peer != node)
 
 
 def listeners(way: Way, topic: str, plan: Plan) -> int:

@@ -20,7 +20,7 @@ from mavfi.hosts.ros1.plan import Plan
 from mavfi.platforms.compute import latency
 from mavfi.states import STATES, State
 
-RECEIVE, STEP, PUBLISH, MARK, ROLLBACK, STOP, ABANDON = range(7)
+RECEIVE, STEP, PUBLISH, MARK, ROLLBACK, STOP, ABANDON, AGAIN, RECALL, RESUME, RESET, FORGET = range(12)
 """As in `mavfi_msgs/Operation`."""
 HELD = -1
 _WATCH_S = 0.1
@@ -87,7 +87,7 @@ class Link:
     Attributes:
         lost: Whether it is away.
         life: How often it was lost.
-        since: Number of the first publication that this life of the node can have seen.
+        since: Number of the first publication that this life of the node can have seen; earlier ones it has to recall.
     """
 
     node: str
@@ -97,6 +97,7 @@ class Link:
     lost: bool = True
     life: int = 0
     since: int = 0
+    _recalled: set[int] = field(default_factory=set)
     _pending: list[Any] = field(default_factory=list)
     _proxy: Any = None
 
@@ -105,7 +106,7 @@ class Link:
         import rospy
         from mavfi_msgs.srv import Drive
 
-        self._pending.clear()
+        self._begin_anew()
         self._proxy = rospy.ServiceProxy(f"/{self.node}/drive", Drive, persistent=True)
         self.pid, self.since, self.lost = pid, since, False
 
@@ -113,18 +114,44 @@ class Link:
         """The node is away, and its memory is lost."""
         self.lost = True
         self.life += 1
-        self._pending.clear()
+        self._begin_anew()
 
-    def note(self, action: int, kernel: str, number: int, time_us: int, publish_us: int = HELD) -> None:
+    def reset(self, kernel: str, since: int) -> None:
+        """Initialize the memory of the node of a kernel, whose process stays."""
+        self.note(RESET, kernel, 0, 0)
+        self.since = since
+        self._recalled.clear()
+
+    def _begin_anew(self) -> None:
+        self._pending.clear()
+        self._recalled.clear()
+
+    def note(
+        self, action: int, kernel: str, number: int, time_us: int, publish_us: int = HELD, state: str = ""
+    ) -> None:  # fmt: skip
         """Add an operation to the next call; arguments are the fields of `mavfi_msgs/Operation`."""
         if not self.lost:
-            self._pending.append(message_type("Operation")(action, kernel, number, time_us, publish_us))
+            self._pending.append(message_type("Operation")(action, kernel, number, time_us, publish_us, state))
+
+    def know(self, kernel: str, state: Publication) -> None:
+        """Have the node ask its peers for a value that was published before its present life."""
+        if state.number < self.since and state.number not in self._recalled:
+            self._recalled.add(state.number)
+            self.note(RECALL, kernel, state.number, 0, state=state.spec.name)
+
+    def flush(self) -> None:
+        """Send what is noted."""
+        if self._pending:
+            self._try_to_send()
 
     def call(self, action: int, kernel: str, number: int, time_us: int, publish_us: int = HELD) -> Any:
         """Send all noted operations, then this one; returns the response, None = the node is away."""
         if self.lost:
             return None
         self.note(action, kernel, number, time_us, publish_us)
+        return self._try_to_send()
+
+    def _try_to_send(self) -> Any:
         try:
             return self._send()
         except NodeLostError as loss:
@@ -182,8 +209,7 @@ class RemoteKernel:
     def receive(self, state: State, time_us: int) -> bool:
         """Note an input; says whether a step is due now."""
         assert isinstance(state, Publication)
-        if state.number < self._link.since:
-            return False
+        self._link.know(self.name, state)
         if state.spec.name not in self._triggers:
             self._link.note(RECEIVE, self.name, state.number, time_us)
             return False
@@ -210,10 +236,18 @@ class RemoteKernel:
         """Put the memory back to the last mark; inputs stay."""
         self._link.note(ROLLBACK, self.name, 0, 0)
 
+    def again(self) -> None:
+        """Prepare to take the last step again, see `pipeline.kernel.repeat`."""
+        self._link.note(AGAIN, self.name, 0, 0)
+
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
-        """A node that roslaunch starts again has no memory, see `plan.check_supported`."""
-        del last, time_us
-        return ()
+        """See `Kernel.resume`: the node asks its living peers for the values."""
+        for name in (*self.reads, *self.writes):
+            state = last.get(name)
+            if isinstance(state, Publication):
+                self._link.know(self.name, state)
+        response = self._link.call(RESUME, self.name, 0, time_us)
+        return () if response is None else tuple(response.states)
 
     def _give(self, action: int, time_us: int) -> list[State]:
         first = self._counter.take(len(self.writes))

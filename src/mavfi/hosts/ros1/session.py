@@ -4,8 +4,6 @@ import json
 import os
 import shlex
 import shutil
-import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -24,12 +22,12 @@ from mavfi.hosts.ros1.generate import generate, name_definitions, package_xml
 from mavfi.hosts.ros1.graph import IMAGE, INFO, POINTS, WORLD
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.supervisor import private_network
+from mavfi.hosts.ros1.template import template_of_thread
 from mavfi.mission import Scenario
 from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.sim.camera import pixel_directions
 from mavfi.sim.environments import build_world
 
-_PACKAGE, _EXECUTABLE = "mavfi", "node"
 _POLL_S = 0.02
 _LAST_WORDS_S = 20.0
 
@@ -110,14 +108,12 @@ def _prepare(plan: Plan, folder: Path, command: list[str]) -> None:
 
 def launch_text(plan: Plan) -> str:
     """The launch file: nodes are restarted when they die; the end of the world is that of the flight."""
+    ours = f'pkg="{files.PACKAGE}" type="{files.EXECUTABLE}"'
     lines = ["<launch>", '  <param name="/use_sim_time" value="true"/>']
-    lines.append(f'  <node pkg="{_PACKAGE}" type="{_EXECUTABLE}" name="{WORLD}" args="{WORLD}" required="true"/>')
+    lines.append(f'  <node {ours} name="{WORLD}" args="{WORLD}" required="true"/>')
+    lines += [f'  <node {ours} name="{node}" args="{node}" respawn="true" respawn_delay="0"/>' for node in plan.nodes]
     lines += [
-        f'  <node pkg="{_PACKAGE}" type="{_EXECUTABLE}" name="{node}" args="{node}" respawn="true" respawn_delay="0"/>'
-        for node in plan.nodes
-    ]
-    lines += [
-        f'  <node pkg="{_PACKAGE}" type="{node}" name="{node}" respawn="true" respawn_delay="0"/>'
+        f'  <node pkg="{files.PACKAGE}" type="{node}" name="{node}" respawn="true" respawn_delay="0"/>'
         for node in plan.foreign
     ]
     return "\n".join([*lines, "</launch>", ""])
@@ -125,16 +121,17 @@ def launch_text(plan: Plan) -> str:
 
 def _write_package(plan: Plan, folder: Path) -> None:
     """Write the launch file, and the package in which roslaunch finds the nodes, into a flight's folder."""
-    package = folder / _PACKAGE
+    package = folder / files.PACKAGE
     package.mkdir()
-    (package / "package.xml").write_text(package_xml(_PACKAGE))
-    executable = package / _EXECUTABLE
+    (package / "package.xml").write_text(package_xml(files.PACKAGE))
+    executable = package / files.EXECUTABLE
     executable.write_text(
         f'#!/bin/sh\nPYTHONPATH="{files.own_path()}" exec "{sys.executable}" -m mavfi.hosts.ros1.node "$@"\n'
     )
     executable.chmod(0o755)
     for node in plan.foreign:
         _write_foreign(package / node, folder)
+    files.write_core(folder)
     (folder / files.LAUNCH_FILE).write_text(launch_text(plan))
 
 
@@ -149,22 +146,18 @@ def _write_foreign(executable: Path, folder: Path) -> None:
 
 def _run(folder: Path, command: list[str], tell: Callable[[Path], None] | None) -> None:
     """Start the supervisor, and wait for the end of the flight and of all its processes."""
-    variables = {**os.environ, "PYTHONPATH": files.own_path(), files.FOLDER_VARIABLE: str(folder)}
-    with (folder / files.LOG / "supervisor").open("wb") as log:
-        supervisor = subprocess.Popen(
-            [*command, sys.executable, "-m", "mavfi.hosts.ros1.supervisor"], env=variables, stdout=log, stderr=log,
-            stdin=subprocess.DEVNULL, start_new_session=True,
-        )  # fmt: skip
+    template = template_of_thread(folder / files.LOG / "template")
+    supervision = template.begin(folder, command)
     try:
-        while supervisor.poll() is None:
+        while not supervision.wait(_POLL_S):
             if tell is not None and (folder / files.PID).exists():
                 tell(folder)
                 tell = None
-            time.sleep(_POLL_S)
     finally:
-        if supervisor.poll() is None:
-            supervisor.send_signal(signal.SIGTERM)
-            supervisor.wait(_LAST_WORDS_S)
+        if not supervision.wait(0.0):
+            supervision.stop()
+            if not supervision.wait(_LAST_WORDS_S):
+                template.end()
 
 
 def _result(folder: Path, plan: Plan) -> Flight:

@@ -3,7 +3,6 @@
 Orphans become its children, so that every process of the flight can be found and ended by its id.
 """
 
-import ctypes
 import fcntl
 import os
 import shutil
@@ -18,9 +17,8 @@ from types import FrameType
 
 from mavfi.errors import BadInputError
 from mavfi.hosts.ros1 import folder as files
-from mavfi.hosts.ros1.finder import find_file
+from mavfi.hosts.ros1.processes import adopt_orphans, end_with_parent
 
-_PDEATHSIG, _SUBREAPER = 1, 36  # PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER of <linux/prctl.h>
 _GET_FLAGS, _SET_FLAGS, _UP = 0x8913, 0x8914, 0x1  # SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP of <linux/sockios.h>
 _POLL_S = 0.02
 _STOP = [False]
@@ -28,25 +26,19 @@ _STOP = [False]
 
 def main() -> None:
     """Run a flight until it is over, its parent dies, or a signal ends it."""
+    from mavfi.hosts.ros1 import launcher
+
     parent = os.getppid()
     folder = files.flight_folder()
-    libc = ctypes.CDLL(None)
-    libc.prctl(_PDEATHSIG, signal.SIGTERM)
-    libc.prctl(_SUBREAPER, 1)
+    end_with_parent(signal.SIGTERM)
+    adopt_orphans()
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, _stop)
     with suppress(OSError):  # without a private network it is up already
         loopback_up()
     try:
-        with (folder / files.LOG / "roslaunch").open("wb") as log:
-            subprocess.Popen(
-                [
-                    str(find_file("usr/bin/roslaunch")), "--skip-log-check", "--disable-title",
-                    "-p", files.master_port(), str(folder / files.LAUNCH_FILE),
-                ],
-                env=files.environment(folder), stdout=log, stderr=log, stdin=subprocess.DEVNULL, cwd=folder,
-                preexec_fn=lambda: libc.prctl(_PDEATHSIG, signal.SIGKILL),
-            )  # fmt: skip
+        if os.fork() == 0:
+            launcher.main(folder)
         files.write_file(files.PID, str(os.getpid()).encode())
         while not _STOP[0] and not any((folder / name).exists() for name in (files.FLIGHT, files.FAILURE)):
             if not reap():
@@ -118,7 +110,3 @@ def end_all() -> None:
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         time.sleep(_POLL_S / 4)
-
-
-if __name__ == "__main__":
-    main()

@@ -3,20 +3,25 @@
 import json
 import threading
 from contextlib import suppress
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from mavfi.detectors.detector import Alarm
 from mavfi.errors import BadInputError
 from mavfi.faults.state import StateInjector
-from mavfi.hosts.loop.recovery import Action, Recovery, decide
+from mavfi.hosts.loop.recovery import Action, Watch
 from mavfi.hosts.ros1.convert import to_stamp
 from mavfi.hosts.ros1.folder import read_injections, write_injections
 from mavfi.hosts.ros1.generate import message_type
 from mavfi.hosts.ros1.graph import ALARM, DETECTOR, INJECTION, INJECTOR, RECOMPUTE, VERDICT
 from mavfi.hosts.ros1.plan import Plan
-from mavfi.hosts.ros1.ports import Ports
-from mavfi.states import State, StateSpec
+from mavfi.hosts.ros1.ports import Ports, fatal
+from mavfi.states import STATES, State, StateSpec, in_node
+
+if TYPE_CHECKING:
+    from mavfi.hosts.loop.scheduler import Loop
 
 
 class Injector:
@@ -55,16 +60,43 @@ class Injector:
             self._injections.publish(message)
 
 
+class Shadow:
+    """What `Watch` needs of a loop, where nothing is to be done: the world has the same, and answers.
+
+    Attributes:
+        awaited, requests, busy: As of `Loop`.
+        record: With the alarms only.
+    """
+
+    def __init__(self) -> None:
+        self.awaited: dict[str, Any] = {}
+        self.requests: dict[str, Any] = {}
+        self.busy: dict[str, Any] = {}
+        self.record = SimpleNamespace(alarms=[])
+
+    def charge(self, action: Action) -> int:
+        """Nothing."""
+        return 0
+
+    def recompute(self, action: Action, now: int) -> None:
+        """Nothing."""
+
+    def forget(self, kernel: str, now: int = 0, after_us: int = 0) -> None:
+        """The node of a kernel has died, or begins again: what it publishes next is judged."""
+        for name in set(self.awaited):
+            if STATES[name].writer in in_node(kernel):
+                del self.awaited[name]
+
+
 class Watcher:
     """Shows every value to the detector of a plan: as a gate before consumers see it, or as an observer."""
 
     def __init__(self, plan: Plan) -> None:
         assert plan.detector is not None
-        self._detector = plan.detector
-        self._detector.start()
-        self._recovery, self._gated = Recovery(plan.coupling), plan.gated
-        self._free = plan.free_running
-        self._again: set[str] = set()
+        plan.detector.start()
+        self._shadow = Shadow()
+        self._watch = Watch(cast("Loop", self._shadow), plan.detector, plan.recovery, self._shadow.forget)
+        self._gated, self._free = plan.gated, plan.free_running
         self._lock = threading.Lock()
         self._ports = ports = Ports(DETECTOR, plan)
         self._verdicts = ports.publisher(VERDICT, "Verdict", awaited=not plan.free_running)
@@ -81,36 +113,31 @@ class Watcher:
     def run(self) -> None:
         """Serve until the end."""
         import rospy
+        from mavfi_msgs.srv import Drive
 
+        rospy.Service(f"/{DETECTOR}/drive", Drive, fatal(self._drive))
         self._ports.offer_ready()
         rospy.spin()
 
+    def _drive(self, request: Any) -> Any:
+        """The only operation of this node: a node of kernels has died."""
+        from mavfi_msgs.srv import DriveResponse
+
+        with self._lock:
+            for order in request.operations:
+                self._shadow.forget(order.kernel)
+        return DriveResponse()
+
     def _arrived(self, state: State, number: int, time_us: int) -> None:
         with self._lock, np.errstate(all="ignore"):
-            alarm, action = self._judge(state, time_us)
+            with suppress(BadInputError):  # an unknown stage, which the world reports
+                self._watch(state, time_us)
+            alarm, action = self._watch.alarm, self._watch.action
             withheld = action is not None and action.withholds
             if self._gated:
                 (self._rejects if withheld else self._outlets)[state.spec.name].publish(state, number, time_us)
             if alarm is not None or not self._free:
                 self._tell(state.spec, alarm, action, number, time_us)
-
-    def _judge(self, state: State, time_us: int) -> tuple[Alarm | None, Action | None]:
-        """The alarm, and the response to it; the result of a recomputation passes."""
-        name = state.spec.name
-        if name in self._again:
-            self._again.discard(name)
-            self._detector.accept(state, time_us)
-            return None, None
-        alarm = self._detector.check(state, time_us)
-        if alarm is None or not self._gated:
-            self._detector.accept(state, time_us)
-        action = None
-        if alarm is not None:
-            with suppress(BadInputError):  # an unknown stage, which the world reports
-                action = decide(alarm, state.spec, self._recovery)
-        if action is not None and action.awaited:
-            self._again.add(action.awaited)
-        return alarm, action
 
     def _tell(self, spec: StateSpec, alarm: Alarm | None, action: Action | None, number: int, time_us: int) -> None:
         withheld = action is not None and action.withholds

@@ -4,20 +4,21 @@ import json
 import os
 import signal
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
 from mavfi.hosts.loop.assemble import new_loop, watch
-from mavfi.hosts.loop.recovery import Recovery
+from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.ros1.folder import FLIGHT, PROFILE, TIMES, flight_folder, write_file
-from mavfi.hosts.ros1.graph import WORLD
+from mavfi.hosts.ros1.graph import DETECTOR, WORLD
 from mavfi.hosts.ros1.mirrors import Senses
 from mavfi.hosts.ros1.passage import LockStepDetector, Passage
 from mavfi.hosts.ros1.plan import Plan
 from mavfi.hosts.ros1.ports import Ports
 from mavfi.hosts.ros1.register_injector import PLANNED, RegisterInjector
-from mavfi.hosts.ros1.remote import Counter, ForeignLink, Link, RemoteKernel, Watchdog
+from mavfi.hosts.ros1.remote import FORGET, Counter, ForeignLink, Link, RemoteKernel, Watchdog
 from mavfi.hosts.ros1.roll_call import asks, cause, is_alive, wait_for, wait_for_all
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 
@@ -63,7 +64,10 @@ class Conductor:
         self.kills = sorted(plan.kills, key=lambda kill: kill[1])
         self.registers = RegisterInjector(plan.register_faults, lambda node: self.links[node].pid, hold=True)
         self.loop = self._compose()
+        self.restarts = Restarts(self.loop, plan.scenario.dead_node)
+        self.loop.renew = self._renew
         self.senses = Senses(self.loop.plant, self.loop.sensors.estimating)
+        self.ports.offer_recall()
         pids = wait_for_all(plan)
         self.ports.wait_until_connected()
         for node, link in self.links.items():
@@ -76,7 +80,7 @@ class Conductor:
         self.ports = Ports(WORLD, plan)
         passage = Passage(self.ports, self.counter, self.links, self.registers, self._lost)
         loop.taps.injector = passage
-        watch(loop, None if plan.detector is None else LockStepDetector(passage), Recovery(plan.coupling))
+        watch(loop, None if plan.detector is None else LockStepDetector(passage), plan.recovery)
         loop.before_tick.append(self._before_tick)
         loop.after_tick.append(self._after_tick)
         loop.before_end.append(self._before_end)
@@ -97,6 +101,7 @@ class Conductor:
         self._watch_foreign()
         self.registers(now)
         for node in [node for node, then in self.back_us.items() if then <= now]:
+            del self.back_us[node]
             self._rejoin(node)
         self.senses.publish(now)
 
@@ -125,11 +130,27 @@ class Conductor:
             os.kill(link.pid, signal.SIGKILL)
         link.lose()
         self.losses += 1
-        self.back_us[link.node] = self.loop.now + self.plan.restart_us
+        kernels = self.plan.graph.nodes.get(link.node)
+        if kernels is None:
+            self.back_us[link.node] = self.loop.now + self.plan.restart_us
+            return
+        self.restarts.die(kernels[0], self.loop.now, self.plan.restart_us)
+        if self.plan.detector is not None:
+            self.links[DETECTOR].call(FORGET, kernels[0], 0, 0)
+
+    def _renew(self, kernel: str) -> Mapping[str, Kernel]:
+        """Take back a node, or initialize the memory of one that lives; its peers then have all that was published."""
+        link = self.links[self.plan.graph.node_of(kernel)]
+        for other in self.links.values():
+            other.flush()
+        if link.lost:
+            self._rejoin(link.node)
+        else:
+            link.reset(kernel, self.counter.take(0))
+        return {} if link.lost else self._proxies(self.plan.config)
 
     def _rejoin(self, node: str) -> None:
         """Take back a node that roslaunch has restarted, with fresh memory."""
-        del self.back_us[node]
         link = self.links[node]
         try:
             pid = wait_for(node, self.plan.patience_s, link.pid, asks(self.plan)[node])

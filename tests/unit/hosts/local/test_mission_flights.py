@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import FaultSite, InstructionFault, MessageFault, StateFault
+from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, MessageFault, StateFault
 from mavfi.flight_log import Profile
 from mavfi.hosts.host import ArmSetup, Flight
 from mavfi.hosts.local import mission_flights
@@ -98,6 +98,12 @@ def test_null_runs_and_those_who_do_not_want_it_are_flown_the_long_way(calls, ar
     assert ways(calls) == [("long", NULL), ("fast", FAULT), ("long", FAULT)]
 
 
+def test_faults_in_memory_are_flown_the_long_way(calls, arms):
+    fault = MemoryFault("planner", "decisions.acted_seq", None, "i4", 5, 3)
+    list(LocalHost().mission(arms).injected([("", fault)]))
+    assert ways(calls) == [("long", fault)]
+
+
 def test_what_cannot_be_fast_forwarded_is_flown_the_long_way_and_tried_again_afresh(calls, arms):
     flights = LocalHost().mission(arms)
     flights.golden("")
@@ -129,7 +135,7 @@ def test_a_fault_that_cannot_be_flown_ends_its_own_flight_only(calls, arms, monk
     found = dict(flights.injected([("", DATA), ("", WRONG), ("", MessageFault("t", "f")), ("", DATA), ("", FAULT)]))
     assert {place for place, flight in found.items() if isinstance(flight, Exception)} == {1, 2}
     assert "other machine code" in str(found[1])
-    assert "level 'message': allowed: state, instruction" in str(found[2])
+    assert "level 'message': allowed: state, memory, instruction" in str(found[2])
     monkeypatch.setattr(mission_flights, "fly", lambda *_, **__: 1 / 0)
     calls.broken = True
     [(_, error)] = flights.injected([("", FAULT)])

@@ -7,7 +7,9 @@ import pytest
 from mavfi.detectors import Alarm
 from mavfi.errors import BadInputError
 from mavfi.hosts.loop.recovery import (
+    ALARMS_WITHIN_US,
     INLINE,
+    MOST_ALARMS,
     MOST_RESTARTS,
     RESTART_US,
     Action,
@@ -102,7 +104,8 @@ class Flight:
 
     def __init__(self):
         self.awaited, self.requests, self.busy = {}, {}, {}
-        self.record = SimpleNamespace(alarms=[])
+        self.events = []
+        self.record = SimpleNamespace(alarms=[], note=lambda now, kind, data: self.events.append((now, kind)))
         self.steps, self.restarted = [], []
 
     def recompute(self, action, now):
@@ -162,6 +165,17 @@ def test_a_rule_that_is_broken_twice_restarts_the_node():
     assert detector.accepted == [], "references are values that were published"
 
 
+@pytest.mark.parametrize("pause", [1, ALARMS_WITHIN_US // (MOST_ALARMS - 1) + 1])
+def test_a_detector_that_alarms_without_end_is_not_asked_any_more(pause):
+    flight, detector = Flight(), Always(hard=True)
+    values = [(place * pause, status(5)) for place in range(2 * MOST_ALARMS)]
+    shown(detector, ESCALATES, values, flight)
+    endless = pause == 1
+    assert [kind for _, kind in flight.events] == (["detector_silenced"] if endless else [])
+    assert (len(flight.outcomes) == MOST_ALARMS) == endless
+    assert detector.accepted[-1] == values[-1][0], "it goes on to take note"
+
+
 @pytest.mark.parametrize(
     ("hard", "recovery", "left"),
     [(False, ESCALATES, 5), (True, Recovery(grain="kernel"), 5), (True, ESCALATES, 0)],
@@ -204,3 +218,66 @@ def test_a_mission_says_how_alarms_are_answered():
     spec = MissionSpec(coupling="observer", grain="kernel", same_twice="escalate", answer_s=0.6)
     assert Recovery.of(spec) == Recovery("observer", "kernel", "escalate", 0.6)
     assert Recovery.of(MissionSpec()) == INLINE and not INLINE.restarts
+
+
+# ---- what restarts do not help ------------------------------------------------------------------------------------
+COMMAND = "control.command"
+HOVERS = Recovery(grain="kernel", same_twice="escalate", answer_s=0.6, degraded="hover")
+AFTERWARDS = [(10**9, new_state(COMMAND)), (10**9 + 1, status(9)), (10**9 + 2, new_state("planning.waypoint"))]
+"""The first of them is withheld in the degraded mode, the others pass."""
+
+
+def test_without_a_restart_left_a_rule_broken_twice_ends_in_hover():
+    flight = Flight()
+    assert shown(Always(hard=True), HOVERS, [(1, status(5)), (2, status(5)), *AFTERWARDS], flight, 0) == [
+        False, True, False, True, True,
+    ]  # fmt: skip
+    assert flight.outcomes == [("recompute", "rejected"), ("hover", "accepted")] and flight.restarted == []
+
+
+def test_the_command_that_begins_it_is_withheld():
+    flight = Flight()
+    values = [(1, new_state(COMMAND)), (2, new_state(COMMAND)), (3, new_state(COMMAND))]
+    assert shown(Always(hard=True), HOVERS, values, flight, 0) == [False] * 3
+    assert flight.outcomes[-1] == ("hover", "accepted") and len(flight.outcomes) == 2
+
+
+@pytest.mark.parametrize(
+    ("pitch_us", "hard", "degraded", "expected"),
+    [(200_000, True, "hover", True), (300_000, True, "hover", False), (200_000, False, "hover", False),
+     (200_000, True, "none", False)],
+)  # fmt: skip
+def test_hard_alarms_that_persist_end_in_hover(pitch_us, hard, degraded, expected):
+    flight, recovery = Flight(), Recovery(grain="kernel", degraded=degraded)
+    # every second value is the result of a recomputation, which is not judged
+    values = [(number * pitch_us, status(5)) for number in range(24)]
+    shown(Always(hard), recovery, values, flight)
+    assert ("hover", "accepted") in flight.outcomes or not expected
+    assert sum(action == "hover" for action, _ in flight.outcomes) == expected
+
+
+def test_persisting_takes_two_seconds():
+    flight, recovery = Flight(), Recovery(grain="kernel", degraded="hover")
+    shown(Always(hard=True), recovery, [(number * 100_000, status(5)) for number in range(60)], flight)
+    hovered = next(alarm for alarm in flight.record.alarms if alarm.action == "hover")
+    assert 2.0 < hovered.time_s <= 2.2
+
+
+def test_an_alarm_without_an_answer_ends_in_hover_when_no_restart_is_left():
+    flight = Flight()
+    values = [(1_000_000, status(3, flag=True)), (1_700_000, status(3)), *AFTERWARDS]
+    assert shown(Never(hard=True), HOVERS, values, flight, 0) == [True, True, False, True, True]
+    assert flight.outcomes == [("hover", "accepted")] and flight.restarted == []
+
+
+def test_an_observer_cannot_withhold_commands():
+    with pytest.raises(BadInputError, match="degraded: hover: withholds commands; allowed: with coupling inline"):
+        Recovery("observer", degraded="hover")
+    assert Recovery(degraded="hover").remembers and not INLINE.remembers and ESCALATES.remembers
+
+
+def test_each_restart_of_a_flight_takes_longer():
+    flight = Flight()
+    shown(Always(hard=True), ESCALATES, [(now, status(5)) for now in range(4 * MOST_RESTARTS)], flight)
+    assert [away / RESTART_US for _, _, away in flight.restarted] == [1, 3, 9, 27, 81]
+    assert sum(away for _, _, away in flight.restarted) > 1_000_000

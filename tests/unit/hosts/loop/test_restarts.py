@@ -40,14 +40,14 @@ class Loop:
 
     def __init__(self):
         self.taps, self.actions, self.queue = Taps(), {}, []
-        self.kernels, self.latency = self.make_kernels(), {"planner": 80_000, "trajectory": 0}
+        self.kernels, self.latency = self.renew("planner"), {"planner": 80_000, "trajectory": 0}
         self.readers = {"planning.waypoint": [self.kernels["planner"]]}
         self.busy, self.down, self.awaited, self.requests = {}, set(), {"planning.path": 1, "control.command": 2}, {}
         self.status, self.marks, self.started, self.finished = None, False, [], []
         self.record = SimpleNamespace(recompute_us={"planning": 0})
 
     @staticmethod
-    def make_kernels():
+    def renew(kernel):
         return {name: Kernel(name) for name in ("planner", "trajectory")}
 
     def at(self, time_us, action, *arguments):

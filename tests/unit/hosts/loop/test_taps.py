@@ -42,3 +42,10 @@ def test_what_is_lost_or_held_back_nobody_sees():
     assert lost(state, 7) is None and len(seen) == 1
     held = Taps(None, lambda s, t: None, [lambda s, t: seen.append("recorder")])
     assert held(state, 7) is None and len(seen) == 1
+
+
+def test_a_detector_is_shown_what_it_watches():
+    seen, state, other = [], new_state("control.command"), new_state("control.tracking")
+    taps = Taps(None, lambda s, t: seen.append(s), watched=frozenset(["control.command"]))
+    assert taps(other, 7) is other and taps(state, 8) is None
+    assert seen == [state]

@@ -1,0 +1,100 @@
+"""Views that compare schemes (detectors with their recovery, policies of dead nodes) on the same flights and faults."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import polars as pl
+
+from mavfi.campaign.analysis import measures as m
+from mavfi.campaign.analysis.flight_views import ONE_FAULT
+from mavfi.campaign.analysis.measures import Measure
+from mavfi.campaign.analysis.rows import KERNEL_DUE
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.table import NUMBER, PER_HOUR, SMALL
+from mavfi.campaign.analysis.views import View, register
+from mavfi.campaign.plan import FI
+
+PAIR = "pair"
+"""Kind of a row that joins the run of a fault in `fi` with that in an arm; columns of the latter begin with `dr_`."""
+LOST = (pl.col("kind") == PAIR) & pl.col("golden_success") & ~pl.col("success")
+"""The fault loses the mission in `fi`."""
+LATE = (pl.col("kind") == PAIR) & (pl.col("inflation") > m.SLOWER).fill_null(value=False)
+DIED = pl.col("kernel_effect").is_in(KERNEL_DUE)
+_IN_TIME = pl.col("dr_success") & (pl.col("dr_inflation") <= m.SLOWER).fill_null(value=False)
+
+
+def against_base(runs: Runs) -> Runs:
+    """Pairs of all arms, and the golden runs of the arms; `bare_success`: of the golden run without the arm."""
+    pairs = m.against_fi(runs)
+    bare = runs.golden.where(arm="").frame.select("world", bare_success="success")
+    golden = runs.golden.where(pl.col("arm") != "").frame.join(bare, on="world", how="left", maintain_order="left")
+    frames = [pairs.frame.rename({"fi_success": "success"}).with_columns(kind=pl.lit(PAIR)), golden]
+    return replace(runs, frame=pl.concat(frames, how="diagonal"))
+
+
+def _only_the_scheme(own: Runs) -> int:
+    pairs = own.where(pl.col("kind") == PAIR, "golden_success", "success", ~pl.col("dr_success"))
+    return len(pairs) + len(own.golden.where("bare_success", ~pl.col("success")))
+
+
+def _golden(of: Callable[[Runs], object]) -> Callable[[Runs], object]:
+    return lambda own: of(own.golden.where(end="flown"))
+
+
+def _lost_by(test: pl.Expr | str, key: str, heading: str, *where: pl.Expr) -> Measure:
+    return m.rate(key, heading, test, LOST, *where)
+
+
+def _watched(runs: Runs) -> list[str]:
+    """Of the lost missions, how many were struck in the fields that the paper's detectors watch."""
+    lost = runs.injected.where("judged", "golden_success", ~pl.col("success"), setting=FI)
+    inside = len(lost.where("monitored"))
+    return [f"{inside} of {len(lost)} lost missions were struck in the fields that the paper's detectors watch"]
+
+
+_COUNTED = (
+    m.count("pairs", "faults", kind=PAIR), m.count("lost", "lost", LOST),
+    _lost_by("dr_success", "back", "brought back"),
+)  # fmt: skip
+_HARM = (
+    m.rate("late_in_time", "late, in time", _IN_TIME, LATE),
+    Measure("newly_lost", "only it lost", NUMBER, _only_the_scheme),
+    _lost_by("dr_detected", "detected", "detected"),
+)
+_ALARMS = (
+    Measure("per_hour", "false alarms", PER_HOUR, _golden(m.alarm_rate)),
+    Measure("hours", "exposure", "number .2f h", _golden(lambda own: sum(own["flight_time_s"]) / 3600)),
+    Measure("recomputed", "recomputation", SMALL, _golden(m.recomputed)),
+)  # fmt: skip
+_NOTES = (
+    "lost: missions that succeed without the fault and fail with it; brought back: of these, those that succeed under "
+    "the scheme; [95 % interval: Wilson, n reduced by the design effect of worlds], n",
+    "late, in time: of missions that succeed more than 5 % later with the fault, those that are at most 5 % late under "
+    "the scheme; only it lost: missions, golden ones included, that fail only under the scheme",
+    "false alarms: per hour of golden flight; recomputation: its modelled time / compute time, golden flights",
+)
+
+register(
+    View(
+        "schemes", "Schemes on the same faults", ("arm",),
+        (*_COUNTED, *_HARM, *_ALARMS), where=against_base, headings=("scheme",),
+        notes=lambda runs: (
+            *_NOTES, "detected: of the lost ones, alarm on the corrupted publication", *_watched(runs), ONE_FAULT
+        ),
+        applies=lambda runs: False,
+    ),
+    View(
+        "schemes_instructions", "Schemes on the same faults in instructions", ("arm",),
+        (
+            *_COUNTED, _lost_by("dr_success", "died_back", "died, back", DIED),
+            _lost_by("dr_success", "sdc_back", "sdc, back", ~DIED), *_HARM[:2], *_ALARMS,
+        ),
+        where=against_base, headings=("scheme",),
+        notes=lambda _: (*_NOTES, "died / sdc: the kernel died of the fault, or went on with a wrong value", ONE_FAULT),
+        applies=lambda runs: False,
+    ),
+    View(
+        "schemes_by_target", "Schemes, by what was struck", ("target", "arm"), _COUNTED, where=against_base,
+        headings=("struck", "scheme"), notes=lambda _: (_NOTES[0], ONE_FAULT), applies=lambda runs: False,
+    ),
+)  # fmt: skip

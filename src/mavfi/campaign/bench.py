@@ -1,0 +1,156 @@
+"""`Bench`: detectors and recovery schemes, each flown on the same missions and faults; a YAML file of configs/bench.
+
+A part is a campaign whose arms are the schemes.  Its faults are frozen: a list of them is shipped, and a bench says
+whether it has drawn the same.
+"""
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field, model_validator
+
+from mavfi.campaign.config import ArmConfig, Campaign, load_campaign
+from mavfi.campaign.mission import scenarios_of
+from mavfi.campaign.plan import FI, arms_of
+from mavfi.campaign.store import Store
+from mavfi.config import Config, config_root, parse, shipped
+from mavfi.errors import BadInputError, SpecMismatchError
+from mavfi.hosts.watching import detector_for
+
+FOLDER = "bench"
+COLUMNS = ("environment", "seed", "target", "index", "site", "time_s", "bit", "stratum")
+"""Of a list of faults."""
+
+
+class Part(Config):
+    """One campaign of a bench."""
+
+    campaign: str = Field(description="name or path; its arms are those of the bench")
+    title: str = Field(description="of its table")
+    mission: dict[str, Any] = Field({}, description="keys of a mission, besides those of the campaign")
+    view: str = Field("schemes", description="table that is shown")
+    nodes_die: bool = Field(False, description="of its faults: schemes without a detector are flown, too")
+    scores: bool = Field(False, description="its faults in states are shown to the detectors at any threshold")
+
+
+class Bench(Config):
+    """Schemes that are compared, and the campaigns in which they are."""
+
+    name: str
+    parts: dict[str, Part] = Field(min_length=1, description="by name")
+    arms: dict[str, ArmConfig] = Field(min_length=1, description="schemes by name, as the arms of a campaign")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Bench":
+        for part in self.parts.values():
+            load_campaign(part.campaign)
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A part as it is flown; `left_out`: schemes that cannot fly it, with the reason."""
+
+    part: Part
+    campaign: Campaign
+    left_out: Mapping[str, str] = field(default_factory=dict)
+
+
+def load_bench(name: str) -> Bench:
+    """A shipped bench by name, or a YAML file.
+
+    Raises:
+        BadInputError: There is none, or something in it is wrong.
+    """
+    return shipped(FOLDER, Bench, name)
+
+
+def with_only(bench: Bench, detectors: Sequence[str], profile: str = "paper") -> Bench:
+    """A bench with these detectors in the place of its schemes; each under its own name."""
+    arms = {name.rpartition(":")[2]: ArmConfig(detector=name, profile=profile) for name in detectors}
+    if len(arms) < len(detectors):
+        raise BadInputError(f"detectors {', '.join(detectors)}: allowed: different names")
+    return bench.model_copy(update={"arms": arms})
+
+
+def entries(bench: Bench, scale: str, *, levels: Iterable[str] = (), parts: Iterable[str] = ()) -> dict[str, Entry]:
+    """What is flown, by name of the part.
+
+    Args:
+        bench: The bench.
+        scale: Size of its campaigns.
+        levels: Only parts with faults of these levels, and the golden flights; none = all.
+        parts: Only these; none = all.
+
+    Raises:
+        BadInputError: There is no such part, no such level, no such size, or a detector cannot be loaded at all.
+    """
+    for name in parts:
+        if name not in bench.parts:
+            raise BadInputError(f"bench {bench.name}: part {name!r}: not known; allowed: {', '.join(bench.parts)}")
+    campaigns = {name: _campaign(bench, name, scale) for name in parts or bench.parts}
+    known = {campaign.sampling.level for campaign in campaigns.values()}
+    for level in levels:
+        if level not in known:
+            raise BadInputError(f"bench {bench.name}: level {level!r}: not known; allowed: {', '.join(sorted(known))}")
+    wanted = set(levels) or known
+    return {
+        name: _entry(bench, name, campaign) for name, campaign in campaigns.items() if campaign.sampling.level in wanted
+    }
+
+
+def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
+    part = bench.parts[name]
+    own = load_campaign(part.campaign).at_scale(scale)
+    changed = {"name": f"{bench.name}-{name}", "mission": {**own.mission, **part.mission}, "scales": {}}
+    arms = {arm: config.model_dump() for arm, config in bench.arms.items() if config.detector or part.nodes_die}
+    return parse(Campaign, {**own.to_json(), **changed, "arms": arms}, f"bench {bench.name}: {name}")
+
+
+def _entry(bench: Bench, name: str, campaign: Campaign) -> Entry:
+    """The part without the schemes whose detectors were trained for other flights."""
+    left_out = {}
+    for arm in arms_of(campaign):
+        if arm.detector:
+            scenario = next(iter(scenarios_of(campaign, [arm]).values()))
+            try:
+                detector_for(scenario, arm.detector, arm.profile)
+            except SpecMismatchError as error:
+                left_out[arm.name] = str(error)
+    arms = {arm: config for arm, config in campaign.arms.items() if arm not in left_out}
+    return Entry(bench.parts[name], campaign.model_copy(update={"arms": arms}), left_out)
+
+
+def faults_of(directory: Path) -> str:
+    """The faults of a ledger as CSV text, one row for each fault, in the order of the plan."""
+    with Store.open(directory) as store:
+        rows = [
+            (
+                spec.environment, spec.seed, spec.target, spec.index, spec.fault.site, _time_of(spec.fault),
+                "" if spec.fault.bit is None else spec.fault.bit, spec.fault.stratum,
+            )
+            for spec in (run.spec for run in store.runs(done=True))
+            if spec.kind == "injected" and spec.setting == FI and spec.fault is not None
+        ]  # fmt: skip
+    return "\n".join([",".join(COLUMNS), *(",".join(map(str, row)) for row in rows)]) + "\n"
+
+
+def _time_of(fault: Any) -> str:
+    """Instant of a fault (s), or number of the call and of the value that it writes; empty without a site."""
+    if not fault.has_site:
+        return ""
+    return f"{1e-6 * fault.time_us:.6f}" if hasattr(fault, "time_us") else f"{fault.call}:{fault.index}"
+
+
+def frozen_faults(bench: Bench, part: str, scale: str) -> str | None:
+    """The shipped list of the faults of a part; None if there is none."""
+    path = config_root() / FOLDER / bench.name / f"{part}-{scale}.csv"
+    return path.read_text(encoding="utf-8") if path.is_file() else None
+
+
+def checksum(faults: str) -> str:
+    """sha256 of a list of faults."""
+    return hashlib.sha256(faults.encode()).hexdigest()

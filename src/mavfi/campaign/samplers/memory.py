@@ -1,0 +1,232 @@
+"""Faults in what kernels remember, drawn by exposure: uniform over remembered bits and instants of the golden flight.
+
+Instants are the control periods.  At each of them, before its steps, every bit of a target takes the place of what was
+drawn so far with the probability that makes all bits of all instants alike (reservoir sampling, Vitter 1985), so the
+golden flight is flown once, and nothing of it is kept.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
+
+import numpy as np
+
+from mavfi.campaign.config import Campaign, MemorySampling
+from mavfi.campaign.samplers.sampler import NULL, Block, Draw, Sampled
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import NO_SITE, Fault, MemoryFault
+from mavfi.faults.sampling import share_out, stream
+from mavfi.faults.spec import MemoryRequest
+from mavfi.faults.strata import WORD_BITS, bits_of
+from mavfi.hosts.host import ArmSetup, Flight, MissionFlights
+from mavfi.hosts.loop.assemble import new_loop
+from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US, Loop
+from mavfi.mission import Scenario
+from mavfi.pipeline.memory import Remembers
+from mavfi.pipeline.words import Words, words_of
+from mavfi.states import KERNELS
+
+_ACTION = "exposure"
+Site = tuple[str, str]
+"""A kernel, and what names its words (see `Words.named`)."""
+_Place = tuple[str, Words, range]
+
+
+@dataclass(slots=True)
+class _Drawing:
+    """One fault that is being drawn."""
+
+    random: np.random.Generator
+    seed: int
+    chosen: MemoryFault | None = None
+
+
+@dataclass(slots=True)
+class Exposure:
+    """Bits of a target from which faults are drawn.
+
+    Attributes:
+        sites: Of the target.
+        stratum: Of the bits, "" = whole words.
+        bit: The only one; None = those of the stratum.
+        drawings: The faults.
+        seen: Exposed bits x instants so far, and in `whole` those of whole words.
+    """
+
+    sites: tuple[Site, ...]
+    stratum: str = ""
+    bit: int | None = None
+    drawings: list[_Drawing] = field(default_factory=list)
+    seen: int = 0
+    whole: int = 0
+
+    def look(self, remembered: Mapping[str, Sequence[Words]], now: int) -> None:
+        """Take in the words of an instant (us)."""
+        places = self._places(remembered)
+        sizes = [len(indices) * len(self._bits(words)) for _, words, indices in places]
+        here = sum(sizes)
+        self.seen += here
+        self.whole += sum(len(indices) * WORD_BITS[words.dtype] for _, words, indices in places)
+        for drawing in self.drawings:
+            if drawing.random.random() * self.seen < here:
+                drawing.chosen = self._chosen(drawing, places, sizes, now)
+
+    def _places(self, remembered: Mapping[str, Sequence[Words]]) -> list[_Place]:
+        found: list[_Place] = []
+        for kernel, text in self.sites:
+            for words in remembered.get(kernel, ()):
+                indices = words.named(text) if words.dtype in WORD_BITS else range(0)
+                if indices:
+                    found.append((kernel, words, indices))
+        return found
+
+    def _bits(self, words: Words) -> range:
+        every = bits_of(words, self.stratum) if self.stratum else range(WORD_BITS[words.dtype])
+        return every if self.bit is None else range(self.bit, self.bit + 1) if self.bit in every else range(0)
+
+    def _chosen(self, drawing: _Drawing, places: list[_Place], sizes: list[int], now: int) -> MemoryFault:
+        number = int(drawing.random.integers(sum(sizes)))
+        place = 0
+        while number >= sizes[place]:
+            number -= sizes[place]
+            place += 1
+        kernel, words, indices = places[place]
+        bits = self._bits(words)
+        index = indices[number // len(bits)] if words.count > 1 else None
+        return MemoryFault(
+            kernel, words.name, index, words.dtype, now, bits[number % len(bits)], self.stratum, seed=drawing.seed
+        )
+
+    def faults(self) -> list[MemoryFault]:
+        """What was drawn, with its weight; a target without words gives faults without a site."""
+        nothing = MemoryFault(self.sites[0][0], self.sites[0][1], time_us=NO_SITE, stratum=self.stratum)
+        weight = self.seen / self.whole if self.stratum and self.whole else 1.0
+        return [replace(one.chosen or nothing, weight=weight, seed=one.seed) for one in self.drawings]
+
+
+def fly_exposed(scenario: Scenario, exposures: Sequence[Exposure], time_us: int | None = None) -> Flight:
+    """Fly the golden flight, and draw from what its kernels remember, at an instant (us) or at every control period."""
+    loop = new_loop(scenario, profile=True)
+    kernels = dict.fromkeys(kernel for exposure in exposures for kernel, _ in exposure.sites)
+
+    def look(now: int) -> None:
+        remembered = {name: list(words_of(_kernel(loop, name))) for name in kernels if name in loop.kernels}
+        for exposure in exposures:
+            exposure.look(remembered, now)
+
+    loop.actions[_ACTION] = look
+    for instant in range(0, loop.judge.limit_us, CONTROL_PERIOD_US) if time_us is None else (time_us,):
+        loop.at(instant, _ACTION)
+    return loop.fly()
+
+
+def _kernel(loop: Loop, name: str) -> Remembers:
+    return cast(Remembers, loop.kernels[name])  # those of this process are
+
+
+def draw_memory(scenario: Scenario, request: MemoryRequest, seed: int) -> tuple[MemoryFault, Flight]:
+    """A fault as a user names it, and the golden flight, flown for the draw.
+
+    Raises:
+        BadInputError: The kernel remembers no such word, or none with such a bit, then.
+    """
+    random = stream(seed, "memory", request.kernel)
+    exposure = Exposure(((request.kernel, request.field),), "", request.bit, [_Drawing(random, seed)])
+    golden = fly_exposed(scenario, [exposure], request.time_us)
+    (fault,) = exposure.faults()
+    if not fault.has_site:
+        names = dict.fromkeys(words.name for words in words_of(cast(Remembers, golden.pipeline[request.kernel])))
+        when = "" if request.time_us is None else f" at {1e-6 * request.time_us:g} s"
+        bit = "" if request.bit is None else f" with a bit {request.bit}"
+        raise BadInputError(
+            f"fault memory:{request.kernel}.{request.field}: no such word{bit}{when}; allowed: {', '.join(names)}"
+        )
+    return fault, golden
+
+
+class MemorySampler:
+    """Draws one bit of a word that a kernel remembers.
+
+    Raises:
+        BadInputError: A group names a kernel that the mission does not have.
+    """
+
+    variants: Mapping[str, Mapping[str, Any]] = {}
+    versions: Mapping[str, str] = {}
+
+    def __init__(self, campaign: Campaign) -> None:
+        assert isinstance(campaign.sampling, MemorySampling)  # as `sampler_for` chooses
+        spec = campaign.spec(campaign.environments[0], campaign.first_seed)
+        self._campaign, self._sampling = campaign, campaign.sampling
+        self._known = [name for name, row in KERNELS.items() if row.only_with in ("", spec.localization)]
+        self._targets = self._find_targets()
+        self._blocks: dict[str, Sequence[Block]] = {}
+
+    def _find_targets(self) -> dict[str, tuple[Site, ...]]:
+        sampling = self._sampling
+        kernels = sampling.kernels or tuple(self._known)
+        if sampling.groups:
+            targets = {group.name: tuple(map(_site, group.sites)) for group in sampling.groups}
+        elif sampling.share == "kernel":
+            targets = {kernel: ((kernel, ""),) for kernel in kernels}
+        else:
+            targets = {"memory": tuple((kernel, "") for kernel in kernels)}
+        for kernel, _ in (site for sites in targets.values() for site in sites):
+            if kernel not in self._known:
+                raise BadInputError(f"sampling: no kernel {kernel!r}; allowed: {', '.join(self._known)}")
+        return targets
+
+    def blocks(self, environment: str) -> Sequence[Block]:
+        """Target by target."""
+        if environment not in self._blocks:
+            self._blocks[environment] = [self._block(environment, *target) for target in enumerate(self._targets)]
+        return self._blocks[environment]
+
+    def _block(self, environment: str, place: int, name: str) -> Block:
+        campaign, shares = self._campaign, self._sampling.strata or {"": 1.0}
+        strata = share_out(shares, campaign.faults, campaign.first_seed, environment, name)
+
+        def draw_one(index: int) -> Draw:
+            return Draw(name, index, campaign.first_seed + index % campaign.missions, stratum=strata[index])
+
+        return Block(campaign.faults, draw_one, place * campaign.faults)
+
+    def golden(
+        self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
+    ) -> Sampled:  # fmt: skip
+        """The golden run; faults are drawn on the way."""
+        exposures: dict[tuple[str, str], Exposure] = {}
+        for draw in draws:
+            number = draw.index // self._campaign.missions
+            random = stream(draw.seed, "memory", draw.target, environment, number)
+            self._exposure(exposures, draw.target, draw.stratum).drawings.append(_Drawing(random, draw.seed))
+        if self._campaign.nulls:
+            seed = setup.scenario.seed
+            every = exposures[NULL, ""] = Exposure(tuple((kernel, "") for kernel in self._known))
+            every.drawings.append(_Drawing(stream(seed, "memory", NULL, environment), seed))
+        golden = fly_exposed(setup.scenario, list(exposures.values()))
+        flights.know(arm, golden)
+        return Sampled(golden, faults={"/".join(key): exposure.faults() for key, exposure in exposures.items()})
+
+    def _exposure(self, known: dict[tuple[str, str], Exposure], target: str, stratum: str) -> Exposure:
+        return known.setdefault((target, stratum), Exposure(self._targets[target], stratum))
+
+    def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
+        """What was drawn in flight, in turn; a golden run that left nothing has drawn nothing."""
+        del environment
+        faults = golden[""].faults if "" in golden else {}
+        waiting = {key: iter(found) for key, found in faults.items()}
+        return [next(waiting.get(f"{d.target}/{d.stratum}", iter(())), None) for d in draws]
+
+    def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
+        """A fault with an empty mask, drawn from everything that is remembered."""
+        del index, environment
+        found = golden[""].faults[f"{NULL}/"] if "" in golden else ()
+        fault = next(iter(found), None) or MemoryFault(self._known[0], "", time_us=NO_SITE, seed=seed)
+        assert isinstance(fault, MemoryFault)  # no others are drawn here
+        return replace(fault, bit=None)
+
+
+def _site(text: str) -> Site:
+    kernel, _, name = text.partition(".")
+    return kernel, name

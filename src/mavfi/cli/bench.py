@@ -1,0 +1,141 @@
+"""`mavfi bench detectors`: detectors and recovery schemes on the same flights and faults."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.text import Text
+
+from mavfi.cli import options
+from mavfi.cli.console import check_folder, console, write_json
+from mavfi.cli.stopping import stoppable
+from mavfi.errors import writing
+
+if TYPE_CHECKING:
+    from mavfi.campaign.analysis.table import Table
+    from mavfi.campaign.bench import Bench, Entry
+    from mavfi.campaign.scores import Scores
+
+app = typer.Typer(
+    help="Compare schemes on the same flights and faults.\n\nExample: [bold]mavfi bench detectors --level state[/bold]",
+    no_args_is_help=False,
+)
+
+
+@app.callback()
+def _bench() -> None:
+    pass
+
+
+@app.command("detectors")
+def detectors(  # noqa: PLR0913 - one parameter per option
+    bench: Annotated[
+        str, typer.Argument(metavar="[BENCH.yaml]", help="A YAML file, or a shipped bench.")
+    ] = "mavfi-bench-1",
+    level: Annotated[
+        list[str] | None,
+        typer.Option(help="Only faults of this level: state, instruction; may be given several times."),
+    ] = None,
+    part: Annotated[
+        list[str] | None, typer.Option(help="Only this part of the bench; may be given several times.")
+    ] = None,
+    detector: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="This one, e.g. package:Class, in the place of the bench's schemes."),
+    ] = None,
+    profile: Annotated[str, typer.Option(help="Of --detector: paper or tuned.")] = "paper",
+    scale: Annotated[str, typer.Option(help="quick, or paper: enough for narrow intervals.")] = "quick",
+    out: Annotated[Path, typer.Option(help="Folder of ledgers and leaderboard.")] = Path("out/bench"),
+    workers: options.Workers = 2,
+    as_json: options.AsJson = False,
+) -> None:
+    """Fly every scheme of a bench on the same faults; say what each brings back, and what it costs.
+
+    Ctrl-C stops (exit code 130); the same command resumes.
+
+    Example: [bold]mavfi bench detectors --level state --detector my_package:MyDetector[/bold]
+    """
+    from mavfi.campaign.bench import entries, load_bench, with_only
+    from mavfi.campaign.scores import table
+
+    chosen = load_bench(bench)
+    if detector:
+        chosen = with_only(chosen, detector, profile)
+    flown = entries(chosen, scale, levels=level or (), parts=part or ())
+    check_folder(out)
+    with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
+        _fly(flown, out, workers)
+        scored = _scores(flown, out, workers)
+    tables = {name: _table(chosen, name, entry, out / name, scale) for name, entry in flown.items()}
+    if scored:
+        tables["scores"] = table(scored)
+    _write(tables, scored, chosen, scale, out)
+    if as_json:
+        write_json({name: table.to_json() for name, table in tables.items()})
+        return
+    _show(tables, out)
+
+
+def _fly(flown: "Mapping[str, Entry]", out: Path, workers: int) -> None:
+    from mavfi.campaign.executors.local import LocalExecutor
+    from mavfi.campaign.run import run_campaign
+    from mavfi.cli.progress import Bar
+
+    for name, entry in flown.items():
+        with Bar(f"bench: {name}", "runs") as bar:
+            run_campaign(entry.campaign, out / name, executor=LocalExecutor(workers), progress=bar.show_campaign)
+
+
+def _scores(flown: "Mapping[str, Entry]", out: Path, workers: int) -> "dict[str, Scores]":
+    """Scores of the detectors in the parts that are for it."""
+    from mavfi.campaign.executors.local import LocalExecutor
+    from mavfi.campaign.scores import scores
+
+    own = [out / name for name, entry in flown.items() if entry.part.scores]
+    return scores(own, LocalExecutor(workers)) if own else {}
+
+
+def _table(bench: "Bench", name: str, entry: "Entry", ledger: Path, scale: str) -> "Table":
+    """The table of a part: its schemes, whether its faults are the frozen ones, and who was left out."""
+    from mavfi.campaign.analysis import Runs, table
+    from mavfi.campaign.bench import checksum, faults_of, frozen_faults
+
+    runs = Runs.read(ledger)
+    faults = faults_of(ledger)
+    with writing(ledger / "faults.csv"):
+        (ledger / "faults.csv").write_text(faults, encoding="utf-8")
+    frozen = frozen_faults(bench, name, scale)
+    same = {None: "no list of them is published", faults: f"as published in {bench.name}"}
+    drawn = f"{faults.count(chr(10)) - 1} faults, sha256 {checksum(faults)[:16]}…: "
+    drawn += same.get(frozen, f"NOT those published in {bench.name} (sha256 {checksum(frozen or '')[:16]}…)")
+    left_out = [f"{arm}: not flown ({reason})" for arm, reason in entry.left_out.items()]
+    found = table(runs, entry.part.view)
+    return replace(found, name=name, title=entry.part.title, notes=(drawn, *left_out, *found.notes))
+
+
+def _write(
+    tables: "Mapping[str, Table]", scored: "Mapping[str, Scores]", bench: "Bench", scale: str, out: Path
+) -> None:
+    from mavfi.campaign.scores import curves_csv
+    from mavfi.reports.leaderboard import draw_curves, leaderboard
+
+    texts = {"leaderboard.md": leaderboard(tables, bench.name, scale)}
+    if scored:
+        texts["curves.csv"] = curves_csv(scored)
+        draw_curves(scored, out / "curves.png")
+    for name, content in texts.items():
+        with writing(out / name):
+            (out / name).write_text(content, encoding="utf-8")
+
+
+def _show(tables: "Mapping[str, Table]", out: Path) -> None:
+    from mavfi.reports.terminal import show_table
+
+    terminal = console()
+    *_, last = tables
+    for name, table in tables.items():
+        own = [note for note in table.notes if name == last or note not in tables[last].notes]  # common ones once
+        show_table(replace(table, notes=tuple(own)), terminal)
+    terminal.print(Text(f"The tables are in {out / 'leaderboard.md'}."), soft_wrap=True)

@@ -1,0 +1,185 @@
+"""Detectors of all fields (`everything`): limits of each residual, and an autoencoder; learned from golden flights."""
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mavfi.detectors.autoencoder import Network, fit_autoencoder, network_of, residuals
+from mavfi.detectors.everything import Everything
+from mavfi.detectors.features import REGIMES
+from mavfi.detectors.model import SMALLEST_LIMIT, Model
+from mavfi.detectors.parts import Reading, Scorer, ScoringDetector, Threshold, Verdict, find_policy
+from mavfi.detectors.samples import Sample, regime_limits
+from mavfi.numerics.jit import kernel_jit
+from mavfi.states import State
+
+
+class CodeScorer(Scorer):
+    """A scorer of the codes of all fields.
+
+    Args:
+        everything: The codes.
+    """
+
+    def __init__(self, everything: Everything) -> None:
+        self.everything, self.kept = everything, (everything.known,)
+        self.fields, self.stages = everything.fields, everything.stages
+        size = len(self.fields)
+        self._codes = np.zeros(size, np.int16)
+        self._distance, self._unit = np.zeros(size), np.ones(size)
+
+    @abstractmethod
+    def measure(self, slot: int, regime: int) -> None:
+        """Fill in `_distance` of a publication of a state, whose `_codes` are new."""
+
+    def span(self, slot: int) -> tuple[int, int]:
+        """First and one past the last distance that a publication of a state renews."""
+        return self.everything.range_of(slot)
+
+    def read(self, state: State) -> Reading | None:
+        """Measure a publication."""
+        slot = self.everything.slots.get(state.spec.name)
+        if slot is None:
+            return None
+        regime = self.everything.measure(state, slot, self._codes)
+        if regime >= 0:
+            self.measure(slot, regime)
+        return Reading(self._distance, self._unit, *self.span(slot), regime)
+
+    def accept(self, state: State, verdict: Verdict | None) -> None:
+        """Take note of a value that was published."""
+        slot = self.everything.slots.get(state.spec.name)
+        if slot is None:
+            self.everything.note(state)
+            return
+        self.everything.measure(state, slot, self._codes, keep=True)
+        self.learn(slot, verdict)
+
+    def learn(self, slot: int, verdict: Verdict | None) -> None:  # noqa: B027 - few learn
+        """Adapt to a publication, whose `_codes` are new."""
+
+    def not_finite(self, state: State) -> np.ndarray:
+        """Indices of the watched fields of a publication that are not finite."""
+        return self.everything.not_finite(state)
+
+
+@kernel_jit
+def from_centre(codes: np.ndarray, centre: np.ndarray, regime: int, distance: np.ndarray) -> None:
+    """Distances of codes, shape (n,), from the centre of their regime, shape (n, regimes)."""
+    for index in range(len(codes)):
+        distance[index] = abs(codes[index] - centre[index, regime])
+
+
+class LimitScorer(CodeScorer):
+    """Distances from the centre of each field and regime, shape (n, regimes)."""
+
+    def __init__(self, everything: Everything, centre: np.ndarray) -> None:
+        super().__init__(everything)
+        self._centre = centre
+
+    def measure(self, slot: int, regime: int) -> None:
+        """See `CodeScorer.measure`."""
+        own = slice(*self.everything.range_of(slot))
+        from_centre(self._codes[own], self._centre[own], regime, self._distance[own])
+
+
+class ReconstructionScorer(CodeScorer):
+    """Reconstruction errors of the codes published last; each is judged once, see `AutoencoderScorer`."""
+
+    adapts = True
+
+    def __init__(self, everything: Everything, network: Network) -> None:
+        super().__init__(everything)
+        self._network = network
+        self._held = np.zeros_like(self._codes)
+        self.kept += (self._held,)
+
+    def measure(self, slot: int, regime: int) -> None:
+        """See `CodeScorer.measure`."""
+        own = slice(*self.everything.range_of(slot))
+        vector = self._held.copy()
+        vector[own] = self._codes[own]
+        residuals(vector, self._network, self._distance)
+
+    def learn(self, slot: int, verdict: Verdict | None) -> None:
+        """Hold normal codes."""
+        own = slice(*self.everything.range_of(slot))
+        self._held[own] = self._codes[own] if verdict is not None and verdict.score <= 1.0 else 0
+
+
+class LimitsDetector(ScoringDetector):
+    """A learned limit for each field and regime.
+
+    Args:
+        model: A model of kind "limits".
+        policy: "paper" or "keyed", see `parts.POLICIES`.
+    """
+
+    model_kind = "limits"
+    watches_all = True
+
+    def __init__(self, model: Model, policy: str = "keyed") -> None:
+        everything = Everything(model.provenance["stack"])
+        shape = len(everything.fields), REGIMES
+        limit = model.numbers("limit", *shape, least=SMALLEST_LIMIT)
+        scorer = LimitScorer(everything, model.numbers("centre", *shape))
+        super().__init__(self.model_kind, scorer, Threshold(limit, shape[0]), find_policy(policy))
+
+    @staticmethod
+    def fit(sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters of a model, see `fit_limits`."""
+        return fit_limits(sample, everything, **figures)
+
+
+class AutoencoderAllDetector(ScoringDetector):
+    """An autoencoder of all fields, with a limit for each output and regime.
+
+    Args:
+        model: A model of kind "autoencoder_all".
+        policy: "paper" or "keyed", see `parts.POLICIES`.
+    """
+
+    model_kind = "autoencoder_all"
+    watches_all = True
+
+    def __init__(self, model: Model, policy: str = "keyed") -> None:
+        everything = Everything(model.provenance["stack"])
+        count = len(everything.fields)
+        limit = model.numbers("limit", count, REGIMES, least=SMALLEST_LIMIT)
+        scorer = ReconstructionScorer(everything, network_of(model, count))
+        super().__init__(self.model_kind, scorer, Threshold(limit, count), find_policy(policy))
+
+    @staticmethod
+    def fit(sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters of a model, see `fit_autoencoder`."""
+        return fit_autoencoder(sample, **figures)
+
+
+def fit_limits(sample: Sample, everything: Everything, margin: float, smallest_regime: int) -> dict[str, Any]:
+    """Centre and limit of each field and regime; a distance of one code is always allowed.
+
+    Args:
+        sample: Error-free flights.
+        everything: What it was made with.
+        margin: Limit / largest distance in training.
+        smallest_regime: Samples below which a regime takes the largest limit of its field's regimes.
+    """
+    centre, peaks, counts = centre_and_peaks(sample, everything)
+    return {"centre": centre.tolist(), "limit": regime_limits(peaks, counts, margin, smallest_regime)}
+
+
+def centre_and_peaks(sample: Sample, everything: Everything) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centre, largest distance (at least 1) and number of samples of each field and regime. Shapes (n, regimes)."""
+    shape = len(everything.fields), REGIMES
+    centre, peaks, counts = np.zeros(shape), np.ones(shape), np.zeros(shape, np.int64)
+    for slot in range(len(everything.slots)):
+        own = slice(*everything.range_of(slot))
+        for regime in range(REGIMES):
+            values = sample.vectors[(sample.slots == slot) & (sample.regimes == regime), own].astype(np.float64)
+            counts[own, regime] = len(values)
+            if len(values):
+                centre[own, regime] = values.mean(axis=0)
+                peaks[own, regime] = np.maximum(1.0, np.abs(values - centre[own, regime]).max(axis=0))
+    return centre, peaks, counts

@@ -1,0 +1,58 @@
+"""Half-space trees (Tan, Ting and Liu, IJCAI 2011) of river: a forest for the fields of each state."""
+
+from typing import Any
+
+import numpy as np
+
+from mavfi.detectors.autoencoder import INPUT_LIMIT
+from mavfi.detectors.baselines.library import Judge, LibraryDetector
+from mavfi.detectors.everything import Everything
+
+_TREES, _HEIGHT, _WINDOW = 25, 8, 100
+
+
+class _Forests:
+    """Forests by state, fitted in the order of the rows; they do not learn in flight."""
+
+    def __init__(self, inputs: np.ndarray, slots: np.ndarray, columns: list[np.ndarray]) -> None:
+        self._columns = columns
+        self._forests = [self._forest(inputs[slots == slot][:, own]) for slot, own in enumerate(columns)]
+
+    @staticmethod
+    def _forest(rows: np.ndarray) -> Any:  # noqa: ANN401 - of the library
+        from river.anomaly import HalfSpaceTrees
+
+        limits = dict.fromkeys(range(rows.shape[1]), (-INPUT_LIMIT, INPUT_LIMIT))
+        window = max(1, min(_WINDOW, len(rows)))
+        forest = HalfSpaceTrees(n_trees=_TREES, height=_HEIGHT, window_size=window, limits=limits, seed=0)
+        for row in rows:
+            forest.learn_one(dict(enumerate(row.tolist())))
+        return forest
+
+    def scores(self, inputs: np.ndarray, slots: np.ndarray) -> np.ndarray:
+        """See `Judge.scores`."""
+        return np.array(
+            [
+                self._forests[slot].score_one(dict(enumerate(row[self._columns[slot]].tolist())))
+                for row, slot in zip(inputs, slots, strict=True)
+            ]
+        )
+
+
+class HalfSpaceTreesDetector(LibraryDetector):
+    """Half-space trees of every state."""
+
+    model_kind = "half_space_trees"
+    package = "river"
+
+    @classmethod
+    def judge(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Judge:
+        """See `LibraryDetector.judge`."""
+        return _Forests(inputs, slots, columns_of(everything))
+
+
+def columns_of(everything: Everything) -> list[np.ndarray]:
+    """By state, the columns of its fields among those of all watched ones."""
+    place = np.cumsum(everything.quanta > 0.0) - 1
+    spans = [np.arange(*everything.range_of(slot)) for slot in range(len(everything.slots))]
+    return [place[own[everything.quanta[own] > 0.0]] for own in spans]

@@ -1,0 +1,154 @@
+"""What adapters of libraries share: rows to fit to, scores of publications, limits of scores by state and regime."""
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from importlib.util import find_spec
+from typing import Any, Protocol
+
+import numpy as np
+
+from mavfi.detectors.autoencoder import INPUT_LIMIT, representative
+from mavfi.detectors.everything import Everything
+from mavfi.detectors.features import REGIMES
+from mavfi.detectors.model import SMALLEST_LIMIT, Model
+from mavfi.detectors.one_score import StateScorer, state_peaks
+from mavfi.detectors.parts import ScoringDetector, Threshold, Verdict
+from mavfi.detectors.samples import Sample, regime_limits
+from mavfi.errors import BadInputError
+
+_BATCH = 20_000
+
+
+class Judge(Protocol):
+    """A fitted model of a library."""
+
+    def scores(self, inputs: np.ndarray, slots: np.ndarray) -> np.ndarray:
+        """How anomalous publications are, any real numbers.
+
+        Args:
+            inputs: Codes of all watched fields / their largest in training. Shape (m, n).
+            slots: State that was published. Shape (m,).
+
+        Returns:
+            Shape (m,), float64.
+        """
+
+
+def require(package: str) -> None:
+    """Check that a package of the extra `bench` is installed; `BadInputError` if not."""
+    if find_spec(package) is None:
+        raise BadInputError(f"package {package!r}: not installed; install it with: pip install 'mavfi[bench]'")
+
+
+class LibraryScorer(StateScorer):
+    """Scores of a fitted model, of the codes of all states published last.
+
+    Args:
+        everything: The codes.
+        judge: The model.
+        scale: Largest code in training. Shape (n,).
+        floor: Smallest score in training: distances are counted from there.
+    """
+
+    adapts = True
+
+    def __init__(self, everything: Everything, judge: Judge, scale: np.ndarray, floor: float) -> None:
+        super().__init__(everything)
+        self._judge, self._scale, self._floor = judge, scale, floor
+        self._watched = everything.quanta > 0.0
+        self._held = np.zeros_like(self._codes)
+        self.kept += (self._held,)
+
+    def score_of(self, slot: int, regime: int) -> float:
+        """See `StateScorer.score_of`."""
+        own = slice(*self.everything.range_of(slot))
+        vector = self._held.copy()
+        vector[own] = self._codes[own]
+        inputs = scaled(vector[None], self._scale)[:, self._watched]
+        return max(0.0, float(self._judge.scores(inputs, np.array([slot]))[0]) - self._floor)
+
+    def learn(self, slot: int, verdict: Verdict | None) -> None:
+        """Hold normal codes; an anomaly is not held against what follows."""
+        own = slice(*self.everything.range_of(slot))
+        self._held[own] = self._codes[own] if verdict is not None and verdict.score <= 1.0 else 0
+
+
+def scaled(vectors: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Codes, shape (m, n), as inputs of a model."""
+    found: np.ndarray = np.clip(vectors / scale, -INPUT_LIMIT, INPUT_LIMIT)
+    return found
+
+
+class LibraryDetector(ScoringDetector):
+    """A detector of a library.
+
+    Attributes:
+        package: What has to be installed.
+    """
+
+    model_kind: str
+    package: str
+    watches_all = True
+    extra = "bench"
+
+    def __init__(self, model: Model) -> None:
+        everything = Everything(model.provenance["stack"])
+        count, states = len(everything.fields), len(everything.slots)
+        given = model.parameters.get("rows")
+        rows = model.numbers("rows", len(given) if isinstance(given, list) else 0, count)
+        slots = model.numbers("slots", len(rows), least=0.0).astype(np.int64)
+        scale = model.numbers("scale", count, least=1.0)
+        judge = self.learned(rows, slots, scale, everything)
+        scorer = LibraryScorer(everything, judge, scale, float(model.numbers("floor")))
+        limit = model.numbers("limit", states, REGIMES, least=SMALLEST_LIMIT)
+        super().__init__(self.model_kind, scorer, Threshold(limit, states))
+
+    @classmethod
+    def check_installed(cls) -> None:
+        """Raise a `BadInputError` that says what to install, if its library is not there."""
+        require(cls.package)
+
+    @classmethod
+    @abstractmethod
+    def judge(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Judge:
+        """Fit a model of the library to normal publications; arguments as of `Judge.scores`."""
+
+    @classmethod
+    def learned(cls, rows: np.ndarray, slots: np.ndarray, scale: np.ndarray, everything: Everything) -> Judge:
+        """The model of these codes: rounding is undone by a uniform error, so that no field is constant."""
+        cls.check_installed()
+        generator = np.random.Generator(np.random.PCG64(0))
+        dithered = rows + generator.uniform(-0.5, 0.5, rows.shape)
+        return cls.judge(scaled(dithered, scale)[:, everything.quanta > 0.0], slots, everything)
+
+    @classmethod
+    def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters of a model.
+
+        Args:
+            sample: Error-free flights.
+            everything: What it was made with.
+            figures: `largest_class`, publications of one state and regime that are fitted to; `calibrated`, of those
+                that limits are taken from; `margin` and `smallest_regime` as of `regime_limits`.
+        """
+        scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
+        rows = representative(sample, int(figures["largest_class"]))
+        judge = cls.learned(sample.vectors[rows].astype(np.float64), sample.slots[rows], scale, everything)
+        chosen = representative(sample, int(figures["calibrated"]))
+        part = Sample(*(getattr(sample, name)[chosen] for name in Sample.__annotations__))
+        scores = np.concatenate(
+            [
+                judge.scores(
+                    scaled(part.vectors[start : start + _BATCH], scale)[:, everything.quanta > 0.0],
+                    part.slots[start : start + _BATCH],
+                )
+                for start in range(0, len(chosen), _BATCH)
+            ]
+        )
+        floor = float(scores.min())
+        peaks, counts = state_peaks(scores - floor, part, len(everything.slots))
+        limit = regime_limits(peaks, counts, float(figures["margin"]), int(figures["smallest_regime"]))
+        return {
+            "rows": sample.vectors[rows].tolist(), "slots": sample.slots[rows].tolist(), "scale": scale.tolist(),
+            "floor": floor, "limit": limit,
+        }  # fmt: skip

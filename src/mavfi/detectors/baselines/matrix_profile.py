@@ -1,0 +1,125 @@
+"""Matrix profile (Yeh et al., ICDM 2016) by stumpy: how far the last values of a state are from all of training.
+
+The series of a state is the largest scaled code of each publication.  The value for a new publication is the smallest
+distance, not normalized, of the stretch that ends with it from all stretches of training (an AB-join, as `stumpi` gives
+when it is fed with one value after another), so nothing of the flight but the stretch is remembered.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mavfi.detectors.baselines.library import LibraryDetector, require, scaled
+from mavfi.detectors.everything import Everything
+from mavfi.detectors.features import REGIMES
+from mavfi.detectors.model import SMALLEST_LIMIT, Model
+from mavfi.detectors.one_score import StateScorer
+from mavfi.detectors.parts import ScoringDetector, Threshold, Verdict
+from mavfi.detectors.samples import Sample
+
+LENGTH = 8
+"""Publications of a stretch."""
+_NEVER = 1e17
+"""Limit where training has no stretch of a state."""
+
+
+def nearest(stretch: np.ndarray, history: np.ndarray) -> float:
+    """Smallest Euclidean distance of a stretch, shape (LENGTH,), from a history, shape (k,); 0 if that is shorter."""
+    if len(history) < LENGTH:
+        return 0.0
+    from stumpy.core import mass_absolute
+
+    return float(mass_absolute(stretch, history).min())
+
+
+class StretchScorer(StateScorer):
+    """Distances of last stretches.
+
+    Args:
+        everything: The codes.
+        history: Series of training, by state; shorter ones end with NaN. Shape (slots, k).
+        scale: Largest code in training. Shape (n,).
+    """
+
+    adapts = True
+
+    def __init__(self, everything: Everything, history: list[np.ndarray], scale: np.ndarray) -> None:
+        super().__init__(everything)
+        self._history, self._scale = history, scale
+        self._last = np.zeros((len(everything.slots), LENGTH - 1))
+        self._published = np.zeros(len(everything.slots))
+        self._new = 0.0
+        self.kept += (self._last, self._published)
+
+    def value(self, slot: int) -> float:
+        """The newest value of a state's series."""
+        own = slice(*self.everything.range_of(slot))
+        return float(np.abs(scaled(self._codes[own], self._scale[own])).max())
+
+    def score_of(self, slot: int, regime: int) -> float:
+        """See `StateScorer.score_of`; 0 until there is a stretch."""
+        self._new = self.value(slot)
+        if self._published[slot] < LENGTH - 1:
+            return 0.0
+        return nearest(np.append(self._last[slot], self._new), self._history[slot])
+
+    def learn(self, slot: int, verdict: Verdict | None) -> None:
+        """Keep normal values; an anomaly is not held against the next ones."""
+        if verdict is not None and verdict.score <= 1.0:
+            self._last[slot, :-1] = self._last[slot, 1:]
+            self._last[slot, -1] = self.value(slot)
+            self._published[slot] += 1.0
+
+
+class MatrixProfileDetector(ScoringDetector):
+    """Matrix profile of every state."""
+
+    model_kind = "matrix_profile"
+    watches_all = True
+    extra = LibraryDetector.extra
+
+    def __init__(self, model: Model) -> None:
+        self.check_installed()
+        everything = Everything(model.provenance["stack"])
+        states = len(everything.slots)
+        given = model.parameters.get("history")
+        rows = given if isinstance(given, list) and len(given) == states else [[]] * states
+        history = [Model.numbers(_of(model, row), "row", len(row)) for row in rows]
+        scale = model.numbers("scale", len(everything.fields), least=1.0)
+        limit = model.numbers("limit", states, REGIMES, least=SMALLEST_LIMIT)
+        super().__init__(self.model_kind, StretchScorer(everything, history, scale), Threshold(limit, states))
+
+    @classmethod
+    def check_installed(cls) -> None:
+        """See `LibraryDetector`."""
+        require("stumpy")
+
+    @classmethod
+    def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters of a model.
+
+        Args:
+            sample: Error-free flights.
+            everything: What it was made with.
+            figures: `history`, values of each state's series that are kept, from the first half of the flights;
+                `calibrated`, stretches of the second half that limits are taken from; `margin`, limit / the largest.
+        """
+        cls.check_installed()
+        scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
+        histories, limit = [], np.full((len(everything.slots), REGIMES), _NEVER)
+        for slot in range(len(limit)):
+            own = slice(*everything.range_of(slot))
+            series = np.abs(scaled(sample.vectors[sample.slots == slot, own], scale[own])).max(axis=1)
+            half = len(series) // 2
+            history, rest = series[: min(half, int(figures["history"]))], series[half:]
+            histories.append(history.tolist())
+            ends = range(LENGTH, min(len(rest), LENGTH + int(figures["calibrated"])))
+            found = [nearest(rest[end - LENGTH : end], history) for end in ends]
+            if found and len(history) >= LENGTH:
+                limit[slot] = max(float(figures["margin"]) * max(found), 1e-3)
+        return {"history": histories, "scale": scale.tolist(), "limit": limit.tolist()}
+
+
+def _of(model: Model, row: list[float]) -> Model:
+    return Model(model.kind, model.profile, model.monitored, model.prediction, {"row": row}, model.provenance)

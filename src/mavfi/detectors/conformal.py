@@ -1,0 +1,119 @@
+"""Split-conformal limits (Vovk, Gammerman and Shafer 2005; Lei et al., JASA 113, 2018) for each state and regime.
+
+Of error-free flights like those of training, at most a share `alpha` of the publications of a state in a regime is
+above its limit, whatever the distribution of the scores.  One half of the flights gives the scores, the other the
+limits.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mavfi.detectors.all_fields import centre_and_peaks
+from mavfi.detectors.everything import Everything
+from mavfi.detectors.features import REGIMES
+from mavfi.detectors.model import SMALLEST_LIMIT, Model
+from mavfi.detectors.one_score import StateScorer
+from mavfi.detectors.parts import ScoringDetector, Threshold, find_policy
+from mavfi.detectors.samples import Sample
+from mavfi.numerics.jit import kernel_jit
+
+
+def conformal_limit(scores: np.ndarray, alpha: float) -> float:
+    """Limit that an exchangeable further score exceeds with a probability of at most `alpha`.
+
+    Args:
+        scores: Of calibration. Shape (n,).
+        alpha: In (0, 1).
+
+    Returns:
+        The ceil((1 - alpha) (n + 1))-th smallest score; infinity if there are too few for `alpha`.
+    """
+    rank = math.ceil((1.0 - alpha) * (len(scores) + 1))
+    return float(np.partition(scores, rank - 1)[rank - 1]) if rank <= len(scores) else math.inf
+
+
+@kernel_jit
+def largest_of(codes: np.ndarray, centre: np.ndarray, scale: np.ndarray, regime: int) -> float:
+    """Largest distance of codes, shape (n,), from their centres in units of their scales, shape (n, regimes)."""
+    worst = 0.0
+    for index in range(len(codes)):
+        worst = max(worst, abs(codes[index] - centre[index, regime]) / scale[index, regime])
+    return worst
+
+
+class LargestScorer(StateScorer):
+    """The largest scaled distance of a publication's fields; centre and scale have shape (n, regimes)."""
+
+    def __init__(self, everything: Everything, centre: np.ndarray, scale: np.ndarray) -> None:
+        super().__init__(everything)
+        self._centre, self._scale = centre, scale
+
+    def score_of(self, slot: int, regime: int) -> float:
+        """See `StateScorer.score_of`."""
+        own = slice(*self.everything.range_of(slot))
+        return largest_of(self._codes[own], self._centre[own], self._scale[own], regime)
+
+
+class ConformalDetector(ScoringDetector):
+    """Split-conformal limits of all states.
+
+    Args:
+        model: A model of kind "conformal".
+        policy: "paper" or "keyed", see `parts.POLICIES`.
+    """
+
+    model_kind = "conformal"
+    watches_all = True
+
+    def __init__(self, model: Model, policy: str = "keyed") -> None:
+        everything = Everything(model.provenance["stack"])
+        shape = len(everything.fields), REGIMES
+        scale = model.numbers("scale", *shape, least=1.0)
+        limit = model.numbers("limit", len(everything.slots), REGIMES, least=SMALLEST_LIMIT)
+        scorer = LargestScorer(everything, model.numbers("centre", *shape), scale)
+        super().__init__(self.model_kind, scorer, Threshold(limit, len(limit)), find_policy(policy))
+
+    @staticmethod
+    def fit(sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters of a model, see `fit_conformal`."""
+        return fit_conformal(sample, everything, **figures)
+
+
+def fit_conformal(sample: Sample, everything: Everything, alpha: float) -> dict[str, Any]:
+    """Centre and scale of each field, and limit of each state, by regime.
+
+    Args:
+        sample: Error-free flights.
+        everything: What it was made with.
+        alpha: Share of false alarms among publications; where a state and regime has too few for it, its limit is the
+            largest score, and the share 1 / (number + 1).
+    """
+    flights = np.cumsum(_begins(sample))
+    even = flights % 2 == 0
+    centre, scale, _ = centre_and_peaks(_part(sample, even), everything)
+    rest = _part(sample, ~even)
+    limit = np.ones((len(everything.slots), REGIMES))
+    for slot in range(len(limit)):
+        own = slice(*everything.range_of(slot))
+        for regime in range(REGIMES):
+            vectors = rest.vectors[(rest.slots == slot) & (rest.regimes == regime), own].astype(np.float64)
+            if len(vectors):
+                scores = (np.abs(vectors - centre[own, regime]) / scale[own, regime]).max(axis=1)
+                least = 1.0 / (len(scores) + 1)
+                # a distance of one code is always allowed: codes are rounded
+                limit[slot, regime] = max(conformal_limit(scores, max(alpha, least)), float((1.0 / scale[own]).max()))
+    return {"centre": centre.tolist(), "scale": scale.tolist(), "limit": limit.tolist()}
+
+
+def _begins(sample: Sample) -> np.ndarray:
+    """Which publications are the first of a flight. Shape (m,), bool."""
+    lead = sample.slots[0]
+    found: np.ndarray = sample.first & (sample.slots == lead)
+    return found
+
+
+def _part(sample: Sample, rows: np.ndarray) -> Sample:
+    return Sample(*(getattr(sample, name)[rows] for name in Sample.__annotations__))

@@ -1,0 +1,152 @@
+"""CUSUM (Page, Biometrika 41, 1954): small deviations that last add up, in both directions, for each field."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from mavfi.detectors.all_fields import CodeScorer, centre_and_peaks
+from mavfi.detectors.everything import Everything
+from mavfi.detectors.features import REGIMES
+from mavfi.detectors.model import SMALLEST_LIMIT, Model
+from mavfi.detectors.one_score import alarmed
+from mavfi.detectors.parts import ScoringDetector, Threshold, Verdict, find_policy
+from mavfi.detectors.samples import Sample, regime_limits
+from mavfi.numerics.jit import kernel_jit
+
+_FLOOR = 0.5
+"""Smallest standard deviation, in codes: they are integers, and some never change in training."""
+
+
+@kernel_jit
+def add(
+    codes: np.ndarray, centre: np.ndarray, deviation: np.ndarray, regime: int, slack: float, sums: np.ndarray,
+    after: np.ndarray,
+) -> None:  # fmt: skip
+    """Sums of deviations after a publication.
+
+    Args:
+        codes: Of the published fields. Shape (n,), int16.
+        centre: Mean of each code and regime. Shape (n, regimes).
+        deviation: Standard deviation. Shape (n, regimes).
+        regime: Column of these.
+        slack: Deviation that adds nothing, in standard deviations (Page's k).
+        sums: Of deviations upwards and downwards before it. Shape (n, 2).
+        after: Filled in: the same after it. Shape (n, 2).
+    """
+    for index in range(len(codes)):
+        scaled = (codes[index] - centre[index, regime]) / deviation[index, regime]
+        after[index, 0] = max(0.0, sums[index, 0] + scaled - slack)
+        after[index, 1] = max(0.0, sums[index, 1] - scaled - slack)
+
+
+@kernel_jit
+def largest_sums(
+    vectors: np.ndarray, slots: np.ndarray, regimes: np.ndarray, first: np.ndarray, spans: np.ndarray,
+    centre: np.ndarray, deviation: np.ndarray, slack: float,
+) -> np.ndarray:  # fmt: skip
+    """Largest sum of each field and regime in recorded flights.
+
+    Args:
+        vectors: As of `Sample`, and so slots, regimes and first.
+        slots: State of each publication. Shape (m,).
+        regimes: Shape (m,).
+        first: Whether it was the first one of its state in a flight. Shape (m,).
+        spans: First and one past the last field of each state. Shape (slots, 2), int64.
+        centre: See `add`.
+        deviation: See `add`.
+        slack: See `add`.
+
+    Returns:
+        Shape (n, regimes).
+    """
+    sums, peaks = np.zeros((len(centre), 2)), np.zeros(centre.shape)
+    for row in range(len(slots)):
+        start, end = spans[slots[row]]
+        if first[row]:
+            sums[start:end] = 0.0
+        own, regime = sums[start:end], regimes[row]
+        add(vectors[row, start:end], centre[start:end], deviation[start:end], regime, slack, own, own)
+        for index in range(start, end):
+            peaks[index, regime] = max(peaks[index, regime], max(sums[index, 0], sums[index, 1]))
+    return peaks
+
+
+class SumScorer(CodeScorer):
+    """Sums of deviations; after an alarm those of the state begin anew."""
+
+    adapts = True
+
+    def __init__(self, everything: Everything, centre: np.ndarray, deviation: np.ndarray, slack: float) -> None:
+        super().__init__(everything)
+        self._centre, self._deviation, self._slack = centre, deviation, slack
+        self._sums, self._after = np.zeros((len(self.fields), 2)), np.zeros((len(self.fields), 2))
+        self.kept += (self._sums,)
+
+    def measure(self, slot: int, regime: int) -> None:
+        """See `CodeScorer.measure`."""
+        own = slice(*self.everything.range_of(slot))
+        add(
+            self._codes[own], self._centre[own], self._deviation[own], regime, self._slack, self._sums[own],
+            self._after[own],
+        )  # fmt: skip
+        self._distance[own] = self._after[own].max(axis=1)
+
+    def learn(self, slot: int, verdict: Verdict | None) -> None:
+        """Keep the sums; the value that was judged last is the published one."""
+        own = slice(*self.everything.range_of(slot))
+        self._sums[own] = 0.0 if alarmed(verdict) else self._after[own]
+
+
+class CusumDetector(ScoringDetector):
+    """CUSUM of all fields.
+
+    Args:
+        model: A model of kind "cusum".
+        policy: "paper" or "keyed", see `parts.POLICIES`.
+    """
+
+    model_kind = "cusum"
+    watches_all = True
+
+    def __init__(self, model: Model, policy: str = "keyed") -> None:
+        everything = Everything(model.provenance["stack"])
+        shape = len(everything.fields), REGIMES
+        deviation = model.numbers("deviation", *shape, least=_FLOOR)
+        slack = float(model.numbers("slack", least=0.0))
+        limit = model.numbers("limit", *shape, least=SMALLEST_LIMIT)
+        scorer = SumScorer(everything, model.numbers("centre", *shape), deviation, slack)
+        super().__init__(self.model_kind, scorer, Threshold(limit, shape[0]), find_policy(policy))
+
+    @staticmethod
+    def fit(sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters of a model, see `fit_cusum`."""
+        return fit_cusum(sample, everything, **figures)
+
+
+def fit_cusum(
+    sample: Sample, everything: Everything, slack: float, margin: float, smallest_regime: int
+) -> dict[str, Any]:  # fmt: skip
+    """Centre, deviation and limit of each field and regime.
+
+    Args:
+        sample: Error-free flights.
+        everything: What it was made with.
+        slack: See `add`.
+        margin: Limit / largest sum in training.
+        smallest_regime: Samples below which a regime takes the largest limit of its field's regimes.
+    """
+    centre, _, counts = centre_and_peaks(sample, everything)
+    deviation = np.full(centre.shape, _FLOOR)
+    for slot in range(len(everything.slots)):
+        own = slice(*everything.range_of(slot))
+        for regime in range(REGIMES):
+            values = sample.vectors[(sample.slots == slot) & (sample.regimes == regime), own]
+            if len(values):
+                deviation[own, regime] = np.maximum(_FLOOR, values.std(axis=0, dtype=np.float64))
+    spans = np.array([everything.range_of(slot) for slot in range(len(everything.slots))])
+    peaks = largest_sums(
+        sample.vectors, sample.slots, sample.regimes, sample.first, spans, centre, deviation, slack
+    )  # fmt: skip
+    limit = regime_limits(np.maximum(1.0, peaks), counts, margin, smallest_regime)
+    return {"centre": centre.tolist(), "deviation": deviation.tolist(), "slack": slack, "limit": limit}

@@ -1,0 +1,245 @@
+"""The monitored set `all`: the residuals of every field that a consumer reads, as 16-bit codes.
+
+One code is a quantum of the field's unit, less than what matters to a flight: 1 cm, 1 cm/s, 1 ms; a tenth of a step of
+a counter, which must not pass as rounding.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from mavfi.detectors import residuals
+from mavfi.detectors.detector import Alarm
+from mavfi.detectors.features import REGIMES
+from mavfi.detectors.samples import Sample
+from mavfi.states import ODOMETRY, STACKS, STATES, State, floats
+
+MONITORED = "all"
+"""Name of the set, in models."""
+QUANTA = {"m": 0.01, "m/s": 0.01, "m/s^2": 0.1, "rad": 0.01, "rad/s": 0.01, "s": 0.001, "-": 0.1, "octave": 0.01}
+"""One code, by unit."""
+_MOTION = 6
+
+
+class _Watched(NamedTuple):
+    """A state: its residuals, and how many leading numbers of the header or of an element they read.
+
+    `names` are (name, field of the table, unit; "" = the field's).
+    """
+
+    measure: Callable[..., int]
+    names: tuple[tuple[str, str, str], ...]
+    in_list: bool
+    width: int
+
+
+def _fields(*names: str) -> tuple[tuple[str, str, str], ...]:
+    return tuple((name, name, "") for name in names)
+
+
+def _of(unit: str, *names: str) -> tuple[tuple[str, str, str], ...]:
+    return tuple((name, name, unit) for name in names)
+
+
+_WATCHED = {
+    "perception.collision_status": _Watched(
+        residuals.status,
+        (*_of("octave", "time_to_collision", "distance_to_blocked", "distance_to_unknown"),
+         *_fields("future_collision_seq", "trajectory_seq", "collision")),
+        False, 0,
+    ),
+    "planning.path": _Watched(
+        residuals.path,
+        (*_fields("entry_speed", "future_collision_seq", "junction"),
+         ("start", "x", ""), ("end", "x", ""), ("detour", "x", "")),
+        True, 3,
+    ),
+    "planning.trajectory": _Watched(
+        residuals.trajectory,
+        (*_fields("trajectory_seq", "future_collision_seq"),
+         ("step", "x", ""), ("change", "vx", ""), ("speed", "vx", ""), ("acceleration", "ax", ""),
+         ("duration", "duration", ""), ("turn", "yaw", ""), ("start", "x", ""), ("end", "x", "")),
+        True, 11,
+    ),
+    "planning.waypoint": _Watched(
+        residuals.waypoint,
+        _fields("x", "y", "z", "yaw", "vx", "vy", "vz", "ax", "ay", "az", "duration", "trajectory_seq",
+                "future_collision_seq", "index"),
+        False, 11,
+    ),
+    "control.command": _Watched(
+        residuals.command, _fields("vx", "vy", "vz", "yaw_rate", "duration"), False, 5
+    ),
+    "control.tracking": _Watched(residuals.tracking, _fields("remaining"), False, 1),
+}  # fmt: skip
+
+
+class Everything:
+    """Codes of the residuals of all states, one flight long.
+
+    Fields that nobody reads under an autopilot profile are not watched: their code is 0.
+
+    Args:
+        stack: The autopilot profile.
+
+    Attributes:
+        fields: Names of the residuals, "state.field"; lists have some for all elements together.
+        stages: Stage of each.
+        slots: Number of each state, by name.
+        quanta: Of each residual, in its unit; 0 = not watched. Shape (n,).
+        known: What is remembered, see `residuals`.
+    """
+
+    def __init__(self, stack: str) -> None:
+        self.slots = {name: slot for slot, name in enumerate(_WATCHED)}
+        self.fields = tuple(f"{state}.{name}" for state, own in _WATCHED.items() for name, *_ in own.names)
+        self.stages = tuple(STATES[state].stage.value for state, own in _WATCHED.items() for _ in own.names)
+        self.quanta = np.array(
+            [_quantum(state, residual, stack) for state, own in _WATCHED.items() for residual in own.names]
+        )
+        ends = np.cumsum([len(own.names) for own in _WATCHED.values()])
+        self._ranges = [(int(end) - len(own.names), int(end)) for end, own in zip(ends, _WATCHED.values(), strict=True)]
+        self._watched = tuple(_WATCHED.values())
+        self._empty = [np.zeros((0, own.width)) for own in self._watched]
+        self._values = np.zeros(len(self.fields))
+        self.known = np.zeros(residuals.SIZE)
+
+    def start(self) -> None:
+        """Forget the last flight."""
+        self.known[:] = 0.0
+
+    def range_of(self, slot: int) -> tuple[int, int]:
+        """First and one past the last index of a state's residuals."""
+        return self._ranges[slot]
+
+    def slot_of(self, index: int) -> int:
+        """Number of the state of the residual at an index."""
+        return next(slot for slot, (_, last) in enumerate(self._ranges) if index < last)
+
+    def measure(self, state: State, slot: int, codes: np.ndarray, keep: bool = False) -> int:
+        """Fill in the codes of a publication.
+
+        Args:
+            state: The publication.
+            slot: Its number.
+            codes: Filled in from first to last of `range_of`. Shape (n,), int16.
+            keep: Whether to take note of it.
+
+        Returns:
+            The regime, or -1 - regime if a watched number is not finite.
+        """
+        own, (first, last) = self._watched[slot], self._ranges[slot]
+        elements = self._empty[slot]
+        if own.in_list:
+            if len(state.elements):
+                elements = floats(state.elements, own.width).reshape(-1, own.width)
+        elif own.width:
+            elements = floats(state.header, own.width).reshape(1, own.width)
+        values = self._values[first:last]
+        regime = own.measure(state.header, elements, self.known, values, keep)
+        return regime if residuals.quantize(values, self.quanta[first:last], codes[first:last]) else -1 - regime
+
+    def note(self, state: State) -> None:
+        """Remember where the vehicle is, if this state says so."""
+        if state.spec.name in _POSITIONS:
+            residuals.note_vehicle(floats(state.header, _MOTION), self.known)
+
+    def not_finite(self, state: State) -> np.ndarray:
+        """Indices of the residuals of a publication whose number of quanta is not finite."""
+        first, last = self._ranges[self.slots[state.spec.name]]
+        codes = np.zeros(len(self.fields), np.int16)
+        self.measure(state, self.slots[state.spec.name], codes)
+        values, quanta = self._values[first:last], self.quanta[first:last]
+        with np.errstate(over="ignore"):  # a residual of 1e307 m is finite, and no number of centimetres
+            wrong = (quanta > 0.0) & ~np.isfinite(values / np.where(quanta > 0.0, quanta, 1.0))
+        return first + np.flatnonzero(wrong)
+
+
+_POSITIONS = tuple(ODOMETRY.values())
+_SIZES = np.array([len(own.names) for own in _WATCHED.values()])
+
+
+def _quantum(state: str, residual: tuple[str, str, str], stack: str) -> float:
+    _, field, unit = residual
+    found = STATES[state].find(field)
+    return 0.0 if stack in STACKS and found.dead_in(stack) else QUANTA[unit or found.unit]
+
+
+class CodeRecorder:
+    """A recorder of all codes of a flight, for training.
+
+    Args:
+        stack: The autopilot profile.
+    """
+
+    def __init__(self, stack: str) -> None:
+        self._everything = Everything(stack)
+        self._codes = np.zeros(len(self._everything.fields), np.int16)
+        self._own: list[bytes] = []
+        self._slots: list[int] = []
+        self._regimes: list[int] = []
+
+    def start(self) -> None:
+        """Forget the last flight."""
+        self._everything.start()
+        self._own, self._slots, self._regimes = [], [], []
+
+    def check(self, state: State, time_us: int) -> Alarm | None:
+        """No alarm."""
+        return None
+
+    def accept(self, state: State, time_us: int) -> None:
+        """Keep the codes of a value that was published."""
+        slot = self._everything.slots.get(state.spec.name)
+        if slot is None:
+            self._everything.note(state)
+            return
+        self._regimes.append(self._everything.measure(state, slot, self._codes, keep=True))
+        self._slots.append(slot)
+        first, last = self._everything.range_of(slot)
+        self._own.append(self._codes[first:last].tobytes())
+
+    def codes(self) -> "Codes":
+        """What was published since `start`."""
+        own = np.frombuffer(b"".join(self._own), np.int16)
+        return Codes(np.array(self._slots, np.int8), np.array(self._regimes, np.int8), own)
+
+
+class Codes(NamedTuple):
+    """The codes of one flight.
+
+    Attributes:
+        slots: State of each publication. Shape (m,), int8.
+        regimes: Regime of each, see `Everything.measure`. Shape (m,), int8.
+        own: Codes of the published states, one publication after the other. Shape (total,), int16.
+    """
+
+    slots: np.ndarray
+    regimes: np.ndarray
+    own: np.ndarray
+
+
+def codes_are_whole(flight: Codes) -> bool:
+    """Whether the parts fit together."""
+    slots = flight.slots
+    if len(slots) != len(flight.regimes) or ((slots < 0) | (slots >= residuals.SLOTS)).any():
+        return False
+    return int(_SIZES[slots].sum()) == len(flight.own) and bool((np.abs(flight.regimes) <= REGIMES).all())
+
+
+def sample_of(flight: Codes, everything: Everything) -> Sample:
+    """What a detector of all fields sees in one flight."""
+    count = len(flight.slots)
+    vectors = np.zeros((count, len(everything.fields)), np.int16)
+    ends = np.cumsum(_SIZES[flight.slots])
+    for slot in np.unique(flight.slots):
+        first, last = everything.range_of(int(slot))
+        rows = np.flatnonzero(flight.slots == slot)
+        codes = flight.own[ends[rows, None] - (last - first) + np.arange(last - first)]
+        # a code holds until its state is published again
+        newest = np.searchsorted(rows, np.arange(count), side="right") - 1
+        vectors[:, first:last] = np.where((newest >= 0)[:, None], codes[np.maximum(newest, 0)], 0)
+    first_ones = np.zeros(count, bool)
+    first_ones[np.unique(flight.slots, return_index=True)[1]] = True
+    return Sample(vectors, flight.slots.astype(np.int64), flight.regimes.astype(np.int64), first_ones)

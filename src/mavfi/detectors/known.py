@@ -1,0 +1,191 @@
+"""What the acceptance test remembers of what was published: one record, and how it takes note, compiled.
+
+The record begins with the numbers of `MissionLimits`: rules find limits and memory in one argument, since each costs a
+call from Python some 60 ns.  A header that is judged is kept as the candidate, and becomes the one published last with
+the next call after it was accepted: one call per publication.
+
+Points of trajectories are in blocks, shape (KEPT, capacity, 11), of which the record says what they hold.
+"""
+
+import numpy as np
+
+from mavfi.detectors.limits import NUMBERS, MissionLimits
+from mavfi.numerics.jit import kernel_jit
+from mavfi.states import STATES
+
+KEPT = 3
+"""Trajectories that a way-point may name: the one in force, the one that waits, and one to spare."""
+COUNTERS = 4
+CAPACITY = 256
+"""Points of a trajectory for which there is room at first; what is longer makes more."""
+STATUS, PATH, TRAJECTORY = (
+    STATES[name].header_dtype for name in ("perception.collision_status", "planning.path", "planning.trajectory")
+)
+WAYPOINT, COMMAND, TRACKING = (
+    STATES[name].header_dtype for name in ("planning.waypoint", "control.command", "control.tracking")
+)
+_NONE, OF_WAYPOINT, OF_COMMAND, OF_TRACKING = range(4)
+_WAYPOINT_SIZE, _COMMAND_SIZE, _TRACKING_SIZE = WAYPOINT.itemsize, COMMAND.itemsize, TRACKING.itemsize
+_SHARE_OF_LATENCY = 0.7
+"""Of the planner's latency: it has begun before that."""
+_JITTER_US = 300_000
+"""How much longer it can have taken."""
+_LONG_AGO = -(1 << 62)
+
+_LIMITS = [(name, NUMBERS[name]) for name in NUMBERS.names or ()]
+_HEADERS = {
+    "last_status": STATUS, "last_path": PATH, "last_trajectory": TRAJECTORY, "last_waypoint": WAYPOINT,
+    "last_command": COMMAND, "last_tracking": TRACKING,
+}  # fmt: skip
+_REMEMBERED = [
+    *((name, "u1", (dtype.itemsize,)) for name, dtype in _HEADERS.items()),
+    ("end", "f8", (3,)), ("ended", "?"),
+    ("changes", "i8"), ("times", "i8", (COUNTERS,)), ("counters", "i8", (COUNTERS,)),
+    ("stored", "i8"), ("numbers", "i8", (KEPT,)), ("counts", "i8", (KEPT,)),
+    ("switched", "?"), ("fresh", "?"),
+]  # fmt: skip
+_WORK = [
+    ("planning_us", "i8"), ("blocks", "i8", (KEPT,)), ("candidate", "u1", (_WAYPOINT_SIZE,)), ("candidate_of", "i8"),
+    ("accepted", "?"),
+]  # fmt: skip
+KNOWN = np.dtype([*_LIMITS, *_REMEMBERED, *_WORK])
+"""The record.
+
+- Limits: as of `MissionLimits.numbers`.
+- Headers published last, as bytes: `last_status` and so on; 0 before the first.
+- `end`: last vertex of the path (m), if it has one (`ended`).
+- `counters`, `times`: the last values of the collision counter, oldest first, and when it took them (us); `changes` is
+  how many there are.
+- `numbers`, `counts`: of the last trajectories that have points, oldest first; `stored` is how many there are.
+- `switched`, `fresh`: whether a way-point was published since the last command, and since the last report of the
+  tracker.
+- Work: `planning_us`, by which the planner has begun before its path at least (us); in which block the points of a
+  stored trajectory are; the candidate, of which state it is, and whether it was accepted.
+"""
+_FIRST, _END = len(_LIMITS), len(_LIMITS) + len(_REMEMBERED)
+MEMORY = slice(KNOWN.fields[KNOWN.names[_FIRST]][1], KNOWN.fields[KNOWN.names[_END]][1])  # type: ignore[index]
+"""Bytes of the record that are remembered."""
+
+
+def new_record(limits: MissionLimits) -> np.ndarray:
+    """The record at the start of a flight. Shape (1,)."""
+    known = np.zeros(1, KNOWN)
+    for name in NUMBERS.names or ():
+        known[name] = limits.numbers()[name]
+    known["planning_us"] = int(_SHARE_OF_LATENCY * 1e6 * limits.planner_latency)
+    forget(known)
+    return known
+
+
+def forget(known: np.ndarray) -> None:
+    """Forget the last flight."""
+    known.view(np.uint8)[MEMORY] = 0
+    known["switched"] = known["fresh"] = True
+    known["changes"], known["times"][0, 0] = 1, _LONG_AGO
+    known["blocks"], known["accepted"] = range(KEPT), False
+
+
+@kernel_jit
+def settle(known: np.ndarray) -> None:
+    """The candidate, if it was accepted, is what was published last of its state."""
+    own = known[0]
+    if not own["accepted"]:
+        return
+    own["accepted"] = False
+    if own["candidate_of"] == OF_WAYPOINT:
+        own["last_waypoint"][:] = own["candidate"][:_WAYPOINT_SIZE]
+        own["switched"] = own["fresh"] = True
+    elif own["candidate_of"] == OF_COMMAND:
+        own["last_command"][:] = own["candidate"][:_COMMAND_SIZE]
+        own["switched"] = False
+    else:
+        own["last_tracking"][:] = own["candidate"][:_TRACKING_SIZE]
+        own["fresh"] = False
+
+
+@kernel_jit
+def propose(header: np.ndarray, of: int, known: np.ndarray) -> None:
+    """Make a header the candidate; `of` says of which state it is."""
+    own = known[0]
+    content = header.view(np.uint8)
+    own["candidate"][: len(content)] = content
+    own["candidate_of"] = of
+
+
+@kernel_jit
+def note_status(header: np.ndarray, now: int, known: np.ndarray) -> None:
+    """Take note of a collision status that was published now (us)."""
+    own = known[0]
+    counter, count = int(header[0]["future_collision_seq"]), own["changes"]
+    times, counters = own["times"], own["counters"]
+    if counter != counters[count - 1]:
+        if count == COUNTERS:
+            times[:-1], counters[:-1] = times[1:].copy(), counters[1:].copy()
+            count -= 1
+        times[count], counters[count] = now, counter
+        own["changes"] = count + 1
+    own["last_status"][:] = header.view(np.uint8)
+
+
+@kernel_jit
+def answerable(now: int, known: np.ndarray) -> np.ndarray:
+    """Collision counters that a path of now (us) can answer: the one known when the planner began, and later ones."""
+    own = known[0]
+    began = now - own["planning_us"]
+    found, count = np.zeros(COUNTERS + 1, np.int64), 0
+    for index in range(own["changes"]):
+        if own["times"][index] <= began:
+            found[0], count = own["counters"][index], 1
+    for index in range(own["changes"]):
+        if own["times"][index] > began - _JITTER_US:
+            found[count] = own["counters"][index]
+            count += 1
+    return found[:count]
+
+
+@kernel_jit
+def note_path(header: np.ndarray, vertices: np.ndarray, known: np.ndarray) -> None:
+    """Take note of a path that was published; vertices (m) have shape (n, 3)."""
+    own = known[0]
+    own["ended"], own["end"][:] = len(vertices) > 0, 0.0
+    if len(vertices) > 0:
+        own["end"][:] = vertices[len(vertices) - 1]
+    own["last_path"][:] = header.view(np.uint8)
+
+
+@kernel_jit
+def note_trajectory(header: np.ndarray, points: np.ndarray, known: np.ndarray, blocks: np.ndarray) -> None:
+    """Take note of a trajectory that was published; points have shape (n, 11), and fit into a block."""
+    own = known[0]
+    own["last_trajectory"][:] = header.view(np.uint8)
+    if len(points) == 0:
+        return
+    number, stored, places = int(header[0]["trajectory_seq"]), own["stored"], own["blocks"]
+    drop = 0 if stored == KEPT else stored
+    for index in range(stored):
+        if own["numbers"][index] == number:
+            drop = index
+    place, last = places[drop], stored - 1 if drop < stored else stored
+    for index in range(drop, last):
+        own["numbers"][index], own["counts"][index] = own["numbers"][index + 1], own["counts"][index + 1]
+        places[index] = places[index + 1]
+    own["numbers"][last], own["counts"][last], places[last] = number, len(points), place
+    own["stored"] = last + 1
+    blocks[place, : len(points)] = points
+
+
+@kernel_jit
+def points_of(number: int, known: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """Points of a stored trajectory. Shape (n, 11); (0, 11) if it is not known."""
+    own = known[0]
+    for index in range(own["stored"]):
+        if own["numbers"][index] == number:
+            return blocks[own["blocks"][index], : own["counts"][index]]
+    return blocks[0, :0]
+
+
+@kernel_jit
+def newest(known: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """Points of the trajectory stored last. Shape (n, 11); (0, 11) if there is none."""
+    last = known[0]["stored"] - 1
+    return blocks[0, :0] if last < 0 else blocks[known[0]["blocks"][last], : known[0]["counts"][last]]

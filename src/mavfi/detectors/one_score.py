@@ -1,0 +1,58 @@
+"""Detectors with one score for a whole publication, not for each field: their fields are the states."""
+
+from abc import abstractmethod
+
+import numpy as np
+
+from mavfi.detectors.all_fields import CodeScorer
+from mavfi.detectors.everything import Everything
+from mavfi.detectors.features import REGIMES
+from mavfi.detectors.parts import Verdict
+from mavfi.detectors.samples import Sample
+from mavfi.states import STATES, State
+
+
+class StateScorer(CodeScorer):
+    """One distance for each state: an alarm names the state that was published."""
+
+    def __init__(self, everything: Everything) -> None:
+        super().__init__(everything)
+        self.fields = tuple(everything.slots)
+        self.stages = tuple(STATES[name].stage.value for name in self.fields)
+        self._distance, self._unit = np.zeros(len(self.fields)), np.ones(len(self.fields))
+
+    @abstractmethod
+    def score_of(self, slot: int, regime: int) -> float:
+        """Distance of a publication of a state from what is normal, >= 0; its `_codes` are new."""
+
+    def measure(self, slot: int, regime: int) -> None:
+        """See `CodeScorer.measure`."""
+        self._distance[slot] = self.score_of(slot, regime)
+
+    def span(self, slot: int) -> tuple[int, int]:
+        """See `CodeScorer.span`."""
+        return slot, slot + 1
+
+    def not_finite(self, state: State) -> np.ndarray:
+        """The state itself."""
+        return np.array([self.everything.slots[state.spec.name]])
+
+
+def alarmed(verdict: Verdict | None) -> bool:
+    """Whether a publication was an alarm."""
+    return verdict is not None and not verdict.score <= 1.0
+
+
+def state_peaks(scores: np.ndarray, sample: Sample, slots: int) -> tuple[np.ndarray, np.ndarray]:
+    """Largest score of each state and regime in training, and of how many. Shapes (slots, regimes).
+
+    Args:
+        scores: Of each publication of a sample, >= 0. Shape (m,).
+        sample: The publications.
+        slots: Number of states.
+    """
+    place = sample.slots * REGIMES + sample.regimes
+    peaks = np.full(slots * REGIMES, 1e-9)
+    np.maximum.at(peaks, place, scores)
+    counts = np.bincount(place, minlength=slots * REGIMES)
+    return peaks.reshape(slots, REGIMES), counts.reshape(slots, REGIMES)

@@ -1,0 +1,97 @@
+"""Injects a fault into what a kernel remembers: an action of the loop, before all others of its instant.
+
+A kernel that raises an exception afterwards dies with its node, under the policy of the mission for dead nodes.
+"""
+
+from collections.abc import Callable
+from typing import Any, cast
+from weakref import proxy
+
+import numpy as np
+
+from mavfi.errors import machine_failure
+from mavfi.faults.fault import RESTART_S, MemoryFault
+from mavfi.flight_log import Injection, KernelEffect
+from mavfi.hosts.loop.restarts import Restarts
+from mavfi.hosts.loop.scheduler import Loop
+from mavfi.pipeline.memory import Remembers
+from mavfi.pipeline.words import change
+from mavfi.states import State
+
+_ACTION = "memory_fault"
+_RESTART_US = round(1e6 * RESTART_S)
+_ANSWERS: dict[str, Callable[[], Any]] = {
+    "receive": bool, "step": list, "rollback": lambda: None, "again": lambda: None, "stop": list, "abandon": list,
+}  # fmt: skip
+"""What a kernel answers that has died of a call, by method."""
+
+
+def flip_bit(word: np.ndarray, bit: int | None) -> None:
+    """Flip a bit of a word, which has shape (1,); bit 0 is the least significant one, None flips nothing."""
+    if bit is not None:
+        raw = word.copy()
+        raw.view(np.uint8)[bit // 8] ^= np.uint8(1 << bit % 8)
+        word[:] = raw
+
+
+class MemoryInjector:
+    """The injector of a flight that has not begun; publications pass untouched.
+
+    Attributes:
+        effect: How the kernel died of the fault; None = it did not.
+    """
+
+    spent = True
+
+    def __init__(self, loop: Loop, fault: MemoryFault) -> None:
+        self._loop, self._fault = proxy(loop), fault  # it owns this
+        self._restarts = Restarts(loop, loop.scenario.dead_node)
+        self._injection: Injection | None = None
+        self.effect: KernelEffect | None = None
+        if fault.has_site:
+            loop.actions[_ACTION] = self._inject
+            loop.at(fault.time_us, _ACTION)
+
+    def __call__(self, state: State, time_us: int) -> State:
+        """The publication itself."""
+        del time_us
+        return state
+
+    def _inject(self, now: int) -> None:
+        fault, loop = self._fault, self._loop
+        if fault.kernel not in loop.kernels or fault.kernel in loop.down:
+            return  # there is no such memory now
+        kernel = loop.kernels[fault.kernel]
+        values = change(
+            cast(Remembers, kernel), fault.field, fault.index or 0, lambda word: flip_bit(word, fault.bit)
+        )  # fmt: skip
+        if values is not None:
+            self._injection = Injection(fault.level, fault.site, now / 1e6, fault.bit, *values, activated=True)
+            self._guard(kernel)
+
+    def _guard(self, kernel: Any) -> None:
+        """Let exceptions of a kernel end its node, not the flight."""
+        for name, answer in _ANSWERS.items():
+            if hasattr(kernel, name):
+                setattr(kernel, name, self._guarded(kernel.name, getattr(kernel, name), answer))
+
+    def _guarded(self, kernel: str, method: Callable[..., Any], answer: Callable[[], Any]) -> Callable[..., Any]:
+        def call(*arguments: Any) -> Any:
+            try:
+                return method(*arguments)
+            except Exception as error:  # whatever a kernel raises
+                if machine_failure(error):
+                    raise
+                if kernel not in self._loop.down:
+                    self.effect = KernelEffect("exception", f"{type(error).__name__}: {error}", None)
+                    self._restarts.die(kernel, self._loop.now, _RESTART_US)
+                return answer()
+
+        return call
+
+    def finish(self) -> list[Injection]:
+        """The injection; if there was no such word, a record that says so."""
+        fault = self._fault
+        time_s = fault.time_us / 1e6 if fault.has_site else 0.0
+        missed = Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False)
+        return [self._injection or missed]

@@ -1,0 +1,79 @@
+"""Steps computed twice, against faults in the computation: two runs are compared, a third one decides.
+
+All three work on the same memory and inputs, see `pipeline.kernel.repeat`.  Each costs the kernel's latency, and the
+results are published after the last one.  What is compared is what is published; memory is that of the last run.
+"""
+
+from collections.abc import Collection
+from typing import TYPE_CHECKING
+from weakref import proxy
+
+from mavfi.flight_log import AlarmRecord
+from mavfi.pipeline.kernel import Kernel, repeat
+from mavfi.states import State
+
+if TYPE_CHECKING:
+    from mavfi.hosts.loop.scheduler import Loop
+
+SOURCE = "duplicate"
+_SCORE = 2.0
+
+
+class Duplicates:
+    """Computes steps of kernels of a loop twice.
+
+    Args:
+        loop: The flight.
+        kernels: Their names.
+    """
+
+    def __init__(self, loop: "Loop", kernels: Collection[str]) -> None:
+        self._loop = proxy(loop)  # which owns this
+        self._kernels = frozenset(kernels)
+
+    def __call__(self, kernel: Kernel, first: list[State], now: int) -> tuple[list[State], int]:
+        """The results to publish, given those of the first run, and the time that the other runs take (us)."""
+        if kernel.name not in self._kernels:
+            return first, 0
+        second, runs = self._again(kernel, now), 1
+        published = second
+        differs = _difference(first, second)
+        if differs is not None:
+            published, runs = self._again(kernel, now), 2
+            outcomes = {_same(published, first): "accepted", _same(published, second): "repaired"}
+            self._loop.record.alarms.append(
+                AlarmRecord(
+                    1e-6 * now,
+                    SOURCE,
+                    differs,
+                    kernel.stage.value,
+                    _SCORE,
+                    (differs,),
+                    "recompute",
+                    outcomes.get(True, "rejected"),
+                )  # fmt: skip
+            )
+        cost = runs * self._loop.latency[kernel.name]
+        self._loop.record.recompute_us[kernel.stage.value] += cost
+        return published, cost
+
+    def _again(self, kernel: Kernel, now: int) -> list[State]:
+        self._loop.repeating = True
+        try:
+            repeat(kernel)
+            return kernel.step(now)
+        finally:
+            self._loop.repeating = False
+
+
+def _same(one: list[State], other: list[State]) -> bool:
+    return _difference(one, other) is None
+
+
+def _difference(one: list[State], other: list[State]) -> str | None:
+    """Name of the first state that differs, None if all are the same, bit for bit."""
+    for mine, its in zip(one, other, strict=False):
+        if mine.spec is not its.spec or not mine.same_bits(its):
+            return mine.spec.name
+    rest = (one if len(one) > len(other) else other)[min(len(one), len(other)) :]
+    return rest[0].spec.name if rest else None

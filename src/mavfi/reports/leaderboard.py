@@ -1,0 +1,63 @@
+"""The leaderboard of a bench as a page."""
+
+from collections.abc import Mapping
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from mavfi.campaign.analysis.table import Table
+from mavfi.campaign.fingerprint import versions
+from mavfi.campaign.scores import Scores
+from mavfi.reports import style
+from mavfi.reports.campaign_report import markdown_table
+
+_COLOURS = (style.BLUE, style.ORANGE, style.GREEN, style.PURPLE, style.SKY, style.AMBER, style.INK)
+_DASHES = ("-", "--", ":")
+_MOST_ALARMS = 1e4
+"""Right edge of the figure, per hour: one in a third of a second."""
+
+
+def leaderboard(tables: Mapping[str, Table], bench: str, scale: str) -> str:
+    """All tables of a bench in Markdown, with what was flown and the command that adds a row."""
+    flown = " · ".join(f"{name} {version}" for name, version in versions().items())
+    parts = [
+        f"# Leaderboard of {bench}",
+        "Detectors and recovery schemes, each flown on the same missions and the same faults. A row of your own:",
+        "    mavfi bench detectors --detector my_package:MyDetector"
+        + ("" if scale == "quick" else f" --scale {scale}"),
+        f"Flown on {date.today().isoformat()} at scale {scale}: {flown}.",
+        *map(markdown_table, tables.values()),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def draw_curves(found: Mapping[str, Scores], path: Path) -> Path:
+    """Draw detection of harmful faults against false alarms per hour, one curve for each detector.
+
+    Rates below one alarm in the exposure stand at the left edge.
+
+    Raises:
+        BadInputError: The file cannot be written.
+    """
+    with style.house_style():
+        figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+        axes = figure.subplots()
+        judging = {
+            name: own for name, own in found.items() if own.area() is not None and len(own.golden) + own.struck.any()
+        }
+        for place, (name, own) in enumerate(judging.items()):
+            colour, dashes = _COLOURS[place % len(_COLOURS)], _DASHES[place // len(_COLOURS) % len(_DASHES)]
+            _, alarms, shares = zip((0.0, 0.0, 0.0), *own.curve(), strict=True)
+            least = 0.5 / own.hours
+            x, y = np.maximum(alarms, least), 100 * np.array(shares)
+            axes.step(x, y, where="post", label=name, color=colour, linestyle=dashes, linewidth=1.8)
+            now = np.searchsorted(-own.golden, -1.0), (own.struck[own.harmful] > 1.0).mean()  # threshold as shipped
+            axes.plot(max(now[0] / own.hours, least), 100 * now[1], "o", color=colour, markeredgecolor="white")
+        axes.set(xscale="log", ylim=(-2, 102), xlabel="false alarms per flight hour",
+                 ylabel="harmful faults detected (%)", title="Detection against false alarms")  # fmt: skip
+        axes.grid(visible=True)
+        axes.set_xlim(right=_MOST_ALARMS)
+        figure.legend(loc="outside lower center", ncols=3, title="markers: thresholds as shipped")
+        return style.write(figure, path)

@@ -1,0 +1,92 @@
+"""Faults in instructions of a detector: drawn, injected, and never the end of a flight."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.detectors import load_detector
+from mavfi.detectors.acceptance import AcceptanceTest
+from mavfi.detectors.detector import part_of
+from mavfi.detectors.parts import Chain
+from mavfi.errors import BadInputError
+from mavfi.faults.spec import InstructionRequest
+from mavfi.hosts.instruction import fly_instruction_faults
+from mavfi.hosts.instruction.case import check_kernel
+from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.restarts import Restarts
+from mavfi.hosts.watching import detector_for
+from mavfi.mission import MissionSpec, MissionStatus
+from mavfi.states import DETECTORS, new_state
+from tests.unit.detectors.streams import LIMITS, command
+from tests.unit.detectors.test_registry import FITS
+
+
+def detector(name, profile="paper"):
+    return load_detector(name, profile, None, {**FITS, "limits": LIMITS["published"]})[0]
+
+
+@pytest.mark.parametrize("name", DETECTORS)
+@pytest.mark.parametrize("profile", ["paper", "tuned"])
+def test_the_table_names_the_functions_of_each_detector(name, profile):
+    part = part_of(detector(name, profile), name)
+    assert tuple(part.compiled) == DETECTORS[name]
+    calls = []
+
+    def counting(function):
+        return lambda *args: calls.append(function) or function(*args)
+
+    part.instrument({function: counting(compiled) for function, compiled in part.compiled.items()})
+    state = command([9e9, 0, 0])
+    alarm = part.check(state, 0)
+    assert len(calls) == 1
+    part.instrument({})
+    assert part.check(state.copy(), 0) == alarm
+    assert len(calls) == 1
+
+
+def test_a_detector_can_be_hit_where_it_watches_alone():
+    check_kernel("acceptance", "rrt_connect", Chain(detector("acceptance")))
+    for other in (None, detector("gaussian")):
+        with pytest.raises(BadInputError, match="'acceptance': this detector does not watch the mission"):
+            check_kernel("acceptance", "rrt_connect", other)
+
+
+@pytest.mark.parametrize("policy", ["end", "fresh", "latched", "readback", "recompute"])
+def test_a_dead_detector_is_silent_and_comes_back_with_the_last_publications(policy):
+    loop = new_loop(resolve(MissionSpec(environment="sparse", seed=7)))
+    watching = AcceptanceTest(LIMITS["published"])
+    watch(loop, watching)
+    tap, restarts = loop.taps.detector, Restarts(loop, policy)
+    last = new_state("perception.collision_status")
+    last.header["future_collision_seq"] = 3
+    loop.taps.recorders[-1](last, 0)
+    restarts.detector_dies(watching, 1_000, 500_000)
+    assert (loop.taps.detector is tap) == (policy == "recompute")
+    assert [entry[:1] + entry[2:3] for entry in loop.queue] == (
+        [] if policy in ("end", "recompute") else [(501_000, "detector back")]
+    )
+    assert loop.status is None
+    if loop.queue:
+        loop.actions["detector back"](501_000)
+        assert loop.taps.detector is tap
+        assert int(watching.record["counters"][0, 1]) == 3
+
+
+@pytest.mark.slow
+def test_a_flight_goes_on_whatever_becomes_of_its_detector():
+    scenario = resolve(MissionSpec(environment="sparse", seed=7, dead_node="readback"))
+    watching, _ = detector_for(scenario, "acceptance", "paper")
+    drawn = draw_instruction_faults(scenario, InstructionRequest({"acceptance": 3}), "test", seed=1, detector=watching)
+    (counts,) = drawn.counts.values()
+    assert counts["calls"] > 1_000 and counts["instructions"] > 10 * counts["calls"]
+    faults = drawn.faults["acceptance"]
+    hanging = replace(faults[0], budget=1)
+    found = fly_instruction_faults(scenario, [*faults, hanging], watching)
+    assert found.golden.log.digest() == drawn.golden.log.digest()
+    assert [flight.log.status for flight in found.flights] == [MissionStatus.SUCCESS] * 4
+    assert found.flights[-1].log.kernel.effect == "hang"
+    assert found.flights[-1].log.digest() == found.golden.log.digest(), "nothing depends on a silent detector"
+    assert np.array_equal(found.golden.log.rows, drawn.golden.log.rows)

@@ -1,0 +1,27 @@
+"""Short flights on ROS, and the comparison with those of one process."""
+
+import json
+
+from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.ros1.plan import Plan
+from mavfi.hosts.ros1.session import configure, fly
+from mavfi.mission import MissionSpec
+
+NODES = ("point_cloud", "octomap", "collision_check", "planner", "waypoint", "pid")
+SHORT = (16.0, 0.0, 3.0)
+
+
+def short(**changes):
+    return resolve(MissionSpec(environment="sparse", seed=7, goal=SHORT, **changes))
+
+
+def there(scenario, fault=None, detector=None, **options):
+    return fly(Plan(scenario, configure(scenario), fault, detector, **options)).flight.log
+
+
+def same(log, other):
+    """Whether two records agree in everything: bits, events, injections, alarms, counts."""
+    assert log.digest() == other.digest()
+    assert (log.alarms, log.injections) == (other.alarms, other.injections)
+    assert json.loads(json.dumps(log.meta)) == json.loads(json.dumps(other.meta))
+    assert log.events == other.events

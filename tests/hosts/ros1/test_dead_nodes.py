@@ -1,0 +1,155 @@
+"""Nodes that are killed: what each policy makes of the mission, bit for bit as in one process."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavfi.hosts.local import fly as fly_here
+from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.restarts import CHANGES, Restarts
+from mavfi.hosts.ros1.ports import Kept
+from mavfi.hosts.ros1.taps import Shadow
+from mavfi.hosts.watching import detector_for, with_keys_of
+from mavfi.mission import MissionSpec
+from mavfi.states import new_state
+from tests.hosts.missions import Scripted
+from tests.hosts.ros1.flights import NODES, same, short, there
+from tests.hosts.ros1.needs import ros
+
+flying = [*ros, pytest.mark.slow]
+ANSWERING_US = 2_920_000
+"""The planner of this mission has begun to answer an alarm, and its path is not there yet."""
+AWAY_US = 1_000_000
+ESCALATING = Recovery("inline", "kernel", "escalate", 0.6)
+STATUS, NUMBER = "perception.collision_status", "future_collision_seq"
+
+
+def alarming(policy):
+    return MissionSpec(environment="dense", seed=6002, goal=(30.0, 0.0, 3.0), dead_node=policy)
+
+
+def died_here(scenario, node, detector=None, recovery=INLINE):
+    """The flight in one process whose node dies at that instant."""
+    loop = new_loop(scenario)
+    restarts = Restarts(loop, scenario.dead_node)
+    watch(loop, detector, recovery)
+    loop.before_tick.append(lambda now: restarts.die(node, now, AWAY_US) if now == ANSWERING_US else None)
+    return loop.fly().log
+
+
+def died_there(scenario, node, detector=None, recovery=INLINE):
+    return there(scenario, None, detector, recovery=recovery, kills=((node, ANSWERING_US),))
+
+
+def same_but_for_notes(log, other):
+    """As `same`, but on ROS the lives of nodes are events."""
+    log.events = [event for event in log.events if not event.kind.startswith("node_")]
+    same(log, other)
+
+
+class TestFlights:
+    pytestmark = flying
+
+    def test_a_planner_that_is_killed_at_its_answer_reads_back_and_saves_the_mission(self):
+        """What it has to know comes from living peers: the alarm, the way-point in force, the trajectory, the map."""
+        assert died_here(resolve(alarming("fresh")), "planner").status.label == "timeout"
+        scenario = resolve(alarming("readback"))
+        log = died_there(scenario, "planner")
+        assert log.status.label == "success"
+        lives = [(event.kind, event.time_us) for event in log.events if event.kind.startswith("node_")]
+        assert lives == [("node_lost", ANSWERING_US), ("node_back", ANSWERING_US + AWAY_US)]
+        same_but_for_notes(log, died_here(scenario, "planner"))
+
+    @pytest.mark.long
+    @pytest.mark.parametrize("policy", ["fresh", "latched"])
+    def test_a_planner_under_other_policies(self, policy):
+        scenario = resolve(alarming(policy))
+        log = died_there(scenario, "planner")
+        assert log.status.label == {"fresh": "timeout", "latched": "success"}[policy]
+        same_but_for_notes(log, died_here(scenario, "planner"))
+
+    @pytest.mark.long
+    @pytest.mark.parametrize("node", [node for node in NODES if node != "planner"])
+    @pytest.mark.parametrize("policy", ["fresh", "readback"])
+    def test_any_other_node(self, node, policy):
+        scenario = resolve(alarming(policy))
+        same_but_for_notes(died_there(scenario, node), died_here(scenario, node))
+
+    @pytest.mark.long
+    def test_the_state_estimator(self):
+        scenario = resolve(alarming("readback").model_copy(update={"localization": "estimator"}))
+        same_but_for_notes(died_there(scenario, "state_estimation"), died_here(scenario, "state_estimation"))
+
+    def test_a_mission_that_ends_with_its_node(self):
+        scenario = resolve(alarming("end"))
+        log = died_there(scenario, "octomap")
+        assert log.status.label == "node_died"
+        same_but_for_notes(log, died_here(scenario, "octomap"))
+
+    @pytest.mark.parametrize(
+        "state",
+        [STATUS, *(pytest.param(name, marks=pytest.mark.long) for name in ("control.command", "planning.waypoint",
+          "perception.point_cloud"))],
+    )  # fmt: skip
+    def test_a_rule_that_is_broken_twice_restarts_the_memory_of_a_node(self, state):
+        def watching():
+            return Scripted(state, n=5, stage=state.split(".")[0], times=2, hard=True)
+
+        log = there(short(), None, watching(), recovery=ESCALATING)
+        same(log, fly_here(short(), None, watching(), recovery=ESCALATING).log)
+        assert [alarm.outcome for alarm in log.alarms] == ["rejected", "restarted"]
+
+    @pytest.mark.long
+    def test_a_detector_that_waits_for_an_answer_brings_a_dead_planner_back_sooner(self):
+        spec = with_keys_of(alarming("fresh"), "recommended")
+        scenario, recovery = resolve(spec), Recovery.of(spec)
+
+        def watching():
+            return detector_for(scenario, "recommended", "paper", None)[0]
+
+        log = died_there(scenario, "planner", watching(), recovery)
+        assert log.status.label == "success"
+        assert [(alarm.source, alarm.outcome) for alarm in log.alarms] == [("deadline", "restarted")]
+        same_but_for_notes(log, died_here(scenario, "planner", watching(), recovery))
+
+
+# ---- what is kept for others ----------------------------------------------------------------------------------------
+def status(number):
+    state = new_state(STATUS)
+    state.header[NUMBER] = number
+    return state
+
+
+@given(st.lists(st.integers(-3, 3), min_size=1, max_size=12))
+def test_the_last_two_values_are_kept_and_the_last_alarm(counters):
+    kept, values = Kept(), [status(counter) for counter in counters]
+    for number, value in enumerate(values):
+        kept.put(value, number)
+    alarms = [place for place, counter in enumerate(counters) if counter > (counters[place - 1] if place else 0)]
+    there_still = {number for number in range(len(values)) if kept.find(STATUS, number) is not None}
+    assert there_still == {*range(len(values))[-2:], *alarms[-1:]}
+    assert all(kept.find(STATUS, number) is values[number] for number in there_still)
+
+
+def test_all_changes_of_a_map_are_kept():
+    kept = Kept()
+    for number in range(9):
+        kept.put(new_state(CHANGES), number)
+    assert all(kept.find(CHANGES, number) is not None for number in range(9))
+
+
+def test_a_value_that_comes_late_displaces_no_later_one():
+    kept = Kept()
+    for number in (5, 6):
+        kept.put(status(0), number)
+    kept.put_late(status(1), 3)
+    assert [number for number in range(9) if kept.find(STATUS, number) is not None] == [5, 6]
+
+
+def test_a_node_that_begins_again_is_judged_again():
+    shadow = Shadow()
+    shadow.awaited = dict.fromkeys(("planning.path", "planning.trajectory", "control.command"))
+    shadow.forget("planner")
+    assert list(shadow.awaited) == ["control.command"]

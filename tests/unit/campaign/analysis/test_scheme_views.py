@@ -1,0 +1,63 @@
+"""Schemes on the same faults: what is lost, brought back, newly lost, detected."""
+
+from mavfi.campaign.analysis import VIEWS
+from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, alarm, died, flown, golden, injected, runs
+
+
+def row(own, name="schemes", arm="one"):
+    return {entry["scheme" if "scheme" in entry else "arm"]: entry for entry in VIEWS[name].table(own).entries()}[arm]
+
+
+def pair(seed, alone, watched, **more):
+    return injected(seed, alone, **more), injected(seed, watched, arm="one", **more)
+
+
+LOST, LATE, IN_TIME = flown(success=False), flown(flight_time_s=60.0), flown(flight_time_s=51.0)
+
+
+def scenario():
+    """Five faults: two lost of which one comes back, one late that comes in time, one that only the arm loses."""
+    faults = [
+        pair(1, LOST, flown(alarms=[alarm(0.3)])), pair(2, LOST, LOST), pair(3, LATE, IN_TIME), pair(4, flown(), LOST),
+        pair(5, flown(), flown()),
+    ]  # fmt: skip
+    bare = [golden(seed) for seed in range(1, 6)]
+    return [*bare, *(golden(seed, arm="one") for seed in range(1, 6)), *(run for both in faults for run in both)]
+
+
+def test_what_is_lost_and_what_comes_back():
+    found = row(runs(*scenario()))
+    assert (found["pairs"], found["lost"]) == (5, 2)
+    assert (found["back"].successes, found["back"].n) == (1, 2)
+    assert (found["late_in_time"].successes, found["late_in_time"].n) == (1, 1)
+    assert (found["detected"].successes, found["detected"].n) == (1, 2)
+    notes = VIEWS["schemes"].table(runs(*scenario())).notes
+    assert any(note.startswith("2 of 2 lost missions were struck in the fields") for note in notes)  # way-points
+    assert found["newly_lost"] == 1
+
+
+def test_a_golden_flight_that_only_the_scheme_loses_counts():
+    own = [run for run in scenario() if not (run.spec.kind == "golden" and run.spec.arm and run.spec.seed == 5)]
+    assert row(runs(*own, golden(5, flown(success=False), arm="one")))["newly_lost"] == 2
+
+
+def test_false_alarms_are_those_of_golden_flights():
+    own = [run for run in scenario() if not (run.spec.kind == "golden" and run.spec.arm and run.spec.seed == 5)]
+    noisy = golden(5, flown(injections=(), alarms=[alarm(1.0)], alarms_total=1), arm="one")
+    found = row(runs(*own, noisy))
+    assert found["per_hour"].events == 1
+    assert found["hours"] == 5 * 50.0 / 3600
+
+
+def test_at_instruction_level_what_died_stands_apart():
+    own = [golden(1), golden(2), golden(1, arm="one"), golden(2, arm="one")]
+    own += [*pair(1, died(success=False), died(), fault=INSTRUCTION), *pair(2, LOST, LOST, fault=INSTRUCTION)]
+    found = runs(*own)
+    entry = row(found, "schemes_instructions")
+    assert (entry["died_back"].successes, entry["died_back"].n) == (1, 1)
+    assert (entry["sdc_back"].successes, entry["sdc_back"].n) == (0, 1)
+
+
+def test_missions_that_are_lost_anyway_are_nobodys():
+    own = [golden(1, flown(success=False)), golden(1, arm="one"), *pair(1, LOST, GOLDEN)]
+    assert row(runs(*own))["lost"] == 0

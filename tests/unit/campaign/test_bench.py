@@ -1,0 +1,80 @@
+"""A bench: parts, schemes, who is left out, and the frozen faults."""
+
+import pytest
+
+from mavfi.campaign.analysis import VIEWS
+from mavfi.campaign.bench import COLUMNS, Bench, checksum, entries, faults_of, frozen_faults, load_bench, with_only
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.run import run_campaign
+from mavfi.config import names, parse
+from mavfi.errors import BadInputError
+from mavfi.faults.strata import STRATA
+from mavfi.states import STATES
+from tests.unit.campaign.fakes import DETECTOR, small
+
+BENCH = load_bench("mavfi-bench-1")
+
+
+def test_every_part_of_a_shipped_bench_can_be_flown():
+    for name in names("bench"):
+        for part, entry in entries(load_bench(name), "paper").items():
+            assert entry.campaign.arms, part
+            assert entry.part.view in VIEWS
+            assert not entry.campaign.on_design_seeds
+
+
+def test_a_scheme_that_was_trained_for_other_flights_is_left_out_with_the_reason():
+    found = entries(BENCH, "quick", parts=["cortex-a57"])["cortex-a57"]
+    assert "no model is trained" in found.left_out["gaussian"]
+    assert "gaussian" not in found.campaign.arms and "recommended" in found.campaign.arms
+
+
+def test_parts_by_level_and_by_name():
+    assert list(entries(BENCH, "quick", levels=["instruction"])) == ["instruction"]
+    assert list(entries(BENCH, "quick", parts=["sites"])) == ["sites"]
+
+
+def test_policies_of_dead_nodes_are_flown_where_nodes_die():
+    arms = {
+        name: entry.campaign.arms for name, entry in entries(BENCH, "quick", parts=["sites", "instruction"]).items()
+    }
+    assert "readback" in arms["instruction"] and "readback" not in arms["sites"]
+
+
+def test_a_detector_of_ones_own_takes_the_place_of_the_schemes():
+    found = entries(with_only(BENCH, [DETECTOR]), "quick", parts=["sites"])["sites"].campaign
+    assert list(found.arms) == ["FakeDetector"]
+    assert found.arms["FakeDetector"].detector == DETECTOR
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        ({"parts": ["nothing"]}, "part 'nothing': not known; allowed: state"),
+        ({"levels": ["nothing"]}, "level 'nothing': not known; allowed: instruction"),
+        ({"scale": "huge"}, "scale 'huge': not known"),
+    ],
+)
+def test_what_there_is_not_is_refused(ask, message):
+    with pytest.raises(BadInputError, match=message):
+        entries(BENCH, **{"scale": "quick", **ask})
+
+
+def test_a_part_names_a_campaign():
+    part = {"campaign": "nothing", "title": "t"}
+    with pytest.raises(BadInputError, match="nothing"):
+        parse(Bench, {"name": "b", "parts": {"p": part}, "arms": {"a": {}}}, "b.yaml")
+
+
+def test_the_faults_of_a_ledger_are_listed_once_each(tmp_path):
+    run_campaign(small(missions=2, faults=4), tmp_path, executor=LocalExecutor(1))
+    head, *lines = faults_of(tmp_path).splitlines()
+    assert head == ",".join(COLUMNS)
+    listed = [line.split(",") for line in lines]
+    assert len({tuple(row[:4]) for row in listed}) == len(listed) > 0
+    assert all(row[4].startswith(tuple(STATES)) and row[7] in STRATA for row in listed)
+    assert checksum(faults_of(tmp_path)) == checksum("\n".join([head, *lines]) + "\n")
+
+
+def test_a_bench_without_a_list_has_none():
+    assert frozen_faults(BENCH, "nothing", "quick") is None

@@ -1,0 +1,66 @@
+"""Thresholds, areas and curves against what a naive count gives."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from sklearn.metrics import roc_auc_score
+
+from mavfi.campaign.scores import Scores, curves_csv, table
+
+LEVELS = st.sampled_from([0.0, 0.5, 0.9, 1.0, 1.5, 2.0, 1e9])
+
+
+@st.composite
+def made(draw):
+    """Scores of few levels, so that there are ties; every golden publication is given, zeros included."""
+    golden = np.array(draw(st.lists(LEVELS, min_size=1, max_size=40)))
+    struck = np.array(draw(st.lists(LEVELS, min_size=1, max_size=20)))
+    harmful = np.array(draw(st.lists(st.booleans(), min_size=len(struck), max_size=len(struck))), bool)
+    return golden, Scores(np.sort(golden[golden > 0])[::-1], len(golden), draw(st.sampled_from([0.5, 2.0, 10.0])),
+                          struck, harmful)  # fmt: skip
+
+
+@given(made(), st.sampled_from([0.1, 1.0, 10.0]))
+def test_no_threshold_alarms_more_often_than_asked(own, rate):
+    golden, found = own
+    threshold = found.threshold_at(rate)
+    if threshold is None:
+        assert rate * found.hours < 1
+        return
+    assert (golden > threshold).sum() <= rate * found.hours
+    lower = np.unique(golden[golden < threshold])
+    if len(lower):  # the next lower one would alarm too often
+        assert (golden > lower[-1]).sum() > int(rate * found.hours)
+
+
+@given(made())
+def test_the_area_is_that_of_scikit_learn(own):
+    golden, found = own
+    harmful = found.struck[found.harmful]
+    if not len(harmful):
+        assert found.area() is None
+        return
+    labels = [0] * len(golden) + [1] * len(harmful)
+    assert found.area() == pytest.approx(roc_auc_score(labels, [*golden, *harmful]), abs=1e-12)
+
+
+@given(made())
+def test_curves_fall_in_threshold_and_rise_in_alarms(own):
+    golden, found = own
+    curve = found.curve()
+    for threshold, alarms, share in curve:
+        assert alarms == (golden > threshold).sum() / found.hours
+        own_struck = found.struck[found.harmful]
+        assert share == ((own_struck > threshold).mean() if len(own_struck) else 0.0)
+    assert [threshold for threshold, *_ in curve] == sorted({t for t, *_ in curve}, reverse=True)
+
+
+def test_the_table_says_what_an_exposure_cannot_show():
+    found = Scores(np.array([3.0, 2.0]), 100, 1.5, np.array([2.5, 9.0, 0.0]), np.array([True, True, False]))
+    (row,) = table({"one": found}).entries()
+    assert row["harmful"] == 2 and row["at_0.1"] is None
+    assert (row["at_1"].successes, row["at_1"].n) == (2, 2)  # threshold 2.0: one alarm in 1.5 h
+    assert curves_csv({"one": found}).splitlines()[1:] == [
+        "one,9.0,0.0,0.0", "one,3.0,0.0,0.5", "one,2.5,0.6666666666666666,0.5", "one,2.0,0.6666666666666666,1.0",
+    ]  # fmt: skip

@@ -1,0 +1,227 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavfi.detectors import load_detector, training
+from mavfi.detectors.conformal import conformal_limit
+from mavfi.detectors.cusum import add
+from mavfi.detectors.everything import CodeRecorder, Codes, Everything, codes_are_whole
+from mavfi.detectors.parts import NOT_FINITE
+from mavfi.detectors.recorder import Recording
+from mavfi.detectors.registry import of_all_fields
+from mavfi.errors import BadInputError
+from mavfi.hosts.local import fly as fly_mission
+from mavfi.states import STACKS, STATES, new_state
+from tests.hosts.missions import golden, mission
+from tests.unit.detectors import streams
+from tests.unit.detectors.streams import PROVENANCE, fly, later, odometry, record, strike
+from tests.unit.detectors.test_registry import FITS
+
+NAMES = ("limits", "autoencoder_all", "cusum", "conformal")
+GROSS = [
+    ("perception.collision_status", 40, "future_collision_seq", 4096),
+    ("perception.collision_status", 40, "collision", True),
+    ("planning.waypoint", 20, "x", -1e30),
+    ("planning.waypoint", 20, "index", 9999),
+    ("planning.waypoint", 20, "duration", 1e6),
+    ("planning.waypoint", 20, "vy", 1e307),  # finite, and too large for a number of quanta
+    ("control.command", 333, "vy", 1e20),
+    ("control.command", 333, "duration", -40.0),
+]
+
+
+def flight(seed, ticks=1500):
+    """A stream in which the flag says what the counter does."""
+    events = streams.flight(seed, ticks)
+    for state, _ in events:
+        if state.spec.name == "perception.collision_status":
+            state.header["collision"] = state.header["time_to_collision"] < 30.0
+    return events
+
+
+def with_codes(events):
+    recorder = CodeRecorder("published")
+    for state, time_us in events:
+        assert recorder.check(state, time_us) is None
+        recorder.accept(state, time_us)
+    codes, known = recorder.codes(), record(events)
+    return Recording(known.kinds, known.times_us, known.content, codes.slots, codes.regimes, codes.own)
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return [with_codes(flight(seed)) for seed in range(16)]
+
+
+@pytest.fixture(scope="module")
+def folder(recordings, tmp_path_factory):
+    found = training.fit_all_fields(recordings, {**PROVENANCE, "versions": {}})
+    assert set(found) == set(NAMES) == set(of_all_fields())
+    place = tmp_path_factory.mktemp("models")
+    training.save(found, place)
+    return place
+
+
+def load(name, folder):
+    return load_detector(name, "paper", folder, FITS)[0]
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("state", "count", "field", "value"), GROSS)
+def test_a_gross_fault_is_an_alarm_about_its_state(folder, name, state, count, field, value):
+    events = flight(400)
+    struck = later(events, state, count)
+    alarms = dict(fly(load(name, folder), strike(events, struck, field, value)))
+    alarm = alarms[struck]
+    assert (alarm.source, alarm.stage, alarm.hard) == (name, STATES[state].stage, False)
+    assert alarm.score > 1.0 and alarm.fields[0].startswith(state)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_number_that_is_not_finite_is_an_alarm_and_leaves_the_rest_as_it_was(folder, name):
+    events = flight(400)
+    struck = later(events, "planning.waypoint", 20)
+    found = dict(fly(load(name, folder), strike(events, struck, "vx", np.nan)))[struck]
+    assert found.score == NOT_FINITE and found.fields[0].startswith("planning.waypoint")
+    if name != "conformal":
+        assert set(found.fields) <= {f"planning.waypoint.{field}" for field in ("x", "vx")}
+
+
+@pytest.mark.parametrize("name", ["limits", "autoencoder_all", "cusum"])
+def test_no_training_flight_raises_an_alarm(folder, name):
+    for seed in (0, 7):
+        assert fly(load(name, folder), flight(seed)) == []
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_detector_goes_on_from_what_it_remembered(folder, name):
+    detector, other = load(name, folder), load(name, folder)
+    events = flight(5, ticks=400)
+    events = strike(events, later(events, "control.command", 300), "vx", 1e3)
+    detector.start()
+    for event in events[:400]:
+        detector.check(*event), detector.accept(*event)
+    memory = detector.memory()
+    later_on = [(detector.check(*event), detector.accept(*event)) for event in events[400:]]
+    assert detector.memory() != memory and any(alarm for alarm, _ in later_on)
+    other.restore(memory)
+    assert other.memory() == memory
+    assert [(other.check(*event), other.accept(*event)) for event in events[400:]] == later_on
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_judging_changes_nothing_and_gives_the_score(folder, name):
+    detector = load(name, folder)
+    detector.start()
+    for state, time_us in flight(6, ticks=200):
+        memory = detector.memory()
+        score, alarm = detector.score(state, time_us), detector.check(state, time_us)
+        assert (alarm is not None) == (score is not None and score > 1.0)
+        assert detector.memory() == memory and (score is None) == (state.spec.name == "sensor.odometry")
+        detector.accept(state, time_us)
+
+
+def test_models_of_all_fields_have_one_profile(folder):
+    assert load_detector("limits", "paper", folder, FITS)[1] == load_detector("limits", "tuned", folder, FITS)[1]
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_every_field_that_is_read_is_watched_and_no_other(stack):
+    everything = Everything(stack)
+    watched = {name for name, quantum in zip(everything.fields, everything.quanta, strict=True) if quantum > 0.0}
+    for state in everything.slots:
+        for field in STATES[state].header:
+            assert (f"{state}.{field.name}" in watched) == (not field.dead_in(stack)), field
+    assert {f"planning.path.{name}" for name in ("start", "end", "detour")} <= watched
+    assert [everything.slot_of(k) for k in (0, 6, len(everything.fields) - 1)] == [0, 1, 5]
+
+
+@pytest.mark.parametrize(("name", "count"), [("planning.path", 4), ("planning.trajectory", 8)])
+@pytest.mark.parametrize("field", ["x", "y", "z"])
+def test_a_point_out_of_place_moves_a_residual(name, count, field):
+    everything = Everything("published")
+    codes, struck = (np.zeros(len(everything.fields), np.int16) for _ in range(2))
+    state = new_state(name, count)
+    state.elements["x"] = np.arange(count)
+    slot = everything.slots[name]
+    everything.note(odometry([0, 0, 0], [0, 0, 0]))
+    for _ in range(2):
+        assert everything.measure(state, slot, codes, keep=True) >= 0
+    for element in range(count):
+        wrong = state.copy()
+        wrong.elements[field][element] = -300.0
+        everything.measure(wrong, slot, struck)
+        assert np.abs(struck.astype(int) - codes).max() > 1000
+        wrong.elements[field][element] = np.nan
+        assert everything.measure(wrong, slot, struck) < 0
+        assert all(everything.fields[index].startswith(name) for index in everything.not_finite(wrong))
+
+
+def test_recordings_that_cannot_serve_are_refused(recordings):
+    assert training.fit_all_fields([record(flight(0))], PROVENANCE) == {}
+    wrong = strike(flight(0), 700, flight(0)[700][0].spec.header[0].name, np.inf)
+    with pytest.raises(BadInputError, match="not finite"):
+        training.fit_all_fields([with_codes(wrong)], PROVENANCE)
+    good = Codes(recordings[0].slots, recordings[0].regimes, recordings[0].codes)
+    assert codes_are_whole(good)
+    assert not codes_are_whole(good._replace(own=good.own[:-1]))
+    assert not codes_are_whole(good._replace(slots=good.slots + np.int8(6)))
+    assert not codes_are_whole(good._replace(regimes=good.regimes[:-1]))
+
+
+# ---- shipped models -------------------------------------------------------------------------------------------------
+@pytest.mark.slow
+@pytest.mark.parametrize("stack", STACKS)
+@pytest.mark.parametrize("name", NAMES)
+def test_the_shipped_models_raise_no_alarm_on_a_golden_flight(name, stack):
+    detector, _ = load_detector(name, "paper", None, {**FITS, "stack": stack})
+    log = fly_mission(mission(stack), detector=detector).log
+    assert log.alarms == [] and log.digest() == golden(stack).log.digest()
+
+
+# ---- CUSUM ----------------------------------------------------------------------------------------------------------
+@given(st.lists(st.integers(-50, 50), min_size=1, max_size=40), st.floats(0.0, 2.0))
+def test_sums_are_the_largest_excess_over_any_last_stretch(codes, slack):
+    """Page: max over all stretches that end now, or 0."""
+    centre, deviation = np.zeros((1, 3)), np.full((1, 3), 2.0)
+    sums = np.zeros((1, 2))
+    for code in codes:
+        add(np.array([code], np.int16), centre, deviation, 1, slack, sums, sums)
+    scaled = np.array(codes) / 2.0
+    for direction, found in zip((1.0, -1.0), sums[0], strict=True):
+        stretches = [(direction * scaled[start:] - slack).sum() for start in range(len(codes))]
+        assert found == pytest.approx(max(0.0, *stretches) if stretches else 0.0, abs=1e-9)
+
+
+def test_a_small_deviation_that_lasts_is_found_where_a_limit_does_not_see_it(folder):
+    events, at = flight(400), 900
+    drifting = [
+        (_drifted(state, 0.012) if number > at and state.spec.name == "planning.waypoint" else state, time_us)
+        for number, (state, time_us) in enumerate(events)
+    ]
+    assert len(fly(load("cusum", folder), drifting)) >= len(fly(load("limits", folder), drifting))
+
+
+def _drifted(state, step):
+    found = state.copy()
+    found.header["vx"] += step
+    return found
+
+
+# ---- split-conformal limits -----------------------------------------------------------------------------------------
+@given(st.lists(st.floats(0, 1e6), min_size=1, max_size=60), st.floats(0.01, 0.99))
+def test_a_limit_is_an_order_statistic(scores, alpha):
+    limit = conformal_limit(np.array(scores), alpha)
+    rank = int(np.ceil((1 - alpha) * (len(scores) + 1)))
+    assert limit == (sorted(scores)[rank - 1] if rank <= len(scores) else np.inf)
+
+
+@given(st.lists(st.integers(0, 30), min_size=2, max_size=30), st.floats(0.02, 0.9))
+def test_coverage_of_every_exchangeable_set_is_at_least_one_minus_alpha(scores, alpha):
+    """Exact: leave each one out in turn; as a held-out score, a share of at most alpha may exceed its limit."""
+    exceeded = [
+        score > conformal_limit(np.array(scores[:left] + scores[left + 1 :], float), alpha)
+        for left, score in enumerate(scores)
+    ]
+    assert sum(exceeded) <= alpha * len(scores) + 1e-9

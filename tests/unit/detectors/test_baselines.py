@@ -1,0 +1,136 @@
+"""Adapters of libraries: their common part with a model of our own, each library where it is installed."""
+
+import numpy as np
+import pytest
+
+from mavfi.detectors import load_detector
+from mavfi.detectors.baselines import library
+from mavfi.detectors.baselines.half_space_trees import HalfSpaceTreesDetector, columns_of
+from mavfi.detectors.baselines.library import LibraryDetector
+from mavfi.detectors.baselines.matrix_profile import LENGTH, MatrixProfileDetector, nearest
+from mavfi.detectors.baselines.outliers import IsolationForestDetector, MahalanobisDetector, PcaDetector
+from mavfi.detectors.everything import MONITORED, Codes, Everything, sample_of
+from mavfi.detectors.model import Model
+from mavfi.detectors.registry import settings_of
+from mavfi.detectors.samples import join
+from mavfi.errors import BadInputError
+from mavfi.states import STACKS
+from tests.unit.detectors.streams import PROVENANCE, fly, later, strike
+from tests.unit.detectors.test_all_fields import flight, with_codes
+from tests.unit.detectors.test_registry import FITS
+
+FIGURES = {"largest_class": 60, "calibrated": 100_000, "margin": 1.25, "smallest_regime": 50}
+
+
+class Nearest:
+    """Distance from the nearest row."""
+
+    def __init__(self, inputs):
+        self.inputs = inputs
+
+    def scores(self, inputs, slots):
+        return np.array([np.sqrt(((self.inputs - row) ** 2).sum(axis=1)).min() - 5.0 for row in inputs])
+
+
+class NearestDetector(LibraryDetector):
+    model_kind, package = "nearest", "numpy"
+
+    @classmethod
+    def judge(cls, inputs, slots, everything):
+        assert inputs.shape == (len(slots), (everything.quanta > 0).sum()) and (inputs.std(axis=0) > 0).all()
+        return Nearest(inputs)
+
+
+@pytest.fixture(scope="module")
+def sample():
+    everything = Everything("published")
+    flown = [with_codes(flight(seed, ticks=500)) for seed in range(6)]
+    return join([sample_of(Codes(one.slots, one.regimes, one.codes), everything) for one in flown])
+
+
+def fitted(kind, sample, figures):
+    parameters = kind.fit(sample, Everything("published"), figures)
+    return Model(kind.model_kind, "tuned", MONITORED, "", parameters, dict(PROVENANCE))
+
+
+def wild(state, number, events):
+    """Several fields of one publication far away."""
+    struck = later(events, state, number)
+    for field, value in (("vx", -1e3), ("vy", 1e3), ("vz", 1e3)):
+        events = strike(events, struck, field, value)
+    return struck, events
+
+
+def check(kind, sample, figures):
+    model = Model.from_json(fitted(kind, sample, figures).to_json())
+    detector, other = kind(model), kind(model)
+    assert fly(detector, flight(2, ticks=500)) == []
+    struck, events = wild("control.command", 150, flight(40, ticks=300))
+    alarms = dict(fly(detector, events))
+    assert struck in alarms
+    assert (alarms[struck].source, alarms[struck].stage, alarms[struck].fields) == (
+        kind.model_kind, "control", ("control.command",),
+    )  # fmt: skip
+    detector.start()
+    for event in events[:200]:
+        detector.check(*event), detector.accept(*event)
+    memory = detector.memory()
+    rest = [(detector.score(*event), detector.accept(*event)) for event in events[200:]]
+    other.restore(memory)
+    assert other.memory() == memory != detector.memory()
+    assert [(other.score(*event), other.accept(*event)) for event in events[200:]] == rest
+
+
+def test_a_fitted_model_judges_publications_and_remembers_normal_ones(sample):
+    check(NearestDetector, sample, FIGURES)
+
+
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "kind",
+    [IsolationForestDetector, PcaDetector, MahalanobisDetector, HalfSpaceTreesDetector, MatrixProfileDetector],
+    ids=lambda kind: kind.model_kind,
+)
+def test_libraries_find_a_gross_fault_and_raise_no_alarm_in_a_training_flight(kind, sample):
+    package = "stumpy" if kind is MatrixProfileDetector else kind.package
+    pytest.importorskip(package, exc_type=ImportError)
+    figures = dict(settings_of(kind.model_kind, "tuned").fit)
+    figures["calibrated"] = 100_000 if "margin" in figures and kind is not MatrixProfileDetector else 400
+    check(kind, sample, figures)
+
+
+def test_a_library_that_is_not_installed_is_named_before_its_model_is_looked_for(monkeypatch):
+    monkeypatch.setattr(library, "find_spec", lambda name: None)
+    for name, package in (("pca", "pyod"), ("half_space_trees", "river"), ("matrix_profile", "stumpy")):
+        with pytest.raises(
+            BadInputError, match=rf"{package}.*not installed; install it with: pip install 'mavfi\[bench\]'"
+        ):
+            load_detector(name, "paper", None, FITS)
+
+
+@pytest.mark.parametrize("stack", STACKS)
+def test_the_columns_of_states_are_all_watched_ones_once(stack):
+    everything = Everything(stack)
+    columns = np.concatenate(columns_of(everything))
+    assert columns.tolist() == list(range((everything.quanta > 0).sum()))
+
+
+def test_the_nearest_stretch_is_that_of_a_naive_search():
+    pytest.importorskip("stumpy", exc_type=ImportError)
+    random = np.random.default_rng(1)
+    history, stretch = random.normal(size=200), random.normal(size=LENGTH)
+    naive = min(np.sqrt(((history[k : k + LENGTH] - stretch) ** 2).sum()) for k in range(200 - LENGTH + 1))
+    assert nearest(stretch, history) == pytest.approx(naive, abs=1e-9)
+    assert nearest(stretch, history[: LENGTH - 1]) == 0.0
+
+
+def test_the_value_is_that_of_an_incremental_matrix_profile():
+    stumpy = pytest.importorskip("stumpy", exc_type=ImportError)
+    random = np.random.default_rng(2)
+    history, stretch = random.normal(size=60), random.normal(size=LENGTH)
+    profile = stumpy.stumpi(history, LENGTH, egress=False, normalize=False)
+    for value in stretch:
+        profile.update(value)
+    # stumpi also compares with stretches that reach into the new values
+    assert profile.P_[-1] <= nearest(stretch, history) + 1e-9

@@ -1,0 +1,152 @@
+"""Words of a memory: found, named and changed, against a plain walk through the same memory."""
+
+import math
+import struct
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mavfi.pipeline.memory import Memory, Remembers, same
+from mavfi.pipeline.words import Words, change, words_of
+from mavfi.states import new_state
+
+
+@dataclass(frozen=True, slots=True)
+class Inner(Memory):
+    number: int = 3
+    ratio: float = -0.5
+    ready: bool = False
+
+
+@dataclass(slots=True)
+class Outer(Memory):
+    inner: Inner = field(default_factory=Inner)
+    array: np.ndarray = field(default_factory=lambda: np.arange(6.0).reshape(2, 3))
+    clock: tuple = (1.0, 2, True)
+    crumbs: list = field(default_factory=lambda: [np.zeros(2), np.ones(2)])
+    table: dict = field(default_factory=lambda: {7: new_state("planning.trajectory", 2), 9: None})
+    state: object = field(default_factory=lambda: new_state("planning.waypoint"))
+    text: str = "no word"
+    marked: tuple = (1, 2.0)
+
+
+class Map:
+    def __init__(self):
+        self.cells = np.zeros(5, np.uint8)
+
+    def save(self):
+        return self.cells.copy()
+
+    def arrays(self):
+        return {"cells": self.cells}
+
+
+class Kernel(Remembers):
+    def __init__(self):
+        self.memory, self.keepers = Outer(), (Map(),)
+
+
+def flipping(bit):
+    def apply(word):
+        raw = np.frombuffer(word.tobytes(), np.uint8).copy()
+        raw[bit // 8] ^= 1 << bit % 8
+        word[:] = raw.view(word.dtype)
+
+    return apply
+
+
+FOUND = {words.name: words for words in words_of(Kernel())}
+PLACES = [(words, index) for words in FOUND.values() for index in range(words.count)]
+
+
+def test_every_number_is_found_once_and_nothing_else():
+    names = [words.name for words in words_of(Kernel())]
+    assert len(names) == len(set(names))
+    assert {"inner.number", "inner.ratio", "inner.ready", "array", "clock[0]", "clock[1]", "clock[2]", "cells"} <= set(
+        names
+    )
+    assert {"crumbs[0]", "crumbs[1]", "table[0].x", "table[0].trajectory_seq", "state.index"} <= set(names)
+    assert not [name for name in names if name.startswith(("marked", "text", "table[1]"))]
+    assert FOUND["array"] == Words("array", "f8", 6) and FOUND["table[0].x"] == Words("table[0].x", "f8", 2)
+    assert [FOUND[f"clock[{place}]"].dtype for place in range(3)] == ["f8", "i4", "?"]
+    assert FOUND["cells"] == Words("cells", "u1", 5)
+
+
+@given(st.sampled_from(PLACES), st.data())
+def test_a_change_reaches_one_word_and_the_same_change_takes_it_back(place, data):
+    words, index = place
+    bit = data.draw(st.integers(0, 0 if words.dtype == "?" else 8 * np.dtype(words.dtype).itemsize - 1))
+    kernel, twin = Kernel(), Kernel()
+    before, after = change(kernel, words.name, index, flipping(bit))
+    values, golden = plain(kernel), plain(twin)
+    assert [key for key in values if values[key] != golden[key]] == [(words.name, index)]
+    assert values[words.name, index] ^ golden[words.name, index] == 1 << bit
+    again = change(kernel, words.name, index, flipping(bit))
+    assert bits(again[0]) == bits(after) and bits(again[1]) == bits(before) and plain(kernel) == golden
+    assert kernel.memory.same(twin.memory)
+
+
+def bits(value):
+    return struct.pack("d", value)
+
+
+def plain(kernel):
+    """Every word by name and index, as an unsigned integer: a walk that knows this memory."""
+    memory = kernel.memory
+    found = {("inner.number", 0): (memory.inner.number, "i"), ("inner.ratio", 0): (memory.inner.ratio, "d")}
+    found["inner.ready", 0] = (memory.inner.ready, "?")
+    found |= {("array", k): (float(value), "d") for k, value in enumerate(memory.array.ravel())}
+    found |= {(f"clock[{k}]", 0): (memory.clock[k], code) for k, code in enumerate("di?")}
+    found |= {(f"crumbs[{n}]", k): (float(memory.crumbs[n][k]), "d") for n in range(2) for k in range(2)}
+    for name, state in (("table[0]", memory.table[7]), ("state", memory.state)):
+        for part in (state.header, state.elements):
+            for key in part.dtype.names or ():
+                code = {"float64": "d", "int32": "i", "bool": "?"}[str(part.dtype[key])]
+                found |= {(f"{name}.{key}", k): (value.item(), code) for k, value in enumerate(part[key])}
+    found |= {("cells", k): (int(value), "B") for k, value in enumerate(kernel.keepers[0].cells)}
+    return {place: int.from_bytes(struct.pack(f"<{code}", value), "little") for place, (value, code) in found.items()}
+
+
+def test_the_plain_walk_and_reflection_find_the_same_words():
+    assert sorted(plain(Kernel())) == sorted((words.name, index) for words, index in PLACES)
+
+
+def test_what_others_hold_stays_as_it_is():
+    kernel = Kernel()
+    state, inner, array, saved = kernel.memory.state, kernel.memory.inner, kernel.memory.array, kernel.save()
+    for name in ("state.x", "inner.number", "array", "clock[1]", "crumbs[1]", "table[0].y"):
+        assert change(kernel, name, 0, flipping(3)) is not None
+    assert same(state, new_state("planning.waypoint")) and inner == Inner() and same(saved[0], Outer())
+    assert array.sum() == 15.0 and not kernel.memory.same(saved[0])
+
+
+@pytest.mark.parametrize(("name", "index"), [("nothing", 0), ("array", 6), ("table[3].x", 0), ("marked[0]", 0)])
+def test_no_such_word_changes_nothing(name, index):
+    kernel = Kernel()
+    assert change(kernel, name, index, flipping(0)) is None and kernel.memory.same(Outer())
+
+
+def test_integers_have_32_bits_with_a_sign():
+    kernel = Kernel()
+    assert change(kernel, "inner.number", 0, flipping(31)) == (3, 3 - 2**31)
+    assert change(kernel, "clock[0]", 0, flipping(63)) == (1.0, -1.0)
+    assert change(kernel, "inner.ready", 0, flipping(0)) == (False, True) and kernel.memory.inner.ready is True
+    assert math.isinf(change(kernel, "clock[0]", 0, flipping(62))[1])
+
+
+@pytest.mark.parametrize(
+    ("text", "name", "indices"),
+    [
+        ("", "array", range(6)), ("array", "array", range(6)), ("array[4]", "array", range(4, 5)),
+        ("array[6]", "array", range(0)), ("number", "inner.number", range(1)), ("inner", "inner.number", range(1)),
+        ("umber", "inner.number", range(0)), ("table.x", "table[0].x", range(2)), ("x[1]", "table[0].x", range(1, 2)),
+        ("table[0].x", "table[0].x", range(2)), ("table[1].x", "table[0].x", range(0)),
+        ("clock[0]", "clock[0]", range(1)), ("clock[0]", "clock[1]", range(0)), ("clock", "clock[1]", range(1)),
+        ("state", "table[0].x", range(0)), ("array[x]", "array", range(0)),
+    ],
+)  # fmt: skip
+def test_words_are_named_by_the_end_of_their_name_or_a_part_of_it(text, name, indices):
+    assert list(FOUND[name].named(text)) == list(indices)

@@ -1,0 +1,47 @@
+"""The worth of each rule is that of the ledgers; bad input is one line."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.unit.campaign.analysis.handmade import INSTRUCTION, died, flown, golden, injected, runs
+from tools import build_leaderboard
+from tools.build_leaderboard import RULES, main, rules
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    """One fault at each target, lost without a scheme; GAD brings back way-points, the recommended scheme all."""
+    arms = ("gaussian", "recommended", "readback")
+    base = [golden(1), *(golden(1, arm=arm) for arm in arms)]
+    sites, dead = list(base), list(base)
+    lost = flown(success=False)
+    for place, target in enumerate(RULES):
+        sites.append(injected(1, lost, index=place, target=target))
+        for arm in arms[:2]:
+            back = arm == "recommended" or target == "way-point"
+            sites.append(injected(1, flown() if back else lost, index=place, target=target, arm=arm))
+    kernel = replace(INSTRUCTION, kernel="rrt_connect")
+    dead.append(injected(1, died(success=False), kernel, target="rrt_connect"))
+    for arm in arms:
+        dead.append(injected(1, died(success=arm == "readback"), kernel, arm=arm, target="rrt_connect"))
+    ledgers = {"sites": runs(*sites), "instruction": runs(*dead)}
+    monkeypatch.setattr(build_leaderboard, "load", lambda folder: ledgers[folder.name])
+    return Path("bench")
+
+
+def test_each_rule_has_its_faults(bench):
+    lines = rules(bench / "sites", bench / "instruction").splitlines()[2:]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    assert [row[0] for row in cells] == ["1", "1", "2", "2", "3", "4", "5"]
+    assert all(row[2] == "1" for row in cells)
+    assert [row[3].split()[0] for row in cells] == ["0.0", "0.0", "0.0", "0.0", "0.0", "100.0", "0.0"]
+    assert all(row[4].startswith("100.0") for row in cells)
+
+
+@pytest.mark.parametrize("arguments", [[], ["a", "b", "c"], ["no-such-folder"]])
+def test_bad_input_is_one_line(arguments, capsys):
+    assert main(arguments) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("bad input: ") and told.count("\n") == 1

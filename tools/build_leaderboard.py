@@ -1,0 +1,76 @@
+"""Write the leaderboard, the worth of each rule in docs/engineers.md, and the frozen faults, from a flown bench.
+
+python -m tools.build_leaderboard out/bench [quick|paper]
+"""
+
+import shutil
+import sys
+from pathlib import Path
+
+from mavfi.api import load, table
+from mavfi.campaign.analysis.statistics import Rate
+from mavfi.campaign.bench import FOLDER
+from mavfi.errors import BadInputError
+from mavfi.reports.text import rate
+from tools.markers import DOCS, GENERATED, IMAGES, ROOT, banner, fill
+
+NAME = "mavfi-bench-1"
+COMMAND = "mavfi bench detectors"
+RULES = {
+    "collision flag": 1, "collision counter": 1, "path epoch": 2, "trajectory epochs": 2, "path vertices": 3,
+    "way-point": 4,
+}  # fmt: skip
+"""Which rule of the page guards what is struck in the part `sites`."""
+PAPERS, OURS = "gaussian", "recommended"
+READ_BACK = "readback"
+
+
+def rules(sites: Path, instructions: Path) -> str:
+    """The worth of each rule: missions lost to what it guards, and brought back by the paper's GAD and with it.
+
+    Raises:
+        BadInputError: A folder holds no ledger.
+    """
+    lines = ["| rule | fault in | lost | back, GAD of the paper | back, recommended |", "|---|---|---:|---:|---:|"]
+    struck = table(load(sites), "schemes_by_target").entries()
+    for target, number in RULES.items():
+        own = {entry["arm"]: entry for entry in struck if entry["target"] == target}
+        lines.append(_row(number, target, own[PAPERS]["lost"], own[PAPERS]["back"], own[OURS]["back"]))
+    nodes = {entry["arm"]: entry for entry in table(load(instructions), "schemes_instructions").entries()}
+    died, papers = nodes[READ_BACK]["died_back"], nodes[PAPERS]["died_back"]
+    lines.append(_row(5, "the planner's instructions: it dies", died.n, papers, died))
+    return "\n".join(lines)
+
+
+def _row(number: int, target: str, lost: int, papers: Rate, ours: Rate) -> str:
+    return f"| {number} | {target} | {lost} | {rate(papers)} | {rate(ours)} |"
+
+
+def main(arguments: list[str]) -> int:
+    """Write the pages; gives the exit code."""
+    if len(arguments) not in (1, 2):
+        print("bad input: usage: python -m tools.build_leaderboard DIR [SCALE]", file=sys.stderr)
+        return 2
+    bench, scale = Path(arguments[0]), arguments[1] if len(arguments) == 2 else "quick"
+    try:
+        worth = rules(bench / "sites", bench / "instruction")
+        page = (bench / "leaderboard.md").read_text(encoding="utf-8")
+    except (BadInputError, OSError) as error:
+        print(f"bad input: {error}", file=sys.stderr)
+        return 2
+    picture = (
+        "" if not (bench / "curves.png").is_file() else "\n![Detection against false alarms](../images/curves.png)\n"
+    )
+    (GENERATED / "leaderboard.md").write_text(banner(COMMAND) + page + picture, encoding="utf-8")
+    if picture:
+        shutil.copy(bench / "curves.png", IMAGES / "curves.png")
+    frozen = ROOT / "configs" / FOLDER / NAME
+    frozen.mkdir(exist_ok=True)
+    for faults in sorted(bench.glob("*/faults.csv")):
+        shutil.copy(faults, frozen / f"{faults.parent.name}-{scale}.csv")
+    fill(DOCS / "engineers.md", {"rules": worth})
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
