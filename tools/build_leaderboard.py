@@ -15,7 +15,7 @@ from mavfi.reports.text import rate
 from tools.markers import DOCS, GENERATED, IMAGES, ROOT, banner, fill
 
 NAME = "mavfi-bench-1"
-COMMAND = "mavfi bench detectors"
+COMMAND = "make bench-detectors"
 RULES = {
     "collision flag": 1, "collision counter": 1, "path epoch": 2, "trajectory epochs": 2, "path vertices": 3,
     "way-point": 4,
