@@ -94,8 +94,17 @@ def test_only_the_kernel_that_wrote_the_value_is_stepped_again():
     )
 
 
+def test_a_message_that_is_wrong_twice_is_computed_again():
+    recovery = Recovery(grain="message", same_twice="escalate")
+    alarm = Alarm("d", "perception", hard=True)
+    assert decide(alarm, STATES[STATUS], recovery) == Action("resend", Stage.PERCEPTION, awaited=STATUS, withholds=True)
+    assert decide(alarm, STATES[STATUS], recovery, after="resend") == Action(
+        "recompute", Stage.PERCEPTION, "collision_check", ("collision_check",), STATUS, True, alone=True
+    )
+
+
 def test_an_alarm_about_a_recomputation_restarts_the_writer():
-    answer = decide(Alarm("d", "perception", hard=True), STATES[STATUS], ESCALATES, again=True)
+    answer = decide(Alarm("d", "perception", hard=True), STATES[STATUS], ESCALATES, after="recompute")
     assert answer == Action("restart", Stage.PERCEPTION, "collision_check", withholds=True)
 
 
