@@ -51,7 +51,10 @@ def headline(sites: Path) -> str:
     """
     own = {entry["arm"]: entry for entry in table(load(sites), "schemes").entries()}
     lost = own[OURS]["lost"]
-    back = {arm: f"{own[arm]['back'].successes} ({100 * own[arm]['back'].rate:.0f} %)" for arm in own}
+    back = {
+        arm: f"{own[arm]['back'].successes} ({100 * own[arm]['back'].rate:.0f} %)"
+        for arm in (PAPERS, PAPERS_OTHER, OURS)
+    }
     return (
         f"**And what brings them back?** Of {lost} missions lost to one flipped bit in the values that kernels hand to "
         f"each other, in the fields that lose most, the paper's Gaussian detector brings back {back[PAPERS]}, its "
