@@ -12,7 +12,7 @@ from tools.build_leaderboard import RULES, headline, main, rules
 
 @pytest.fixture
 def bench(monkeypatch):
-    """One fault at each target, lost without a scheme; the learned ones bring back way-points, the recommended scheme all."""
+    """One fault at each target, lost without a scheme; learned ones bring back way-points, the recommended one all."""
     arms = ("gaussian", "recommended", "readback", "autoencoder")
     base = [golden(1), *(golden(1, arm=arm) for arm in arms)]
     sites, dead = list(base), list(base)
