@@ -23,7 +23,6 @@ RULES = {
 """Which rule of the page guards what is struck in the part `sites`."""
 PAPERS, OURS = "gaussian", "recommended"
 PAPERS_OTHER = "autoencoder"
-READ_BACK = "readback"
 
 
 def rules(sites: Path, instructions: Path) -> str:
@@ -38,7 +37,7 @@ def rules(sites: Path, instructions: Path) -> str:
         own = {entry["arm"]: entry for entry in struck if entry["target"] == target}
         lines.append(_row(number, target, own[PAPERS]["lost"], own[PAPERS]["back"], own[OURS]["back"]))
     nodes = {entry["arm"]: entry for entry in table(load(instructions), "schemes_instructions").entries()}
-    died, papers = nodes[READ_BACK]["died_back"], nodes[PAPERS]["died_back"]
+    died, papers = nodes[OURS]["died_back"], nodes[PAPERS]["died_back"]
     lines.append(_row(5, "the planner's instructions: it dies", died.n, papers, died))
     return "\n".join(lines)
 
@@ -68,6 +67,21 @@ def _row(number: int, target: str, lost: int, papers: Rate, ours: Rate) -> str:
     return f"| {number} | {target} | {lost} | {rate(papers)} | {rate(ours)} |"
 
 
+def freeze(bench: Path, scale: str) -> None:
+    """Ship the lists of the faults of a flown bench.
+
+    Raises:
+        BadInputError: Another list is shipped already: what is frozen is not written over.
+    """
+    frozen = ROOT / "configs" / FOLDER / NAME
+    frozen.mkdir(exist_ok=True)
+    for faults in sorted(bench.glob("*/faults.csv")):
+        kept = frozen / f"{faults.parent.name}-{scale}.csv"
+        if kept.is_file() and kept.read_bytes() != faults.read_bytes():
+            raise BadInputError(f"{faults}: other faults than those of {kept.name}, which is frozen; remove it first")
+        shutil.copy(faults, kept)
+
+
 def main(arguments: list[str]) -> int:
     """Write the pages; gives the exit code."""
     if len(arguments) not in (1, 2):
@@ -77,19 +91,15 @@ def main(arguments: list[str]) -> int:
     try:
         worth, told = rules(bench / "sites", bench / "instruction"), headline(bench / "sites")
         page = (bench / "leaderboard.md").read_text(encoding="utf-8")
+        freeze(bench, scale)
     except (BadInputError, OSError) as error:
         print(f"bad input: {error}", file=sys.stderr)
         return 2
-    picture = (
-        "" if not (bench / "curves.png").is_file() else "\n![Detection against false alarms](../images/curves.png)\n"
-    )
-    (GENERATED / "leaderboard.md").write_text(banner(COMMAND) + page + picture, encoding="utf-8")
-    if picture:
+    picture = ""
+    if (bench / "curves.png").is_file():
+        picture = "\n![Detection against false alarms](../images/curves.png)\n"
         shutil.copy(bench / "curves.png", IMAGES / "curves.png")
-    frozen = ROOT / "configs" / FOLDER / NAME
-    frozen.mkdir(exist_ok=True)
-    for faults in sorted(bench.glob("*/faults.csv")):
-        shutil.copy(faults, frozen / f"{faults.parent.name}-{scale}.csv")
+    (GENERATED / "leaderboard.md").write_text(banner(COMMAND) + page + picture, encoding="utf-8")
     fill(DOCS / "engineers.md", {"rules": worth})
     fill(ROOT / "README.md", {"recovery": told})
     return 0

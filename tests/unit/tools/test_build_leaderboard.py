@@ -25,7 +25,7 @@ def bench(monkeypatch):
     kernel = replace(INSTRUCTION, kernel="rrt_connect")
     dead.append(injected(1, died(success=False), kernel, target="rrt_connect"))
     for arm in arms:
-        dead.append(injected(1, died(success=arm == "readback"), kernel, arm=arm, target="rrt_connect"))
+        dead.append(injected(1, died(success=arm == "recommended"), kernel, arm=arm, target="rrt_connect"))
     ledgers = {"sites": runs(*sites), "instruction": runs(*dead)}
     monkeypatch.setattr(build_leaderboard, "load", lambda folder: ledgers[folder.name])
     return Path("bench")

@@ -33,7 +33,7 @@ SameTwice = Literal["accept", "escalate"]
 Degraded = Literal["none", "hover"]
 COLLISION, PATH, COMMAND = "perception.collision_status", "planning.path", "control.command"
 RESTART_US, BACK_OFF = 20_000, 3
-"""Time for which a node is away that a detector restarts (us): its process stays, its memory is initialized; and its
+"""Time that a node restarted by a detector is away (us): its process stays, its memory is initialized; and its
 growth with each restart of a flight: together they outlast a fault of 1 s."""
 MOST_RESTARTS = 5
 """In one flight: detectors can be wrong themselves, and must not keep a vehicle from flying."""
@@ -285,6 +285,8 @@ class Watch:
             passed = "accepted" if state.same_bits(awaited.rejected) else "repaired"
             outcome = passed if alarm is None else "rejected"
             alarms[awaited.place] = replace(alarms[awaited.place], outcome=outcome)
+            if outcome == "repaired" and self._hard:
+                self._hard.pop()  # the detector was right
 
     def _answer(self, action: Action, state: State, now: int) -> None:
         loop = self._loop
@@ -317,7 +319,7 @@ class Watch:
 
     def _keep_waiting(self, state: State, now: int) -> None:
         """Wait for the path that answers a collision alarm; if it is too late, restart the planner's node."""
-        limit = self._recovery.answer_s
+        recovery, limit = self._recovery, self._recovery.answer_s
         if not limit or state.spec.name not in (COLLISION, PATH):
             return
         number = int(state.header["future_collision_seq"][0])
@@ -329,6 +331,8 @@ class Watch:
         if state.spec.name == PATH:
             if number >= asked:
                 self._asked = None
+        elif recovery.degraded != "none" and STATES[PATH].writer in self._loop.down:
+            self._asked = now, asked  # a restarted planner is given its time before nothing else is left
         elif now - since > 1e6 * limit:
             self._asked = None
             if self.restarts_left or self._recovery.degraded != "none":
