@@ -24,21 +24,18 @@ from benchmarks.instruction import instruction_rows
 from benchmarks.map_update import map_rows
 from benchmarks.planners import nearest_rows, search_rows
 from benchmarks.rows import Row, processor
-from mavfi.detectors import load_detector
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.pipeline.ppc import build_pipeline
 from mavfi.sim.simulator import Simulator
-from mavfi.states import State
 from tools.markers import GENERATED, banner
 
 SEEDS = range(20)
 MODULES = {"mujoco-core": "mujoco", "octomap-python": "octomap"}
 """Packages whose module has another name."""
 PHYSICS, CAMERA = "physics", "camera"
-FITS = {"stack": "published", "platform": "i9-9940x", "v_max": 3.0, "planner": "rrt_connect"}
 TARGETS = {"sparse": 0.20, "dense": 0.30}
 """Wall time of a golden mission on one core, stack `published` (s)."""
 
@@ -65,28 +62,6 @@ def prompt_to_prompt() -> float:
     """Wall time of `mavfi fly` with a warm cache (s)."""
     command = [str(Path(sys.executable).with_name("mavfi")), "fly", "--environment", "sparse", "--seed", "7", "--json"]
     return min(timed(lambda: subprocess.run(command, check=True, capture_output=True))[0] for _ in range(3))
-
-
-class Stopwatch:
-    """A detector around another that adds up the time it takes."""
-
-    def __init__(self, inner: Any) -> None:
-        self._inner = inner
-        self.seconds = 0.0
-
-    def start(self) -> None:
-        """Passed on."""
-        self._inner.start()
-
-    def check(self, state: State, time_us: int) -> Any:
-        """Passed on, timed."""
-        wall, alarm = timed(lambda: self._inner.check(state, time_us))
-        self.seconds += wall
-        return alarm
-
-    def accept(self, state: State, time_us: int) -> None:
-        """Passed on, timed."""
-        self.seconds += timed(lambda: self._inner.accept(state, time_us))[0]
 
 
 def part_seconds(scenario: Scenario) -> tuple[float, dict[str, float]]:
@@ -137,21 +112,6 @@ def share_rows() -> list[Row]:
     return rows
 
 
-def detection_rows() -> list[Row]:
-    """Time of detection against the time of the kernels, both measured here."""
-    scenario = resolve(MissionSpec(environment="sparse", seed=7))
-    rows = []
-    _, spent = part_seconds(scenario)
-    kernels = sum(seconds for part, seconds in spent.items() if part not in {PHYSICS, CAMERA})
-    for name in ("gaussian", "autoencoder"):
-        for _ in range(2):  # the first flight compiles, or reads the cache
-            watch = Stopwatch(load_detector(name, "paper", None, FITS)[0])
-            fly(scenario, None, watch)
-        share = 100.0 * watch.seconds / kernels
-        rows.append(Row(f"detection, {name} / kernels, both measured", f"{share:.1f} % ({1e3 * watch.seconds:.0f} ms)"))
-    return rows
-
-
 def measure() -> list[Row]:
     """All rows."""
     fly(resolve(MissionSpec(environment="sparse", seed=0)))  # compiles, or reads the cache
@@ -168,7 +128,7 @@ def measure() -> list[Row]:
     rows.append(Row("mavfi fly, prompt to prompt, warm cache", f"{prompt_to_prompt():.2f} s"))
     rows += share_rows() + map_rows() + depth_rows() + search_rows() + nearest_rows()
     rows += elementary_rows()
-    return rows + detection_rows() + struck + growth_rows()
+    return rows + struck + growth_rows()
 
 
 def main() -> None:

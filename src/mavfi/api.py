@@ -166,7 +166,9 @@ def fly_request(setup: ArmSetup, request: Request | None, seed: int, label: str,
         BadInputError: The mission has no such site.
     """
     detector = None if setup.make_detector is None else setup.make_detector()
-    fault, golden = (None, None) if request is None else draw_request(setup.scenario, request, seed, detector)
+    fault, golden = (
+        (None, None) if request is None else draw_request(setup.scenario, request, seed, detector, setup.recovery)
+    )
     return _fly_fault(setup, fault, label, bare, golden)
 
 

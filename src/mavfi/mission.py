@@ -87,7 +87,7 @@ class MissionSpec(Config):
     grain: Literal["stage", "kernel", "message"] = Field(
         "stage",
         description="Repeated after an alarm: the stage, only the kernel that wrote the value, or its message: the "
-        "producer's copy is sent again.",
+        "producer's copy is sent again, and only if that is no better the kernel runs again.",
     )
     same_twice: Literal["accept", "escalate"] = Field(
         "accept", description="A recomputation that breaks a rule again: accept, or escalate to a restart of the node."

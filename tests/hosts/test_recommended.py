@@ -23,7 +23,18 @@ def test_a_mission_that_an_unheard_alarm_loses_comes_back(fault):
     saved = result.log
     assert saved.status is MissionStatus.SUCCESS
     assert [(alarm.source, alarm.action, alarm.outcome) for alarm in saved.alarms] == [
-        ("acceptance", "recompute", "repaired")
+        ("acceptance", "resend", "repaired")
+    ]
+
+
+def test_a_fault_that_strikes_the_copy_too_is_computed_again():
+    log = mavfi.fly(
+        DENSE, fault="state:perception.collision_status.collision:bit=0:times=2@3.4", detector="recommended"
+    ).log
+    assert log.status is MissionStatus.SUCCESS
+    assert [(alarm.action, alarm.outcome) for alarm in log.alarms] == [
+        ("resend", "rejected"),
+        ("recompute", "repaired"),
     ]
 
 

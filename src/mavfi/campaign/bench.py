@@ -8,9 +8,9 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import Field, StringConstraints, model_validator
 
 from mavfi.campaign.config import ArmConfig, Campaign, load_campaign
 from mavfi.campaign.mission import scenarios_of
@@ -21,6 +21,12 @@ from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.hosts.watching import detector_for
 
 FOLDER = "bench"
+SCORES = "scores"
+"""Name of the table of detection at any threshold."""
+SCORED = ("state",)
+"""Levels of faults that change publications."""
+Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.-]*$")]
+"""Of a folder."""
 COLUMNS = ("environment", "seed", "target", "index", "site", "time_s", "bit", "stratum")
 """Of a list of faults."""
 
@@ -39,14 +45,18 @@ class Part(Config):
 class Bench(Config):
     """Schemes that are compared, and the campaigns in which they are."""
 
-    name: str
-    parts: dict[str, Part] = Field(min_length=1, description="by name")
+    name: Name
+    parts: dict[Name, Part] = Field(min_length=1, description="by name")
     arms: dict[str, ArmConfig] = Field(min_length=1, description="schemes by name, as the arms of a campaign")
 
     @model_validator(mode="after")
     def _consistent(self) -> "Bench":
-        for part in self.parts.values():
-            load_campaign(part.campaign)
+        if SCORES in self.parts:
+            raise ValueError(f"parts: {SCORES!r}: is the name of a table; allowed: any other name")
+        for name, part in self.parts.items():
+            level = load_campaign(part.campaign).sampling.level
+            if part.scores and level not in SCORED:
+                raise ValueError(f"parts.{name}.scores: faults of level {level!r}; allowed: {', '.join(SCORED)}")
         return self
 
 
@@ -76,17 +86,21 @@ def with_only(bench: Bench, detectors: Sequence[str], profile: str = "paper") ->
     return bench.model_copy(update={"arms": arms})
 
 
-def entries(bench: Bench, scale: str, *, levels: Iterable[str] = (), parts: Iterable[str] = ()) -> dict[str, Entry]:
+def entries(
+    bench: Bench, scale: str, *, levels: Iterable[str] = (), parts: Iterable[str] = (), models_dir: Path | None = None
+) -> dict[str, Entry]:  # fmt: skip
     """What is flown, by name of the part.
 
     Args:
         bench: The bench.
         scale: Size of its campaigns.
-        levels: Only parts with faults of these levels, and the golden flights; none = all.
+        levels: Only parts with faults of these levels; none = all.
         parts: Only these; none = all.
+        models_dir: Folder of trained models; None = the shipped ones.
 
     Raises:
-        BadInputError: There is no such part, no such level, no such size, or a detector cannot be loaded at all.
+        BadInputError: There is no such part, no such level, no such size, a detector cannot be loaded at all, or no
+            scheme can fly.
     """
     for name in parts:
         if name not in bench.parts:
@@ -97,9 +111,14 @@ def entries(bench: Bench, scale: str, *, levels: Iterable[str] = (), parts: Iter
         if level not in known:
             raise BadInputError(f"bench {bench.name}: level {level!r}: not known; allowed: {', '.join(sorted(known))}")
     wanted = set(levels) or known
-    return {
-        name: _entry(bench, name, campaign) for name, campaign in campaigns.items() if campaign.sampling.level in wanted
-    }
+    found = {
+        name: _entry(bench, name, campaign, models_dir)
+        for name, campaign in campaigns.items() if campaign.sampling.level in wanted
+    }  # fmt: skip
+    if not any(entry.campaign.arms for entry in found.values()):
+        reasons = [reason for entry in found.values() for reason in entry.left_out.values()]
+        raise BadInputError(f"bench {bench.name}: no scheme can fly: {reasons[0] if reasons else 'it has none'}")
+    return {name: entry for name, entry in found.items() if entry.campaign.arms}
 
 
 def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
@@ -110,14 +129,14 @@ def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
     return parse(Campaign, {**own.to_json(), **changed, "arms": arms}, f"bench {bench.name}: {name}")
 
 
-def _entry(bench: Bench, name: str, campaign: Campaign) -> Entry:
+def _entry(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None) -> Entry:
     """The part without the schemes whose detectors were trained for other flights."""
     left_out = {}
     for arm in arms_of(campaign):
         if arm.detector:
             scenario = next(iter(scenarios_of(campaign, [arm]).values()))
             try:
-                detector_for(scenario, arm.detector, arm.profile)
+                detector_for(scenario, arm.detector, arm.profile, models_dir)
             except SpecMismatchError as error:
                 left_out[arm.name] = str(error)
     arms = {arm: config for arm, config in campaign.arms.items() if arm not in left_out}

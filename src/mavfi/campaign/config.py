@@ -284,8 +284,15 @@ class Campaign(Config):
         return parse(MissionSpec, given, f"campaign {self.name}")
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return self.model_dump(mode="json")
+        """Plain data; lifetimes that are not chosen are left out: campaigns without them keep their identity."""
+        data = self.model_dump(mode="json")
+        sampling = data["sampling"]
+        if sampling.get("lifetime") == Lifetime().model_dump(mode="json"):
+            del sampling["lifetime"]
+        for group in sampling.get("groups", ()):
+            if group.get("lifetime") is None:
+                group.pop("lifetime", None)
+        return data
 
 
 class Study(Config):

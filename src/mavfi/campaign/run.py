@@ -27,7 +27,7 @@ from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store
 from mavfi.campaign.warm_up import fly_mission_anywhere, warm_up
 from mavfi.config import parse
-from mavfi.detectors.registry import mission_keys
+from mavfi.detectors.registry import detector_options, mission_keys
 from mavfi.errors import FROM_OUTSIDE, BadInputError, MachineError, machine_failure
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import require_level
@@ -299,12 +299,15 @@ def identity_of(
     campaign: Campaign, scenarios: Mapping[tuple[str, str], Scenario], models: Mapping[str, str]
 ) -> dict[str, Any]:
     """Plain data that identify the campaign of a ledger."""
-    keys = {name: dict(own) for name, arm in campaign.arms.items() if (own := mission_keys(arm.detector))}
+    arms = campaign.arms.items()
+    keys = {name: dict(own) for name, arm in arms if (own := mission_keys(arm.detector))}
+    options = {name: dict(own) for name, arm in arms if (own := detector_options(arm.detector))}
     return {
         "campaign": campaign.to_json(),
         "scenarios": {"/".join(place): scenario.to_json() for place, scenario in scenarios.items()},
         "models": dict(models),
         **({"mission_keys": keys} if keys else {}),
+        **({"detector_options": options} if options else {}),
     }
 
 

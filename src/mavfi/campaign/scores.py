@@ -1,12 +1,12 @@
 """Scores of detectors on golden flights and on corrupted publications: detection against false alarms, any threshold.
 
-Up to its strike a flight is the golden one.  So one golden flight shows every detector all publications, and, before
-it goes on, what each fault would have made of the publication it strikes; nothing is recomputed.  Alarms are counted
-as publications above the threshold.
+Up to the injection a flight is the golden one.  So one golden flight shows every detector all publications, and, before
+it goes on, what each fault would have made of the publication that it corrupts; nothing is recomputed.  Alarms are
+counted as publications above the threshold.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -27,11 +27,12 @@ from mavfi.faults.state import StateInjector
 from mavfi.hosts.local.flight import fly
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.watching import detector_for
+from mavfi.mission import RECOVERY, MissionSpec
 from mavfi.qof import quality_of_flight
 from mavfi.states import State
 
 RATES_PER_HOUR = (0.1, 1.0, 10.0)
-"""False alarms per flight hour at which detection is told."""
+"""False alarms per flight hour at which detection is reported."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,14 +43,14 @@ class Scores:
         golden: Of the publications that it judges in golden flights, those above 0, descending. Shape (m,).
         judged: How many publications it judges there.
         hours: Exposure (h).
-        struck: Of the publication that each fault strikes; 0 where it does not judge it. Shape (n,).
+        corrupted: Of the publication that each fault corrupts; 0 where it does not judge it. Shape (n,).
         harmful: Whether the fault loses the mission. Shape (n,).
     """
 
     golden: np.ndarray
     judged: int
     hours: float
-    struck: np.ndarray
+    corrupted: np.ndarray
     harmful: np.ndarray
 
     def threshold_at(self, per_hour: float) -> float | None:
@@ -64,12 +65,12 @@ class Scores:
         threshold = self.threshold_at(per_hour)
         if threshold is None:
             return None
-        own = self.struck[self.harmful]
+        own = self.corrupted[self.harmful]
         return wilson(int((own > threshold).sum()), len(own))
 
     def area(self) -> float | None:
         """Area under the ROC curve of harmful corrupted publications against golden ones (Mann and Whitney's U)."""
-        own = self.struck[self.harmful]
+        own = self.corrupted[self.harmful]
         if not len(own) or not self.judged:
             return None
         ascending = self.golden[::-1]
@@ -80,7 +81,7 @@ class Scores:
 
     def curve(self) -> list[tuple[float, float, float]]:
         """Threshold, false alarms per hour, share of harmful faults detected: the steps of the curve, descending."""
-        own = self.struck[self.harmful]
+        own = self.corrupted[self.harmful]
         thresholds = np.unique(np.concatenate([self.golden, own[own > 0]]))[::-1]
         return [
             (float(t), float((self.golden > t).sum() / self.hours), float((own > t).mean()) if len(own) else 0.0)
@@ -92,14 +93,14 @@ class Scores:
 class _Task:
     """A golden flight and the faults that it is asked about; its text is in the message about a lost worker."""
 
-    campaign: Campaign
-    environment: str
-    seed: int
+    mission: MissionSpec
+    arms: tuple[Arm, ...]
     faults: tuple[StateFault, ...]
+    harmful: tuple[bool, ...]
     models_dir: Path | None = None
 
     def __str__(self) -> str:
-        return f"scores in {self.environment}-{self.seed}"
+        return f"scores in {self.mission.environment}-{self.mission.seed}"
 
 
 @dataclass(slots=True)
@@ -108,7 +109,7 @@ class _Kept:
 
     golden: list[float] = field(default_factory=list)
     judged: int = 0
-    struck: dict[int, float] = field(default_factory=dict)
+    corrupted: dict[int, float] = field(default_factory=dict)
 
 
 class _Scorer:
@@ -122,12 +123,12 @@ class _Scorer:
             detector.start()
 
     def __call__(self, state: State, time_us: int) -> None:
-        struck = [(place, self._injectors[place](state, time_us)) for place in self._injectors]
-        changed = [(place, other) for place, other in struck if other is not state]
+        corrupted = [(place, self._injectors[place](state, time_us)) for place in self._injectors]
+        changed = [(place, other) for place, other in corrupted if other is not state]
         for name, detector in self._detectors.items():
             kept = self.kept[name]
             for place, other in changed:
-                kept.struck[place] = detector.score(other, time_us) or 0.0
+                kept.corrupted[place] = detector.score(other, time_us) or 0.0
             found = detector.score(state, time_us)
             if found is not None:
                 kept.judged += 1
@@ -139,24 +140,27 @@ class _Scorer:
 
 
 def scored_arms(campaign: Campaign) -> list[Arm]:
-    """Arms whose detectors have scores and watch the campaign's own mission."""
-    return [arm for arm in arms_of(campaign) if arm.detector and not arm.overrides]
+    """Arms whose detectors watch the campaign's own mission, however their alarms are answered."""
+    return [arm for arm in arms_of(campaign) if arm.detector and set(arm.overrides) <= set(RECOVERY)]
 
 
 def _score(task: _Task) -> tuple[float, dict[str, _Kept]]:
     """Hours of a golden flight, and the scores in it by arm."""
-    scenario = resolve(task.campaign.spec(task.environment, task.seed))
+    scenario = resolve(task.mission)
     loaded = {
-        arm.name: detector_for(scenario, arm.detector, arm.profile, task.models_dir)[0]
-        for arm in scored_arms(task.campaign)
-    }
-    scorer = _Scorer({name: own for name, own in loaded.items() if hasattr(own, "score")}, task.faults)
+        arm.name: detector_for(scenario, arm.detector, arm.profile, task.models_dir)[0] for arm in task.arms
+    }  # fmt: skip
+    judging = {name: own for name, own in loaded.items() if hasattr(own, "score") and not hasattr(own, "seal")}
+    scorer = _Scorer(judging, task.faults)
     log = fly(scenario, recorders=[scorer]).log
     return quality_of_flight(log).flight_time_s / 3600, scorer.kept
 
 
 def scores(directories: Sequence[Path], executor: Executor, models_dir: Path | None = None) -> dict[str, Scores]:
-    """Scores of the detectors of campaigns with the same arms, by arm, over all of their missions and state faults.
+    """Scores of the detectors of campaigns, by arm, over all of their missions and state faults.
+
+    A mission that several campaigns have is flown once, and is counted once.  Detectors that judge nothing are left
+    out: those without a `score`, and those that compare with a seal, which has no threshold.
 
     Args:
         directories: Folders of complete ledgers with faults in states.
@@ -167,45 +171,46 @@ def scores(directories: Sequence[Path], executor: Executor, models_dir: Path | N
         BadInputError: There is no ledger.
         MavfiError: A worker was lost.
     """
-    tasks, harmful = [], {}
-    for directory in directories:
-        for task, losses in _tasks(directory, models_dir):
-            tasks.append(task)
-            harmful[len(tasks) - 1] = losses
+    tasks = _tasks(directories, models_dir)
     places = {id(task): place for place, task in enumerate(tasks)}
-    found = {places[id(task)]: result for task, result in map_each(executor, _score, tasks)}
-    names = list(dict.fromkeys(name for _, kept in found.values() for name in kept))
-    hours = sum(own for own, _ in found.values())
-    lost = np.array([loss for place in sorted(found) for loss in harmful[place]], bool)
-    return {name: _joined([found[place][1][name] for place in sorted(found)],
-                          [len(harmful[place]) for place in sorted(found)], hours, lost) for name in names}  # fmt: skip
-
-
-def _tasks(directory: Path, models_dir: Path | None) -> list[tuple[_Task, list[bool]]]:
-    """One task for each mission, and which of its faults lose it."""
-    rows = {row["run_id"]: row for row in Runs.read(directory).injected.where(setting=FI, site_outcome=ACTIVATED)}
-    with Store.open(directory) as store:
-        campaign = Campaign.model_validate_json(store.meta(ORDERED))
-        specs = [run.spec for run in store.runs(done=True)]
-    faults: dict[tuple[str, int], list[tuple[StateFault, bool]]] = {
-        (environment, seed): [] for environment in campaign.environments for seed in campaign.seeds
+    results = {places[id(task)]: result for task, result in map_each(executor, _score, tasks)}
+    flown = [(task, *results[place]) for place, task in enumerate(tasks)]
+    names = dict.fromkeys(arm.name for task in tasks for arm in task.arms)
+    found = {
+        name: _joined([(task, hours, kept[name]) for task, hours, kept in flown if name in kept]) for name in names
     }
-    for spec in specs:
-        row = rows.get(spec.run_id)
-        if row is not None:
-            faults[spec.world].append(
-                (cast(StateFault, spec.fault), bool(row["golden_success"]) and not row["success"])
-            )
-    return [
-        (_Task(campaign, *world, tuple(fault for fault, _ in own), models_dir), [lost for _, lost in own])
-        for world, own in faults.items()
-    ]
+    return {name: own for name, own in found.items() if own.judged}
 
 
-def _joined(kept: Sequence[_Kept], counts: Sequence[int], hours: float, harmful: np.ndarray) -> Scores:
-    golden = np.sort(np.array([score for own in kept for score in own.golden]))[::-1]
-    struck = [own.struck.get(place, 0.0) for own, count in zip(kept, counts, strict=True) for place in range(count)]
-    return Scores(golden, sum(own.judged for own in kept), hours, np.array(struck), harmful)
+def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_Task]:
+    """One task for each mission, with the faults of all campaigns that have it."""
+    tasks: dict[str, _Task] = {}
+    for directory in directories:
+        judged = Runs.read(directory).injected.where("judged", setting=FI, site_outcome=ACTIVATED)
+        lost = {row["run_id"]: bool(row["golden_success"]) and not row["success"] for row in judged}
+        with Store.open(directory) as store:
+            campaign = Campaign.model_validate_json(store.meta(ORDERED))
+            specs = [run.spec for run in store.runs(done=True) if run.spec.run_id in lost]
+        arms = tuple(scored_arms(campaign))
+        for environment in campaign.environments:
+            for seed in campaign.seeds:
+                mission = campaign.spec(environment, seed)
+                own = [spec for spec in specs if spec.world == (environment, seed)]
+                task = tasks.setdefault(mission.model_dump_json(), _Task(mission, arms, (), (), models_dir))
+                tasks[mission.model_dump_json()] = replace(
+                    task, arms=tuple({arm.name: arm for arm in (*task.arms, *arms)}.values()),
+                    faults=(*task.faults, *(cast(StateFault, spec.fault) for spec in own)),
+                    harmful=(*task.harmful, *(lost[spec.run_id] for spec in own)),
+                )  # fmt: skip
+    return list(tasks.values())
+
+
+def _joined(flown: Sequence[tuple[_Task, float, _Kept]]) -> Scores:
+    golden = np.sort(np.array([score for *_, kept in flown for score in kept.golden]))[::-1]
+    corrupted = [kept.corrupted.get(place, 0.0) for task, _, kept in flown for place in range(len(task.faults))]
+    harmful = [lost for task, *_ in flown for lost in task.harmful]
+    hours = sum(own for _, own, _ in flown)
+    return Scores(golden, sum(kept.judged for *_, kept in flown), hours, np.array(corrupted), np.array(harmful, bool))
 
 
 def table(found: Mapping[str, Scores]) -> Table:
@@ -220,6 +225,7 @@ def table(found: Mapping[str, Scores]) -> Table:
     notes = (
         "threshold of each detector moved to so many false alarms per hour of golden flight, counted as publications "
         "above it; — = the exposure is too short to show the rate",
+        "one golden flight for each mission of the parts with faults in states; their faults together",
         "harmful: activated faults that lose the mission without a detector; [95 % interval: Wilson], n",
         "ROC: corrupted publications of harmful faults against publications of golden flights",
     )

@@ -36,7 +36,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     ] = "mavfi-bench-1",
     level: Annotated[
         list[str] | None,
-        typer.Option(help="Only faults of this level: state, instruction; may be given several times."),
+        typer.Option(help="Only faults of this level: state, memory, instruction; may be given several times."),
     ] = None,
     part: Annotated[
         list[str] | None, typer.Option(help="Only this part of the bench; may be given several times.")
@@ -46,8 +46,11 @@ def detectors(  # noqa: PLR0913 - one parameter per option
         typer.Option(metavar="NAME", help="This one, e.g. package:Class, in the place of the bench's schemes."),
     ] = None,
     profile: Annotated[str, typer.Option(help="Of --detector: paper or tuned.")] = "paper",
+    models: options.Models = None,
     scale: Annotated[str, typer.Option(help="quick, or paper: enough for narrow intervals.")] = "quick",
-    out: Annotated[Path, typer.Option(help="Folder of ledgers and leaderboard.")] = Path("out/bench"),
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of ledgers and leaderboard; out/bench-SCALE[-NAME] by default.")
+    ] = None,
     workers: options.Workers = 2,
     as_json: options.AsJson = False,
 ) -> None:
@@ -57,20 +60,21 @@ def detectors(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi bench detectors --level state --detector my_package:MyDetector[/bold]
     """
-    from mavfi.campaign.bench import entries, load_bench, with_only
+    from mavfi.campaign.bench import SCORES, entries, load_bench, with_only
     from mavfi.campaign.scores import table
 
     chosen = load_bench(bench)
     if detector:
         chosen = with_only(chosen, detector, profile)
-    flown = entries(chosen, scale, levels=level or (), parts=part or ())
+    flown = entries(chosen, scale, levels=level or (), parts=part or (), models_dir=models)
+    out = out or Path("out") / "-".join(["bench", scale, *(chosen.arms if detector else ())])
     check_folder(out)
     with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
-        _fly(flown, out, workers)
-        scored = _scores(flown, out, workers)
+        _fly(flown, out, workers, models)
+        scored = _scores(flown, out, workers, models)
     tables = {name: _table(chosen, name, entry, out / name, scale) for name, entry in flown.items()}
     if scored:
-        tables["scores"] = table(scored)
+        tables[SCORES] = table(scored)
     _write(tables, scored, chosen, scale, out)
     if as_json:
         write_json({name: table.to_json() for name, table in tables.items()})
@@ -78,23 +82,28 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     _show(tables, out)
 
 
-def _fly(flown: "Mapping[str, Entry]", out: Path, workers: int) -> None:
+def _fly(flown: "Mapping[str, Entry]", out: Path, workers: int, models: Path | None) -> None:
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.run import run_campaign
     from mavfi.cli.progress import Bar
 
     for name, entry in flown.items():
         with Bar(f"bench: {name}", "runs") as bar:
-            run_campaign(entry.campaign, out / name, executor=LocalExecutor(workers), progress=bar.show_campaign)
+            run_campaign(
+                entry.campaign, out / name, executor=LocalExecutor(workers), models_dir=models,
+                progress=bar.show_campaign,
+            )  # fmt: skip
 
 
-def _scores(flown: "Mapping[str, Entry]", out: Path, workers: int) -> "dict[str, Scores]":
+def _scores(
+    flown: "Mapping[str, Entry]", out: Path, workers: int, models: Path | None
+) -> "dict[str, Scores]":  # fmt: skip
     """Scores of the detectors in the parts that are for it."""
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.scores import scores
 
     own = [out / name for name, entry in flown.items() if entry.part.scores]
-    return scores(own, LocalExecutor(workers)) if own else {}
+    return scores(own, LocalExecutor(workers), models) if own else {}
 
 
 def _table(bench: "Bench", name: str, entry: "Entry", ledger: Path, scale: str) -> "Table":
@@ -134,8 +143,8 @@ def _show(tables: "Mapping[str, Table]", out: Path) -> None:
     from mavfi.reports.terminal import show_table
 
     terminal = console()
-    *_, last = tables
+    names = list(tables)
     for name, table in tables.items():
-        own = [note for note in table.notes if name == last or note not in tables[last].notes]  # common ones once
-        show_table(replace(table, notes=tuple(own)), terminal)
+        later = {note for other in names[names.index(name) + 1 :] for note in tables[other].notes}  # common ones once
+        show_table(replace(table, notes=tuple(note for note in table.notes if note not in later)), terminal)
     terminal.print(Text(f"The tables are in {out / 'leaderboard.md'}."), soft_wrap=True)

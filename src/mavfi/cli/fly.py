@@ -34,8 +34,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
     Example: [bold]mavfi fly --environment dense --seed 10007 --fault state:planning.waypoint.x:bit=62@20.0[/bold]
     """
     check_company(mission, fault, fault_seed, detector, profile, models)
-    if mission.dead_node != "fresh" and not (fault or "").startswith("instruction:"):
-        text = "no node can die; allowed: together with --fault instruction:KERNEL"
+    if mission.dead_node != "fresh" and not (fault or "").startswith(("instruction:", "memory:")):
+        text = "no node can die; allowed: together with --fault instruction:KERNEL or memory:KERNEL"
         raise BadInputError(f"--dead-node: {mission.dead_node}: {text}")
     check_file("--save", save, FLIGHTS)
     check_file("--picture", picture, PICTURES)

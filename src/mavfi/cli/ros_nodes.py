@@ -48,13 +48,18 @@ def renamed(name: str, value: _Value | None, old_name: str, old_value: _Value | 
 
 
 def mission_with(mission: MissionSpec, detector: str) -> MissionSpec:
-    """A mission with the keys that go with a detector; raises `BadInputError` if ROS cannot fly it."""
+    """A mission with the keys that go with a detector; raises `BadInputError` if ROS cannot fly it.
+
+    Where the detector's grain is `message`, it is `kernel`: nodes keep no copy of what they sent.
+    """
     from mavfi.hosts.ros1.plan import check_supported
     from mavfi.hosts.watching import with_keys_of
 
-    mission = with_keys_of(mission, detector)
-    check_supported(mission)
-    return mission
+    found = with_keys_of(mission, detector)
+    if found.grain == "message" and mission.grain != "message":
+        found = found.model_copy(update={"grain": "kernel"})
+    check_supported(found)
+    return found
 
 
 def cloud_node(text: str) -> CloudNode:

@@ -116,6 +116,11 @@ def mission_keys(name: str) -> Mapping[str, Any]:
     return _config_of(name).mission
 
 
+def detector_options(name: str) -> Mapping[str, Any]:
+    """Arguments with which a detector is made that learns nothing."""
+    return _config_of(name).options
+
+
 @cache
 def _config_of(name: str) -> DetectorConfig:
     return shipped("detectors", DetectorConfig, name) if name in names("detectors") else DetectorConfig(name=name)

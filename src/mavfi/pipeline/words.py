@@ -67,7 +67,7 @@ def words_of(kernel: Remembers) -> Iterator[Words]:
 
 def change(kernel: Remembers, name: str, index: int, apply: Change) -> tuple[Any, Any] | None:
     """Change one word of what a kernel remembers; gives its value before and after, None if there is no such word."""
-    if not any(words.name == name and index < words.count for words in words_of(kernel)):
+    if not any(words.name == name and 0 <= index < words.count for words in words_of(kernel)):
         return None
     for keeper in kernel.keepers:
         array = keeper.arrays().get(name)

@@ -24,7 +24,8 @@ def leaderboard(tables: Mapping[str, Table], bench: str, scale: str) -> str:
     flown = " · ".join(f"{name} {version}" for name, version in versions().items())
     parts = [
         f"# Leaderboard of {bench}",
-        "Detectors and recovery schemes, each flown on the same missions and the same faults. A row of your own:",
+        "Detectors and recovery schemes, each flown on the same missions and the same faults.  The same table for a "
+        "detector of your own:",
         "    mavfi bench detectors --detector my_package:MyDetector"
         + ("" if scale == "quick" else f" --scale {scale}"),
         f"Flown on {date.today().isoformat()} at scale {scale}: {flown}.",
@@ -45,7 +46,7 @@ def draw_curves(found: Mapping[str, Scores], path: Path) -> Path:
         figure = Figure(figsize=(7.2, 4.2), layout="constrained")
         axes = figure.subplots()
         judging = {
-            name: own for name, own in found.items() if own.area() is not None and len(own.golden) + own.struck.any()
+            name: own for name, own in found.items() if own.area() is not None and len(own.golden) + own.corrupted.any()
         }
         for place, (name, own) in enumerate(judging.items()):
             colour, dashes = _COLOURS[place % len(_COLOURS)], _DASHES[place // len(_COLOURS) % len(_DASHES)]
@@ -53,7 +54,7 @@ def draw_curves(found: Mapping[str, Scores], path: Path) -> Path:
             least = 0.5 / own.hours
             x, y = np.maximum(alarms, least), 100 * np.array(shares)
             axes.step(x, y, where="post", label=name, color=colour, linestyle=dashes, linewidth=1.8)
-            now = np.searchsorted(-own.golden, -1.0), (own.struck[own.harmful] > 1.0).mean()  # threshold as shipped
+            now = np.searchsorted(-own.golden, -1.0), (own.corrupted[own.harmful] > 1.0).mean()  # threshold as shipped
             axes.plot(max(now[0] / own.hours, least), 100 * now[1], "o", color=colour, markeredgecolor="white")
         axes.set(xscale="log", ylim=(-2, 102), xlabel="false alarms per flight hour",
                  ylabel="harmful faults detected (%)", title="Detection against false alarms")  # fmt: skip

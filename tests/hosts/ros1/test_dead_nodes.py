@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from mavfi.hosts.local import fly as fly_here
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.compose import resolve
-from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.recovery import INLINE, MOST_ALARMS, Recovery, Watch
 from mavfi.hosts.loop.restarts import CHANGES, Restarts
 from mavfi.hosts.ros1.ports import Kept
 from mavfi.hosts.ros1.taps import Shadow
@@ -102,8 +102,8 @@ class TestFlights:
         assert [alarm.outcome for alarm in log.alarms] == ["rejected", "restarted"]
 
     @pytest.mark.long
-    def test_a_detector_that_waits_for_an_answer_brings_a_dead_planner_back_sooner(self):
-        spec = with_keys_of(alarming("fresh"), "recommended")
+    def test_a_detector_that_waits_for_an_answer_leaves_a_dead_planner_to_its_restart(self):
+        spec = with_keys_of(alarming("fresh"), "recommended").model_copy(update={"grain": "kernel"})
         scenario, recovery = resolve(spec), Recovery.of(spec)
 
         def watching():
@@ -153,3 +153,12 @@ def test_a_node_that_begins_again_is_judged_again():
     shadow.awaited = dict.fromkeys(("planning.path", "planning.trajectory", "control.command"))
     shadow.forget("planner")
     assert list(shadow.awaited) == ["control.command"]
+
+
+def test_a_detector_that_alarms_without_end_does_not_end_its_node():
+    shadow, detector = Shadow(), Scripted(STATUS, n=1, stage="perception", times=10**6, hard=True)
+    detector.start()
+    watch = Watch(shadow, detector, ESCALATING, shadow.forget)
+    for now in range(4 * MOST_ALARMS):
+        watch(status(1), now)
+    assert watch.alarm is None and detector.seen < 4 * MOST_ALARMS, "it is not asked any more"

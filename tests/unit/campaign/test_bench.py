@@ -60,6 +60,22 @@ def test_what_there_is_not_is_refused(ask, message):
         entries(BENCH, **{"scale": "quick", **ask})
 
 
+def test_a_bench_that_nobody_can_fly_is_refused():
+    with pytest.raises(BadInputError, match="no scheme can fly: .*no model is trained"):
+        entries(with_only(BENCH, ["gaussian"]), "quick", parts=["cortex-a57"])
+
+
+@pytest.mark.parametrize(
+    ("name", "more", "message"),
+    [("../p", {}, "pattern"), ("scores", {}, "is the name of a table"),
+     ("p", {"campaign": "bench_instruction", "scores": True}, "level 'instruction'; allowed: state")],
+)  # fmt: skip
+def test_names_are_folders_and_scores_need_publications(name, more, message):
+    part = {"campaign": "bench_sites", "title": "t", **more}
+    with pytest.raises(BadInputError, match=message):
+        parse(Bench, {"name": "b", "parts": {name: part}, "arms": {"a": {"detector": "acceptance"}}}, "b.yaml")
+
+
 def test_a_part_names_a_campaign():
     part = {"campaign": "nothing", "title": "t"}
     with pytest.raises(BadInputError, match="nothing"):

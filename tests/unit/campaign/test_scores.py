@@ -15,10 +15,10 @@ LEVELS = st.sampled_from([0.0, 0.5, 0.9, 1.0, 1.5, 2.0, 1e9])
 def made(draw):
     """Scores of few levels, so that there are ties; every golden publication is given, zeros included."""
     golden = np.array(draw(st.lists(LEVELS, min_size=1, max_size=40)))
-    struck = np.array(draw(st.lists(LEVELS, min_size=1, max_size=20)))
-    harmful = np.array(draw(st.lists(st.booleans(), min_size=len(struck), max_size=len(struck))), bool)
+    corrupted = np.array(draw(st.lists(LEVELS, min_size=1, max_size=20)))
+    harmful = np.array(draw(st.lists(st.booleans(), min_size=len(corrupted), max_size=len(corrupted))), bool)
     return golden, Scores(np.sort(golden[golden > 0])[::-1], len(golden), draw(st.sampled_from([0.5, 2.0, 10.0])),
-                          struck, harmful)  # fmt: skip
+                          corrupted, harmful)  # fmt: skip
 
 
 @given(made(), st.sampled_from([0.1, 1.0, 10.0]))
@@ -37,7 +37,7 @@ def test_no_threshold_alarms_more_often_than_asked(own, rate):
 @given(made())
 def test_the_area_is_that_of_scikit_learn(own):
     golden, found = own
-    harmful = found.struck[found.harmful]
+    harmful = found.corrupted[found.harmful]
     if not len(harmful):
         assert found.area() is None
         return
@@ -51,8 +51,8 @@ def test_curves_fall_in_threshold_and_rise_in_alarms(own):
     curve = found.curve()
     for threshold, alarms, share in curve:
         assert alarms == (golden > threshold).sum() / found.hours
-        own_struck = found.struck[found.harmful]
-        assert share == ((own_struck > threshold).mean() if len(own_struck) else 0.0)
+        own_corrupted = found.corrupted[found.harmful]
+        assert share == ((own_corrupted > threshold).mean() if len(own_corrupted) else 0.0)
     assert [threshold for threshold, *_ in curve] == sorted({t for t, *_ in curve}, reverse=True)
 
 

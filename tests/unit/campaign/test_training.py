@@ -90,7 +90,7 @@ def test_recordings_are_deleted_when_the_models_are_saved(tmp_path, monkeypatch)
         assert len(list(folder.glob(f"{FOLDER}/*/*.npz"))) == 3
         return [folder / "model.json"]
 
-    monkeypatch.setattr("mavfi.detectors.training.fit", lambda recordings, _: len(recordings))
+    monkeypatch.setattr("mavfi.detectors.training.fit", lambda recordings, *_, **__: len(recordings))
     monkeypatch.setattr("mavfi.detectors.training.save", save)
     assert train(tmp_path, 3, workers=1) == [tmp_path / "model.json"]
     assert not (tmp_path / FOLDER).exists()

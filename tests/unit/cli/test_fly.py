@@ -179,7 +179,7 @@ def test_a_mission_that_fails_is_no_failure_of_the_program(capsys, monkeypatch):
         (["--stack", "soft"], "allowed: hardened, published"),
         (["--platform", "abacus"], "allowed: cortex-a57, i9-9940x"),
         (["--planner", "dijkstra"], "planner 'dijkstra'"),
-        (["--detector", "oracle"], "detector 'oracle'"),
+        (["--detector", "seer"], "detector 'seer'"),
         (["--detector", "gaussian", "--profile", "rough"], "allowed: paper, tuned"),
         (["--detector", "gaussian", "--models", "absent"], "mavfi train"),
         (["--fault", "planning.waypoint.x"], "fault 'planning.waypoint.x'"),

@@ -7,25 +7,25 @@ import pytest
 
 from tests.unit.campaign.analysis.handmade import INSTRUCTION, died, flown, golden, injected, runs
 from tools import build_leaderboard
-from tools.build_leaderboard import RULES, main, rules
+from tools.build_leaderboard import RULES, headline, main, rules
 
 
 @pytest.fixture
 def bench(monkeypatch):
-    """One fault at each target, lost without a scheme; GAD brings back way-points, the recommended scheme all."""
-    arms = ("gaussian", "recommended", "readback")
+    """One fault at each target, lost without a scheme; learned ones bring back way-points, the recommended one all."""
+    arms = ("gaussian", "recommended", "readback", "autoencoder")
     base = [golden(1), *(golden(1, arm=arm) for arm in arms)]
     sites, dead = list(base), list(base)
     lost = flown(success=False)
     for place, target in enumerate(RULES):
         sites.append(injected(1, lost, index=place, target=target))
-        for arm in arms[:2]:
+        for arm in (*arms[:2], arms[3]):
             back = arm == "recommended" or target == "way-point"
             sites.append(injected(1, flown() if back else lost, index=place, target=target, arm=arm))
     kernel = replace(INSTRUCTION, kernel="rrt_connect")
     dead.append(injected(1, died(success=False), kernel, target="rrt_connect"))
     for arm in arms:
-        dead.append(injected(1, died(success=arm == "readback"), kernel, arm=arm, target="rrt_connect"))
+        dead.append(injected(1, died(success=arm == "recommended"), kernel, arm=arm, target="rrt_connect"))
     ledgers = {"sites": runs(*sites), "instruction": runs(*dead)}
     monkeypatch.setattr(build_leaderboard, "load", lambda folder: ledgers[folder.name])
     return Path("bench")
@@ -38,6 +38,12 @@ def test_each_rule_has_its_faults(bench):
     assert all(row[2] == "1" for row in cells)
     assert [row[3].split()[0] for row in cells] == ["0.0", "0.0", "0.0", "0.0", "0.0", "100.0", "0.0"]
     assert all(row[4].startswith("100.0") for row in cells)
+
+
+def test_the_headline_counts_what_comes_back(bench):
+    told = headline(bench / "sites")
+    assert "Of 6 missions lost" in told and "Gaussian detector brings back 1 (17 %)" in told
+    assert "autoencoder 1 (17 %)" in told and "recommended` 6 (100 %)" in told
 
 
 @pytest.mark.parametrize("arguments", [[], ["a", "b", "c"], ["no-such-folder"]])

@@ -57,10 +57,14 @@ _COUNTED = (
     _lost_by("dr_success", "back", "brought back"),
 )  # fmt: skip
 _HARM = (
-    m.rate("late_in_time", "late, in time", _IN_TIME, LATE),
+    Measure(
+        "lost_under", "lost under it", NUMBER,
+        lambda own: len(own.where(pl.col("kind") == PAIR, "golden_success", ~pl.col("dr_success"))),
+    ),
     Measure("newly_lost", "only it lost", NUMBER, _only_the_scheme),
-    _lost_by("dr_detected", "detected", "detected"),
-)
+    m.rate("late_in_time", "late, in time", _IN_TIME, LATE),
+)  # fmt: skip
+_DETECTED = _lost_by("dr_detected", "detected", "detected")
 _ALARMS = (
     Measure("per_hour", "false alarms", PER_HOUR, _golden(m.alarm_rate)),
     Measure("hours", "exposure", "number .2f h", _golden(lambda own: sum(own["flight_time_s"]) / 3600)),
@@ -69,32 +73,41 @@ _ALARMS = (
 _NOTES = (
     "lost: missions that succeed without the fault and fail with it; brought back: of these, those that succeed under "
     "the scheme; [95 % interval: Wilson, n reduced by the design effect of worlds], n",
-    "late, in time: of missions that succeed more than 5 % later with the fault, those that are at most 5 % late under "
-    "the scheme; only it lost: missions, golden ones included, that fail only under the scheme",
+    "lost under it: missions that fail with the fault and the scheme; only it lost: missions, golden ones included, "
+    "that fail only under the scheme; late, in time: of missions that succeed > 5 % later with the fault, those "
+    "that are at most 5 % late under the scheme",
     "false alarms: per hour of golden flight; recomputation: its modelled time / compute time, golden flights",
 )
 
 register(
     View(
-        "schemes", "Schemes on the same faults", ("arm",),
-        (*_COUNTED, *_HARM, *_ALARMS), where=against_base, headings=("scheme",),
+        "schemes", "Schemes on the same faults in states", ("arm",), (*_COUNTED, *_HARM, _DETECTED, *_ALARMS),
+        where=against_base, headings=("scheme",),
         notes=lambda runs: (
             *_NOTES, "detected: of the lost ones, alarm on the corrupted publication", *_watched(runs), ONE_FAULT
         ),
         applies=lambda runs: False,
     ),
     View(
+        "schemes_memory", "Schemes on the same faults in memory", ("arm",), (*_COUNTED, *_HARM, *_ALARMS),
+        where=against_base, headings=("scheme",), notes=lambda _: (*_NOTES, ONE_FAULT), applies=lambda runs: False,
+    ),
+    View(
         "schemes_instructions", "Schemes on the same faults in instructions", ("arm",),
         (
             *_COUNTED, _lost_by("dr_success", "died_back", "died, back", DIED),
-            _lost_by("dr_success", "sdc_back", "sdc, back", ~DIED), *_HARM[:2], *_ALARMS,
+            _lost_by("dr_success", "sdc_back", "sdc, back", ~DIED), *_HARM, *_ALARMS,
         ),
         where=against_base, headings=("scheme",),
-        notes=lambda _: (*_NOTES, "died / sdc: the kernel died of the fault, or went on with a wrong value", ONE_FAULT),
+        notes=lambda _: (
+            *_NOTES, "died / sdc: the kernel died of the fault, or went on with a wrong value",
+            "faults are those of one number of call and value; a scheme that changes the flight, by false alarms or "
+            "latencies, meets other computations there: compare lost with lost under it", ONE_FAULT,
+        ),
         applies=lambda runs: False,
     ),
     View(
-        "schemes_by_target", "Schemes, by what was struck", ("target", "arm"), _COUNTED, where=against_base,
-        headings=("struck", "scheme"), notes=lambda _: (_NOTES[0], ONE_FAULT), applies=lambda runs: False,
+        "schemes_by_target", "Schemes, by injected site", ("target", "arm"), _COUNTED, where=against_base,
+        headings=("site", "scheme"), notes=lambda _: (_NOTES[0], ONE_FAULT), applies=lambda runs: False,
     ),
 )  # fmt: skip

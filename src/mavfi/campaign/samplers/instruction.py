@@ -26,6 +26,7 @@ from mavfi.hosts.instruction.case import check_kernel
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import fly_until, prefix_of
+from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.states import DETECTORS, INJECTABLE
@@ -43,11 +44,13 @@ class Drawn:
 
 
 def draw_instruction_faults(
-    scenario: Scenario, request: InstructionRequest, *address: str, seed: int, detector: Detector | None = None
+    scenario: Scenario, request: InstructionRequest, *address: str, seed: int, detector: Detector | None = None,
+    recovery: Recovery = INLINE,
 ) -> Drawn:  # fmt: skip
     """Fly the golden flight, and draw faults; a kernel that executes no such instruction gives faults without a site.
 
     The draw depends on the seed and on an address, e.g. the environment, that distinguishes faults of the same seed.
+    A detector, whose alarms are answered by the recovery, watches where faults are in its own instructions.
 
     Raises:
         BadInputError: There is no such kernel, class or model.
@@ -60,12 +63,12 @@ def draw_instruction_faults(
     plain = {name: function for own in functions.values() for name, function in own.items()}
     counted = {name: Profiling(function) for name, function in plain.items()}
     with _instrumented(detector, counted) as table:
-        golden = fly(scenario, None, detector, functions=table)
+        golden = fly(scenario, None, detector, recovery=recovery, functions=table)
 
     def fly_again(made: Mapping[str, Any], enough: Callable[[], bool] = lambda: False) -> None:
         with _instrumented(detector, made) as table, np.errstate(all="ignore"):
             loop = new_loop(scenario, functions=table)
-            watch(loop, detector)
+            watch(loop, detector, recovery)
             fly_until(loop, enough)
         prefix_of(loop).check(golden.log)
 

@@ -8,12 +8,13 @@ from mavfi.faults.fault import InstructionFault, MemoryFault, StateFault
 from mavfi.faults.spec import MemoryRequest, Request, StateRequest
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local import fly
+from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.mission import Scenario
 from mavfi.states import DETECTORS
 
 
 def draw_request(
-    scenario: Scenario, request: Request, seed: int, detector: Detector | None = None
+    scenario: Scenario, request: Request, seed: int, detector: Detector | None = None, recovery: Recovery = INLINE
 ) -> tuple[StateFault | MemoryFault | InstructionFault, Flight | None]:  # fmt: skip
     """A fault, and the golden flight (which nothing watches) if one was flown for the draw.
 
@@ -27,7 +28,7 @@ def draw_request(
     if isinstance(request, MemoryRequest):
         return draw_memory(scenario, request, seed)
     own = detector if request.kernel in DETECTORS else None
-    drawn = draw_instruction_faults(scenario, request, seed=seed, detector=own)
+    drawn = draw_instruction_faults(scenario, request, seed=seed, detector=own, recovery=recovery)
     fault = drawn.faults[request.kernel][0]
     if not fault.has_site:
         raise BadInputError(

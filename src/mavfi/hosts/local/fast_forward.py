@@ -276,9 +276,11 @@ class _Branch:
     def _same_detector(self, known: Checkpoint) -> bool:
         return self._detector is None or self._detector.same(known.detector)
 
-    @staticmethod
-    def _alarms(shown: list[tuple[State, int]], detector: Detector) -> bool:
+    def _alarms(self, shown: list[tuple[State, int]], detector: Detector) -> bool:
+        watched = self.loop.taps.watched
         for state, now in shown:
+            if watched is not None and state.spec.name not in watched:
+                continue
             if detector.check(state, now) is not None:
                 return True
             detector.accept(state, now)

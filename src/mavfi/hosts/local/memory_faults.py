@@ -9,13 +9,13 @@ from weakref import proxy
 
 import numpy as np
 
-from mavfi.errors import machine_failure
+from mavfi.errors import BadInputError, machine_failure
 from mavfi.faults.fault import RESTART_S, MemoryFault
 from mavfi.flight_log import Injection, KernelEffect
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.pipeline.memory import Remembers
-from mavfi.pipeline.words import change
+from mavfi.pipeline.words import change, words_of
 from mavfi.states import State
 
 _ACTION = "memory_fault"
@@ -45,7 +45,8 @@ class MemoryInjector:
 
     def __init__(self, loop: Loop, fault: MemoryFault) -> None:
         self._loop, self._fault = proxy(loop), fault  # it owns this
-        self._restarts = Restarts(loop, loop.scenario.dead_node)
+        policy = loop.scenario.dead_node
+        self._restarts = Restarts(loop, "fresh" if policy == "recompute" else policy)  # its memory is wrong
         self._injection: Injection | None = None
         self.effect: KernelEffect | None = None
         if fault.has_site:
@@ -62,6 +63,9 @@ class MemoryInjector:
         if fault.kernel not in loop.kernels or fault.kernel in loop.down:
             return  # there is no such memory now
         kernel = loop.kernels[fault.kernel]
+        types = {words.dtype for words in words_of(cast(Remembers, kernel)) if words.name == fault.field}
+        if types - {fault.dtype}:
+            raise BadInputError(f"fault in {fault.site}: dtype {fault.dtype!r}; allowed: {', '.join(sorted(types))}")
         values = change(
             cast(Remembers, kernel), fault.field, fault.index or 0, lambda word: flip_bit(word, fault.bit)
         )  # fmt: skip

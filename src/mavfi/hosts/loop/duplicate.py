@@ -54,7 +54,9 @@ class Duplicates:
                 )  # fmt: skip
             )
         cost = runs * self._loop.latency[kernel.name]
-        self._loop.record.recompute_us[kernel.stage.value] += cost
+        record = self._loop.record
+        record.recompute_us[kernel.stage.value] += cost
+        record.compute_us[kernel.name] += cost
         return published, cost
 
     def _again(self, kernel: Kernel, now: int) -> list[State]:

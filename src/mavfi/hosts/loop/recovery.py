@@ -3,8 +3,9 @@
 Coupling `inline`: the detector is a gate.  The value is held back, the kernel goes back to the memory that it had, and
 is stepped again at once; the result is published, and accepted even if it is the same value.  With `same_twice:
 escalate` it is judged again: a rule that is broken twice by the same inputs speaks of the node's memory, and the node
-is restarted.  Where that does not help, `degraded: hover` withholds all further commands: the flight controller hovers
-when the last one has expired.
+is restarted.  With `grain: message` the producer's copy comes first: a value that was changed on its way is right then,
+one that was computed wrongly is not, and is computed again.  Where a restart does not help, `degraded: hover` withholds
+all further commands: the flight controller hovers when the last one has expired.
 
 Coupling `observer`: the detector is a subscriber, as the paper's node.  Consumers have seen the value when the alarm
 comes, so the kernel goes back at its next step: at the next control period for planning and control, at the next image
@@ -32,7 +33,7 @@ SameTwice = Literal["accept", "escalate"]
 Degraded = Literal["none", "hover"]
 COLLISION, PATH, COMMAND = "perception.collision_status", "planning.path", "control.command"
 RESTART_US, BACK_OFF = 20_000, 3
-"""Time for which a node is away that a detector restarts (us): its process stays, its memory is initialized; and its
+"""Time that a node restarted by a detector is away (us): its process stays, its memory is initialized; and its
 growth with each restart of a flight: together they outlast a fault of 1 s."""
 MOST_RESTARTS = 5
 """In one flight: detectors can be wrong themselves, and must not keep a vehicle from flying."""
@@ -125,12 +126,20 @@ class Awaited(NamedTuple):
 
 
 def decide(
-    alarm: Alarm, spec: StateSpec, recovery: Recovery, *, again: bool = False, uncured: bool = False
+    alarm: Alarm, spec: StateSpec, recovery: Recovery, *, after: Literal["", "resend", "recompute"] = "",
+    uncured: bool = False,
 ) -> Action:  # fmt: skip
-    """The response to an alarm about a value of state `spec`, or (`again`) about the result of its recomputation.
+    """The response to an alarm about a value of state `spec`.
 
-    Only a gate (coupling `inline`) holds values back.  `uncured`: no restart is left, or hard alarms persist, and the
-    recovery has a degraded mode.
+    Only a gate (coupling `inline`) holds values back.
+
+    Args:
+        alarm: The alarm.
+        spec: Of the state.
+        recovery: How alarms are answered.
+        after: What the value is the result of: a message that is wrong twice was computed wrongly, a recomputation
+            that is wrong twice speaks of the memory of its node.
+        uncured: No restart is left, or hard alarms persist, and the recovery has a degraded mode.
 
     Raises:
         BadInputError: The alarm names a stage that cannot be run again.
@@ -139,16 +148,16 @@ def decide(
         text = f"stage {alarm.stage!r}: cannot be run again; allowed: {', '.join(STAGE_KERNELS)}"
         raise BadInputError(f"detector {alarm.source!r}: {text}")
     stage, gated = Stage(alarm.stage), recovery.coupling == "inline"
-    if again or uncured:
+    if after == "recompute" or uncured:
         restart = Action("restart", spec.stage, spec.writer, withholds=gated)
         return Action("hover", Stage.CONTROL) if uncured else restart
     if alarm.stop or alarm.abandon_waypoint:
         kind: Literal["abandon", "stop"] = "stop" if alarm.stop else "abandon"
         return Action(kind, Stage.CONTROL, "waypoint", (), WAYPOINT, gated and spec.name == WAYPOINT)
     if stage is spec.stage:
-        if recovery.grain == "message":
+        if recovery.grain == "message" and not after:
             return Action("resend", stage, "", (), spec.name, gated)
-        alone = recovery.grain == "kernel"
+        alone = recovery.grain != "stage"
         restores = SCANNING if spec.writer in SCANNING and not alone else (spec.writer,)
         return Action("recompute", stage, restores[0], restores, spec.name, gated, alone)
     # another stage than the writer's is to run again: this value passes
@@ -225,8 +234,10 @@ class Watch:
             return None if state.spec.name == COMMAND else state
         asks = not self._silenced and (awaited is None or recovery.same_twice == "escalate")
         alarm = detector.check(state, now) if asks else None
-        uncured = alarm is not None and self._is_uncured(alarm, now, again=awaited is not None)
-        if awaited is not None and (alarm is None or not alarm.hard or self.restarts_left == 0) and not uncured:
+        after = self._after(awaited)
+        uncured = alarm is not None and self._is_uncured(alarm, now, again=after == "recompute")
+        given_up = after == "recompute" and self.restarts_left == 0
+        if awaited is not None and (alarm is None or not alarm.hard or given_up) and not uncured:
             alarm = None  # a statistic may be right twice, a rule cannot
         if alarm is None or recovery.coupling == "observer":
             detector.accept(state, now)
@@ -238,12 +249,18 @@ class Watch:
             return state
         if alarm.hard and recovery.restarts:
             self._count(now)
-        action = decide(alarm, state.spec, recovery, again=awaited is not None, uncured=uncured)
+        action = decide(alarm, state.spec, recovery, after=after, uncured=uncured)
         self.action = action
         loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
         self._answer(action, state, now)
         withheld = action.withholds or (action.kind == "hover" and state.spec.name == COMMAND)
         return None if withheld else state
+
+    def _after(self, awaited: Awaited | None) -> Literal["", "resend", "recompute"]:
+        """What a value is the result of; what other actions led to counts as recomputed."""
+        if awaited is None:
+            return ""
+        return "resend" if self._loop.record.alarms[awaited.place].action == "resend" else "recompute"
 
     def _is_uncured(self, alarm: Alarm, now: int, *, again: bool) -> bool:
         """Whether a degraded mode is wanted, and begins with this alarm."""
@@ -268,6 +285,8 @@ class Watch:
             passed = "accepted" if state.same_bits(awaited.rejected) else "repaired"
             outcome = passed if alarm is None else "rejected"
             alarms[awaited.place] = replace(alarms[awaited.place], outcome=outcome)
+            if outcome == "repaired" and self._hard:
+                self._hard.pop()  # the detector was right
 
     def _answer(self, action: Action, state: State, now: int) -> None:
         loop = self._loop
@@ -300,7 +319,7 @@ class Watch:
 
     def _keep_waiting(self, state: State, now: int) -> None:
         """Wait for the path that answers a collision alarm; if it is too late, restart the planner's node."""
-        limit = self._recovery.answer_s
+        recovery, limit = self._recovery, self._recovery.answer_s
         if not limit or state.spec.name not in (COLLISION, PATH):
             return
         number = int(state.header["future_collision_seq"][0])
@@ -312,11 +331,13 @@ class Watch:
         if state.spec.name == PATH:
             if number >= asked:
                 self._asked = None
+        elif recovery.degraded != "none" and STATES[PATH].writer in self._loop.down:
+            self._asked = now, asked  # a restarted planner is given its time before nothing else is left
         elif now - since > 1e6 * limit:
             self._asked = None
             if self.restarts_left or self._recovery.degraded != "none":
                 alarm = Alarm("deadline", Stage.PLANNING, score=1e-6 * (now - since) / limit, hard=True)
                 uncured = self.restarts_left == 0
-                action = decide(alarm, STATES[PATH], self._recovery, again=True, uncured=uncured)
+                action = decide(alarm, STATES[PATH], self._recovery, after="recompute", uncured=uncured)
                 self._loop.record.alarms.append(record_of(alarm, action, state.spec.name, now))
                 self._answer(action, state, now)

@@ -58,6 +58,8 @@ class Restarts:
         """
         if self._policy == "end":
             self._loop.status = MissionStatus.NODE_DIED
+        elif kernel in self._loop.down:
+            return  # it is away already, and comes back as its own death says
         elif self._policy == "recompute":
             self._recompute(kernel, now, lost)
         else:

@@ -23,8 +23,11 @@ def check_supported(spec: MissionSpec) -> None:
     """Check that nodes of ROS can fly a mission as it is wanted.
 
     Raises:
-        BadInputError: The step of a node that dies is to be repeated, or there is to be a degraded mode.
+        BadInputError: The step of a node that dies is to be repeated, a message to be sent again, or there is to be a
+            degraded mode.
     """
+    if spec.grain == "message":
+        raise BadInputError("grain: 'message': on ROS, nodes keep no copy of what they sent; allowed: stage, kernel")
     if spec.degraded != "none":
         raise BadInputError(f"degraded: {spec.degraded!r}: not on ROS; allowed: none")
     if spec.dead_node == "recompute":

@@ -65,21 +65,21 @@ class Shadow:
 
     Attributes:
         awaited, requests, busy: As of `Loop`.
-        record: With the alarms only.
+        record: With the alarms only; the world notes events.
     """
 
     def __init__(self) -> None:
         self.awaited: dict[str, Any] = {}
         self.requests: dict[str, Any] = {}
         self.busy: dict[str, Any] = {}
-        self.record = SimpleNamespace(alarms=[])
+        self.record = SimpleNamespace(alarms=[], note=lambda *_: None)
 
     def charge(self, action: Action) -> int:
-        """Nothing."""
+        """Not charged here: the world charges it."""
         return 0
 
     def recompute(self, action: Action, now: int) -> None:
-        """Nothing."""
+        """Not computed here: the world asks the node."""
 
     def forget(self, kernel: str, now: int = 0, after_us: int = 0) -> None:
         """The node of a kernel has died, or begins again: what it publishes next is judged."""

@@ -94,8 +94,29 @@ def test_only_the_kernel_that_wrote_the_value_is_stepped_again():
     )
 
 
+def test_a_detector_that_is_right_is_asked_on():
+    class EverySecond(Always):
+        def check(self, state, now):
+            return super().check(state, now) if now % 2 else None
+
+    flight = Flight()
+    values = [(now, status(now)) for now in range(6 * MOST_ALARMS + 1)]
+    shown(EverySecond(hard=True), ESCALATES, values, flight)
+    assert len(flight.outcomes) == 3 * MOST_ALARMS and flight.events == []
+    assert set(flight.outcomes) == {("recompute", "repaired")}
+
+
+def test_a_message_that_is_wrong_twice_is_computed_again():
+    recovery = Recovery(grain="message", same_twice="escalate")
+    alarm = Alarm("d", "perception", hard=True)
+    assert decide(alarm, STATES[STATUS], recovery) == Action("resend", Stage.PERCEPTION, awaited=STATUS, withholds=True)
+    assert decide(alarm, STATES[STATUS], recovery, after="resend") == Action(
+        "recompute", Stage.PERCEPTION, "collision_check", ("collision_check",), STATUS, True, alone=True
+    )
+
+
 def test_an_alarm_about_a_recomputation_restarts_the_writer():
-    answer = decide(Alarm("d", "perception", hard=True), STATES[STATUS], ESCALATES, again=True)
+    answer = decide(Alarm("d", "perception", hard=True), STATES[STATUS], ESCALATES, after="recompute")
     assert answer == Action("restart", Stage.PERCEPTION, "collision_check", withholds=True)
 
 
@@ -103,7 +124,7 @@ class Flight:
     """As much of a loop as a watch needs."""
 
     def __init__(self):
-        self.awaited, self.requests, self.busy = {}, {}, {}
+        self.awaited, self.requests, self.busy, self.down = {}, {}, {}, set()
         self.events = []
         self.record = SimpleNamespace(alarms=[], note=lambda now, kind, data: self.events.append((now, kind)))
         self.steps, self.restarted = [], []

@@ -154,3 +154,13 @@ def test_a_step_that_takes_no_time_is_as_without_the_fault():
     loop = Loop()
     Restarts(loop, "recompute").die("trajectory", 0, 0, [])
     assert not loop.down and not loop.queue
+
+
+@pytest.mark.parametrize("policy", ["fresh", "latched", "readback", "recompute"])
+def test_a_node_that_is_away_does_not_die_again(policy):
+    loop = Loop()
+    restarts = Restarts(loop, policy)
+    restarts.die("planner", 0, SECOND, [OUTPUT])
+    queued = list(loop.queue)
+    Restarts(loop, "readback").die("planner", SECOND // 2, 20_000)  # a detector that waits for its answer
+    assert len(queued) == 1 and loop.queue == queued
