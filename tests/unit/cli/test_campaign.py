@@ -200,7 +200,7 @@ def test_explain_tells_the_story(capsys, really_flown):
     ("arguments", "told"),
     [
         (["campaign", "run", "smoke", "--out", "OUT", "--workers", "0"], "workers: 0"),
-        (["campaign", "run", "nothing", "--out", "OUT"], "allowed: bits"),
+        (["campaign", "run", "nothing", "--out", "OUT"], "allowed: bench_golden"),
         (["campaign", "run", "absent.yaml", "--out", "OUT"], "absent.yaml"),
         (["campaign", "run", "CONFIG", "--out", "CONFIG"], "cannot be written"),
         (["campaign", "run", "CONFIG", "--out", "OUT", "--scale", "huge"], "scale 'huge'"),
