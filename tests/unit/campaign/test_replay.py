@@ -6,7 +6,7 @@ from mavfi.campaign.replay import fly_again, replay
 from mavfi.campaign.run import run_campaign
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError, SpecMismatchError
-from tests.unit.campaign.fakes import BROKEN, TROUBLE, FakeDetector, small
+from tests.unit.campaign.fakes import BROKEN, TROUBLE, FakeDetector, OneByOne, small
 
 
 def planned_with_a_model(monkeypatch, sha):
@@ -79,7 +79,7 @@ def test_a_run_that_is_not_flown_yet_is_refused(tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_campaign(small(), tmp_path, progress=stop)
+        run_campaign(small(), tmp_path, executor=OneByOne(), progress=stop)
     with Store.open(tmp_path) as store:
         run = next(store.runs(done=False))
     with pytest.raises(BadInputError, match=f"run {run.spec.run_id} is not flown yet"):

@@ -153,13 +153,14 @@ def test_the_long_way_gives_the_same_digest(capsys, really_flown, tmp_path):
 def test_the_digest_of_a_part_says_that_it_is_one(capsys, tmp_path, flown, config):
     from mavfi.campaign.config import load_campaign
     from mavfi.campaign.run import run_campaign, status
+    from tests.unit.campaign.fakes import OneByOne
 
     def stop(progress):
         if progress.done == 1:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_campaign(load_campaign(config), tmp_path / "part", progress=stop)
+        run_campaign(load_campaign(config), tmp_path / "part", executor=OneByOne(), progress=stop)
     assert run(["campaign", "digest", str(tmp_path / "part")]) == 0
     captured = capsys.readouterr()
     assert len(captured.out.strip()) == 64
@@ -199,7 +200,7 @@ def test_explain_tells_the_story(capsys, really_flown):
     ("arguments", "told"),
     [
         (["campaign", "run", "smoke", "--out", "OUT", "--workers", "0"], "workers: 0"),
-        (["campaign", "run", "nothing", "--out", "OUT"], "allowed: bits"),
+        (["campaign", "run", "nothing", "--out", "OUT"], "allowed: bench_golden"),
         (["campaign", "run", "absent.yaml", "--out", "OUT"], "absent.yaml"),
         (["campaign", "run", "CONFIG", "--out", "CONFIG"], "cannot be written"),
         (["campaign", "run", "CONFIG", "--out", "OUT", "--scale", "huge"], "scale 'huge'"),

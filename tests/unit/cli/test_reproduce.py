@@ -92,7 +92,7 @@ def test_training_that_is_stopped_resumes(capsys, tmp_path, monkeypatch):
     told.clear()
     assert run([*arguments, "--out", str(out)]) == 0
     assert told == [(2, 3), (3, 3)]
-    assert len(list((out / "models").glob("*.json"))) == 4 and not (out / "models" / ".flights").exists()
+    assert len(list((out / "models").glob("*.json"))) == 8 and not (out / "models" / ".flights").exists()
 
 
 @pytest.fixture

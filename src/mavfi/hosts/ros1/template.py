@@ -121,10 +121,10 @@ def template_of_thread(log: Path) -> Template:
 
 
 @atexit.register
-def _end_templates() -> None:
-    for (pid, _), template in _templates.items():
-        if pid == os.getpid():
-            template.end()
+def end_templates() -> None:
+    """End the templates of this process; its next flight makes another one."""
+    for key in [key for key in _templates if key[0] == os.getpid()]:
+        _templates.pop(key).end()
 
 
 # ---- in the template ------------------------------------------------------------------------------------------------
