@@ -12,7 +12,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, StringConstraints, model_validator
 
-from mavfi.campaign.config import ArmConfig, Campaign, load_campaign
+from mavfi.campaign.config import ArmConfig, Campaign, Scale, load_campaign
 from mavfi.campaign.mission import scenarios_of
 from mavfi.campaign.plan import FI, arms_of
 from mavfi.campaign.store import Store
@@ -37,6 +37,7 @@ class Part(Config):
     campaign: str = Field(description="name or path; its arms are those of the bench")
     title: str = Field(description="of its table")
     mission: dict[str, Any] = Field({}, description="keys of a mission, besides those of the campaign")
+    scales: dict[str, Scale] = Field({}, description="sizes, instead of the campaign's; quick is one of them")
     view: str = Field("schemes", description="table that is shown")
     nodes_die: bool = Field(False, description="of its faults: schemes without a detector are flown, too")
     scores: bool = Field(False, description="its faults in states are shown to the detectors at any threshold")
@@ -123,8 +124,14 @@ def entries(
 
 def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
     part = bench.parts[name]
-    own = load_campaign(part.campaign).at_scale(scale)
-    changed = {"name": f"{bench.name}-{name}", "mission": {**own.mission, **part.mission}, "scales": {}}
+    own = load_campaign(part.campaign)
+    if scale in part.scales:
+        own = own.model_copy(update=part.scales[scale].model_dump(exclude_none=True))
+    else:
+        own = own.at_scale(scale)
+    changed = {
+        "name": f"{bench.name}-{name}", "mission": {**own.mission, **part.mission}, "scales": {}, "null_runs": 0
+    }  # fmt: skip
     arms = {arm: config.model_dump() for arm, config in bench.arms.items() if config.detector or part.nodes_die}
     return parse(Campaign, {**own.to_json(), **changed, "arms": arms}, f"bench {bench.name}: {name}")
 

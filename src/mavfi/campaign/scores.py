@@ -1,8 +1,8 @@
-"""Scores of detectors on golden flights and on corrupted publications: detection against false alarms, any threshold.
+"""Scores of detectors on golden and corrupted publications: detection against false alarms at any threshold.
 
-Up to the injection a flight is the golden one.  So one golden flight shows every detector all publications, and, before
-it goes on, what each fault would have made of the publication that it corrupts; nothing is recomputed.  Alarms are
-counted as publications above the threshold.
+Injected and golden flight are equal up to the injection.  One golden flight therefore serves all faults: each detector
+scores every publication, and at the site of a fault also its corrupted copy.  Recovery is off; publications above the
+threshold count as alarms.
 """
 
 from collections.abc import Mapping, Sequence
@@ -91,7 +91,7 @@ class Scores:
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """A golden flight and the faults that it is asked about; its text is in the message about a lost worker."""
+    """A golden flight and the faults scored in it; its text names it if a worker is lost."""
 
     mission: MissionSpec
     arms: tuple[Arm, ...]
@@ -113,7 +113,7 @@ class _Kept:
 
 
 class _Scorer:
-    """A recorder that shows detectors what is published, and what faults would have made of it."""
+    """A recorder: detectors score each publication, and the corrupted copies of those at fault sites."""
 
     def __init__(self, detectors: Mapping[str, Detector], faults: Sequence[StateFault]) -> None:
         self._detectors: Mapping[str, Any] = detectors

@@ -85,23 +85,21 @@ class LimitScorer(CodeScorer):
         from_centre(self._codes[own], self._centre[own], regime, self._distance[own])
 
 
-class ReconstructionScorer(CodeScorer):
-    """Reconstruction errors of the codes published last; each is judged once, see `AutoencoderScorer`."""
+class HoldingScorer(CodeScorer):
+    """A scorer of the normal codes published last, of all states; anomalous codes are replaced by 0."""
 
     adapts = True
 
-    def __init__(self, everything: Everything, network: Network) -> None:
+    def __init__(self, everything: Everything) -> None:
         super().__init__(everything)
-        self._network = network
         self._held = np.zeros_like(self._codes)
         self.kept += (self._held,)
 
-    def measure(self, slot: int, regime: int) -> None:
-        """See `CodeScorer.measure`."""
-        own = slice(*self.everything.range_of(slot))
-        vector = self._held.copy()
+    def vector(self, slot: int) -> np.ndarray:
+        """Codes of all states, with the new ones of a state. Shape (n,)."""
+        own, vector = slice(*self.everything.range_of(slot)), self._held.copy()
         vector[own] = self._codes[own]
-        residuals(vector, self._network, self._distance)
+        return vector
 
     def learn(self, slot: int, verdict: Verdict | None) -> None:
         """Hold normal codes."""
@@ -109,51 +107,74 @@ class ReconstructionScorer(CodeScorer):
         self._held[own] = self._codes[own] if verdict is not None and verdict.score <= 1.0 else 0
 
 
-class LimitsDetector(ScoringDetector):
-    """A learned limit for each field and regime.
+class ReconstructionScorer(HoldingScorer):
+    """Reconstruction errors of the codes published last; each is judged once, see `AutoencoderScorer`."""
+
+    def __init__(self, everything: Everything, network: Network) -> None:
+        super().__init__(everything)
+        self._network = network
+
+    def measure(self, slot: int, regime: int) -> None:
+        """See `CodeScorer.measure`."""
+        residuals(self.vector(slot), self._network, self._distance)
+
+
+class AllFieldsDetector(ScoringDetector):
+    """A learned detector of all fields, with a limit for each distance of its scorer and each regime.
 
     Args:
-        model: A model of kind "limits".
+        model: A model of the detector's kind.
         policy: "paper" or "keyed", see `parts.POLICIES`.
     """
 
-    model_kind = "limits"
+    model_kind: str
     watches_all = True
 
     def __init__(self, model: Model, policy: str = "keyed") -> None:
-        everything = Everything(model.provenance["stack"])
-        shape = len(everything.fields), REGIMES
-        limit = model.numbers("limit", *shape, least=SMALLEST_LIMIT)
-        scorer = LimitScorer(everything, model.numbers("centre", *shape))
-        super().__init__(self.model_kind, scorer, Threshold(limit, shape[0]), find_policy(policy))
+        scorer = self.scorer_of(model, Everything(model.provenance["stack"]))
+        limit = model.numbers("limit", len(scorer.fields), REGIMES, least=SMALLEST_LIMIT)
+        super().__init__(self.model_kind, scorer, Threshold(limit, len(limit)), find_policy(policy))
 
-    @staticmethod
-    def fit(sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
-        """Parameters of a model, see `fit_limits`."""
+    @classmethod
+    @abstractmethod
+    def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
+        """The scorer with the parameters of a model."""
+
+    @classmethod
+    @abstractmethod
+    def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """Parameters of a model, from error-free flights and the figures of configs/detectors."""
+
+
+class LimitsDetector(AllFieldsDetector):
+    """A learned limit for each field and regime."""
+
+    model_kind = "limits"
+
+    @classmethod
+    def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
+        """Distances from the centres."""
+        return LimitScorer(everything, model.numbers("centre", len(everything.fields), REGIMES))
+
+    @classmethod
+    def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """See `fit_limits`."""
         return fit_limits(sample, everything, **figures)
 
 
-class AutoencoderAllDetector(ScoringDetector):
-    """An autoencoder of all fields, with a limit for each output and regime.
-
-    Args:
-        model: A model of kind "autoencoder_all".
-        policy: "paper" or "keyed", see `parts.POLICIES`.
-    """
+class AutoencoderAllDetector(AllFieldsDetector):
+    """An autoencoder of all fields, with a limit for each output and regime."""
 
     model_kind = "autoencoder_all"
-    watches_all = True
 
-    def __init__(self, model: Model, policy: str = "keyed") -> None:
-        everything = Everything(model.provenance["stack"])
-        count = len(everything.fields)
-        limit = model.numbers("limit", count, REGIMES, least=SMALLEST_LIMIT)
-        scorer = ReconstructionScorer(everything, network_of(model, count))
-        super().__init__(self.model_kind, scorer, Threshold(limit, count), find_policy(policy))
+    @classmethod
+    def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
+        """Reconstruction errors."""
+        return ReconstructionScorer(everything, network_of(model, len(everything.fields)))
 
-    @staticmethod
-    def fit(sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
-        """Parameters of a model, see `fit_autoencoder`."""
+    @classmethod
+    def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """See `fit_autoencoder`."""
         return fit_autoencoder(sample, **figures)
 
 

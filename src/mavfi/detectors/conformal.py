@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.all_fields import centre_and_peaks
+from mavfi.detectors.all_fields import AllFieldsDetector, CodeScorer, centre_and_peaks
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
-from mavfi.detectors.model import SMALLEST_LIMIT, Model
+from mavfi.detectors.model import Model
 from mavfi.detectors.one_score import StateScorer
-from mavfi.detectors.parts import ScoringDetector, Threshold, find_policy
 from mavfi.detectors.samples import Sample
 from mavfi.numerics.jit import kernel_jit
 
@@ -57,28 +56,20 @@ class LargestScorer(StateScorer):
         return largest_of(self._codes[own], self._centre[own], self._scale[own], regime)
 
 
-class ConformalDetector(ScoringDetector):
-    """Split-conformal limits of all states.
-
-    Args:
-        model: A model of kind "conformal".
-        policy: "paper" or "keyed", see `parts.POLICIES`.
-    """
+class ConformalDetector(AllFieldsDetector):
+    """Split-conformal limits of all states."""
 
     model_kind = "conformal"
-    watches_all = True
 
-    def __init__(self, model: Model, policy: str = "keyed") -> None:
-        everything = Everything(model.provenance["stack"])
+    @classmethod
+    def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
+        """Largest scaled distances."""
         shape = len(everything.fields), REGIMES
-        scale = model.numbers("scale", *shape, least=1.0)
-        limit = model.numbers("limit", len(everything.slots), REGIMES, least=SMALLEST_LIMIT)
-        scorer = LargestScorer(everything, model.numbers("centre", *shape), scale)
-        super().__init__(self.model_kind, scorer, Threshold(limit, len(limit)), find_policy(policy))
+        return LargestScorer(everything, model.numbers("centre", *shape), model.numbers("scale", *shape, least=1.0))
 
-    @staticmethod
-    def fit(sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
-        """Parameters of a model, see `fit_conformal`."""
+    @classmethod
+    def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """See `fit_conformal`."""
         return fit_conformal(sample, everything, **figures)
 
 

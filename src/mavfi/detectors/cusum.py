@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.all_fields import CodeScorer, centre_and_peaks
+from mavfi.detectors.all_fields import AllFieldsDetector, CodeScorer, centre_and_peaks
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
-from mavfi.detectors.model import SMALLEST_LIMIT, Model
+from mavfi.detectors.model import Model
 from mavfi.detectors.one_score import alarmed
-from mavfi.detectors.parts import ScoringDetector, Threshold, Verdict, find_policy
+from mavfi.detectors.parts import Verdict
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics.jit import kernel_jit
 
@@ -73,7 +73,7 @@ def largest_sums(
 
 
 class SumScorer(CodeScorer):
-    """Sums of deviations; after an alarm those of the state begin anew."""
+    """Sums of deviations; an alarm resets those of its state."""
 
     adapts = True
 
@@ -98,29 +98,22 @@ class SumScorer(CodeScorer):
         self._sums[own] = 0.0 if alarmed(verdict) else self._after[own]
 
 
-class CusumDetector(ScoringDetector):
-    """CUSUM of all fields.
-
-    Args:
-        model: A model of kind "cusum".
-        policy: "paper" or "keyed", see `parts.POLICIES`.
-    """
+class CusumDetector(AllFieldsDetector):
+    """CUSUM of all fields."""
 
     model_kind = "cusum"
-    watches_all = True
 
-    def __init__(self, model: Model, policy: str = "keyed") -> None:
-        everything = Everything(model.provenance["stack"])
+    @classmethod
+    def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
+        """Sums of deviations."""
         shape = len(everything.fields), REGIMES
         deviation = model.numbers("deviation", *shape, least=_FLOOR)
         slack = float(model.numbers("slack", least=0.0))
-        limit = model.numbers("limit", *shape, least=SMALLEST_LIMIT)
-        scorer = SumScorer(everything, model.numbers("centre", *shape), deviation, slack)
-        super().__init__(self.model_kind, scorer, Threshold(limit, shape[0]), find_policy(policy))
+        return SumScorer(everything, model.numbers("centre", *shape), deviation, slack)
 
-    @staticmethod
-    def fit(sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
-        """Parameters of a model, see `fit_cusum`."""
+    @classmethod
+    def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
+        """See `fit_cusum`."""
         return fit_cusum(sample, everything, **figures)
 
 

@@ -12,10 +12,10 @@ from typing import Any, cast
 import numpy as np
 
 from mavfi.campaign.config import Campaign, MemorySampling
-from mavfi.campaign.samplers.sampler import NULL, Block, Draw, Sampled
+from mavfi.campaign.samplers.sampler import NULL, Block, Draw, Sampled, TargetBlocks
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, Fault, MemoryFault
-from mavfi.faults.sampling import share_out, stream
+from mavfi.faults.sampling import stream
 from mavfi.faults.spec import MemoryRequest
 from mavfi.faults.strata import WORD_BITS, bits_of
 from mavfi.hosts.host import ArmSetup, Flight, MissionFlights
@@ -160,7 +160,7 @@ class MemorySampler:
         self._campaign, self._sampling = campaign, campaign.sampling
         self._known = [name for name, row in KERNELS.items() if row.only_with in ("", spec.localization)]
         self._targets = self._find_targets()
-        self._blocks: dict[str, Sequence[Block]] = {}
+        self._blocks = TargetBlocks(campaign, dict.fromkeys(self._targets, self._sampling.strata or {"": 1.0}))
 
     def _find_targets(self) -> dict[str, tuple[Site, ...]]:
         sampling = self._sampling
@@ -178,18 +178,7 @@ class MemorySampler:
 
     def blocks(self, environment: str) -> Sequence[Block]:
         """Target by target."""
-        if environment not in self._blocks:
-            self._blocks[environment] = [self._block(environment, *target) for target in enumerate(self._targets)]
-        return self._blocks[environment]
-
-    def _block(self, environment: str, place: int, name: str) -> Block:
-        campaign, shares = self._campaign, self._sampling.strata or {"": 1.0}
-        strata = share_out(shares, campaign.faults, campaign.first_seed, environment, name)
-
-        def draw_one(index: int) -> Draw:
-            return Draw(name, index, campaign.first_seed + index % campaign.missions, stratum=strata[index])
-
-        return Block(campaign.faults, draw_one, place * campaign.faults)
+        return self._blocks.of(environment)
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup

@@ -4,7 +4,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from mavfi.campaign.config import Campaign
 from mavfi.faults.fault import Fault
+from mavfi.faults.sampling import share_out
 from mavfi.hosts.host import ArmSetup, MissionFlights, Recorded
 
 NULL = "null"  # target of null runs: the whole path through the injector, with an empty mask
@@ -32,6 +34,37 @@ class Block:
     draw: Callable[[int], Draw]  # of fault i
     first: int  # place of fault 0 in the environment's plan
     step: int = 1  # between the places of faults i and i + 1
+
+
+class TargetBlocks:
+    """Blocks of a sampling scheme, one for each target, with exact shares of the bit strata in each.
+
+    Args:
+        campaign: Its `faults` are drawn for each target.
+        shares: Shares of the strata, by target.
+        orders: Name from which the order of a target's strata is drawn, where it is not the target's own.
+    """
+
+    def __init__(
+        self, campaign: Campaign, shares: Mapping[str, Mapping[str, float]], orders: Mapping[str, str] | None = None
+    ) -> None:
+        self._campaign, self._shares, self._orders = campaign, shares, orders or {}
+        self._known: dict[str, Sequence[Block]] = {}
+
+    def of(self, environment: str) -> Sequence[Block]:
+        """Target by target."""
+        if environment not in self._known:
+            self._known[environment] = [self._block(environment, *target) for target in enumerate(self._shares)]
+        return self._known[environment]
+
+    def _block(self, environment: str, place: int, name: str) -> Block:
+        campaign, order = self._campaign, self._orders.get(name, name)
+        strata = share_out(self._shares[name], campaign.faults, campaign.first_seed, environment, order)
+
+        def draw_one(index: int) -> Draw:
+            return Draw(name, index, campaign.first_seed + index % campaign.missions, stratum=strata[index])
+
+        return Block(campaign.faults, draw_one, place * campaign.faults)
 
 
 @dataclass(slots=True)

@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import Any
 
 from mavfi.campaign.config import Campaign, StateSampling
-from mavfi.campaign.samplers.sampler import Block, Draw, Sampled
+from mavfi.campaign.samplers.sampler import Block, Draw, Sampled, TargetBlocks
 from mavfi.faults.fault import Fault, StateFault
-from mavfi.faults.sampling import Target, draw, group_target, share_out, stage_target
+from mavfi.faults.sampling import Target, draw, group_target, stage_target
 from mavfi.faults.strata import HEADLINE, WORD_BITS
 from mavfi.flight_log import Profile
 from mavfi.hosts.host import ArmSetup, MissionFlights
@@ -35,7 +35,8 @@ class StateSampler:
         self._targets = {target.name: (target, shares) for target, shares in self._find_targets()}
         self._lifetimes = {group.name: group.lifetime for group in self._sampling.groups if group.lifetime}
         self._alike = {name: self._first_alike(name) for name in self._targets}
-        self._blocks: dict[str, Sequence[Block]] = {}
+        by_target = {name: shares for name, (_, shares) in self._targets.items()}
+        self._blocks = TargetBlocks(campaign, by_target, self._alike)
         for target, shares in self._targets.values():
             for stratum in shares:
                 target.within(stratum)
@@ -54,26 +55,13 @@ class StateSampler:
         ]
 
     def _first_alike(self, name: str) -> str:
-        """The first target of the same fields, whose draws a target with a lifetime of its own has."""
+        """The target with the same fields from which a target with its own lifetime takes its draws: the first one."""
         same = (other for other, (target, _) in self._targets.items() if target.fields == self._targets[name][0].fields)
         return next(same) if name in self._lifetimes else name
 
     def blocks(self, environment: str) -> Sequence[Block]:
         """Target by target."""
-        if environment not in self._blocks:
-            self._blocks[environment] = [self._block(environment, *target) for target in enumerate(self._targets)]
-        return self._blocks[environment]
-
-    def _block(self, environment: str, place: int, name: str) -> Block:
-        campaign = self._campaign
-        strata = share_out(
-            self._targets[name][1], campaign.faults, campaign.first_seed, environment, self._alike[name]
-        )  # fmt: skip
-
-        def draw_one(index: int) -> Draw:
-            return Draw(name, index, campaign.first_seed + index % campaign.missions, stratum=strata[index])
-
-        return Block(campaign.faults, draw_one, place * campaign.faults)
+        return self._blocks.of(environment)
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup

@@ -7,12 +7,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mavfi.detectors.all_fields import AllFieldsDetector, CodeScorer, HoldingScorer
 from mavfi.detectors.autoencoder import INPUT_LIMIT, representative
 from mavfi.detectors.everything import Everything
-from mavfi.detectors.features import REGIMES
-from mavfi.detectors.model import SMALLEST_LIMIT, Model
+from mavfi.detectors.model import Model
 from mavfi.detectors.one_score import StateScorer, state_peaks
-from mavfi.detectors.parts import ScoringDetector, Threshold, Verdict
 from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.errors import BadInputError
 
@@ -40,7 +39,7 @@ def require(package: str) -> None:
         raise BadInputError(f"package {package!r}: not installed; install it with: pip install 'mavfi[bench]'")
 
 
-class LibraryScorer(StateScorer):
+class LibraryScorer(HoldingScorer, StateScorer):
     """Scores of a fitted model, of the codes of all states published last.
 
     Args:
@@ -50,27 +49,15 @@ class LibraryScorer(StateScorer):
         floor: Smallest score in training: distances are counted from there.
     """
 
-    adapts = True
-
     def __init__(self, everything: Everything, judge: Judge, scale: np.ndarray, floor: float) -> None:
         super().__init__(everything)
         self._judge, self._scale, self._floor = judge, scale, floor
         self._watched = everything.quanta > 0.0
-        self._held = np.zeros_like(self._codes)
-        self.kept += (self._held,)
 
     def score_of(self, slot: int, regime: int) -> float:
         """See `StateScorer.score_of`."""
-        own = slice(*self.everything.range_of(slot))
-        vector = self._held.copy()
-        vector[own] = self._codes[own]
-        inputs = scaled(vector[None], self._scale)[:, self._watched]
+        inputs = scaled(self.vector(slot)[None], self._scale)[:, self._watched]
         return max(0.0, float(self._judge.scores(inputs, np.array([slot]))[0]) - self._floor)
-
-    def learn(self, slot: int, verdict: Verdict | None) -> None:
-        """Hold normal codes; an anomaly is not held against what follows."""
-        own = slice(*self.everything.range_of(slot))
-        self._held[own] = self._codes[own] if verdict is not None and verdict.score <= 1.0 else 0
 
 
 def scaled(vectors: np.ndarray, scale: np.ndarray) -> np.ndarray:
@@ -79,29 +66,25 @@ def scaled(vectors: np.ndarray, scale: np.ndarray) -> np.ndarray:
     return found
 
 
-class LibraryDetector(ScoringDetector):
+class LibraryDetector(AllFieldsDetector):
     """A detector of a library.
 
     Attributes:
         package: What has to be installed.
     """
 
-    model_kind: str
     package: str
-    watches_all = True
     extra = "bench"
 
-    def __init__(self, model: Model) -> None:
-        everything = Everything(model.provenance["stack"])
-        count, states = len(everything.fields), len(everything.slots)
-        given = model.parameters.get("rows")
+    @classmethod
+    def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
+        """Scores of the library's model, fitted again to the rows that the model holds."""
+        count, given = len(everything.fields), model.parameters.get("rows")
         rows = model.numbers("rows", len(given) if isinstance(given, list) else 0, count)
         slots = model.numbers("slots", len(rows), least=0.0).astype(np.int64)
         scale = model.numbers("scale", count, least=1.0)
-        judge = self.learned(rows, slots, scale, everything)
-        scorer = LibraryScorer(everything, judge, scale, float(model.numbers("floor")))
-        limit = model.numbers("limit", states, REGIMES, least=SMALLEST_LIMIT)
-        super().__init__(self.model_kind, scorer, Threshold(limit, states))
+        judge = cls.learned(rows, slots, scale, everything)
+        return LibraryScorer(everything, judge, scale, float(model.numbers("floor")))
 
     @classmethod
     def check_installed(cls) -> None:

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from mavfi.detectors.all_fields import AllFieldsDetector, CodeScorer
 from mavfi.detectors.baselines.library import LibraryDetector, require, scaled
 from mavfi.detectors.everything import Everything
 from mavfi.detectors.features import REGIMES
-from mavfi.detectors.model import SMALLEST_LIMIT, Model
+from mavfi.detectors.model import Model
 from mavfi.detectors.one_score import StateScorer
-from mavfi.detectors.parts import ScoringDetector, Threshold, Verdict
+from mavfi.detectors.parts import Verdict
 from mavfi.detectors.samples import Sample
 
 LENGTH = 8
@@ -72,23 +73,21 @@ class StretchScorer(StateScorer):
             self._published[slot] += 1.0
 
 
-class MatrixProfileDetector(ScoringDetector):
+class MatrixProfileDetector(AllFieldsDetector):
     """Matrix profile of every state."""
 
     model_kind = "matrix_profile"
-    watches_all = True
     extra = LibraryDetector.extra
 
-    def __init__(self, model: Model) -> None:
-        self.check_installed()
-        everything = Everything(model.provenance["stack"])
+    @classmethod
+    def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
+        """Distances of the newest stretch of each state to those of training."""
+        cls.check_installed()
         states = len(everything.slots)
         given = model.parameters.get("history")
         rows = given if isinstance(given, list) and len(given) == states else [[]] * states
         history = [Model.numbers(_of(model, row), "row", len(row)) for row in rows]
-        scale = model.numbers("scale", len(everything.fields), least=1.0)
-        limit = model.numbers("limit", states, REGIMES, least=SMALLEST_LIMIT)
-        super().__init__(self.model_kind, StretchScorer(everything, history, scale), Threshold(limit, states))
+        return StretchScorer(everything, history, model.numbers("scale", len(everything.fields), least=1.0))
 
     @classmethod
     def check_installed(cls) -> None:
