@@ -87,6 +87,18 @@ def with_only(bench: Bench, detectors: Sequence[str], profile: str = "paper") ->
     return bench.model_copy(update={"arms": arms})
 
 
+def with_schemes(bench: Bench, names: Sequence[str]) -> Bench:
+    """A bench with only these of its schemes.
+
+    Raises:
+        BadInputError: It has no such scheme.
+    """
+    for name in names:
+        if name not in bench.arms:
+            raise BadInputError(f"bench {bench.name}: scheme {name!r}: not known; allowed: {', '.join(bench.arms)}")
+    return bench.model_copy(update={"arms": {name: bench.arms[name] for name in bench.arms if name in names}})
+
+
 def entries(
     bench: Bench, scale: str, *, levels: Iterable[str] = (), parts: Iterable[str] = (), models_dir: Path | None = None
 ) -> dict[str, Entry]:  # fmt: skip

@@ -11,7 +11,7 @@ from rich.text import Text
 from mavfi.cli import options
 from mavfi.cli.console import check_folder, console, write_json
 from mavfi.cli.stopping import stoppable
-from mavfi.errors import writing
+from mavfi.errors import BadInputError, writing
 
 if TYPE_CHECKING:
     from mavfi.campaign.analysis.table import Table
@@ -41,6 +41,9 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     part: Annotated[
         list[str] | None, typer.Option(help="Only this part of the bench; may be given several times.")
     ] = None,
+    scheme: Annotated[
+        list[str] | None, typer.Option(help="Only this scheme of the bench; may be given several times.")
+    ] = None,
     detector: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME", help="This one, e.g. package:Class, in the place of the bench's schemes."),
@@ -60,14 +63,18 @@ def detectors(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi bench detectors --level state --detector my_package:MyDetector[/bold]
     """
-    from mavfi.campaign.bench import SCORES, entries, load_bench, with_only
+    from mavfi.campaign.bench import SCORES, entries, load_bench, with_only, with_schemes
     from mavfi.campaign.scores import table
 
     chosen = load_bench(bench)
+    if scheme and detector:
+        raise BadInputError("--scheme and --detector: allowed: one of them")
+    if scheme:
+        chosen = with_schemes(chosen, scheme)
     if detector:
         chosen = with_only(chosen, detector, profile)
     flown = entries(chosen, scale, levels=level or (), parts=part or (), models_dir=models)
-    out = out or Path("out") / "-".join(["bench", scale, *(chosen.arms if detector else ())])
+    out = out or Path("out") / "-".join(["bench", scale, *(chosen.arms if detector or scheme else ())])
     check_folder(out)
     with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
         _fly(flown, out, workers, models)
