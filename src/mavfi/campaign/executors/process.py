@@ -169,6 +169,7 @@ def _work(pipe: Connection, function: Callable[[Any], Iterator[Any]], parent: in
         return
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    gc.freeze()  # inherited objects stay: no collection scans them, or copies their pages
     try:
         _fly_all(pipe, function)
     except (EOFError, ConnectionError):  # the parent is gone
