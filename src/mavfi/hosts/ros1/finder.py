@@ -1,6 +1,6 @@
 """Import finder for Debian's ROS modules that excludes all other Python packages of Debian.
 
-`PYTHONPATH=/usr/lib/python3/dist-packages` would put Debian's NumPy before this project's.  This import finder stands at
+`PYTHONPATH=/usr/lib/python3/dist-packages` would put Debian's NumPy before this project's.  This import finder is at
 the end of `sys.meta_path`, after all packages installed in this environment, and finds only listed names.
 """
 

@@ -50,7 +50,7 @@ class Pinhole:
         self, ranges: np.ndarray, directions: np.ndarray, rotation: np.ndarray, origin: np.ndarray, max_range: float,
         points: np.ndarray,
     ) -> None:  # fmt: skip
-        """Depth image -> points in the map frame; arguments: see `mavfi.kernels.perception.point_cloud.back_project`."""
+        """Depth image -> points in frame `map`; arguments: see `mavfi.kernels.perception.point_cloud.back_project`."""
         count = len(ranges)
         depth = np.full(self._cosines.size, np.nan, np.float32)
         depth[:count] = np.where(ranges > max_range, max_range * BEYOND_RANGE, ranges) * self._cosines[:count]
