@@ -180,7 +180,7 @@ def fork_row() -> tuple[float, Row]:
 
 
 def instruction_rows() -> list[Row]:
-    """All rows."""
+    """All rows of the table."""
     fork, row = fork_row()
     args = recorded()
     return [row, *call_rows(args, fork), *flight_rows(), warm_start(args)]

@@ -113,7 +113,7 @@ def share_rows() -> list[Row]:
 
 
 def measure() -> list[Row]:
-    """All rows."""
+    """All rows of the speed table."""
     fly(resolve(MissionSpec(environment="sparse", seed=0)))  # compiles, or loads the cache
     struck = [Row(name, value) for name, value in instruction_rows()]  # first: fork cost grows with process memory
     rows: list[Row] = []

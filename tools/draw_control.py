@@ -141,7 +141,7 @@ def draw_waypoint() -> None:
 
 
 def main() -> None:
-    """Draw all."""
+    """Draw all pictures."""
     with style.house_style():
         draw_pid()
         draw_vehicle()

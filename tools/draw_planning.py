@@ -141,7 +141,7 @@ def draw_shortcut() -> None:
 
 
 def main() -> None:
-    """Draw all."""
+    """Draw all pictures."""
     with style.house_style():
         draw_trees()
         draw_cost()

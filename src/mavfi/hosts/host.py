@@ -77,7 +77,7 @@ class MissionFlights(Protocol):
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
         """Fly the injected runs, given as (arm, fault); yields (index into `runs`, result) in any order.
 
-        A mavfi exception ends only the run that raised it and is yielded as that run's result.
+        An exception ends only the run that raised it, and is yielded as its result.
         """
 
 

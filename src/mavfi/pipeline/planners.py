@@ -73,7 +73,7 @@ class SamplingSearch(ABC):
         """See `PathSearch.search`."""
         best = np.zeros((0, 3))
         shortest = np.inf
-        for attempt in range(min(self._runs, self._config.restarts)):  # bounded, as `_runs` may be corrupted
+        for attempt in range(min(self._runs, self._config.restarts)):  # bounded twice: memory may be corrupted
             count = self._run((counter, grid, start, goal, lower, upper))
             if count == 0:
                 if attempt > 0 and len(best) == 0:

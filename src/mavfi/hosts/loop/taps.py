@@ -14,7 +14,7 @@ Recorder = Callable[[State, int], None]
 
 
 class Injector(Protocol):
-    """The first tap."""
+    """The injector tap, applied first."""
 
     @property
     def spent(self) -> bool:

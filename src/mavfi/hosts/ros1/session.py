@@ -47,7 +47,7 @@ def configure(scenario: Scenario) -> PipelineConfig:
 
 
 def isolation(allow_bind_all: bool = False) -> list[str]:
-    """See `private_network`; with `allow_bind_all` optional, in which case ROS's C++ nodes listen on all interfaces.
+    """See `private_network`; with `allow_bind_all` it may be missing, and ROS's C++ nodes listen on all interfaces.
 
     Raises:
         BadInputError: A private network is required and cannot be created.

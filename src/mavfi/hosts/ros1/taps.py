@@ -82,7 +82,7 @@ class Shadow:
         """No operation: the world requests the step from the node."""
 
     def forget(self, kernel: str, now: int = 0, after_us: int = 0) -> None:
-        """Clear pending recomputations of a restarted kernel's node: its next publication is checked."""
+        """Clear pending recomputations of a node that dies or restarts: its next publication is checked."""
         for name in set(self.awaited):
             if STATES[name].writer in in_node(kernel):
                 del self.awaited[name]
