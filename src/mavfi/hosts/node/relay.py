@@ -24,7 +24,7 @@ _LOOK_EVERY = 10
 """Watch rounds between two queries of the graph."""
 _POLL_S = 0.001
 Change = Callable[[bytes, "Relay"], bytes]
-"""Maps a message to its replacement."""
+"""Sends the replacement of a message through the relay, and returns it."""
 
 
 def sources_of(master: Master, graph: Graph, topic: str, skipped: Sequence[str] = ()) -> list[Source]:
