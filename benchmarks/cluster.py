@@ -1,9 +1,9 @@
-"""Campaigns of many missions: processor time and memory of the campaign's process, which alone writes its ledger.
+"""Overhead of campaigns with many missions: processor time and memory of the main process, the only ledger writer.
 
     python -m benchmarks.cluster        (N="1000 10000 100000"; writes the table in docs/cluster.md)
 
-Flights are stand-ins of no length: each mission plans and gives one golden run and six injected ones, with records as
-long as real ones.  The rest is the cost of a campaign besides its flights, and how it grows.
+Flights are stand-ins of zero duration: each mission plans and yields one golden and six injected runs, with records of
+realistic length.  The remaining cost is the campaign's overhead, measured against the number of missions.
 """
 
 import json
@@ -33,14 +33,14 @@ from tools.markers import DOCS, fill
 
 RUNS = 7
 RUN_S = 1.0
-"""Processor time of a run (s), for the number of cores that one campaign's process serves."""
+"""Assumed processor time of a run (s), from which the number of cores per campaign process is computed."""
 SPEC, RECORD = '{"spec":"%s"}' % ("x" * 600), '{"end":"flown","status":"success","rest":"%s"}' % ("x" * 1200)
 WORKERS = 2
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
 
 
 def stand_in(mission: MissionPlan) -> Iterator[Planned | Flown]:
-    """A mission whose flights take no time."""
+    """A mission whose flights have zero duration."""
     campaign, (environment, seed) = mission.campaign, mission.world
     first = (campaign.environments.index(environment) * campaign.missions + seed - campaign.first_seed) * RUNS
     rows = [
@@ -56,7 +56,7 @@ def stand_in(mission: MissionPlan) -> Iterator[Planned | Flown]:
 
 
 class StandIns:
-    """An executor whose workers fly stand-ins."""
+    """An executor whose workers run stand-ins."""
 
     forks = False
 
@@ -65,16 +65,16 @@ class StandIns:
         self.workers = executor.workers
 
     def map(self, function: Any, missions: Iterable[MissionPlan]) -> Any:  # noqa: ANN401 - as `Executor.map`
-        """Fly stand-ins instead."""
+        """Map `stand_in` instead of the function."""
         del function
-        from benchmarks import cluster  # workers cannot import what is in `__main__`
+        from benchmarks import cluster  # workers cannot import from `__main__`
 
         return self._executor.map(cluster.stand_in, missions)
 
 
 @contextmanager
 def cluster() -> Iterator[tuple[str, int]]:
-    """Address and pid of a scheduler, with workers, in processes of their own."""
+    """Address and process id of a Dask scheduler, with workers, in separate processes."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         told = Path(folder) / "scheduler.json"
         start = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--port", "0", "--scheduler-file", str(told)]
@@ -100,24 +100,24 @@ def cluster() -> Iterator[tuple[str, int]]:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """Cost of a campaign besides its flights."""
+    """Overhead of a campaign."""
 
     executor: str
     missions: int
     wall_s: float
     parent_s: float  # processor time of the campaign's process
     scheduler_s: float  # processor time of the Dask scheduler
-    memory: int  # of the campaign's process at its peak (bytes)
+    memory: int  # peak of the campaign's process (bytes)
     ledger: int  # bytes
-    open_s: float  # wall time to open the ledger, with all checksums
+    open_s: float  # wall time to open the ledger, including all checksums
 
     @property
     def mission_ms(self) -> float:
-        """Processor time per mission (ms) of the process that is busiest."""
+        """Processor time per mission (ms) of the busier process."""
         return 1e3 * max(self.parent_s, self.scheduler_s) / self.missions
 
     def row(self) -> str:
-        """Of the table."""
+        """Row of the table."""
         scheduler = f"{1e3 * self.scheduler_s / self.missions:.2f}" if self.executor == "dask" else ""
         return (
             f"| {self.executor} | {self.missions:,} | {self.missions / self.wall_s:.0f} "
@@ -133,12 +133,12 @@ HEAD = """\
 
 
 def measure(name: str, missions: int) -> Cost:
-    """Fly stand-ins in this process and its workers."""
+    """Run stand-ins in this process and its workers."""
     each = missions // len(ENVIRONMENTS)
     campaign = Campaign.model_validate({
         "name": "stand-ins", "environments": ENVIRONMENTS, "missions": each, "faults": 2 * each, "null_runs": 0,
     })  # fmt: skip
-    dask._AHEAD = 50  # as if there were 50 times as many workers: stand-ins are shorter than a way to the scheduler
+    dask._AHEAD = 50  # emulates 50 times as many workers: a stand-in is shorter than the scheduler's round trip
     with ExitStack() as stack:
         address, pid = stack.enter_context(cluster()) if name == "dask" else ("", 0)
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -156,7 +156,7 @@ def measure(name: str, missions: int) -> Cost:
 
 
 def processor_time(pid: int) -> float:
-    """Of a process so far (s); 0 for pid 0."""
+    """Processor time of a process so far (s); 0 for pid 0."""
     if pid == 0:
         return 0.0
     fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
@@ -164,7 +164,7 @@ def processor_time(pid: int) -> float:
 
 
 def on_paper(costs: list[Cost]) -> str:
-    """10^6 missions on 1,000 cores, from the largest campaign of each executor."""
+    """Extrapolation to 10^6 missions on 1,000 cores, from the largest campaign of each executor."""
     largest = {cost.executor: cost for cost in costs}
     lines = [
         f"- {name}: {cost.mission_ms:.1f} ms of the busiest process for each mission, which {RUNS * RUN_S:.0f} s of "
@@ -182,7 +182,7 @@ def on_paper(costs: list[Cost]) -> str:
 
 
 def main() -> None:
-    """Measure each campaign in a process of its own, print the table and write it into the page."""
+    """Measure each campaign in a separate process, print the table and write it to the page."""
     if sys.argv[1:]:
         sys.stdout.write(json.dumps(asdict(measure(sys.argv[1], int(sys.argv[2])))))
         return

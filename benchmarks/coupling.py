@@ -1,4 +1,4 @@
-"""What the observer's delay costs: the same faults with the detector as a gate and as an observer; writes docs/ros.md.
+"""Cost of the observer's delay: the same faults with the detector as gate and as observer; writes docs/ros.md.
 
     N=40 python benchmarks/coupling.py
 
@@ -26,14 +26,14 @@ ARMS = ("none", "gaussian inline", "gaussian observer", "autoencoder inline", "a
 
 
 def peak(flight: Flight, golden: Flight) -> float:
-    """Largest distance from the golden flight at the same instant (m), while both fly."""
+    """Maximum distance from the golden flight at equal instants (m), while both are in flight."""
     count = min(len(flight.log.rows), len(golden.log.rows))
     apart = flight.log.columns("x", "y", "z")[:count] - golden.log.columns("x", "y", "z")[:count]
     return float(np.linalg.norm(apart, axis=1).max())
 
 
 def pair(seed: int) -> dict[str, tuple[bool, float, float]]:
-    """One mission with one fault in every arm: success, flight time (s), largest distance from its golden run (m)."""
+    """One mission with one fault in every arm: success, flight time (s), maximum distance from its golden run (m)."""
     scenario = resolve(MissionSpec(environment=ENVIRONMENT, seed=seed, autopilot=STACK))
     profile = fly(scenario, profile=True).profile
     assert profile is not None

@@ -1,4 +1,4 @@
-"""Speed of a depth image: our camera against MuJoCo's `mj_multiRay`, in worlds with a growing number of boxes."""
+"""Speed of a depth image: mavfi's camera against MuJoCo's `mj_multiRay`, in worlds with increasing numbers of boxes."""
 
 import time
 from collections.abc import Callable
@@ -21,17 +21,17 @@ BOXES = (50, 200, 1000)
 TARGET_BOXES, TARGET = 200, 10.0
 IMAGES = 20
 _BODY = 1
-"""The vehicle, which its own camera does not see."""
+"""Body id of the vehicle, which its camera excludes."""
 
 
 def posts(count: int) -> EnvironmentConfig:
-    """Worlds with a number of boxes of 1 x 1 m ground."""
+    """Environment with a number of boxes of 1 m x 1 m base."""
     ground = LENGTH * 2.0 * HALF_WIDTH - 2.0 * (2.0 * HALO) ** 2
     return EnvironmentConfig(name="posts", generator="cuboids", parameters={"density": count / ground, "side": 1.0})
 
 
 def poses(world: World) -> list[np.ndarray]:
-    """Along the course, heading this way and that."""
+    """Random positions in the flight volume with random headings."""
     random = np.random.default_rng(0)
     found = []
     while len(found) < IMAGES:
@@ -43,7 +43,7 @@ def poses(world: World) -> list[np.ndarray]:
 
 
 def least(action: Callable[[np.ndarray], object], views: list[np.ndarray]) -> float:
-    """Mean over the views of the least of some wall times (s)."""
+    """Minimum wall time per view over the repeats, averaged over the views (s)."""
     best = np.full(len(views), np.inf)
     for _ in range(6):
         for i, view in enumerate(views):
@@ -54,7 +54,7 @@ def least(action: Callable[[np.ndarray], object], views: list[np.ndarray]) -> fl
 
 
 class TheirCamera:
-    """The same image by MuJoCo."""
+    """The same image computed by MuJoCo."""
 
     def __init__(self, world: World, directions: np.ndarray) -> None:
         """Compile the world."""
@@ -73,7 +73,7 @@ class TheirCamera:
         return self.cast(pose, len(self._turned))
 
     def cast(self, pose: np.ndarray, count: int) -> np.ndarray:
-        """The first rays of the image, as they were turned last."""
+        """Cast the first rays of the image, in the orientation of the last `capture`."""
         mujoco.mj_multiRay(
             self._model, self._data, pose[:3], self._turned[:count].reshape(-1), None, True, _BODY,
             self._geoms[:count], self._distances[:count], None, count, 1e6,
@@ -82,7 +82,7 @@ class TheirCamera:
 
 
 def depth_rows() -> list[Row]:
-    """Rows of the table of speeds."""
+    """Rows of the speed table."""
     rows = []
     for count in BOXES:
         world = build_world(posts(count), 0, None, None)

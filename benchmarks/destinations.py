@@ -1,14 +1,14 @@
-"""Of a recorded run of machine code: which register each executed instruction leaves its result in.
+"""Destination registers of the executed instructions in a recorded run of machine code.
 
-This is the fault space of the reference at machine level, as that of PINFI (Wei et al., DSN 2014): destination
-registers.  The decoder's list of written registers is more than that, so:
+They are the fault space of the machine-level reference, as in PINFI (Wei et al., DSN 2014).  The decoder's list of
+written registers is larger; the following rules apply:
 
-- an instruction with a general or vector register as destination has this one, not the flags that it sets besides;
-- one that only sets flags (comparisons) has those flags that the next instruction to test any of them tests: others are
-  overwritten unread;
+- an instruction with a general or vector register as destination has only this one, not the flags that it also sets;
+- one that only sets flags (comparisons) has the flags tested by the next instruction that tests any of them: the others
+  are overwritten unread;
 - the stack pointer of push, pop, call, ret and leave is not a destination, that of `sub rsp, 48` is;
-- stores, jumps, calls and what only clears registers between functions (vzeroupper) have none;
-- mask registers (k0 to k7) and vector registers from 16 on cannot be reached by `registers.py`: they are counted apart.
+- stores, jumps, calls, and instructions that only clear registers between functions (vzeroupper) have none;
+- mask registers (k0 to k7) and vector registers from 16 on are not accessible to `registers.py`: counted separately.
 """
 
 import re
@@ -24,19 +24,19 @@ _NO_RESULT = ("cmp", "test", "bt", "ucomis", "comis", "vucomis", "vcomis", "vpte
 
 
 def destinations(run: Sequence[Instruction | None]) -> list[tuple[Register, ...]]:
-    """Destination registers of each executed instruction, in the order of execution.
+    """Destination registers of each executed instruction, in execution order.
 
     Args:
-        run: Instructions as executed; None where one is not the kernel's own, and nothing is injected.
+        run: Instructions as executed; None for those outside the kernel's own code, which are not injected.
 
     Returns:
-        For each instruction the registers that may be injected after it; none where it has no destination.
+        For each instruction the registers that can be injected after it; empty if it has no destination.
     """
     return [() if made is None else _of(made, run, place) for place, made in enumerate(run)]
 
 
 def is_out_of_reach(instruction: Instruction) -> bool:
-    """Whether its destination is a register that cannot be injected: the first operand, where it is not only read."""
+    """Whether the destination (the first operand, unless only read) is a register that cannot be injected."""
     mnemonic, _, operands = instruction.text.partition(" ")
     return not mnemonic.startswith(_NO_RESULT) and _UNREACHED.match(operands) is not None
 
@@ -56,11 +56,11 @@ def _of(made: Instruction, run: Sequence[Instruction | None], place: int) -> tup
 
 
 def _tested(flags: Register, run: Sequence[Instruction | None], place: int) -> tuple[Register, ...]:
-    """Those of the flags that the next instruction that tests some of them tests; none where no one does."""
+    """The flags tested by the next instruction that tests any of them; empty if there is none."""
     alive = set(flags.bits)
     for later in run[place + 1 :]:
         if later is None or later.text.startswith(_ENDS_FLAGS):
-            break  # flags do not outlive calls (System V ABI)
+            break  # flags are not preserved across calls (System V ABI)
         tested = alive & _flags(later.reads)
         if tested:
             return (Register("rflags", "rflags", 0, 0, tuple(sorted(tested))),)

@@ -1,10 +1,10 @@
-"""What detection costs: time of detectors and of kernels in the same flights; writes docs/models.md.
+"""Cost of detection: time of detectors relative to kernels in the same flights; writes docs/models.md.
 
     N=5 SEEDS=2 python -m benchmarks.detectors
 
-N: repeats of each flight (5).  SEEDS: missions of each setting (2).  Detectors take turns within a repeat.  What a
-detector was shown in a flight it is shown again at once, several times and in blocks, since a timer around each call
-would take longer than the call.
+N: repeats of each flight (5).  SEEDS: missions per setting (2).  Detectors alternate within a repeat.  The publications
+of a flight are replayed to its detector several times, in blocks, as a timer around each call would take longer than
+the call itself.
 """
 
 import os
@@ -30,7 +30,7 @@ DETECTORS = (
     ("acceptance", "paper", 1.0), ("gaussian", "paper", 5.0), ("autoencoder", "paper", 5.0), ("gaussian", "tuned", 5.0),
     ("autoencoder", "tuned", 5.0),
 )  # fmt: skip
-"""Detector, profile, and the largest share of the kernels' time that is wanted (%)."""
+"""Detector, profile, and target for its share of the kernels' time (%)."""
 _REPLAYS, _BLOCK = 5, 16
 
 
@@ -38,10 +38,10 @@ class Cost(NamedTuple):
     """One flight with a detector.
 
     Attributes:
-        kernels: Time of all kernels, what they do with their inputs included (s).
+        kernels: Time of all kernels, including their input processing (s).
         detector: Time of `check` and `accept` (s).
-        shown: Publications that the detector was shown.
-        redone: Recomputations / computations, both in the platform's modelled time.
+        shown: Number of publications that the detector checked.
+        redone: Recomputation time / computation time, both modelled for the platform.
     """
 
     kernels: float
@@ -51,7 +51,7 @@ class Cost(NamedTuple):
 
 
 def cost(scenario: Scenario, name: str, profile: str) -> Cost:
-    """Fly a mission with a detector, and show it the same publications again."""
+    """Fly a mission with a detector, and replay the same publications to it."""
     wall, clock = [0.0], time.perf_counter
 
     def timed(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -82,9 +82,9 @@ def cost(scenario: Scenario, name: str, profile: str) -> Cost:
 
 
 def replay(detector: Detector, publications: list[tuple[State, int]]) -> float:
-    """Wall time (s) of judging publications and taking note of them.
+    """Wall time (s) of checking and accepting publications.
 
-    In a flight a publication was just made, so those of a block are read once before the block is timed.
+    In a flight a publication has just been written; to emulate this, each block is read once before it is timed.
     """
     detector.start()
     spent, clock = 0.0, time.perf_counter
@@ -101,7 +101,7 @@ def replay(detector: Detector, publications: list[tuple[State, int]]) -> float:
 
 
 def row(stack: str, name: str, profile: str, bar: float, costs: list[Cost]) -> str:
-    """A row of the table: medians of flights."""
+    """A row of the table: medians over flights."""
     each = statistics.median(1e6 * one.detector / one.shown for one in costs)
     shares = sorted(100 * one.detector / one.kernels for one in costs)
     middle = statistics.median(shares)
@@ -114,7 +114,7 @@ def row(stack: str, name: str, profile: str, bar: float, costs: list[Cost]) -> s
 
 
 def table(costs: dict[tuple[str, str, str], list[Cost]], flights: int, repeats: int) -> str:
-    """The table of all detectors and stacks."""
+    """The table of all detectors and profiles."""
     bars = {(name, profile): bar for name, profile, bar in DETECTORS}
     kernels = {
         stack: statistics.median(1e3 * one.kernels for key, own in costs.items() if key[0] == stack for one in own)
@@ -134,13 +134,13 @@ def table(costs: dict[tuple[str, str, str], list[Cost]], flights: int, repeats: 
 
 
 def main() -> None:
-    """Fly, write the table."""
+    """Fly, and write the table."""
     repeats, seeds = int(os.environ.get("N", "5")), int(os.environ.get("SEEDS", "2"))
     missions = [(environment, seed) for environment in ENVIRONMENTS for seed in range(seeds)]
     costs: dict[tuple[str, str, str], list[Cost]] = {
         (stack, name, profile): [] for stack in STACKS for name, profile, _ in DETECTORS
     }
-    for repeat in range(-1, repeats):  # the first one compiles, or reads the cache
+    for repeat in range(-1, repeats):  # repeat -1 compiles, or loads the cache
         for environment, seed in missions if repeat >= 0 else missions[:1]:
             for stack, name, profile in costs:
                 scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=stack))

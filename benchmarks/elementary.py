@@ -36,7 +36,7 @@ def _third_power(number: float) -> float:
 
 
 def _seconds(function: Any, low: float, high: float) -> float:
-    """Shortest time of one call (s)."""
+    """Minimum time of one call (s)."""
     random = np.random.default_rng(0)
     first, second = random.uniform(low, high, (2, NUMBERS))
     results = np.empty(NUMBERS)
@@ -50,7 +50,7 @@ def _seconds(function: Any, low: float, high: float) -> float:
 
 
 def elementary_rows() -> list[Row]:
-    """One row for each function."""
+    """One row per function."""
     rows = []
     for name, bounds in RANGES.items():
         theirs = kernel_jit(_third_power) if name == "cbrt" else getattr(math, name)

@@ -1,9 +1,9 @@
-"""Flies golden missions with the state estimator and prints how far its estimates are from the truth.
+"""Flies golden missions with the state estimator, and prints the errors of its estimates.
 
     N=20 FIRST_SEED=10000 python benchmarks/estimation.py
 
-Errors are taken at the control ticks; "NEES" is the mean over the flights of the last position error, squared, in
-units of the filter's own covariance: 3 where the filter is right about itself.
+Errors are evaluated at the control periods.  "NEES" is the normalized estimation error squared of the final position,
+averaged over flights: 3 for a consistent filter.
 """
 
 import os
@@ -21,7 +21,7 @@ WIDTH = 10
 
 
 def fly_one(environment: str, stack: str, seed: int) -> tuple[MissionStatus, np.ndarray, float]:
-    """Status, errors of position (m) at the ticks, and the last one squared in units of its covariance."""
+    """Status, position errors at the control periods (m), and NEES of the final position."""
     estimates: dict[int, np.ndarray] = {}
 
     def note(state: State, time_us: int) -> None:
@@ -32,7 +32,7 @@ def fly_one(environment: str, stack: str, seed: int) -> tuple[MissionStatus, np.
     flight = fly(resolve(spec), recorders=[note])
     log = flight.log
     times = np.round(1e6 * log.column("time")).astype(int)
-    truth = log.columns("x", "y", "z")[: len(times) - 1]  # the last tick only judges
+    truth = log.columns("x", "y", "z")[: len(times) - 1]  # the last period only evaluates the status
     errors = np.array([estimates[time][:3] for time in times[:-1]]) - truth
     covariance = flight.pipeline["state_estimation"].covariance[:3, :3]
     return log.status, np.linalg.norm(errors, axis=1), float(errors[-1] @ np.linalg.solve(covariance, errors[-1]))

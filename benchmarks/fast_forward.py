@@ -1,10 +1,10 @@
-"""Flies missions of a campaign with and without fast-forward in one process: equal records, and what gain?
+"""Compares missions of a campaign with and without fast-forward in one process: equality of records, and speed-up.
 
     python -m benchmarks.fast_forward --missions 10
     python -m benchmarks.fast_forward --campaign table1 --autopilot hardened --missions 2
 
-Every mission is flown both ways, one after the other, and every record is compared.  Time is CPU time of this process,
-so other load on the machine affects both.  The exit code is 1 if any record differs.
+Every mission is flown in both modes, one after the other, and every record is compared.  Time is CPU time of this
+process, so that other load on the machine affects both.  The exit code is 1 if any record differs.
 """
 
 import argparse
@@ -26,11 +26,11 @@ TAKE_OFF, FAST = "from take-off", "fast-forward"
 
 @dataclass
 class Account:
-    """Results of the flights so far.
+    """Results so far.
 
     Attributes:
-        seconds: CPU time by way and setting (s).
-        runs: Runs by setting.
+        seconds: CPU time by mode and setting (s).
+        runs: Number of runs by setting.
         differing: Ids of runs whose records differ.
     """
 
@@ -39,12 +39,12 @@ class Account:
     differing: list[str] = field(default_factory=list)
 
     def total(self, way: str) -> float:
-        """CPU time of a way (s)."""
+        """CPU time of a mode (s)."""
         return sum(seconds for (name, _), seconds in self.seconds.items() if name == way)
 
 
 def plans(campaign: Campaign, missions: int) -> Iterator[dict[str, MissionPlan]]:
-    """Missions in every environment in turn, each in both ways."""
+    """Missions in alternating environments, each in both modes."""
     models = model_hashes(campaign, scenarios_of(campaign, arms_of(campaign)), None)
     for seed in campaign.seeds[:missions]:
         for environment in campaign.environments:
@@ -55,7 +55,7 @@ def plans(campaign: Campaign, missions: int) -> Iterator[dict[str, MissionPlan]]
 
 
 def fly(plan: MissionPlan, way: str, account: Account) -> dict[str, FlightRecord]:
-    """Records of a mission by run; its CPU time goes to the account."""
+    """Records of a mission by run; adds its CPU time to the account."""
     settings: dict[str, str] = {}
     records: dict[str, FlightRecord] = {}
     since = time.process_time()
@@ -73,7 +73,7 @@ def fly(plan: MissionPlan, way: str, account: Account) -> dict[str, FlightRecord
 
 
 def compare(campaign: Campaign, missions: int) -> Account:
-    """Fly all missions both ways."""
+    """Fly all missions in both modes."""
     account = Account()
     for both in plans(campaign, missions):
         one, other = (fly(plan, way, account) for way, plan in both.items())
@@ -101,7 +101,7 @@ def report(campaign: Campaign, missions: int, account: Account) -> str:
 
 
 def main() -> int:
-    """Read the command line, fly, print."""
+    """Parse the command line, fly, and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--campaign", default="table1", help="name or path")
     parser.add_argument("--missions", type=int, default=3, help="missions per environment")
@@ -111,7 +111,7 @@ def main() -> int:
     changes = {name: value for name in ("autopilot", "map") if (value := getattr(arguments, name)) is not None}
     campaign = load_campaign(arguments.campaign)
     campaign = campaign.model_copy(update={"mission": {**campaign.mission, **changes}})
-    for plan in next(plans(campaign, 1)).values():  # compiled code is loaded before the clock runs
+    for plan in next(plans(campaign, 1)).values():  # load compiled code before timing
         fly(plan, "warm", Account())
     account = compare(campaign, arguments.missions)
     print(report(campaign, arguments.missions, account))

@@ -1,4 +1,4 @@
-"""How the wall time of a golden mission grows with world, map and camera, and missions with workers; with a figure."""
+"""Scaling of a golden mission's wall time with world, map and camera, and of throughput with workers; with figure."""
 
 import os
 import statistics
@@ -28,7 +28,7 @@ FLIGHTS = 40
 
 
 class Point(NamedTuple):
-    """One mission of a curve: what varies, wall time and flown time (s)."""
+    """One point of a curve: the varied parameter, wall time and flight time (s)."""
 
     x: float
     wall: float
@@ -36,7 +36,7 @@ class Point(NamedTuple):
 
 
 def curve(values: tuple[Any, ...], change: Callable[[Any], dict[str, Any]]) -> list[Point]:
-    """Golden missions in sparse, `published`, with one thing changed; medians over seeds."""
+    """Golden missions in `sparse`, profile `published`, with one varied parameter; medians over seeds."""
     points = []
     for value in values:
         walls, flown = [], []
@@ -51,7 +51,7 @@ def curve(values: tuple[Any, ...], change: Callable[[Any], dict[str, Any]]) -> l
 
 
 def curves() -> dict[str, list[Point]]:
-    """The three curves of a single mission, by what varies."""
+    """The three curves of a single mission, by varied parameter."""
     return {
         "boxes": curve(BOXES, lambda count: {"environment": posts(count)}),
         "map resolution (m)": curve(RESOLUTIONS, lambda edge: {"map": MapConfig(resolution=edge)}),
@@ -60,12 +60,12 @@ def curves() -> dict[str, list[Point]]:
 
 
 def fly_seed(seed: int) -> str:
-    """One mission of the pool."""
+    """One mission of the worker pool."""
     return fly(resolve(MissionSpec(environment="sparse", seed=seed))).log.digest()
 
 
 def spin(_: int) -> int:
-    """Pure computation, for the machine's own ceiling."""
+    """Pure computation, to measure the machine's own scaling limit."""
     total = 0
     for i in range(3_000_000):
         total += i
@@ -73,17 +73,17 @@ def spin(_: int) -> int:
 
 
 def rate(workers: int, job: Callable[[int], Any], count: int) -> float:
-    """Jobs per second of a pool."""
+    """Throughput of a worker pool (jobs/s)."""
     start = time.perf_counter()
     done = list(map_each(LocalExecutor(workers), job, range(count)))
     return len(done) / (time.perf_counter() - start)
 
 
 def scaling() -> list[tuple[int, float, float]]:
-    """Number of workers, missions per second, and pure computations per second relative to one worker."""
+    """Number of workers, missions per second, and throughput of pure computations relative to one worker."""
     found, alone = [], 0.0
     for workers in range(1, (os.cpu_count() or 1) + 1):
-        spins = rate(workers, spin, FLIGHTS)  # as many, so that starting the pool weighs as much
+        spins = rate(workers, spin, FLIGHTS)  # the same number of jobs, for the same share of pool start-up
         alone = alone or spins
         found.append((workers, rate(workers, fly_seed, FLIGHTS), spins / alone))
     return found
@@ -120,7 +120,7 @@ def draw(single: dict[str, list[Point]], pool: list[tuple[int, float, float]]) -
 
 
 def growth_rows() -> list[Row]:
-    """Rows of the table of speeds; the figure is written too."""
+    """Rows of the speed table; also writes the figure."""
     single, pool = curves(), scaling()
     draw(single, pool)
     rows = [

@@ -1,9 +1,9 @@
-"""What instruction-level injection costs: an injected call, a fork, a warm start; and that golden flights pay nothing.
+"""Cost of instruction-level injection: an injected call, a fork, a warm start; and zero overhead of golden flights.
 
     python benchmarks/instruction.py
 
 An injected call is compared with the same call of the plain kernel, on arguments recorded in flights.  Forks and starts
-are given in CPU time, too: on a busy machine their wall time tells how long the queue is.
+are also given in CPU time, as their wall time includes queueing on a busy machine.
 """
 
 import copy
@@ -45,7 +45,7 @@ print(imported, time.perf_counter() - start, time.process_time())
 
 
 class Recorder:
-    """Keeps the arguments of the longest call, as they were before it."""
+    """Wraps a function, and stores a copy of the arguments of its longest call."""
 
     def __init__(self, function: Any) -> None:
         self._function = function
@@ -53,7 +53,7 @@ class Recorder:
         self.args: tuple[Any, ...] | None = None
 
     def __call__(self, *args: Any) -> Any:
-        """As the function."""
+        """Call the function."""
         kept = copy.deepcopy(args)
         start = time.perf_counter()
         result = self._function(*args)
@@ -64,14 +64,14 @@ class Recorder:
 
 
 def recorded() -> dict[str, tuple[Any, ...]]:
-    """Arguments of the longest call of each function that can be injected in three flights."""
+    """Arguments of the longest call of each injectable function, from three flights."""
     found: dict[str, tuple[Any, ...]] = {}
     for planner, stack, kind in (
         ("rrt_connect", "hardened", "dense"), ("rrt", "published", "octree"), ("rrt_star", "hardened", "dense")
     ):  # fmt: skip
         recorders = {name: Recorder(getattr(PLAIN, name)) for name in PLAIN.__dataclass_fields__}
         scenario = resolve(MissionSpec(environment="sparse", seed=7, planner=planner, autopilot=stack, map=kind))
-        fly(scenario)  # compiles, or reads the cache
+        fly(scenario)  # compiles, or loads the cache
         fly(scenario, functions=replace(PLAIN, **recorders))
         found.update(
             {
@@ -84,7 +84,7 @@ def recorded() -> dict[str, tuple[Any, ...]]:
 
 
 def best(action: Callable[..., Any], args: tuple[Any, ...] = (), repeats: int = REPEATS) -> float:
-    """Shortest wall time of some calls, each with its own copy of the arguments (s)."""
+    """Minimum wall time of several calls, each on its own copy of the arguments (s)."""
     walls = []
     for _ in range(repeats):
         own = copy.deepcopy(args)
@@ -95,7 +95,7 @@ def best(action: Callable[..., Any], args: tuple[Any, ...] = (), repeats: int = 
 
 
 def cpu_of(action: Callable[[], Any], repeats: int) -> float:
-    """Mean CPU time of a call, that of its children included (s)."""
+    """Mean CPU time of a call, including its child processes (s)."""
     before = _cpu()
     for _ in range(repeats):
         action()
@@ -108,7 +108,7 @@ def _cpu() -> float:
 
 
 def warm_start(args: dict[str, tuple[Any, ...]]) -> Row:
-    """A fresh process that has every function instrumented and ready."""
+    """Start-up time of a new process until every function is instrumented."""
     wanted = pickle.dumps([(name, signature_of(values)) for name, values in args.items()])
     walls = []
     for _ in range(3):
@@ -123,7 +123,7 @@ def warm_start(args: dict[str, tuple[Any, ...]]) -> Row:
 
 
 def call_rows(args: dict[str, tuple[Any, ...]], fork: float) -> list[Row]:
-    """For each kernel the longest call, plain and instrumented, and what a flight with a fault costs more."""
+    """For each kernel the longest call, plain and instrumented, and the additional cost of an injected run."""
     rows = []
     for kernel, names in INJECTABLE.items():
         for name in names:
@@ -144,7 +144,7 @@ def call_rows(args: dict[str, tuple[Any, ...]], fork: float) -> list[Row]:
 
 
 def flight_rows() -> list[Row]:
-    """Whole flights: golden, with a fault in place, with one in a forked child."""
+    """Complete flights: golden, and with an armed injector that never injects."""
     scenario = resolve(MissionSpec(environment="sparse", seed=7))
     counting = Counting(pid.track)
     fly(scenario, functions=replace(PLAIN, track=counting))
@@ -153,7 +153,7 @@ def flight_rows() -> list[Row]:
         name_of(pid.track), counting.digests[call], NEVER - 1, call=call, bits=(0,), budget=NEVER
     )  # fmt: skip
     walls: dict[str, list[float]] = {"golden": [], "armed": []}
-    for _ in range(FLIGHTS):  # in turn, so that the machine's load falls on both
+    for _ in range(FLIGHTS):  # alternating, so that the machine's load affects both
         for name, functions in (("golden", PLAIN), ("armed", None)):
             table = functions or replace(PLAIN, track=Injecting(pid.track, fault))
             start = time.process_time()
@@ -168,7 +168,7 @@ def flight_rows() -> list[Row]:
 
 
 def fork_row() -> tuple[float, Row]:
-    """CPU time of a child that only reports (s), in a process that has flown."""
+    """CPU time of forking a child that only reports (s), in a process that has flown."""
     flight = fly(resolve(MissionSpec(environment="sparse", seed=7)))
     wall = best(lambda: run_in_child(lambda: b""), repeats=50)
     fork = cpu_of(lambda: run_in_child(lambda: b""), 50)
@@ -180,7 +180,7 @@ def fork_row() -> tuple[float, Row]:
 
 
 def instruction_rows() -> list[Row]:
-    """All rows."""
+    """All rows of the table."""
     fork, row = fork_row()
     args = recorded()
     return [row, *call_rows(args, fork), *flight_rows(), warm_start(args)]

@@ -1,11 +1,11 @@
-"""Faults in instructions at machine level beside those at IR level, on two small kernels; writes docs/fault-model.md.
+"""Comparison of instruction faults at machine level and at IR level, on two small kernels; writes docs/fault-model.md.
 
     N=400 python -m benchmarks.machine_level
 
-N: faults per kernel and level (400).  Arguments are those of a golden flight's call, of the point cloud the first rays:
-single steps are slow.  At machine level the plain code of the call is executed instruction by instruction, and one bit
-of one destination register is flipped; at IR level the same call is injected as in campaigns.  Both are judged
-alike: by result and arguments, bit for bit.
+N: faults per kernel and level (400).  Arguments are those of a call in a golden flight, for the point cloud reduced to
+the first rays, as single-stepping is slow.  At machine level the plain code of the call is single-stepped, and one bit
+of one destination register is flipped; at IR level the same call is injected as in campaigns.  Both are classified by
+the same criterion: result and arguments, bit for bit.
 """
 
 import copy
@@ -46,7 +46,7 @@ LEVELS = ("machine", "IR")
 
 
 class Recorder:
-    """Passes calls on, counts them, and keeps the arguments of one as they were before it."""
+    """Wraps a function, counts its calls, and stores a copy of the arguments of one call."""
 
     def __init__(self, function: Any, wanted: int = -1) -> None:
         self._function = function
@@ -55,7 +55,7 @@ class Recorder:
         self.args: tuple[Any, ...] = ()
 
     def __call__(self, *args: Any) -> Any:
-        """As the function."""
+        """Call the function."""
         if self.calls == self._wanted:
             self.args = copy.deepcopy(args)
         self.calls += 1
@@ -67,13 +67,13 @@ class Study:
     """One kernel at both levels.
 
     Attributes:
-        kernel: Name.
-        function: What was called.
-        outcomes: By level, how often which outcome came.
-        ir_values: Values that the call writes at IR level.
-        own: Instructions of the call's own code.
-        injectable: Those of them with an injectable destination.
-        out_of_reach: Those whose destination cannot be.
+        kernel: Name of the kernel.
+        function: Name of the called function.
+        outcomes: Number of runs by outcome, for each level.
+        ir_values: Number of values that the call writes at IR level.
+        own: Number of executed instructions in the call's own code.
+        injectable: Number of those with an injectable destination.
+        out_of_reach: Number of those whose destination cannot be injected.
     """
 
     kernel: str
@@ -86,7 +86,7 @@ class Study:
 
 
 def recorded() -> dict[str, tuple[Any, ...]]:
-    """Arguments of the call in the middle of a golden flight, by function; of the point cloud the first rays."""
+    """Arguments of the middle call in a golden flight, by function; for the point cloud only the first rays."""
     scenario = resolve(MissionSpec(environment=ENVIRONMENT, seed=SEED, autopilot=STACK))
     counters = {name: Recorder(getattr(PLAIN, name)) for name in KERNELS.values()}
     fly(scenario, functions=replace(PLAIN, **counters))
@@ -98,7 +98,7 @@ def recorded() -> dict[str, tuple[Any, ...]]:
 
 
 def entry_of(kernel: Any, args: tuple[Any, ...]) -> int:
-    """Address of a kernel's plain machine code, without what Numba wraps around it."""
+    """Address of a kernel's plain machine code, without Numba's wrapper."""
     signature = signature_of(args)
     kernel.compile(signature)
     compiled = kernel.overloads[signature]
@@ -106,13 +106,13 @@ def entry_of(kernel: Any, args: tuple[Any, ...]) -> int:
 
 
 def study(name: str, function: str, args: tuple[Any, ...], n: int, tell: Callable[[str], None]) -> Study:
-    """Strike one call n times at each level."""
+    """Inject one call n times at each level."""
     kernel = getattr(PLAIN, function)
     call = SteppedCall(lambda: digest((kernel(*args), args)), entry_of(kernel, args))
     machine: Counter[str] = Counter()
     for fault in call.draw(np.random.default_rng(SEED), n):
         outcome = call.inject(fault)
-        assert outcome.activated  # an injection that did not take place must not count as masked
+        assert outcome.activated  # a missed injection must not count as masked
         machine[outcome.how] += 1
         tell(f"{name}, machine level: {machine.total()} of {n}")
     ir: Counter[str] = Counter()
@@ -127,7 +127,7 @@ def study(name: str, function: str, args: tuple[Any, ...], n: int, tell: Callabl
 
 
 def rate_text(rate: Rate) -> str:
-    """Rate and interval in percent."""
+    """Rate and interval in per cent."""
     assert rate.rate is not None and rate.low is not None and rate.high is not None  # n > 0
     return f"{100 * rate.rate:.1f} [{100 * rate.low:.1f}, {100 * rate.high:.1f}]"
 
@@ -143,7 +143,7 @@ def difference(first: Rate, second: Rate) -> tuple[float, float, float]:
 
 
 def rows(studies: list[Study]) -> Iterator[str]:
-    """Rows of the table: both levels of each kernel, and by how much they differ."""
+    """Rows of the table: both levels of each kernel, and their difference."""
     for made in studies:
         rates = {
             level: [wilson(made.outcomes[level][how], made.outcomes[level].total()) for how in OUTCOMES]
@@ -158,7 +158,7 @@ def rows(studies: list[Study]) -> Iterator[str]:
 
 
 def table(studies: list[Study]) -> str:
-    """What is written into the page."""
+    """The text written to the page."""
     versions = (
         f"Python {sys.version.split()[0]}, numba {numba.__version__}, llvmlite {llvmlite.__version__}, "
         f"numpy {np.__version__}, capstone {capstone.__version__}"
@@ -183,10 +183,10 @@ def table(studies: list[Study]) -> str:
 
 
 def wanted_faults(text: str) -> int:
-    """Number of faults per kernel and level.
+    """Parse the number of faults per kernel and level.
 
     Raises:
-        BadInputError: It is none.
+        BadInputError: It is not a positive integer.
     """
     if not (text.isdigit() and int(text) > 0):
         raise BadInputError(f"N: {text!r}: allowed: a whole number, 1 or more")
@@ -194,7 +194,7 @@ def wanted_faults(text: str) -> int:
 
 
 def main() -> None:
-    """Strike, and write the table."""
+    """Inject, and write the table."""
     try:
         n = wanted_faults(os.environ.get("N") or "400")
         args = recorded()
@@ -208,7 +208,7 @@ def main() -> None:
 
 
 def tell(text: str) -> None:
-    """Say how far it is."""
+    """Print progress."""
     sys.stderr.write(f"\r{text}  ")
 
 

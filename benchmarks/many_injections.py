@@ -1,10 +1,9 @@
-"""Injects a kernel a great many times in forked children, and watches what that leaves behind: nothing, if all is well.
+"""Leak test: injects a kernel many times in forked children, and checks that no resources remain allocated.
 
     python -m benchmarks.many_injections [N]
 
-Counted now and then: children that nobody waited for, open files, memory of this process, files in the temporary
-folder, which is one of its own.  The faults are of all kinds, so children end by themselves, by a signal and by
-their budget of instructions.
+Sampled periodically: children not waited for, open files, memory of this process, and files in a private temporary
+folder.  The faults are of all kinds, so that children terminate normally, by a signal, and by their instruction budget.
 """
 
 import argparse
@@ -23,16 +22,16 @@ from mavfi.numerics.jit import kernel_jit
 
 N = 100_000
 LOOKS = 20
-"""How often is looked."""
+"""Number of samples."""
 _FAULTS = 500
 _GROWTH_KIB, _GROWTH_BYTES = 2_048, 256
-"""Growth of memory that counts as a leak, after the first look: at all (KiB), and per injection. A child's report alone
-is longer; what stays below are pages of what is loaded already, touched for the first time."""
+"""Memory growth after the first sample that counts as a leak: absolute (KiB), and per injection (bytes).  A child's
+report alone is longer; smaller growth is due to loaded pages that are touched for the first time."""
 
 
 @kernel_jit
 def walk(values: np.ndarray, steps: np.ndarray) -> float:
-    """A kernel with addresses, branches and numbers: a sum along a chain of indices."""
+    """A kernel with addresses, branches and arithmetic: a sum along a chain of indices."""
     total, here = 0.0, 0
     for _ in range(len(steps)):
         here = steps[here]
@@ -43,13 +42,13 @@ def walk(values: np.ndarray, steps: np.ndarray) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What this process has at an instant.
+    """Resources of this process at an instant.
 
     Attributes:
-        injections: So far.
-        files: Open in this process.
-        children: That ended and were not waited for, or still run.
-        memory_kib: Resident (KiB).
+        injections: Number of injections so far.
+        files: Open files of this process.
+        children: Running children, and zombies not waited for.
+        memory_kib: Resident memory (KiB).
         left_behind: Entries of the temporary folder.
     """
 
@@ -61,7 +60,7 @@ class Look:
 
 
 def look(injections: int) -> Look:
-    """Count all of it."""
+    """Sample all resources."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     memory = pages * os.sysconf("SC_PAGE_SIZE") // 1024
     left = len(os.listdir(tempfile.gettempdir()))
@@ -69,27 +68,27 @@ def look(injections: int) -> Look:
 
 
 def children() -> int:
-    """Children of this process, zombies among them."""
+    """Number of children of this process, including zombies."""
     own = str(os.getpid())
     found = 0
     for entry in Path("/proc").glob("[0-9]*/stat"):
         try:
             found += entry.read_text().rpartition(")")[2].split()[1] == own
         except OSError:
-            continue  # it ended while we looked
+            continue  # it exited during the scan
     return found
 
 
 def inject_often(count: int, looks: int = LOOKS) -> tuple[Counter[str], list[Look]]:
-    """Inject, again and again; gives the outcomes, and what was there: before, from time to time, and at the end.
+    """Inject repeatedly; returns the outcomes, and samples taken before, periodically, and at the end.
 
     Args:
         count: Number of injections.
-        looks: How often is looked between.
+        looks: Number of periodic samples.
     """
     args = np.linspace(-1.0, 1.0, 64), np.random.default_rng(1).permutation(64)
     faults = instruction.draw(walk, _FAULTS, *args, seed=1)
-    instruction.run_forked(walk, faults[0], *args)  # what is loaded once is not a leak
+    instruction.run_forked(walk, faults[0], *args)  # one-time loading is not a leak
     seen = [look(0)]
     outcomes: Counter[str] = Counter()
     every = max(1, count // looks)
@@ -101,7 +100,7 @@ def inject_often(count: int, looks: int = LOOKS) -> tuple[Counter[str], list[Loo
 
 
 def leaks(seen: list[Look]) -> list[str]:
-    """What was left behind, in words; empty if nothing was."""
+    """Descriptions of the leaks found; empty if there is none."""
     first, settled, last = seen[0], seen[min(1, len(seen) - 1)], seen[-1]
     found = [f"{later.children} children at injection {later.injections}" for later in seen if later.children][:1]
     if last.files > first.files:
@@ -117,7 +116,7 @@ def leaks(seen: list[Look]) -> list[str]:
 
 
 def main() -> int:
-    """Inject, and tell."""
+    """Inject, and report."""
     parser = argparse.ArgumentParser(description="Inject a kernel often, and look for what is left behind.")
     parser.add_argument("count", nargs="?", type=int, default=N, help=f"number of injections (default {N:,})")
     count = parser.parse_args().count

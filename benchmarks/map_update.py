@@ -1,4 +1,4 @@
-"""Speed of a map update: both kinds of map against OctoMap's own library, on the point clouds of one golden flight."""
+"""Speed of a map update: both map kinds against OctoMap's own library, on the point clouds of one golden flight."""
 
 import time
 from collections.abc import Callable
@@ -17,13 +17,13 @@ from mavfi.states import State, floats
 
 Insert = Callable[[np.ndarray, np.ndarray], Any]
 TARGETS = {0.5: 7.0, 0.25: 15.0}
-"""By resolution (m): how many times faster than the library the dense map should be."""
+"""Target speed-up of the dense map over the library, by resolution (m)."""
 REPEATS = 3
 LIBRARY = "octomap-python (one thread)"
 
 
 def recorded(resolution: float) -> tuple[Any, Any, list[tuple[np.ndarray, np.ndarray]]]:
-    """Scenario of a flight, the frame of its map, and its scans."""
+    """Scenario of a flight, the key frame of its map, and its scans."""
     scenario = resolve(MissionSpec(environment="dense", seed=1, map_resolution=resolution))
     scans: list[tuple[np.ndarray, np.ndarray]] = []
 
@@ -37,7 +37,7 @@ def recorded(resolution: float) -> tuple[Any, Any, list[tuple[np.ndarray, np.nda
 
 
 def library_insert(rule: MapConfig, max_range: float) -> Insert | None:
-    """How the library takes a scan, without the rounding of coordinates; None = it is not installed."""
+    """The library's scan insertion, with coordinates shifted to its grid; None = not installed."""
     try:
         import octomap as library
     except ImportError:
@@ -56,7 +56,7 @@ def library_insert(rule: MapConfig, max_range: float) -> Insert | None:
 
 
 def binding_cost(rule: MapConfig, max_range: float, scans: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    """What a scan costs the library before it walks a ray: the same calls, with all points at the sensor (s)."""
+    """Cost of the library's binding per scan (s): the same calls with all points at the sensor, i.e. without rays."""
     insert = library_insert(rule, max_range)
     if insert is None:
         return np.inf
@@ -65,7 +65,7 @@ def binding_cost(rule: MapConfig, max_range: float, scans: list[tuple[np.ndarray
 
 
 def per_scan(insert: Insert, scans: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    """Wall time of one scan in a whole flight (s)."""
+    """Mean wall time per scan of a flight (s)."""
     start = time.perf_counter()
     for points, origin in scans:
         insert(points, origin)
@@ -79,7 +79,7 @@ def rule_of(config: MapConfig) -> octomap.UpdateRule:
 
 
 def measured(resolution: float) -> tuple[dict[str, float], float, int]:
-    """Wall time of a scan by kind of map (s), inf = not installed; the library's binding; and number of scans."""
+    """Wall time per scan by map kind (s), inf = not installed; the library's binding cost; and number of scans."""
     scenario, frame, scans = recorded(resolution)
     reach, rule = scenario.camera.range, rule_of(scenario.map)
     makers: dict[str, Callable[[], Insert | None]] = {
@@ -87,7 +87,7 @@ def measured(resolution: float) -> tuple[dict[str, float], float, int]:
     }
     makers[LIBRARY] = lambda: library_insert(scenario.map, reach)
     best = dict.fromkeys(makers, np.inf)
-    for repeat in range(1 + REPEATS):  # the first one compiles
+    for repeat in range(1 + REPEATS):  # repeat 0 compiles
         for name, maker in makers.items():
             insert = maker()
             if insert is not None:
@@ -97,7 +97,7 @@ def measured(resolution: float) -> tuple[dict[str, float], float, int]:
 
 
 def map_rows() -> list[Row]:
-    """Rows of the table of speeds."""
+    """Rows of the speed table."""
     rows = []
     for resolution, target in TARGETS.items():
         best, binding, scans = measured(resolution)

@@ -1,10 +1,10 @@
-"""Memory of a worker over many flights: flat, or does it grow?
+"""Memory of a worker over many flights: tests for growth.
 
     python -m benchmarks.memory [--flights 1500] [--injections 300]
 
-One worker flies the short missions of two campaigns, one with faults in states, one with faults in instructions.  It
-reads its resident memory at the begin of each mission, when that of the last one is free.  Growth is the slope of a
-straight line through the second half: caches fill in the first.
+One worker flies the short missions of two campaigns, one with state faults, one with instruction faults.  It reads its
+resident memory at the start of each mission, after the memory of the previous one is released.  Growth is the slope of
+a linear fit to the second half, as caches fill in the first.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from mavfi.campaign.mission import Flown, MissionPlan, fly_mission
 from mavfi.errors import MavfiError
 
 MOST_GROWTH_KIB = 1024.0
-"""Growth that is no leak (KiB per 100 runs): pages of the heap that cannot be returned, as a part of them is in use."""
+"""Tolerated growth (KiB per 100 runs): fragmented heap pages that cannot be returned to the system."""
 _SHORT = {"start": [2.0, 0.0, 3.0], "goal": [9.0, 0.0, 3.0]}
 _LEVELS: dict[str, dict[str, Any]] = {
     "state": {"sampling": {"level": "state"}},
@@ -39,23 +39,23 @@ _LINES = 12
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """A worker at an instant."""
+    """Resources of a worker at an instant."""
 
-    runs: int  # since it began
+    runs: int  # runs so far
     memory_kib: float  # resident
-    peak_kib: float  # largest resident memory so far
+    peak_kib: float  # peak resident memory so far
 
 
 def campaign_of(level: str, runs: int) -> Campaign:
-    """Short missions with about so many runs with a fault."""
-    faults = max(1, runs // 3)  # of each of three stages or kernels
+    """Campaign of short missions with approximately `runs` injected runs."""
+    faults = max(1, runs // 3)  # per stage or kernel, of which there are three
     missions = min(_MISSIONS[level], faults)
     content = {"name": level, "environments": ["sparse"], "first_seed": 7, "mission": _SHORT, "null_runs": 0}
     return Campaign.model_validate({**content, **_LEVELS[level], "missions": missions, "faults": faults})
 
 
 def fly(campaign: Campaign) -> list[Look]:
-    """Fly a campaign with one worker; what it had at the begin of each mission."""
+    """Fly a campaign with one worker; returns its memory at the start of each mission."""
     missions = [MissionPlan(campaign, *place) for place in product(campaign.environments, campaign.seeds)]
     seen: list[Look] = []
     runs = 0
@@ -71,13 +71,13 @@ def fly(campaign: Campaign) -> list[Look]:
 
 
 def _fly(mission: MissionPlan) -> Iterator[tuple[float, float] | int]:
-    """Memory before a mission, now and at its largest (KiB), and the number of its runs."""
+    """Memory before a mission, current and peak (KiB), then the number of its runs."""
     yield resident_kib(os.getpid()), float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
     yield sum(isinstance(item, Flown) for item in fly_mission(mission))
 
 
 def resident_kib(pid: int) -> float:
-    """Resident memory of a process (KiB); 0 = it is gone."""
+    """Resident memory of a process (KiB); 0 = it has exited."""
     try:
         return int(Path(f"/proc/{pid}/statm").read_text("ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1024
     except OSError:
@@ -92,7 +92,7 @@ def growth(seen: Sequence[Look]) -> float:
 
 
 def main() -> int:
-    """Fly, and tell."""
+    """Fly, and report."""
     parser = argparse.ArgumentParser(description="Measure the memory of a worker over many flights.")
     parser.add_argument("--flights", type=int, default=1500, help="with a fault in a state")
     parser.add_argument("--injections", type=int, default=300, help="with a fault in an instruction")

@@ -1,8 +1,8 @@
-"""Our planners and OMPL's on the same problems: maps, validity of a segment, range, goal bias, number of samples.
+"""Planners of mavfi and OMPL on the same problems: maps, segment validity, range, goal bias, number of samples.
 
-OMPL (Sucan, Moll & Kavraki 2012) is asked for what ours do: the shrinking ball instead of its k nearest neighbours in
-RRT*, and no simplification of paths.  It checks segments through a Python function, which it pays for in time; a
-second way to ask it, which is how it is mostly used from Python, lets it check states along a segment instead.
+OMPL (Sucan, Moll & Kavraki 2012) is configured to match mavfi: shrinking ball instead of k nearest neighbours in RRT*,
+no path simplification.  It validates segments by a Python function, which costs time; a second configuration, common
+when OMPL is used from Python, validates discrete states along a segment instead.
 """
 
 import time
@@ -24,19 +24,19 @@ from mavfi.sim.environments import build_world
 
 NAMES = ("rrt", "rrt_connect", "rrt_star")
 ROOM = 0.8
-"""Distance of the planner from obstacles (m)."""
+"""Clearance of planned paths (m)."""
 GOAL_BIAS = 0.05
 MOST_NODES = 20_000
 RUNS = 60
 NODES = (1000, 5000, 10_000, 20_000)
 TARGETS = {"rrt_connect": 14.0}
-"""How many times faster than OMPL a search should be."""
+"""Target speed-up over OMPL."""
 _STATE_SPACING = 0.25
-"""Between the states that are checked along a segment where OMPL does that (m): half a voxel."""
+"""Spacing of validated states along a segment in OMPL's second configuration (m): half a voxel."""
 
 
 class Problem(NamedTuple):
-    """A map of room, two places that do not see each other, and the box that is sampled."""
+    """A clearance map, start and goal without line of sight, and the sampled box."""
 
     counter: np.ndarray
     grid: Grid
@@ -54,7 +54,7 @@ class Search(NamedTuple):
 
 
 class Found(NamedTuple):
-    """Length of the path (m), infinite if there is none; wall time (s); samples, and checks made through Python."""
+    """Length of the path (m), infinite if none; wall time (s); samples, and validity checks made through Python."""
 
     length: float
     seconds: float
@@ -64,10 +64,10 @@ class Found(NamedTuple):
 
 @cache
 def problem(environment: str, seed: int, resolution: float = 0.5) -> Problem:
-    """The whole of a generated world as a map.
+    """A complete generated world as a map.
 
     Raises:
-        ValueError: There is nothing to plan in it: the goal can be seen from the start.
+        ValueError: The problem is trivial: start and goal are in line of sight.
     """
     world = build_world(shipped("environments", EnvironmentConfig, environment), seed)
     shape = np.ceil((world.arena_upper - world.arena_lower) / resolution).astype(int)
@@ -83,7 +83,7 @@ def problem(environment: str, seed: int, resolution: float = 0.5) -> Problem:
 
 @cache
 def _memory(name: str) -> tuple[Any, np.ndarray]:
-    """Search memory and room for a path."""
+    """Working memory of a search, and a buffer for a path."""
     if name == "rrt_connect":
         return rrt_connect.new_trees(), np.zeros((2 * rrt_connect.NODE_LIMIT, 3))
     kernel = rrt if name == "rrt" else rrt_star
@@ -91,7 +91,7 @@ def _memory(name: str) -> tuple[Any, np.ndarray]:
 
 
 def ours(name: str, given: Problem, search: Search, seed: int) -> Found:
-    """One run of a planner of this project, without shortcuts."""
+    """One run of a mavfi planner, without shortcuts."""
     memory, path = _memory(name)
     random = seed_generator(seed)
     start = time.perf_counter()
@@ -108,9 +108,9 @@ def ours(name: str, given: Problem, search: Search, seed: int) -> Found:
 
 @cache
 def _space(given: str, seed: int, by_states: bool) -> Any:
-    """OMPL's space with our check; one for each problem, since its validator and it hold each other.
+    """OMPL's space with mavfi's validity check; cached per problem, as validator and space reference each other.
 
-    Last comes the list whose first entry counts the checks.
+    The last element is a list whose first entry counts the checks.
     """
     from ompl import base
 
@@ -151,7 +151,7 @@ def _space(given: str, seed: int, by_states: bool) -> Any:
 
 
 def theirs(name: str, environment: str, world: int, search: Search, seed: int, by_states: bool = False) -> Found:
-    """One run of OMPL's planner on the same problem; `by_states` = it checks states along a segment."""
+    """One run of OMPL's planner on the same problem; `by_states` = it validates states along a segment."""
     from ompl import base, geometric, util
 
     util.setLogLevel(util.LOG_NONE)
@@ -189,7 +189,7 @@ def theirs(name: str, environment: str, world: int, search: Search, seed: int, b
 
 
 def check_cost(environment: str, by_states: bool) -> float:
-    """What one check costs OMPL, called from Python, at the least: on a short segment, or a state (s)."""
+    """Minimum cost of one validity check called from OMPL through Python, on a short segment or a state (s)."""
     given = problem(environment, 0)
     space, information, validator, _ = _space(environment, 0, by_states)
     state = space.allocState()
@@ -205,7 +205,7 @@ def check_cost(environment: str, by_states: bool) -> float:
 
 
 def search_rows() -> list[Row]:
-    """Wall time of one search without shortcuts, and OMPL's, if it is installed, asked in two ways."""
+    """Wall time of one search without shortcuts, and of OMPL's, if installed, in both configurations."""
     budgets = {"rrt": Search(4.0, 10_000), "rrt_connect": Search(4.0, 4000), "rrt_star": Search(8.0, 1500)}
     rows = []
     for environment in ("dense", "factory"):
@@ -223,7 +223,7 @@ def search_rows() -> list[Row]:
 
 
 def _beside_ompl(what: str, name: str, environment: str, search: Search, own: float, by_states: bool) -> Row:
-    """Our time (s) beside OMPL's; how much of the latter the checks took, which are called through Python."""
+    """Wall time (s) of mavfi and OMPL, and the share of the latter spent in checks called through Python."""
     runs = [theirs(name, environment, 0, search, seed, by_states) for seed in range(RUNS)]
     other, checks = median(run.seconds for run in runs), median(run.checks for run in runs)
     spent = checks * check_cost(environment, by_states)
@@ -247,7 +247,7 @@ def _find_all(index: nearest.Index, nodes: np.ndarray, targets: np.ndarray, scan
 
 
 def nearest_rows() -> list[Row]:
-    """Time of one nearest-node query, by scan and by index, among nodes spread over a flight volume."""
+    """Time of one nearest-node query, by linear scan and by index, for nodes spread over a flight volume."""
     random = np.random.default_rng(0)
     _, _, _, _, lower, upper = problem("dense", 0)
     targets = random.uniform(lower, upper, (1000, 3))
@@ -258,7 +258,7 @@ def nearest_rows() -> list[Row]:
         nearest.clear(index, lower, upper)
         times = []
         for scan in (True, False):
-            _find_all(index, nodes, targets, scan)  # compiles, and takes the nodes in
+            _find_all(index, nodes, targets, scan)  # compiles, and inserts the nodes
             spent = []
             for _ in range(5):
                 start = time.perf_counter()

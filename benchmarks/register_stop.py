@@ -1,7 +1,7 @@
-"""Measures for how long `mavfi inject` makes a target stand still, by length of walk; `--write` puts it on the page.
+"""Measures the stop time of a target of `mavfi inject`, by length of walk; `--write` updates the page.
 
-The target is a Python program that computes without system calls; ROS is not needed.  Nothing is flipped: a null fault
-does everything else.  Run as `.venv/bin/python -m benchmarks.register_stop [--injections 300] [--write]`.
+The target is a Python program that computes without system calls; ROS is not required.  A null fault performs every
+operation except the flip.  Run as `.venv/bin/python -m benchmarks.register_stop [--injections 300] [--write]`.
 """
 
 import argparse
@@ -24,14 +24,14 @@ REGISTERS = ("all", "general", "fp")
 
 
 def stops(pid: int, registers: str, walk: int, count: int) -> tuple[np.ndarray, int]:
-    """For how long the target stood still at each injection (ms, shape (count,)), and at how many instructions."""
+    """Stop time of the target at each injection (ms, shape (count,)), and number of distinct instructions."""
     found = inject(pid, RegisterFault(registers=registers, walk=walk, null=True, timeout=30.0), count)
     stopped = [injection.details["stopped_us"] for injection in found]
     return 1e-3 * np.array(stopped), len({injection.details["address"] for injection in found})
 
 
 def measure(count: int) -> str:
-    """The table: median, 95 % quantile and maximum, and how far injections spread."""
+    """The table: median, 95 % quantile and maximum, and number of distinct injected instructions."""
     lines = [
         "| registers | `--walk` | p50 (ms) | p95 (ms) | max (ms) | instructions injected |",
         "|---|---|---|---|---|---|",
@@ -51,7 +51,7 @@ def measure(count: int) -> str:
 
 
 def main() -> None:
-    """Print the table."""
+    """Print the table, and write it on request."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--injections", type=int, default=300, help="for each row")
     parser.add_argument("--write", action="store_true", help="put the table into docs/ros-attach.md")

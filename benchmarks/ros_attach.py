@@ -1,4 +1,4 @@
-"""Measures what attaching costs: latency of a message with and without mavfi in its way, and how long a target stands.
+"""Measures the cost of attaching: message latency with and without mavfi as a relay, and stop time of a target.
 
 Needs ROS 1 and a private network: `unshare -n .venv/bin/python benchmarks/ros_attach.py`.
 """
@@ -39,12 +39,12 @@ def arrived(message):
 Station(Master(), "/reader").subscribe("/speed", arrived)
 time.sleep(3600)
 """
-"""Writes when each message arrives; the clocks of processes are one clock."""
+"""Reports the arrival time of each message; all processes share one monotonic clock."""
 RELAY = ["-m", "mavfi", "ros", "corrupt", "--topic", TOPIC, "--field", "position[0]", "--at", "1000000000"]
 
 
 def latencies(outlet: Outlet, message: bytes, reader: subprocess.Popen) -> list[float]:
-    """Time from sending to arrival in another process (us), of many messages."""
+    """Latencies from sending to arrival in another process (us) of a series of messages."""
     found = []
     assert reader.stdout is not None
     for _ in range(MESSAGES):
@@ -56,7 +56,7 @@ def latencies(outlet: Outlet, message: bytes, reader: subprocess.Popen) -> list[
 
 
 def show(name: str, values: Sequence[float]) -> None:
-    """Median, quantiles and maximum."""
+    """Print median, quantiles and maximum."""
     ordered = sorted(values)
     p95, p99 = (ordered[int(share * len(ordered))] for share in (0.95, 0.99))
     median = statistics.median(ordered)
@@ -64,13 +64,13 @@ def show(name: str, values: Sequence[float]) -> None:
 
 
 def wait_for(condition: Callable[[], object]) -> None:
-    """Until it is the case."""
+    """Wait until a condition holds."""
     while not condition():
         time.sleep(0.01)
 
 
 def measure_relay(bench: Bench) -> None:
-    """A joint state from one process to another, straight and through a third one that is mavfi, in turn."""
+    """Latency of a joint state between two processes, direct and relayed by mavfi, alternating."""
     composer = Composer("sensor_msgs/JointState")
     message = composer.pack({"name": ["a", "b"], "position": [0.5, 0.25]})
     outlet = bench.station("/writer").advertise(TOPIC, composer.header)
@@ -92,7 +92,7 @@ def measure_relay(bench: Bench) -> None:
 
 
 def measure_stops(bench: Bench) -> None:
-    """How long robot_state_publisher stands still for an injection at a symbol."""
+    """Stop time of robot_state_publisher for an injection at a symbol."""
     node = load_campaign("ros_robot_state_publisher").node
     assert node is not None
     for name, value in node.parameters.items():
@@ -114,7 +114,7 @@ def measure_stops(bench: Bench) -> None:
 
 
 def main() -> None:
-    """Print all figures."""
+    """Print all results."""
     loopback_up()
     os.environ["ROS_MASTER_URI"] = MASTER_URI
     with tempfile.TemporaryDirectory() as folder, Bench(Path(folder)) as bench:

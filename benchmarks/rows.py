@@ -1,4 +1,4 @@
-"""A row of the table of speeds, with the target where there is one, and the processor that was measured."""
+"""A row of the speed table, with an optional target, and the name of the measured processor."""
 
 import platform
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Row(NamedTuple):
-    """What was measured, in words; `ratio` is what `target` is held against, `at_most` where small is good."""
+    """A measurement in words; `ratio` is compared with `target`, an upper limit if `at_most`."""
 
     what: str
     value: str
@@ -16,7 +16,7 @@ class Row(NamedTuple):
 
     @property
     def verdict(self) -> str:
-        """The target and whether it was met; empty where there is none."""
+        """The target and whether it was met; empty without a target."""
         if self.ratio is None or self.target is None:
             return ""
         met = self.ratio <= self.target if self.at_most else self.ratio >= self.target
@@ -25,7 +25,7 @@ class Row(NamedTuple):
 
 
 def processor() -> str:
-    """Name of the processor, as the system tells it."""
+    """Name of the processor, as reported by the system."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

@@ -1,7 +1,7 @@
 """Measures speed, prints a table, writes docs/generated/speed.md and growth.png.
 
-Ratios are taken within one run on one machine.  Targets stand beside what was measured; nothing fails by them, since
-what a clock shows depends on the machine and on what else it does.
+Ratios are measured within one run on one machine.  Targets are listed with the measurements; missing one is no error,
+as times depend on the machine and its load.
 """
 
 import os
@@ -34,10 +34,10 @@ from tools.markers import GENERATED, banner
 
 SEEDS = range(20)
 MODULES = {"mujoco-core": "mujoco", "octomap-python": "octomap"}
-"""Packages whose module has another name."""
+"""Packages whose module name differs."""
 PHYSICS, CAMERA = "physics", "camera"
 TARGETS = {"sparse": 0.20, "dense": 0.30}
-"""Wall time of a golden mission on one core, stack `published` (s)."""
+"""Target wall time of a golden mission on one core, profile `published` (s)."""
 
 
 def timed(action: Callable[[], Any]) -> tuple[float, Any]:
@@ -48,7 +48,7 @@ def timed(action: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def golden(environment: str, stack: str) -> tuple[float, float]:
-    """Median wall time of a golden mission (s), and how many times faster than real time."""
+    """Median wall time of a golden mission (s), and speed relative to real time."""
     walls, flown = [], 0.0
     for seed in SEEDS:
         scenario = resolve(MissionSpec(environment=environment, seed=seed, autopilot=stack))
@@ -59,13 +59,13 @@ def golden(environment: str, stack: str) -> tuple[float, float]:
 
 
 def prompt_to_prompt() -> float:
-    """Wall time of `mavfi fly` with a warm cache (s)."""
+    """Wall time of `mavfi fly` from invocation to exit with a warm cache (s)."""
     command = [str(Path(sys.executable).with_name("mavfi")), "fly", "--environment", "sparse", "--seed", "7", "--json"]
     return min(timed(lambda: subprocess.run(command, check=True, capture_output=True))[0] for _ in range(3))
 
 
 def part_seconds(scenario: Scenario) -> tuple[float, dict[str, float]]:
-    """Wall time of a golden flight, and of the steps of each kernel, of physics and of the camera in it (s)."""
+    """Wall time of a golden flight, and of each kernel's steps, physics and camera within it (s)."""
     spent: dict[str, float] = {}
 
     def build_timed(config: Any) -> Any:
@@ -99,7 +99,7 @@ def _time_method(owner: Any, name: str, part: str, spent: dict[str, float]) -> N
 
 
 def share_rows() -> list[Row]:
-    """Where the wall time of a golden mission goes."""
+    """Breakdown of the wall time of a golden mission."""
     rows = []
     for environment in TARGETS:
         for stack in ("published", "hardened"):
@@ -113,9 +113,9 @@ def share_rows() -> list[Row]:
 
 
 def measure() -> list[Row]:
-    """All rows."""
-    fly(resolve(MissionSpec(environment="sparse", seed=0)))  # compiles, or reads the cache
-    struck = [Row(name, value) for name, value in instruction_rows()]  # first: a fork costs what the process holds
+    """All rows of the speed table."""
+    fly(resolve(MissionSpec(environment="sparse", seed=0)))  # compiles, or loads the cache
+    struck = [Row(name, value) for name, value in instruction_rows()]  # first: fork cost grows with process memory
     rows: list[Row] = []
     for environment in ("sparse", "dense", "factory", "farm"):
         for stack in ("published", "hardened"):

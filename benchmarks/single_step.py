@@ -1,11 +1,11 @@
-"""The reference at machine level: one call of compiled code, executed instruction by instruction, injected once.
+"""The machine-level reference: one call of compiled code, single-stepped, with one injection.
 
-Unlike a stop from outside, single steps make every dynamic instruction equally likely, and the same fault can be
-injected again.  It costs some ten microseconds per instruction, so it is for calls of some thousands of them.  The code
-that runs is the plain one; what it calls in files (libm, Python) is stepped through, and not injected.
+In contrast to an asynchronous stop, single-stepping makes every dynamic instruction equally likely, and faults
+repeatable.  It costs some ten microseconds per instruction, and is therefore limited to calls of some thousands of
+instructions.  The code is the plain one; functions in files (libm, Python) are stepped through, but not injected.
 
-A call takes place in a forked child of this process, which traces it.  From one parent all children have the same
-addresses, so the number of an instruction means the same in all of them.
+A call is executed in a forked child, traced by this process.  All children of one parent have the same addresses, so
+that an instruction number denotes the same instruction in all of them.
 """
 
 import contextlib
@@ -28,7 +28,7 @@ from mavfi.faults.register.registers import Instruction, Register, decode, flip,
 from mavfi.faults.register.target import check_machine, not_permitted
 
 _LIMIT = 10.0
-"""Longest wait for a stop (s)."""
+"""Time limit of a wait for a stop (s)."""
 _LONGEST_INSTRUCTION = 15
 _WORD = 8
 _WARM_UP = 3
@@ -40,9 +40,9 @@ class MachineFault:
     """One bit of a destination register.
 
     Attributes:
-        step: After which executed instruction of the call, from 0.
-        register: Which register.
-        bit: Which bit of it, from its begin.
+        step: Executed instruction of the call after which the bit is flipped, from 0.
+        register: Destination register.
+        bit: Bit of the register, from its first.
     """
 
     step: int
@@ -52,15 +52,15 @@ class MachineFault:
 
 @dataclass(frozen=True, slots=True)
 class MachineOutcome:
-    """What became of an injected call.
+    """Outcome of an injected call.
 
     Attributes:
-        how: "masked": it reported what the call reports without a fault; "sdc": something else; "crash": a signal;
-            "hang": it executed more instructions than its budget; "exception".
-        fault: What was injected.
+        how: "masked": the report equals that of the error-free call; "sdc": it differs; "crash": a signal; "hang": the
+            instruction budget was exceeded; "exception".
+        fault: The injected fault.
         instruction: Mnemonic and operands.
-        before: What the register held.
-        after: What it held after the injection.
+        before: Register value before the injection.
+        after: Register value after the injection.
         detail: Name of the signal, or text of the exception.
     """
 
@@ -73,32 +73,32 @@ class MachineOutcome:
 
     @property
     def activated(self) -> bool:
-        """Whether the register then held what was planned."""
+        """Whether the register held the planned value after the injection."""
         return self.after == self.before ^ (1 << self.fault.bit)
 
 
 class SteppedCall:
-    """One call, to be executed instruction by instruction again and again.
+    """One call that can be single-stepped repeatedly.
 
     Attributes:
-        own: Dynamic instructions of the code itself, without those of functions in files.
+        own: Number of dynamic instructions in the code itself, excluding functions in files.
     """
 
     def __init__(self, call: Callable[[], bytes], entry: int) -> None:
-        """Run it once as it is and once step by step.
+        """Execute the call once freely and once in single steps.
 
         Args:
-            call: Calls the code, and reports what it left; the same each time.
+            call: Calls the code, and reports its results; must be deterministic.
             entry: Address of the code's first instruction.
 
         Raises:
-            BadInputError: Not x86-64 Linux, or processes cannot be traced here.
-            MavfiError: The call did not come to `entry`, or ended badly without a fault.
+            BadInputError: Not x86-64 Linux, or tracing is not permitted.
+            MavfiError: The call did not reach `entry`, or its error-free execution failed.
         """
         check_machine()
         self._call = call
         self._entry = entry
-        for _ in range(_WARM_UP):  # what is loaded or bound at the first call must not count
+        for _ in range(_WARM_UP):  # excludes loading and binding at the first call
             self._golden = self._free()
         self._run: list[int] = []
         ended = self._stepped(self._record)
@@ -110,12 +110,12 @@ class SteppedCall:
 
     @property
     def steps(self) -> int:
-        """Dynamic instructions from entry to return, those of functions in files included."""
+        """Number of dynamic instructions from entry to return, including functions in files."""
         return len(self._run)
 
     @property
     def budget(self) -> int:
-        """Dynamic instructions after which a call counts as hanging: as at IR level, 3 n + 10,000."""
+        """Number of dynamic instructions after which a call counts as hanging: as at IR level, 3 n + 10,000."""
         return 3 * self.steps + 10_000
 
     @cached_property
@@ -131,12 +131,12 @@ class SteppedCall:
 
     @cached_property
     def sites(self) -> list[tuple[int, tuple[Register, ...]]]:
-        """Steps that can be injected, and the destination registers of each."""
+        """Injectable steps, and the destination registers of each."""
         return [(step, found) for step, found in enumerate(destinations(self._instructions)) if found]
 
     @cached_property
     def out_of_reach(self) -> int:
-        """Dynamic instructions whose destination cannot be injected: mask registers, vector registers from 16 on."""
+        """Dynamic instructions without accessible destination: mask registers, vector registers from 16 on."""
         return sum(made is not None and is_out_of_reach(made) for made in self._instructions)
 
     def text(self, step: int) -> str:
@@ -145,11 +145,11 @@ class SteppedCall:
         return "" if made is None else made.text
 
     def draw(self, random: np.random.Generator, n: int) -> list[MachineFault]:
-        """Draw faults: uniform over the dynamic instructions with a destination, its registers, then their bits.
+        """Sample faults: uniform over the dynamic instructions with a destination, then its registers, then its bits.
 
         Args:
-            random: Stream.
-            n: How many.
+            random: Random generator.
+            n: Number of faults.
         """
         faults = []
         for place in random.integers(len(self.sites), size=n).tolist():
@@ -162,11 +162,11 @@ class SteppedCall:
         """Execute the call with a fault.
 
         Args:
-            fault: As drawn from this call.
-            null: Do everything but flip: for proof that injecting itself disturbs nothing.
+            fault: A fault sampled from this call.
+            null: Perform every operation except the flip, to verify that injection itself has no side effect.
 
         Raises:
-            MavfiError: The instruction was not the one of the recorded run.
+            MavfiError: The instruction differs from that of the recorded run.
         """
         seen: list[int] = []
         ended = self._stepped(partial(self._inject, fault, null, seen))
@@ -187,7 +187,7 @@ class SteppedCall:
         return ended.payload
 
     def _stepped(self, between: Callable[[Tracee, int], bool]) -> Ended:
-        """Run the call in a child that waits until it is traced; `between` steps from entry to return."""
+        """Execute the call in a child that waits to be traced; `between` steps from entry to return."""
         waiting, starting = os.pipe()
 
         def held() -> bytes:
@@ -201,7 +201,7 @@ class SteppedCall:
             os.close(starting)
 
     def _attend(self, child: int, starting: int, between: Callable[[Tracee, int], bool]) -> Ended | None:
-        """Trace a child from the entry of the code to its return, and let it go; answers how it ended, if it did."""
+        """Trace a child from entry to return of the code, then detach; returns its termination if it ended before."""
         try:
             tracee = Tracee(child)
         except PermissionError:
@@ -225,7 +225,7 @@ class SteppedCall:
         return Ended("hang", detail="instruction budget")
 
     def _record(self, tracee: Tracee, home: int) -> bool:
-        """Note every instruction until the code returns."""
+        """Record every instruction until the code returns."""
         address = self._entry
         while address != home:
             self._run.append(address)
@@ -234,7 +234,7 @@ class SteppedCall:
         return True
 
     def _inject(self, fault: MachineFault, null: bool, seen: list[int], tracee: Tracee, home: int) -> bool:
-        """Step to the fault, inject, and step on until the code returns; False where the budget is used up first."""
+        """Step to the fault, inject, and step until the code returns; False if the budget is exceeded first."""
         for _ in range(fault.step):
             tracee.step(_LIMIT)
         if tracee.general()["rip"] != self._run[fault.step]:
@@ -252,7 +252,7 @@ class SteppedCall:
 
 
 def _arrive(tracee: Tracee, entry: int) -> int:
-    """Let a child run to the entry of the code; answers the address to which the code will return."""
+    """Run a child to the entry of the code; returns the code's return address."""
     while True:
         try:
             stop = tracee.wait(_LIMIT)
@@ -268,7 +268,7 @@ def _arrive(tracee: Tracee, entry: int) -> int:
 
 
 def _kill(child: int) -> None:
-    """End a child that may have ended, and wait for it."""
+    """Kill a child that may have exited, and reap it."""
     with contextlib.suppress(ProcessLookupError, ChildProcessError):
         os.kill(child, signal.SIGKILL)
         while os.WIFSTOPPED(os.waitpid(child, 0)[1]):
@@ -276,7 +276,7 @@ def _kill(child: int) -> None:
 
 
 def _unnamed_code() -> list[tuple[int, int]]:
-    """Executable memory that is not of a file: what was compiled in this process."""
+    """Executable memory without a backing file: code compiled in this process."""
     found = []
     for line in Path("/proc/self/maps").read_text().splitlines():
         columns = line.split(None, 5)
@@ -287,5 +287,5 @@ def _unnamed_code() -> list[tuple[int, int]]:
 
 
 def _decode_here(address: int) -> Instruction | None:
-    """The instruction at an address of this process, which is that of its children."""
+    """The instruction at an address of this process, which is valid in its children."""
     return decode(ctypes.string_at(address, _LONGEST_INSTRUCTION), address)

@@ -1,16 +1,15 @@
-"""Searches the tracker's gains of `hardened`, one after the other, on design seeds, and says which values it confirms.
+"""Coordinate search for the tracker gains of `hardened` on design seeds; reports which values it confirms.
 
     N=4 SEED=200 ONLY=gain_p python benchmarks/tune_pid.py
 
-N: missions of each setting (4); SEED: the first one's seed (200), below 10000; ONLY: one parameter. Nothing is written:
-a value that loses is for a person to change, since every golden digest of the stack changes with it.
+N: missions per setting (4); SEED: the first seed (200), below 10000; ONLY: one parameter.  No file is changed: to
+replace a value is a manual decision, as it changes every golden digest of the profile.
 
-Objective of a variant, smaller is better: root mean square of the distance from the reference (m), plus 5 x the speed
-above 1.1 v_max (as a share of v_max, worst flight), plus 10 x the share of missions that did not arrive. A value is
-confirmed if its objective is within TOLERANCE of the best one's, or if it loses by its tracking alone and by less than
-two standard errors of the paired difference between the missions' mean squares: another gain makes other paths, and
-their tracking differs by chance. `published` is the paper's code and is not tuned; its look-ahead is flown at other
-values for comparison.
+Objective of a variant, to be minimized: root mean square of the distance from the reference (m), plus 5 x the speed
+above 1.1 v_max (as a share of v_max, worst flight), plus 10 x the share of failed missions.  A value is confirmed if
+its objective is within TOLERANCE of the best one, or if only its tracking is worse, by less than two standard errors of
+the paired difference between the missions' mean squares: another gain leads to other paths, whose tracking varies by
+chance.  `published` is the paper's code and is not tuned; its look-ahead is flown at other values for comparison.
 """
 
 import os
@@ -31,7 +30,7 @@ DESIGN_SEEDS = range(10_000)
 SETTINGS = (("dense", 3.0), ("clutter", 5.0))
 """Environment and v_max (m/s)."""
 TOLERANCE = 0.10
-"""Share."""
+"""Tolerance of the objective, as a fraction."""
 SPEED_LIMIT = 1.1
 CANDIDATES: dict[str, tuple[float, ...]] = {
     "gain_p": (1.0, 1.5, 2.0, 2.5, 3.0),
@@ -41,20 +40,20 @@ CANDIDATES: dict[str, tuple[float, ...]] = {
     "acceleration_feed_forward": (0.0, 0.2, 0.4, 0.6),
     "command_limit": (1.0, 1.04, 1.08, 1.1),
 }
-"""Values that are tried beside the one in the YAML file; a gain is the same on all axes."""
+"""Candidate values in addition to that of the YAML file; a gain is equal on all axes."""
 LOOK_AHEAD = (0.0, 0.15, 0.3, 0.45)
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How well a variant follows its references.
+    """Tracking performance of a variant.
 
     Attributes:
-        arrived: Share of missions.
+        arrived: Share of successful missions.
         squares: Mean square of the distance from the reference (m^2), by mission.
-        farthest: Largest distance (m).
-        speed: Largest speed / v_max.
-        duration: Mean flight time (s); shown, not judged.
+        farthest: Maximum distance (m).
+        speed: Maximum speed / v_max.
+        duration: Mean flight time (s); printed, not part of the objective.
     """
 
     arrived: float
@@ -70,20 +69,20 @@ class Score:
 
     @property
     def penalty(self) -> float:
-        """What is added to it for speed and for missions that did not arrive."""
+        """Terms of the objective for speed and failed missions."""
         return 5.0 * max(0.0, self.speed - SPEED_LIMIT) + 10.0 * (1.0 - self.arrived)
 
     @property
     def objective(self) -> float:
-        """Smaller is better; see the module."""
+        """Objective, to be minimized; see the module."""
         return self.tracking + self.penalty
 
 
 def check_seeds(first: int, count: int) -> None:
-    """Refuse seeds that are for published figures.
+    """Refuse seeds reserved for published results.
 
     Raises:
-        BadInputError: One of them is not a design seed.
+        BadInputError: A seed is not a design seed.
     """
     if count < 1 or first not in DESIGN_SEEDS or first + count - 1 not in DESIGN_SEEDS:
         raise BadInputError(
@@ -92,19 +91,19 @@ def check_seeds(first: int, count: int) -> None:
 
 
 def variant(stack: StackConfig, key: str, value: float) -> StackConfig:
-    """The stack with one value changed; a gain on all axes."""
+    """The profile with one value changed; a gain on all axes."""
     is_vector = isinstance(getattr(stack, key), tuple)
     return stack.model_copy(update={key: (value,) * 3 if is_vector else value})
 
 
 def present(stack: StackConfig, key: str) -> float:
-    """The stack's value."""
+    """Current value of a key of the profile."""
     value = getattr(stack, key)
     return float(value[0] if isinstance(value, tuple) else value)
 
 
 def score(stack: StackConfig, seeds: range) -> Score:
-    """Fly every setting with every seed."""
+    """Fly every setting with every seed, and evaluate the variant."""
     arrived, squares, durations, farthest, speed = [], [], [], 0.0, 0.0
     for environment, v_max in SETTINGS:
         for seed in seeds:
@@ -122,13 +121,13 @@ def score(stack: StackConfig, seeds: range) -> Score:
 
 
 def candidates(key: str, stack: StackConfig) -> list[float]:
-    """Values to try, the present one among them."""
+    """Values to evaluate, including the current one."""
     values = LOOK_AHEAD if key == "look_ahead" else CANDIDATES[key]
     return sorted({*values, present(stack, key)})
 
 
 def search(stack: StackConfig, keys: list[str], seeds: range, known: dict[str, Score]) -> Iterator[tuple[str, list]]:
-    """Every value of every parameter, the others as they are; `known` keeps what was flown already."""
+    """Evaluate every value of each parameter, the others unchanged; `known` caches evaluated variants."""
     for key in keys:
         rows = []
         for value in candidates(key, stack):
@@ -141,7 +140,7 @@ def search(stack: StackConfig, keys: list[str], seeds: range, known: dict[str, S
 
 
 def verdict(key: str, stack: StackConfig, rows: list[tuple[float, Score]]) -> str:
-    """Whether the present value is as good as the best one."""
+    """Whether the current value is as good as the best one."""
     ours = present(stack, key)
     best_value, best = min(rows, key=lambda row: row[1].objective)
     own = next(found for value, found in rows if value == ours)
@@ -162,7 +161,7 @@ def by_chance(own: Score, best: Score) -> bool:
 
 
 def table(key: str, stack: StackConfig, rows: list[tuple[float, Score]]) -> str:
-    """The rows of one parameter; the present value is marked."""
+    """Rows of one parameter, with the current value marked."""
     lines = [
         f"{key:26s} {'objective':>9s} {'arrived':>8s} {'rms (m)':>8s} {'max (m)':>8s} {'speed':>6s} {'time (s)':>9s}"
     ]
@@ -176,7 +175,7 @@ def table(key: str, stack: StackConfig, rows: list[tuple[float, Score]]) -> str:
 
 
 def main() -> None:
-    """Search, print."""
+    """Search, and print."""
     first, count = int(os.environ.get("SEED", "200")), int(os.environ.get("N", "4"))
     only = os.environ.get("ONLY", "")
     start = time.perf_counter()

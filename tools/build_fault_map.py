@@ -1,4 +1,4 @@
-"""Write docs/generated/fault-map.md from a ledger, and its key rows into docs/generated/golden-rates.md.
+"""Write docs/generated/fault-map.md from a ledger, and copy its key rows to docs/generated/golden-rates.md.
 
 python -m tools.build_fault_map out/fault_map
 """
@@ -19,7 +19,7 @@ from tools.markers import GENERATED, banner, fill
 FAULT_MAP = GENERATED / "fault-map.md"
 GOLDEN_RATES = GENERATED / "golden-rates.md"
 KEYS = ("way-point", "time_to_collision", "trajectory epochs", "command")
-"""First words of the rows that golden-rates.md repeats."""
+"""Initial words of the rows that are copied to golden-rates.md."""
 
 HEAD = """# Fault map: what one flipped bit does, by site
 
@@ -52,7 +52,7 @@ COLUMNS = """| injected | n | missions that fail, % | that fail or take > 5 % lo
 
 
 def percent(rate: Rate) -> str:
-    """A rate with its interval, in per cent without digits."""
+    """A rate with its interval, in integer per cent."""
     return f"{100 * (rate.rate or 0.0):.0f} [{100 * (rate.low or 0.0):.0f}, {100 * (rate.high or 0.0):.0f}]"
 
 
@@ -61,7 +61,7 @@ def row(target: str, own: Runs) -> str:
 
     Args:
         target: Name of the site.
-        own: Its judged runs.
+        own: The site's judged runs.
     """
     fails, hurt = rate_of(own.adding(failed=~pl.col("success")), "failed"), rate_of(own, FAILS_OR_SLOWER)
     worst = max((value for value in own["inflation"] if value is not None), default=0.0)
@@ -69,10 +69,10 @@ def row(target: str, own: Runs) -> str:
 
 
 def page(runs: Runs, today: str) -> str:
-    """The whole page.
+    """The complete page.
 
     Args:
-        runs: Of the campaign `fault_map`.
+        runs: Runs of the campaign `fault_map`.
         today: Date of the page.
     """
     c = runs.campaign
@@ -86,7 +86,7 @@ def page(runs: Runs, today: str) -> str:
 
 
 def key_lines(fault_map: str) -> str:
-    """What golden-rates.md repeats: origin, head of the table, and the key rows.
+    """The part copied to golden-rates.md: origin, table head, and key rows.
 
     Args:
         fault_map: The text of fault-map.md.

@@ -1,4 +1,4 @@
-"""Write the leaderboard, the worth of each rule in docs/engineers.md, and the frozen faults, from a flown bench.
+"""Write the leaderboard, the benefit of each rule in docs/engineers.md, and the frozen faults, from a completed bench.
 
 python -m tools.build_leaderboard out/bench [quick|paper]
 """
@@ -20,13 +20,13 @@ RULES = {
     "collision flag": 1, "collision counter": 1, "path epoch": 2, "trajectory epochs": 2, "path vertices": 3,
     "way-point": 4,
 }  # fmt: skip
-"""Which rule of the page guards what is struck in the part `sites`."""
+"""Rule of the page that protects each site of the part `sites`."""
 PAPERS, OURS = "gaussian", "recommended"
 PAPERS_OTHER = "autoencoder"
 
 
 def rules(sites: Path, instructions: Path) -> str:
-    """The worth of each rule: missions lost to what it guards, and brought back by the paper's GAD and with it.
+    """Benefit of each rule: missions lost to faults at its site, and recovered by the paper's GAD and by the rules.
 
     Raises:
         BadInputError: A folder holds no ledger.
@@ -43,7 +43,7 @@ def rules(sites: Path, instructions: Path) -> str:
 
 
 def headline(sites: Path) -> str:
-    """What the paper's detectors and the recommended scheme bring back, in one paragraph.
+    """Missions recovered by the paper's detectors and by the recommended scheme, in one paragraph.
 
     Raises:
         BadInputError: The folder holds no ledger.
@@ -68,10 +68,10 @@ def _row(number: int, target: str, lost: int, papers: Rate, ours: Rate) -> str:
 
 
 def freeze(bench: Path, scale: str) -> None:
-    """Ship the lists of the faults of a flown bench.
+    """Copy the fault lists of a completed bench to the shipped configurations.
 
     Raises:
-        BadInputError: Another list is shipped already: what is frozen is not written over.
+        BadInputError: A different list is already shipped: frozen lists are not overwritten.
     """
     frozen = ROOT / "configs" / FOLDER / NAME
     frozen.mkdir(exist_ok=True)
@@ -83,7 +83,7 @@ def freeze(bench: Path, scale: str) -> None:
 
 
 def main(arguments: list[str]) -> int:
-    """Write the pages; gives the exit code."""
+    """Write the pages; returns the exit code."""
     if len(arguments) not in (1, 2):
         print("bad input: usage: python -m tools.build_leaderboard DIR [SCALE]", file=sys.stderr)
         return 2

@@ -1,4 +1,4 @@
-"""Write `examples/python_api.ipynb` from the blocks of `docs/python-api.md`, with what each of them answers."""
+"""Write `examples/python_api.ipynb` from the code blocks of `docs/python-api.md`, with their outputs."""
 
 import ast
 import base64
@@ -22,19 +22,19 @@ LINK = re.compile(r"\]\((?!https?:)([^)]+)\)")
 
 
 def cells(page: str) -> list[tuple[str, str]]:
-    """Kind ("markdown" or "code") and text of each cell: the page, cut at its Python blocks."""
+    """Kind ("markdown" or "code") and text of each cell: the page, split at its Python blocks."""
     kinds = ("markdown", "code")
     parts = [(kinds[place % 2], part.strip()) for place, part in enumerate(BLOCK.split(page))]
     return [(kind, _relink(text) if kind == "markdown" else text) for kind, text in parts if text]
 
 
 def _relink(text: str) -> str:
-    """Links of a page in `docs`, as seen from `examples`."""
+    """Relocate links from `docs` to `examples`."""
     return LINK.sub(lambda link: f"]({os.path.relpath(DOCS / link[1], NOTEBOOK.parent)})", text)
 
 
 def execute(source: str, names: dict[str, Any]) -> Any:  # noqa: ANN401 (whatever a cell answers)
-    """Run a cell; the value of its last line if that is an expression, otherwise None."""
+    """Run a cell; returns the value of its last line if that is an expression, otherwise None."""
     tree = ast.parse(source)
     last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
     exec(compile(tree, PAGE.name, "exec"), names)
@@ -42,7 +42,7 @@ def execute(source: str, names: dict[str, Any]) -> Any:  # noqa: ANN401 (whateve
 
 
 def display(answer: Any) -> dict[str, str]:  # noqa: ANN401
-    """What a notebook shows of a value: media types with their content."""
+    """Notebook representation of a value: content by media type."""
     if isinstance(answer, Figure):
         buffer = io.BytesIO()
         answer.savefig(buffer, format="png", dpi=110)
@@ -52,7 +52,7 @@ def display(answer: Any) -> dict[str, str]:  # noqa: ANN401
 
 
 def executed(page: str) -> list[dict[str, Any]]:
-    """The cells of the notebook, run from top to bottom in an empty folder."""
+    """The cells of the notebook, executed in order in an empty folder."""
     names: dict[str, Any] = {}
     found: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
@@ -69,7 +69,7 @@ def executed(page: str) -> list[dict[str, Any]]:
 
 
 def notebook(found: list[dict[str, Any]]) -> str:
-    """A notebook (nbformat 4.5) of cells."""
+    """The notebook (nbformat 4.5) of the cells."""
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
     book = {"cells": found, "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}
     return json.dumps(book, indent=1, ensure_ascii=False) + "\n"

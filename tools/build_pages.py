@@ -1,4 +1,4 @@
-"""Write what the documentation derives from the code: the states, the graph and topics of ROS, the reference pages."""
+"""Write the documentation derived from code: the state table, ROS graph and topics, and the reference pages."""
 
 import re
 from pathlib import Path
@@ -25,7 +25,7 @@ _INSTANT_US = 10_000_000
 
 
 def field_text(field: Field) -> str:
-    """Name, unit, and who reads it if not everybody does."""
+    """Name and unit, and the profiles that read the field unless all do."""
     readers = "" if set(field.read_in) == set(STACKS) else f" [{', '.join(field.read_in) or 'dead'}]"
     return f"`{field.name}` ({field.unit}){readers}"
 
@@ -51,7 +51,7 @@ def _graph() -> Graph:
 
 
 def memory_table() -> str:
-    """The table of what kernels remember, 10 s into a flight of the default mission."""
+    """The table of kernel memories, 10 s into a flight of the default mission."""
     loop = new_loop(resolve(MissionSpec()))
     loop.begin()
     loop.run(_INSTANT_US // CONTROL_PERIOD_US)
@@ -70,7 +70,7 @@ def memory_table() -> str:
 
 
 def ros_topics() -> str:
-    """The table of the loop's own topics on ROS."""
+    """The table of the loop's topics on ROS."""
     lines = ["| topic | type | published by | read by |", "|---|---|---|---|"]
     for state, way in _graph().ways.items():
         kind = f"{PACKAGE_OF_MESSAGES}/{type_name(STATES[state])}"
@@ -106,7 +106,7 @@ def ros_graph() -> str:
 
 
 def ros_page() -> str:
-    """The page on ROS with its written parts."""
+    """The ROS page with its generated parts."""
     page = (DOCS / "ros.md").read_text(encoding="utf-8")
     for name, block in (("graph", ros_graph()), ("topics", ros_topics()), ("mirrors", ros_mirrors())):
         page = between(page, name, block)
@@ -114,7 +114,7 @@ def ros_page() -> str:
 
 
 def pages() -> dict[Path, str]:
-    """Every written page, as it should be."""
+    """Every generated page with its current content."""
     fault_model = DOCS / "fault-model.md"
     model = between(fault_model.read_text(encoding="utf-8"), "states", state_table())
     return {

@@ -1,9 +1,9 @@
-"""Put the results of `mavfi reproduce` into docs/results.md, and the headline of them into README.md.
+"""Copy the results of `mavfi reproduce` to docs/results.md, and their headline to README.md.
 
     python -m tools.build_readme out/reproduce
 
-The reports write `readme_block.md` and, if they drew one, `flight.png` into their folders. The tables are copied as
-they are, and the figures of the README are read from them, so none is typed.
+The reports write `readme_block.md` and, optionally, `flight.png` to their folders. The tables are copied verbatim, and
+the figures of the README are parsed from them, so that none is entered by hand.
 """
 
 import re
@@ -14,17 +14,17 @@ from pathlib import Path
 from tools.markers import DOCS, IMAGES, ROOT, fill
 
 BLOCKS = {"table": "readme_block.md", "instruction_table": "instructions/readme_block.md"}
-"""File of each table, by the name of its markers."""
+"""File of each table, by marker name."""
 DATE = r"Generated on (\S+) by (mavfi \S+)"
 Count = tuple[int, int]
-"""Successes, and n."""
+"""Number of successes, and n."""
 
 
 def totals(block: str) -> dict[tuple[str, str], Count]:
-    """Successes of our rows in a success table, over all environments, by (setting, policy).
+    """Successes of mavfi's rows in a success table, summed over environments, by (setting, policy).
 
     Args:
-        block: Table in Markdown, whose cells end in `successes/n`.
+        block: Markdown table whose cells end in `successes/n`.
     """
     found: dict[tuple[str, str], Count] = {}
     setting = ""
@@ -44,13 +44,13 @@ def lost(count: Count) -> str:
 
 
 def headline(block: str) -> str:
-    """What one fault costs, as a paragraph.
+    """Cost of one fault, as a paragraph.
 
     Args:
         block: The success table at instruction level.
 
     Raises:
-        ValueError: It is not a success table.
+        ValueError: The block is not a success table.
     """
     rows = totals(block)
     origin = re.search(DATE, block)

@@ -1,6 +1,6 @@
-"""Write the reference pages of docs/generated from the models that read YAML and the command line.
+"""Write the reference pages of docs/generated from the data models behind YAML files and command line.
 
-A page is a table of keys per model: type, default, meaning, all from the model itself.
+Each page has a table of keys per model: type, default and meaning, all taken from the model.
 """
 
 import inspect
@@ -80,11 +80,11 @@ SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {
         ),
     ),
 }  # fmt: skip
-"""Head and models of each page; models inside of these get a section too."""
+"""Introduction and models of each page; nested models receive a section as well."""
 
 
 def with_parts(model: type[BaseModel]) -> list[type[BaseModel]]:
-    """A model, and those that its keys hold, each once, in order."""
+    """A model and its nested models, without duplicates, in order."""
     found = [model]
     for field in model.model_fields.values():
         found += [part for inner in _models(field.annotation) for part in with_parts(inner) if part not in found]
@@ -99,7 +99,7 @@ def _models(annotation: Any) -> Iterable[type[BaseModel]]:
 
 
 def kind(annotation: Any) -> str:
-    """A type in words: "list of text", "number or integer", a link to the section of a model."""
+    """A type in words: "list of text", "number or integer", or a link to a model's section."""
     inner = get_args(annotation)
     words = {
         Literal: lambda: ", ".join(f"`{value}`" for value in inner),
@@ -118,7 +118,7 @@ def kind(annotation: Any) -> str:
 
 
 def limits(field: FieldInfo) -> str:
-    """Range of a number as text, e.g. "≥ 1, ≤ 100"; "" where there is none."""
+    """Range of a number as text, e.g. "≥ 1, ≤ 100"; "" if unbounded."""
     found = (
         (SIGNS[type(rule)], getattr(rule, type(rule).__name__.lower()))
         for rule in field.metadata
@@ -128,7 +128,7 @@ def limits(field: FieldInfo) -> str:
 
 
 def shown(value: Any) -> str:
-    """A default as it would be written in YAML."""
+    """A default in YAML notation."""
     if value is None or value in ("", (), {}):
         return ""
     if isinstance(value, BaseModel):
@@ -151,7 +151,7 @@ def model_section(model: type[BaseModel]) -> list[str]:
 
 
 def attributes(docstring: str) -> dict[str, str]:
-    """The section `Attributes:` of a docstring, by name."""
+    """Entries of a docstring's section `Attributes:`, by name."""
     found: dict[str, str] = {}
     name = ""
     _, _, section = inspect.cleandoc(docstring).partition("Attributes:\n")
@@ -166,7 +166,7 @@ def attributes(docstring: str) -> dict[str, str]:
 
 
 def fault_section(level: str, fault: Any) -> list[str]:
-    """Heading, first sentence and table of attributes of one type of fault."""
+    """Heading, first sentence and attribute table of one fault type."""
     hints, words = get_type_hints(fault), attributes(fault.__doc__)
     lines = [f"## Level `{level}`: {fault.__name__}", "", inspect.cleandoc(fault.__doc__).splitlines()[0], "", *HEAD]
     for field in fields(fault):
@@ -182,13 +182,13 @@ def _is_site(annotation: Any) -> bool:
 
 
 def row(*cells: str) -> str:
-    """One line of a table; bars inside cells are escaped."""
+    """One table row; bars inside cells are escaped."""
     name, *rest = (" ".join(cell.split()).replace("|", "\\|") for cell in cells)
     return "| " + " | ".join((f"`{name}`", *rest)) + " |"
 
 
 def pages() -> dict[Path, str]:
-    """Every reference page with its path."""
+    """Content of every reference page, by path."""
     written = {
         GENERATED / name: _page(head, (model_section(part) for model in models for part in with_parts(model)))
         for name, (head, models) in SECTIONS.items()

@@ -3,7 +3,7 @@
     N=40 WORKERS=2 python -m tools.difficulty
 
 N: missions per density, v_max and autopilot profile, each flown without a fault and with one fault of each kind.
-Ledgers are in out/difficulty; the same command resumes.  Writes docs/generated/difficulty.md.
+Ledgers are in out/difficulty; the same command resumes an interrupted run.  Writes docs/generated/difficulty.md.
 """
 
 import os
@@ -36,7 +36,8 @@ from tools.markers import GENERATED, ROOT, banner
 PAGE, PICTURE = GENERATED / "difficulty.md", GENERATED / "difficulty.png"
 PROFILES = ("published", "hardened")
 SPEEDS = (3.0, 4.5, 6.0, 8.0)
-"""m/s; the last, with time limits that follow it, makes golden flights of `published` as hard as the paper's."""
+"""Speed limits (m/s); at the last, with time limits that scale with it, golden flights of `published` are as hard as
+the paper's."""
 ALL = "all three"
 CELL = ("autopilot", "v_max (m/s)", "density")
 SLOW = f"fail or take > {100 * SLOWER:.0f} % longer"
@@ -72,13 +73,13 @@ ledger from the list above.
 
 @dataclass(frozen=True)
 class Cell:
-    """One autopilot profile at one v_max in one density.
+    """One autopilot profile at one v_max and density.
 
     Attributes:
-        profile: Name.
-        v_max: m/s.
-        density: Share of the ground.
-        runs: Its runs.
+        profile: Name of the profile.
+        v_max: Speed limit (m/s).
+        density: Occupied share of the ground.
+        runs: Runs of the cell.
     """
 
     profile: str
@@ -88,18 +89,18 @@ class Cell:
 
     @property
     def golden(self) -> Rate:
-        """Success without a fault."""
+        """Success rate without a fault."""
         own = self.runs.golden
         return wilson(sum(own["success"]), len(own))
 
     @property
     def median_time(self) -> float:
-        """Median flight time of the golden flights that arrive (s); NaN if none does."""
+        """Median time of the successful golden flights (s); NaN if there is none."""
         times = self.runs.golden.where("success")["flight_time_s"]
         return float(np.median(times)) if times else float("nan")
 
     def effect(self, test: pl.Expr, target: str = ALL) -> Rate:
-        """Share of the missions whose golden flight arrives for which a test holds with a fault."""
+        """Share of injected runs that fulfil a test, among missions whose golden flight succeeds."""
         own = self.runs.injected.where("judged", "golden_success")
         return rate_of(own if target == ALL else own.where(target=target), test)
 
@@ -109,7 +110,7 @@ PANELS = (("one fault: fail", FAILS), (f"one fault: {SLOW}", FAILS_OR_SLOWER))
 
 
 def campaigns(n: int) -> Iterator[tuple[str, float, Campaign, Path]]:
-    """Profile, v_max and campaign of each part of the sweep, and the folder of its ledger."""
+    """Profile, v_max, campaign and ledger folder of each part of the sweep."""
     base = load_campaign("difficulty").model_copy(update={"missions": n, "faults": n})
     for profile in PROFILES:
         for v_max in SPEEDS:
@@ -127,7 +128,7 @@ def fly_all(n: int, workers: int) -> None:
 
 
 def read_all(n: int) -> tuple[list[Cell], list[dict[str, Any]]]:
-    """All cells, and the ledgers that they come from."""
+    """All cells, and their source ledgers."""
     cells, sources = [], []
     for profile, v_max, campaign, directory in campaigns(n):
         runs = load(directory)
@@ -139,14 +140,14 @@ def read_all(n: int) -> tuple[list[Cell], list[dict[str, Any]]]:
 
 
 def share(rate: Rate) -> str:
-    """A rate as text: per cent, interval, counts."""
+    """A rate as text: per cent, interval and counts."""
     if rate.rate is None or rate.low is None or rate.high is None:
         return "—"
     return f"{100 * rate.rate:.0f} [{100 * rate.low:.0f}, {100 * rate.high:.0f}] {rate.successes}/{rate.n}"
 
 
 def table(head: tuple[str, ...], lines: list[tuple[str, ...]]) -> list[str]:
-    """A table in Markdown."""
+    """A Markdown table."""
     return ["| " + " | ".join(line) + " |" for line in (head, tuple("---" for _ in head), *lines)]
 
 
@@ -178,7 +179,7 @@ def _effects(title: str, cells: list[Cell], targets: list[str], test: pl.Expr) -
 
 
 def draw(cells: list[Cell], path: Path) -> None:
-    """One figure: a row of panels for each autopilot profile, a line for each v_max."""
+    """One figure: a row of panels per autopilot profile, a line per v_max."""
     with style.house_style():
         figure, rows = plt.subplots(len(PROFILES), 1 + len(PANELS), figsize=(10, 5.8), sharex=True, sharey=True)
         for profile, line in zip(PROFILES, rows, strict=True):
@@ -221,7 +222,7 @@ def main() -> int:
     n, workers = int(os.environ.get("N", "40")), int(os.environ.get("WORKERS", str(os.cpu_count() or 1)))
     try:
         fly_all(n, workers)
-    except typer.Exit as stop:  # Ctrl-C; the message is out
+    except typer.Exit as stop:  # Ctrl-C; the message has been printed
         return stop.exit_code
     except BadInputError as error:
         sys.stderr.write(f"{error}\n")

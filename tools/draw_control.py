@@ -34,13 +34,13 @@ def open_air() -> Simulator:
 
 
 def gains(p: float, feed_forward: float, limit: float, integral: float = 0.0) -> pid.Gains:
-    """Equal gains for all axes."""
+    """Gains equal on all axes."""
     ones = np.ones(3)
     return pid.Gains(p * ones, integral * ones, 0.0 * ones, 1.0, feed_forward, 0.0, limit, 1.0, MAX_YAW_RATE)
 
 
 def track(wanted: Reference, chosen: pid.Gains, seconds: float) -> np.ndarray:
-    """Time, reference and position along x of the vehicle that tracks a reference. Shape (n, 3)."""
+    """Time, reference and vehicle position along x while tracking a reference. Shape (n, 3)."""
     sim, memory, command = open_air(), np.zeros(pid.MEMORY_WIDTH), np.zeros(4)
     rows = []
     for tick in range(round(seconds / (1e-6 * DT_US))):
@@ -57,18 +57,18 @@ def track(wanted: Reference, chosen: pid.Gains, seconds: float) -> np.ndarray:
 
 
 def step(time: float) -> tuple[float, float]:
-    """2 m at 1 s."""
+    """Position step of 2 m at 1 s."""
     return (2.0, 0.0) if time >= 1.0 else (0.0, 0.0)
 
 
 def ramp(time: float) -> tuple[float, float]:
-    """Constant speed between two instants."""
+    """Constant reference speed between two instants."""
     first, last = RAMP
     return RAMP_SPEED * (min(max(time, first), last) - first), RAMP_SPEED if first <= time < last else 0.0
 
 
 def draw_pid() -> None:
-    """Step of the position, and a moving reference with and without feed-forward."""
+    """Draw the position step response, and the tracking error with and without feed-forward."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.4, 4.2), layout="constrained")
     kinds = ((0.2, style.BLUE, "K_p 0.2 /s (published)"), (2.0, style.ORANGE, "K_p 2 /s (hardened)"))
     for p, colour, label in kinds:
@@ -94,7 +94,7 @@ def draw_pid() -> None:
 
 
 def draw_vehicle() -> None:
-    """Velocity set-points, what the vehicle makes of them, and its tilt."""
+    """Draw velocity set-points, the vehicle's response, and its tilt."""
     sim = open_air()
     rows = []
     for tick in range(350):
@@ -121,7 +121,7 @@ def draw_vehicle() -> None:
 
 
 def draw_waypoint() -> None:
-    """The speed of the way-point in force under both rules, and the alarms."""
+    """Draw the speed of the way-point in force under both rules, and the alarms."""
     figure, rows = plt.subplots(2, 1, figsize=(8.2, 4.8), sharex=True, sharey=True, layout="constrained")
     for axes, profile, rule in zip(rows, ("published", "hardened"), ("held", "governed"), strict=True):
         flight, tape = drawing.record(resolve(MissionSpec(environment="dense", seed=7, autopilot=profile)))
@@ -141,7 +141,7 @@ def draw_waypoint() -> None:
 
 
 def main() -> None:
-    """Draw all."""
+    """Draw all pictures."""
     with style.house_style():
         draw_pid()
         draw_vehicle()

@@ -1,4 +1,4 @@
-"""Draw docs/kernels/flight.png: one instant of a flight through dense from above: map, trees, path, trajectory.
+"""Draw docs/kernels/flight.png: top view of one instant of a flight in `dense`: map, trees, path, trajectory.
 
 Run as `make pictures`.
 """
@@ -17,24 +17,24 @@ from mavfi.states import State
 from tools import drawing
 
 NUMBER = 6
-"""Plan that is drawn: one in the middle of the flight."""
+"""Number of the plan shown, in the middle of the flight."""
 HEIGHT = 4.0
 FREE, OCCUPIED = "#EAF3FA", "#3B3B3B"
 
 
 def mission() -> Scenario:
-    """Dense, with one run of RRT-Connect per plan, so that the path is that of the trees which are drawn."""
+    """Environment `dense` with one RRT-Connect run per plan, so that the path belongs to the trees shown."""
     scenario = resolve(MissionSpec(environment="dense", seed=7))
     return scenario.model_copy(update={"planner": scenario.planner.model_copy(update={"restarts": 1})})
 
 
 def points_of(state: State) -> np.ndarray:
-    """Positions of the elements of a path or trajectory. Shape (n, 3)."""
+    """Positions of a path's or trajectory's elements. Shape (n, 3)."""
     return np.stack([state.elements[axis] for axis in "xyz"], axis=1)
 
 
 def draw_moment(axes: Axes) -> None:
-    """Everything known at that instant."""
+    """Draw all data available at that instant."""
     scenario = mission()
     flight, tape = drawing.record(scenario)
     planner, path, time_us = drawing.planner_at(scenario, flight, tape, NUMBER)
@@ -44,7 +44,7 @@ def draw_moment(axes: Axes) -> None:
     free = drawing.cube(room.cells, room.grid)[:, :, drawing.layer_of(room.grid, HEIGHT)] == KNOWN_FREE
     drawing.shade(axes, room.grid, free, FREE, order=0.5)
     drawing.shade(axes, room.grid, drawing.occupied_from_above(room), OCCUPIED)
-    trees = planner.routes.search._trees  # the memory of the search, as the planner left it
+    trees = planner.routes.search._trees  # working memory after the last search
     for which, colour in enumerate((style.SKY, style.AMBER)):
         count = trees.counts[which]
         drawing.draw_tree(axes, trees.nodes[which, :count], trees.parents[which, :count], colour, 1.3)
@@ -61,7 +61,7 @@ def draw_moment(axes: Axes) -> None:
 
 
 def legend() -> list[Line2D | Patch]:
-    """What the colours mean."""
+    """Legend entries of the colours."""
     lines = (
         ("flown", style.INK, "-", 2.0), ("tree from the start", style.SKY, "-", 1.3),
         ("tree from the goal", style.AMBER, "-", 1.3), ("path", style.ORANGE, "--", 1.3),

@@ -1,4 +1,4 @@
-"""Draw docs/images/octomap.png: the map of a golden flight as voxels, and the leaves of the octree that holds the same.
+"""Draw docs/images/octomap.png: the map of a golden flight as voxels, and as the leaves of an equivalent octree.
 
 Run as `make pictures`.
 """
@@ -23,7 +23,7 @@ WINDOW = ((7.0, 52.0), (-28.0, 17.0))
 
 
 def leaves_at(tree: Any, height_key: int) -> list[tuple[int, int, int, float]]:
-    """Leaves that a horizontal plane cuts: lower key x and y, edge in voxels, log-odds."""
+    """Leaves intersected by a horizontal plane: lower key x and y, edge in voxels, log-odds."""
     found = []
     todo = [(0, 0, 0, 0, 1 << DEPTH)]
     while todo:

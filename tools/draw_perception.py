@@ -1,4 +1,4 @@
-"""Draw docs/kernels/point_cloud.png and collision_check.png: from depth image to points, and what an alarm saw.
+"""Draw docs/kernels/point_cloud.png and collision_check.png: a depth image with its points, and the map at an alarm.
 
 Run as `make pictures`.
 """
@@ -18,20 +18,20 @@ from tools import drawing
 
 SEED = 7
 ALARM = 6
-"""Predicted collision that is drawn."""
+"""Index of the predicted collision shown."""
 IMAGE_US = 12_000_000
-"""Instant of the depth image that is drawn."""
+"""Instant of the depth image shown (us)."""
 NEAR, SOLID = "#EBDCC8", "#3B3B3B"
 _BEYOND = "#999999"
 
 
 def latest(tape: drawing.Tape, name: str, time_us: int) -> State:
-    """The last publication of a state up to an instant."""
+    """The last publication of a state at or before an instant."""
     return next(state for when, state in reversed(tape) if when <= time_us and state.spec.name == name)
 
 
 def draw_point_cloud(scenario: Scenario, flight: Flight, tape: drawing.Tape, time_us: int) -> None:
-    """A depth image, and the points that become of it."""
+    """Draw a depth image and its point cloud."""
     cloud = latest(tape, "perception.point_cloud", time_us)
     images = [state for when, state in tape if when <= time_us and state.spec.name == "sensor.depth"]
     origin = floats(cloud.header, 3)
@@ -56,7 +56,7 @@ def draw_point_cloud(scenario: Scenario, flight: Flight, tape: drawing.Tape, tim
 
 
 def draw_collision_check(scenario: Scenario, flight: Flight, tape: drawing.Tape, time_us: int, status: State) -> None:
-    """The rest of the trajectory on the map at the instant of an alarm."""
+    """Draw the remaining trajectory on the map at the instant of an alarm."""
     room = drawing.room_at(scenario, flight, tape, time_us)
     position = floats(latest(tape, "sensor.odometry", time_us).header, 3)
     waypoint = latest(tape, "planning.waypoint", time_us)
@@ -82,7 +82,7 @@ def draw_collision_check(scenario: Scenario, flight: Flight, tape: drawing.Tape,
 
 
 def _point_at(waypoint: State, elements: np.ndarray, tape: drawing.Tape, time_us: int, ahead: float) -> int:
-    """Index of the point at the start of the segment that collides."""
+    """Index of the first point of the colliding segment."""
     left = float(latest(tape, "control.tracking", time_us).header["remaining"][0])
     index = int(waypoint.header["index"][0])
     while left < ahead - 1e-9 and index < len(elements) - 1:
@@ -105,7 +105,7 @@ def _legend(resolution: float) -> list[Line2D | Patch]:
 
 
 def alarms(tape: drawing.Tape) -> list[tuple[int, State]]:
-    """Every predicted collision, and its instant (us)."""
+    """All predicted collisions with their instants (us)."""
     statuses = ((when, state) for when, state in tape if state.spec.name == "perception.collision_status")
     return [(when, state) for when, state in statuses if bool(state.header["collision"][0])]
 

@@ -29,7 +29,7 @@ HEIGHT = 4.0
 
 @cache
 def scene() -> tuple[Room, World]:
-    """The whole world as a map: every voxel that an obstacle fills is occupied, as after a very long flight."""
+    """The complete world as a map: all voxels inside obstacles are occupied, as after a very long flight."""
     scenario = resolve(MissionSpec(environment="factory", seed=0))
     flight, _ = drawing.record(scenario)
     room = Room(drawing.config_of(scenario, flight))
@@ -46,7 +46,7 @@ def scene() -> tuple[Room, World]:
 
 
 def grown(name: str, iterations: int, seed: int) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
-    """Trees of a planner (nodes, parents) after a budget, and the path, empty if there is none yet."""
+    """Trees of a planner (nodes, parents) after a number of iterations, and the path, empty if none is found."""
     room, world = scene()
     random, path = seed_generator(seed, 1), np.zeros((2 * rrt_connect.NODE_LIMIT, 3))
     where = room.wide, room.grid, world.start, world.goal, world.flight_lower, world.flight_upper
@@ -65,7 +65,7 @@ def grown(name: str, iterations: int, seed: int) -> tuple[list[tuple[np.ndarray,
 
 
 def background(axes: Axes) -> None:
-    """Obstacles and what is too near to them at one height."""
+    """Draw obstacles and their clearance zones at one height."""
     room, world = scene()
     layer = drawing.layer_of(room.grid, HEIGHT)
     drawing.shade(axes, room.grid, drawing.cube(room.wide, room.grid)[:, :, layer] > 0, NEAR)
@@ -74,7 +74,7 @@ def background(axes: Axes) -> None:
 
 
 def draw_trees() -> None:
-    """Each planner's trees after the same number of iterations on the same map."""
+    """Draw each planner's trees after the same number of iterations on the same map."""
     names = {"rrt": "RRT", "rrt_connect": "RRT-Connect", "rrt_star": "RRT*"}
     figure, rows = plt.subplots(3, 1, figsize=(7.2, 11.0), sharex=True, layout="constrained")
     for axes, (name, title) in zip(rows, names.items(), strict=True):
@@ -93,7 +93,7 @@ def draw_trees() -> None:
 
 
 def draw_cost() -> None:
-    """Length of RRT*'s path against its budget, run by run; the number of nodes grows, the length never does."""
+    """Draw the length of RRT*'s path against its budget, per run; it decreases monotonically."""
     room, world = scene()
     figure, axes = plt.subplots(figsize=(6.4, 3.4), layout="constrained")
     where = world.goal, world.flight_lower, world.flight_upper
@@ -119,7 +119,7 @@ def draw_cost() -> None:
 
 
 def draw_shortcut() -> None:
-    """The path of one RRT run, and what both kinds of shortcut make of it."""
+    """Draw the path of one RRT-Connect run before and after each kind of shortcut."""
     room, _ = scene()
     _, raw = grown("rrt_connect", 4000, 1)
     work, buffer = np.zeros((len(raw) + 200, 3)), np.zeros((len(raw) + 200, 3))
@@ -141,7 +141,7 @@ def draw_shortcut() -> None:
 
 
 def main() -> None:
-    """Draw all."""
+    """Draw all pictures."""
     with style.house_style():
         draw_trees()
         draw_cost()

@@ -1,7 +1,7 @@
-"""Draw docs/images/ros_graph.png, and write the output of ROS's own tools during a flight into docs/ros.md.
+"""Draw docs/images/ros_graph.png, and write the output of ROS's own tools during a flight to docs/ros.md.
 
-A flight with an injector and a detector is flown on real ROS, free-running.  The picture is drawn from what the master
-says of it, not from what the project believes of itself.  Run as `python -m tools.draw_ros_graph`.
+A flight with an injector and a detector is flown on ROS, free-running.  The picture shows the graph as reported by the
+master, not as configured.  Run as `python -m tools.draw_ros_graph`.
 """
 
 import json
@@ -41,27 +41,27 @@ SHOWN = (
     ("rosmsg", "show", "mavfi_msgs/PlanningWaypoint"),
 )
 COMMANDS, CONTROL_HZ = 2, 50.0
-"""Index of the one that reports the rate of commands, and the rate if the machine keeps up."""
+"""Index of the command that reports the command rate, and the nominal rate (Hz)."""
 MASTER = (
     "import json, os, xmlrpc.client; master = xmlrpc.client.ServerProxy(os.environ['ROS_MASTER_URI']); "
     "print(json.dumps(master.getSystemState('/picture')[2]))"
 )
 PREFIX = "/mavfi/"
 NODES = ("world", "point_cloud", "octomap", "collision_check", "planner", "waypoint", "pid")
-"""In the order of the data flow."""
+"""Nodes in data-flow order."""
 COLOURS = {"sensor": style.GREY, "perception": style.BLUE, "planning": style.GREEN, "control": style.PURPLE}
 LEFT, RAW, INJECTOR, INJECTED, DETECTOR, FINAL, RIGHT = 0.0, 2.4, 4.35, 6.35, 8.05, 10.1, 13.7
 PITCH, HALF_HEIGHT = 1.0, 0.3
 NODE, GATE, WRITTEN, READ = 0.98, 0.42, 0.62, 1.08
-"""Half of the width of a node, the detector, a topic before it, and one behind it."""
+"""Half-width of a node, the detector, a topic upstream of it, and a topic downstream."""
 SPREAD = 0.42
-"""Of the arrows that arrive at one reader."""
+"""Spacing of the arrows that end at one reader."""
 TAPS = {"injector": (INJECTOR, NODE), "detector": (DETECTOR, GATE)}
 
 
 @dataclass
 class Seen:
-    """What was seen of the flight: outputs by command, and the master's publishers and subscribers by topic."""
+    """Observations of the flight: output by command, and the master's publishers and subscribers by topic."""
 
     told: dict[tuple[str, ...], str] = field(default_factory=dict)
     publishers: dict[str, list[str]] = field(default_factory=dict)
@@ -69,7 +69,7 @@ class Seen:
 
 
 def look(folder: Path, seen: Seen) -> None:
-    """Ask ROS's own tools, as a user does in another terminal."""
+    """Query ROS's own tools, as a user does in another terminal."""
     join = str(folder / JOIN)
     for command in SHOWN:
         if command[1] == "hz":
@@ -84,7 +84,7 @@ def look(folder: Path, seen: Seen) -> None:
 
 
 def rate(join: str, command: tuple[str, ...]) -> str:
-    """The second report of a command that reports until it is stopped; the first is of a short time."""
+    """The second report of a continuously reporting command; the first covers too short a time."""
     with Popen([join, "env", "PYTHONUNBUFFERED=1", *command], stdout=PIPE, stderr=DEVNULL, text=True) as process:
         assert process.stdout is not None
         reports = (line.rstrip() for line in process.stdout)
@@ -100,7 +100,7 @@ def rate(join: str, command: tuple[str, ...]) -> str:
 
 
 def watch_flight() -> Seen:
-    """Fly, and look at it meanwhile."""
+    """Fly, and query the graph during the flight."""
     scenario = resolve(MissionSpec(environment="sparse", seed=7))
     request = parse(FAULT)
     assert isinstance(request, StateRequest)
@@ -127,7 +127,7 @@ def watch_flight() -> Seen:
 
 
 def wait_and_look(folder: Path, seen: Seen) -> None:
-    """Look as soon as every node is there."""
+    """Query the graph as soon as all nodes are registered."""
     until = time.monotonic() + PATIENCE_S
     while time.monotonic() < until:
         listed = run([str(folder / JOIN), "rosnode", "list"], capture_output=True, text=True, check=False).stdout
@@ -138,7 +138,7 @@ def wait_and_look(folder: Path, seen: Seen) -> None:
 
 
 def transcript(seen: Seen) -> str:
-    """The terminal."""
+    """The terminal session as a text block."""
     lines = ["```text"]
     for command in SHOWN:
         lines += [f"$ $FLIGHT/join {' '.join(command)}", seen.told[command]]
@@ -147,23 +147,23 @@ def transcript(seen: Seen) -> str:
 
 # ---- the picture ----------------------------------------------------------------------------------------------------
 def states_of(seen: Seen) -> list[str]:
-    """The loop's topics that readers see, by their first publishers in the order of the data flow."""
+    """The loop's final topics, ordered by their first publishers in data-flow order."""
     finals = [topic for topic in seen.publishers if topic.startswith(PREFIX) and topic.count("/") == 3]
     return sorted(finals, key=lambda topic: (NODES.index(first_of(seen, topic)), list(COLOURS).index(stage(topic))))
 
 
 def stage(topic: str) -> str:
-    """Stage in the name of a topic."""
+    """Stage in a topic's name."""
     return topic.split("/")[2]
 
 
 def first_of(seen: Seen, topic: str) -> str:
-    """Node that publishes a value first."""
+    """Node that first publishes a value."""
     return seen.publishers.get(f"{topic}/raw", seen.publishers[topic])[0]
 
 
 def box(axes: Axes, at: tuple[float, float], half: tuple[float, float], colour: str, *, node: bool = True) -> None:
-    """A node (filled) or a topic (outlined)."""
+    """Draw a node (filled) or a topic (outlined)."""
     axes.add_patch(
         FancyBboxPatch(
             (at[0] - half[0], at[1] - half[1]), 2 * half[0], 2 * half[1],
@@ -174,19 +174,19 @@ def box(axes: Axes, at: tuple[float, float], half: tuple[float, float], colour: 
 
 
 def node_box(axes: Axes, x: float, y: float, name: str, colour: str) -> None:
-    """A node with its name."""
+    """Draw a node with its name."""
     box(axes, (x, y), (NODE, HALF_HEIGHT), colour)
     axes.text(x, y, name, ha="center", va="center", color="white", fontsize=9.5, fontweight="bold", zorder=5)
 
 
 def topic_box(axes: Axes, x: float, y: float, text: str, half: float, colour: str) -> None:
-    """A topic with its name."""
+    """Draw a topic with its name."""
     box(axes, (x, y), (half, HALF_HEIGHT + 0.04), colour, node=False)
     axes.text(x, y, text, ha="center", va="center", fontsize=8.5, linespacing=1.15, zorder=5)
 
 
 def arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float], colour: str) -> None:
-    """A line that leaves and arrives level, with a head."""
+    """Draw a curve with horizontal ends and an arrowhead."""
     middle = 0.5 * (start[0] + end[0])
     curve = Line([start, (middle, start[1]), (middle, end[1]), (end[0] - 0.09, end[1])], [1, 4, 4, 4])
     axes.add_patch(PathPatch(curve, facecolor="none", edgecolor=colour, linewidth=1.1, alpha=0.85, zorder=2))
@@ -194,7 +194,7 @@ def arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float], colo
 
 
 def draw_lane(axes: Axes, seen: Seen, topic: str, y: float, start: float) -> tuple[float, float]:
-    """The way of a state from its kernel, whose node stands at the height `start`; gives where that ends."""
+    """Draw the route of a state from its kernel's node at height `start`; returns the end point."""
     colour = COLOURS[stage(topic)]
     at = LEFT + NODE, start
     for suffix, x, half in (("/raw", RAW, WRITTEN), ("/injected", INJECTED, WRITTEN), ("", FINAL, READ)):
@@ -214,7 +214,7 @@ def draw_lane(axes: Axes, seen: Seen, topic: str, y: float, start: float) -> tup
 
 
 def draw_readers(axes: Axes, seen: Seen, ends: dict[str, tuple[float, float]], right: dict[str, float]) -> None:
-    """Arrows from the topics to those who read them; at a reader they arrive in the order of the topics."""
+    """Draw arrows from the topics to their subscribers; at a subscriber they are in topic order."""
     for node, y in right.items():
         read = [topic for topic in ends if node in seen.subscribers.get(topic, [])]
         for place, topic in enumerate(read):
@@ -223,7 +223,7 @@ def draw_readers(axes: Axes, seen: Seen, ends: dict[str, tuple[float, float]], r
 
 
 def draw_rest(axes: Axes, seen: Seen, y: float) -> None:
-    """What else is published."""
+    """List the remaining topics."""
     rejected = [topic for topic in seen.publishers if topic.endswith("/rejected")]
     others = sorted(topic for topic in seen.publishers if topic.startswith(PREFIX) and topic.count("/") == 2)
     standard = sorted(topic for topic in seen.publishers if not topic.startswith(PREFIX) and "rosout" not in topic)
@@ -266,7 +266,7 @@ def draw(seen: Seen) -> None:
 
 
 def main() -> None:
-    """Fly, draw, write; or say why not."""
+    """Fly, draw and write; or print why this is impossible."""
     try:
         finder.require()
         isolation()

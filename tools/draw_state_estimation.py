@@ -1,4 +1,4 @@
-"""Draw docs/images/state_estimation.png: errors of the state estimator in a golden flight, and what it says of them.
+"""Draw docs/images/state_estimation.png: errors of the state estimator in a golden flight, and its 3-sigma bounds.
 
 Run as `python -m tools.draw_state_estimation`.
 """
@@ -36,7 +36,7 @@ def replayed(published: list[tuple[int, State]], noise: Any) -> dict[int, np.nda
 
 
 def draw(path: Path) -> None:
-    """Fly, let the estimator run again on what its sensors published, and draw."""
+    """Fly, replay the recorded sensor values through the estimator, and draw."""
     scenario = resolve(MissionSpec(environment="dense", seed=7, autopilot="hardened", localization="estimator"))
     published: list[tuple[int, State]] = []
 

@@ -1,4 +1,4 @@
-"""Draw docs/images/trajectory.png: a minimum-snap curve before and after it was split, its speed and acceleration.
+"""Draw docs/images/trajectory.png: a minimum-snap curve before and after splitting, its speed and acceleration.
 
 Run as `python -m tools.draw_trajectory`.
 """
@@ -23,7 +23,7 @@ STEP = 0.02
 
 
 def room() -> tuple[np.ndarray, np.ndarray]:
-    """Occupied voxels, and what is too near to one. Shape (nx, ny, nz) each."""
+    """Occupied voxels, and those within the checker's radius. Shape (nx, ny, nz) each."""
     occupied = np.zeros((GRID.nx, GRID.ny, GRID.nz), bool)
     for x0, x1, y0, y1 in BOXES:
         occupied[int(2 * x0) : int(2 * x1), int(2 * y0) : int(2 * y1)] = True
@@ -36,7 +36,7 @@ def room() -> tuple[np.ndarray, np.ndarray]:
 
 
 def curve(narrow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points of the curve, and the stations that it passes."""
+    """Points and knots of the curve."""
     work = stations.new_work()
     free = np.zeros(GRID.size, np.int16)
     count = course.fit(narrow, free, GRID, PATH, len(PATH), np.zeros(3), np.zeros(3), LAW, work)
@@ -56,7 +56,7 @@ def blends(narrow: np.ndarray) -> np.ndarray:
 
 
 def draw(path: Path) -> None:
-    """Plan on one path three times, and draw."""
+    """Generate the three curves for one path, and draw them."""
     occupied, narrow = room()
     free = np.zeros(GRID.size, np.int16)
     before, _ = curve(free)

@@ -1,4 +1,4 @@
-"""Common parts of the pictures: a recorded flight, kernels stepped again from it, maps, worlds, files."""
+"""Shared functions of the pictures: recorded flights, replay of kernels, maps, worlds, files."""
 
 from io import BytesIO
 from pathlib import Path
@@ -29,7 +29,7 @@ from tools.markers import DOCS
 FOLDER = DOCS / "kernels"
 _DOTS_PER_INCH = 110
 LARGEST_FILE = 120_000
-"""Bytes of a picture, at most."""
+"""Maximum size of a picture (bytes)."""
 SOLID, EDGE = "#DEDEDE", "#A8A8A8"
 
 Tape = list[tuple[int, State]]
@@ -37,19 +37,19 @@ Tape = list[tuple[int, State]]
 
 
 def record(scenario: Scenario) -> tuple[Flight, Tape]:
-    """A golden flight, and all that was published."""
+    """A golden flight, and all its publications."""
     tape: Tape = []
     flight = fly(scenario, recorders=[lambda state, time_us: tape.append((time_us, state.copy()))])
     return flight, tape
 
 
 def config_of(scenario: Scenario, flight: Flight) -> PipelineConfig:
-    """Configuration of the pipeline of a flight."""
+    """The pipeline's configuration of a flight."""
     return pipeline_config(scenario, flight.world, pixel_directions(scenario.camera))
 
 
 def room_at(scenario: Scenario, flight: Flight, tape: Tape, time_us: int) -> Room:
-    """The clearance map as consumers had it at an instant."""
+    """The clearance map of a consumer at an instant."""
     room = Room(config_of(scenario, flight))
     for when, state in tape:
         if when <= time_us and state.spec.name == "perception.map_update":
@@ -58,10 +58,10 @@ def room_at(scenario: Scenario, flight: Flight, tape: Tape, time_us: int) -> Roo
 
 
 def planner_at(scenario: Scenario, flight: Flight, tape: Tape, number: int) -> tuple[Any, State, int]:
-    """The planner after its n-th plan (from 1 on), stepped again as the host did; the path, and its instant (us).
+    """The planner after its n-th plan (from 1), replayed as by the host; the path, and its instant (us).
 
     Raises:
-        ValueError: There are fewer plans, or the path is not that of the flight.
+        ValueError: There are fewer plans, or a replayed path differs from the flight's.
     """
     planner = MotionPlanner(config_of(scenario, flight))
     found: State | None = None
@@ -87,7 +87,7 @@ def planner_at(scenario: Scenario, flight: Flight, tape: Tape, number: int) -> t
 
 
 def map_update(occupied: np.ndarray) -> State:
-    """A map update that makes voxels (flat indices) occupied."""
+    """A map update that marks voxels (flat indices) as occupied."""
     update = new_state("perception.map_update", len(occupied))
     update.elements["voxel"] = occupied
     update.elements["log_odds"] = 1.0
@@ -95,7 +95,7 @@ def map_update(occupied: np.ndarray) -> State:
 
 
 def draw_boxes(axes: Axes, world: World, index: int = 1) -> None:
-    """Obstacles from above (index 1), or from the side (index 2)."""
+    """Draw obstacles from above (index 1) or from the side (index 2)."""
     patches = [
         Rectangle((low[0], low[index]), high[0] - low[0], high[index] - low[index])
         for low, high in zip(world.lower, world.upper, strict=True)
@@ -104,7 +104,7 @@ def draw_boxes(axes: Axes, world: World, index: int = 1) -> None:
 
 
 def cube(values: np.ndarray, grid: Grid) -> np.ndarray:
-    """A flat array over a grid in three dimensions."""
+    """View of a flat grid array in three dimensions."""
     return values.reshape(grid.nx, grid.ny, grid.nz)
 
 
@@ -114,7 +114,7 @@ def layer_of(grid: Grid, height: float) -> int:
 
 
 def shade(axes: Axes, grid: Grid, cells: np.ndarray, colour: str, *, alpha: float = 1.0, order: float = 2.0) -> None:
-    """Colour the cells (nx, ny) that are set, seen from above."""
+    """Colour the cells (nx, ny) that are true, seen from above."""
     x1, y1 = grid.x0 + grid.nx * grid.resolution, grid.y0 + grid.ny * grid.resolution
     axes.imshow(
         np.where(cells, 1.0, np.nan).T, origin="lower", extent=(grid.x0, x1, grid.y0, y1), zorder=order, alpha=alpha,
@@ -123,40 +123,40 @@ def shade(axes: Axes, grid: Grid, cells: np.ndarray, colour: str, *, alpha: floa
 
 
 def occupied_from_above(room: Room, height: tuple[float, float] = (1.0, 9.0)) -> np.ndarray:
-    """Columns in which some voxel between two heights is known to be occupied. Shape (nx, ny)."""
+    """Columns with a known occupied voxel between two heights (m). Shape (nx, ny)."""
     low, high = (layer_of(room.grid, z) for z in height)
     seen: np.ndarray = (cube(room.cells, room.grid)[:, :, low:high] == OCCUPIED).any(axis=2)
     return seen
 
 
 def draw_tree(axes: Axes, nodes: np.ndarray, parents: np.ndarray, colour: str, width: float = 0.8) -> None:
-    """Edges of a search tree, from above. Shapes (n, 3), (n,)."""
+    """Draw the edges of a search tree from above. Shapes (n, 3), (n,)."""
     edges = [(nodes[parent, :2], node[:2]) for node, parent in zip(nodes, parents, strict=True) if parent >= 0]
     axes.add_collection(LineCollection(edges, colors=colour, linewidths=width, zorder=4))
 
 
 def draw_ends(axes: Axes, start: np.ndarray, goal: np.ndarray) -> None:
-    """Start and goal from above."""
+    """Draw start and goal from above."""
     look: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white", "color": style.INK, "zorder": 9}
     axes.plot(start[0], start[1], marker="o", markersize=8, label="start", **look)
     axes.plot(goal[0], goal[1], marker="s", markersize=8, label="goal", **look)
 
 
 def from_above(axes: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Axes of a view from above (m)."""
+    """Set up axes for a top view (m)."""
     axes.set(xlim=x, ylim=y, xlabel="x (m)", ylabel="y (m)")
     axes.set_aspect("equal")
 
 
 def save(figure: Figure, name: str, folder: Path = FOLDER) -> None:
-    """Write a picture, by default of docs/kernels.
+    """Write a picture, by default to docs/kernels.
 
     Raises:
-        ValueError: It is too large for the repository.
+        ValueError: The file is too large for the repository.
     """
     path, drawn = folder / name, BytesIO()
     figure.savefig(drawn, dpi=_DOTS_PER_INCH)
-    with Image.open(drawn) as image:  # few colours: a fraction of the bytes, and none of the writer's name
+    with Image.open(drawn) as image:  # a small palette shrinks the file; re-encoding drops the writer's metadata
         image.convert("RGB").quantize(256, dither=Image.Dither.NONE).save(path, "PNG", optimize=True)
     size = path.stat().st_size
     if size > LARGEST_FILE:

@@ -1,4 +1,4 @@
-"""Quality of error-free flights: success, time, closest approach, replans, tracking, speed, and every failure."""
+"""Quality of error-free flights: success, time, clearance, replans, tracking error, speed, and causes of failure."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ from mavfi.kernels.perception.clearance import OCCUPIED
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
 
 EVALUATION_SEED = 10_000
-"""First seed of published figures; autopilot profiles are tuned on lower ones."""
+"""First seed of published figures; autopilot profiles are tuned on lower seeds."""
 LEAST_CLEARANCE, MOST_TRACKING, MOST_SPEED = 0.15, 1.0, 1.1
-"""Bars of quality: distance of the vehicle's sphere from obstacles (m), tracking error (m), speed / v_max."""
+"""Quality criteria: clearance of the vehicle's sphere (m), tracking error (m), speed / v_max."""
 _LAST_EVENTS = 3
 _TURN_BACK = 5.0
 """Increase of the distance to the goal that counts as turning back (m)."""
 _NAMED = ("environment", "seed", "autopilot", "planner", "platform", "v_max")
-"""Keys of a mission that a command always gives; others only where they differ from the default."""
+"""Mission keys that a command always states; others only if they differ from the default."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +31,9 @@ class Setting:
     """One row of the table.
 
     Attributes:
-        mission: Without its seed.
-        least: Smallest success that is demanded of 100 flights; None = no demand.
-        quality: Whether the bars of quality hold too.
+        mission: The mission without its seed.
+        least: Required success rate (%); None = no requirement.
+        quality: Whether the quality criteria apply as well.
     """
 
     mission: MissionSpec
@@ -44,7 +44,7 @@ class Setting:
     def of(
         environment: str, autopilot: str, *, least: float | None = None, quality: bool = False, **mission: Any
     ) -> "Setting":
-        """A setting by the keys of its mission; the speed limit is 3 m/s unless given."""
+        """A setting from the keys of its mission; v_max defaults to 3 m/s."""
         given = {"environment": environment, "autopilot": autopilot, "v_max": 3.0, **mission}
         return Setting(MissionSpec.model_validate(given), least, quality)
 
@@ -53,7 +53,7 @@ class Setting:
         return self.mission.model_copy(update={"seed": seed})
 
     def command(self, seed: int) -> str:
-        """The command that flies this mission again, with a picture of it."""
+        """The command that repeats this flight, with a picture."""
         words = ["mavfi fly"]
         for name, field in MissionSpec.model_fields.items():
             value = getattr(self.spec(seed), name)
@@ -70,19 +70,19 @@ class GoldenFlight:
 
     Attributes:
         seed: Mission seed.
-        status: How it ended, as in tables.
+        status: Final status, as in tables.
         time_s: Flight time.
         limit_s: Time limit.
-        clearance_m: Smallest distance of the vehicle's sphere from the nearest true obstacle or the ground (m).
-        tracking_m: Largest distance between vehicle and reference (m).
-        speed_share: Largest speed / v_max.
-        plans: Successful plans.
-        failed_plans: Failed plans.
-        alarms: Collisions that the check predicted.
-        warnings: Warnings of the simulator.
+        clearance_m: Minimum distance of the vehicle's sphere from the nearest true obstacle or the ground (m).
+        tracking_m: Maximum distance between vehicle and reference (m).
+        speed_share: Maximum speed / v_max.
+        plans: Number of successful plans.
+        failed_plans: Number of failed plans.
+        alarms: Number of predicted collisions.
+        warnings: Number of simulator warnings.
         position: Last position (m).
-        cause: Reason for not arriving, as far as the log shows; "" if it arrived.
-        events: The last events of a flight that did not arrive, as text.
+        cause: Cause of failure, as far as the log shows; "" on success.
+        events: The last events of a failed flight, as text.
     """
 
     seed: int
@@ -108,13 +108,13 @@ class GoldenFlight:
 
 @dataclass(frozen=True, slots=True)
 class Bar:
-    """A demand on a row, and whether it is met.
+    """A requirement on a row, and whether it is met.
 
     Attributes:
         name: The measured quantity.
-        wanted: The demand, as text.
-        measured: The figure, as text.
-        met: Whether the figure meets it.
+        wanted: The required value, as text.
+        measured: The measured value, as text.
+        met: Whether the requirement is met.
     """
 
     name: str
@@ -136,16 +136,16 @@ class Row:
         return wilson(sum(flight.success for flight in self.flights), len(self.flights))
 
     def flight_times(self) -> tuple[float, float, float] | None:
-        """Median, 95th percentile and largest time of the flights that arrived (s); None if none did."""
+        """Median, 95th percentile and maximum time of the successful flights (s); None if there is none."""
         times = [flight.time_s for flight in self.flights if flight.success]
         return (float(np.median(times)), float(np.percentile(times, 95)), max(times)) if times else None
 
     def failures(self) -> list[GoldenFlight]:
-        """Flights that did not reach their goals."""
+        """Flights that did not reach their goal."""
         return [flight for flight in self.flights if not flight.success]
 
     def bars(self) -> list[Bar]:
-        """Every demand on this row."""
+        """All requirements on this row."""
         rate, least = self.success, self.setting.least
         successes = rate.successes or 0
         found = []
@@ -165,7 +165,7 @@ class Row:
 
 
 def measure(task: tuple[Setting, int]) -> GoldenFlight:
-    """Fly one error-free mission and judge its quality by the true world."""
+    """Fly one error-free mission, and evaluate its quality against the true world."""
     row, seed = task
     scenario = resolve(row.spec(seed))
     flight = fly(scenario)
@@ -190,7 +190,7 @@ def _point(position: np.ndarray) -> tuple[float, float, float]:
 
 
 def _cause(flight: Flight, scenario: Scenario) -> str:
-    """Reason for the failure, as far as the log shows, in one line."""
+    """Cause of failure as far as the log shows, in one line."""
     log = flight.log
     position = log.columns("x", "y", "z")
     if log.status is MissionStatus.COLLISION:
@@ -208,7 +208,7 @@ def _cause(flight: Flight, scenario: Scenario) -> str:
 
 
 def _is_mapped(room: Any, point: np.ndarray, radius: float) -> bool:
-    """Whether a voxel of the map within the radius is occupied."""
+    """Whether the map has an occupied voxel within the radius."""
     grid, reach = room.grid, radius + 0.5 * room.grid.resolution
     centre = (point - (grid.x0, grid.y0, grid.z0)) * grid.inverse
     low = np.maximum(np.floor(centre - reach * grid.inverse), 0).astype(int)
@@ -218,10 +218,10 @@ def _is_mapped(room: Any, point: np.ndarray, radius: float) -> bool:
 
 
 def turns_back(distance: np.ndarray) -> int:
-    """Number of times that a flight moved away from its goal by `_TURN_BACK` or more.
+    """Number of times that the distance to the goal increased by `_TURN_BACK` or more.
 
     Args:
-        distance: To the goal, in the order of time (m). Shape (n,).
+        distance: Distance to the goal over time (m). Shape (n,).
     """
     turns, least, most = 0, np.inf, -np.inf
     away = False
@@ -257,16 +257,16 @@ def fly_row(
 
     Args:
         row: The setting.
-        count: Flights; their seeds follow each other, and none is left out.
-        workers: Number of processes; the result does not depend on it.
-        first_seed: Of the first flight.
-        progress: Called with flights done and wanted.
+        count: Number of flights, with consecutive seeds, none omitted.
+        workers: Number of processes, without effect on the result.
+        first_seed: Seed of the first flight.
+        progress: Called with the numbers of completed and requested flights.
 
     Raises:
         BadInputError: The setting cannot be flown.
         MavfiError: A worker was lost.
     """
-    resolve(row.spec(first_seed))  # bad input is reported here, not by a worker
+    resolve(row.spec(first_seed))  # reports bad input before workers start
     tasks = [(row, first_seed + i) for i in range(count)]
     done: dict[int, GoldenFlight] = {}
     for (_, seed), flight in map_each(LocalExecutor(workers), measure, tasks):

@@ -2,10 +2,10 @@
 
     N=60 HARD_N=100 SCAN_N=20 WORKERS=1 ONLY=clutter python -m tools.golden_rates
 
-N: flights of each setting that has a bar of 300 (300); HARD_N: of each other one (100); SCAN_N: of each one in the
-scanned corridor (20); ONLY: a word that a row's command must hold (other rows then keep what out/golden-rates.json
-says; a word that no row has writes the page again and flies nothing); RESUME=1: rows that hold as many flights of these
-versions are kept.  What is flown is stored after each row.
+N: flights per setting with a bar of 300 (300); HARD_N: per other setting (100); SCAN_N: per setting in the scanned
+corridor (20); ONLY: flies only rows whose command contains this word (other rows keep the values of
+out/golden-rates.json; a word without matches rewrites the page without flying); RESUME=1: keeps rows that have as many
+flights of the same versions.  Results are saved after each row.
 """
 
 import json
@@ -26,14 +26,14 @@ from tools.markers import GENERATED, ROOT, banner, between
 
 PAGE = GENERATED / "golden-rates.md"
 RECORD = ROOT / "out" / "golden-rates.json"
-"""Every flight of every row, so that rows can be flown one after the other."""
+"""All flights of all rows, so that rows can be flown separately."""
 SCAN = "../shared/data/geb079.bt"
-"""A scanned corridor, from the root of the repository; its rows are left out where it is absent."""
+"""A scanned corridor, relative to the root of the repository; without it, its rows are omitted."""
 _ENDS = (-5.0, 0.0, 1.2), (27.0, 0.0, 1.2)
 _WORLDS = ("factory", "farm", "sparse", "dense")
 PLANNERS = ("rrt_connect", "rrt_star", "rrt")
 _PAPER = (100, 100, 95, 85)
-"""What the paper's golden flights reached, per cent."""
+"""Success rates of the paper's golden flights (%)."""
 
 PAPER = [
     *(
@@ -99,29 +99,29 @@ COLUMNS = (
 
 
 def wanted_flights() -> dict[str, int]:
-    """Flights by kind of setting, as the environment of the process says."""
+    """Number of flights by kind of setting, from environment variables."""
     return {name: int(os.environ.get(name, default)) for name, default in (("N", 300), ("HARD_N", 100), ("SCAN_N", 20))}
 
 
 def settings(scan: bool) -> Iterable[tuple[Setting, str]]:
-    """Every row, and which of the numbers of flights is its own.
+    """All rows, each with the variable that gives its number of flights.
 
     Args:
-        scan: Whether the scanned corridor is there.
+        scan: Whether the scanned corridor is available.
     """
     kinds = [("N", PAPER), ("HARD_N", [*HARD, *REPORTED]), ("SCAN_N", CORRIDOR if scan else [])]
     return [(setting, kind) for kind, own in kinds for setting in own]
 
 
 def median(values: list[int]) -> str:
-    """Middle value, without a fraction where there is none."""
+    """Median, without a decimal if it is an integer."""
     ordered = sorted(values)
     middle = (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
     return f"{middle:g}"
 
 
 def name_of(setting: Setting) -> str:
-    """The environment, and what is not as usual."""
+    """The environment, and all deviations from defaults."""
     mission = setting.mission
     parts = [Path(mission.environment).stem]
     if mission.depth_noise:
@@ -162,7 +162,7 @@ def line(values: Iterable[str]) -> str:
 
 
 def bar_lines(rows: list[Row]) -> list[str]:
-    """The bars, row by row: what was measured, met or not met."""
+    """The requirements by row, each with its measured value and verdict."""
     found = [(row, {bar.name: bar for bar in row.bars()}) for row in rows if row.bars()]
     every = [bar for _, own in found for bar in own.values()]
     names = list(dict.fromkeys(bar.name for bar in every))
@@ -181,7 +181,7 @@ def _verdict(bar: Bar | None) -> str:
 
 
 def failure(row: Row, flight: GoldenFlight) -> str:
-    """One flight that did not arrive."""
+    """Description of one failed flight."""
     x, y, z = flight.position
     mission = row.setting.mission
     return (
@@ -193,10 +193,10 @@ def failure(row: Row, flight: GoldenFlight) -> str:
 
 
 def page(stored: list[dict[str, Any]], faults: str) -> str:
-    """The page from what was measured, whenever that was.
+    """The page from the stored measurements.
 
     Args:
-        stored: Rows with their flights, as in the record.
+        stored: Rows with their flights, as in the record file.
         faults: Key lines of the fault map.
     """
     rows = [as_row(entry) for entry in stored]
@@ -213,12 +213,12 @@ def page(stored: list[dict[str, Any]], faults: str) -> str:
 
 
 def plain(setting: Setting) -> Any:
-    """A setting as JSON gives it back."""
+    """A setting in JSON form."""
     return {"mission": setting.mission.model_dump(mode="json"), "least": setting.least, "quality": setting.quality}
 
 
 def as_row(entry: dict[str, Any]) -> Row:
-    """A stored row."""
+    """Inverse of the stored form of a row."""
     kept = entry["setting"]
     setting = Setting(MissionSpec.model_validate(kept["mission"]), kept["least"], kept["quality"])
     return Row(
@@ -227,18 +227,18 @@ def as_row(entry: dict[str, Any]) -> Row:
 
 
 def versions() -> str:
-    """What decides the bits of a flight."""
+    """Versions that determine the bits of a flight."""
     return ", ".join(f"{name} {version(name)}" for name in ("mavfi", "numba", "numpy", "mujoco-core"))
 
 
 def fly_all(names: str, resume: bool, workers: int, scan: bool) -> list[dict[str, Any]]:
-    """Fly the wanted rows; the others stay as they were measured.
+    """Fly the selected rows; the others keep their stored measurements.
 
     Args:
-        names: A word that the command of a wanted row holds.
-        resume: Whether rows that are complete are kept.
-        workers: Processes.
-        scan: Whether the scanned corridor is there.
+        names: Word that the command of a selected row contains.
+        resume: Whether complete rows are kept.
+        workers: Number of processes.
+        scan: Whether the scanned corridor is available.
     """
     before = json.loads(RECORD.read_text(encoding="utf-8")) if RECORD.is_file() else []
     counts, here = wanted_flights(), versions()
@@ -258,7 +258,7 @@ def fly_all(names: str, resume: bool, workers: int, scan: bool) -> list[dict[str
 
 
 def fly_one(setting: Setting, count: int, workers: int) -> dict[str, Any]:
-    """Fly one row, and print it."""
+    """Fly one row, and print its result."""
     start = time.perf_counter()
     row = fly_row(setting, count, workers)
     sys.stdout.write(f"{line(cells(row))}  {time.perf_counter() - start:.0f} s\n")
@@ -273,7 +273,7 @@ def fly_one(setting: Setting, count: int, workers: int) -> dict[str, Any]:
 
 def main() -> int:
     """Fly, print, write; returns the exit code."""
-    os.chdir(ROOT)  # the scan's path in commands is one from here
+    os.chdir(ROOT)  # the scan's path in commands is relative to the root
     scan = Path(SCAN).is_file()
     if not scan:
         sys.stdout.write(f"{SCAN}: not there; the rows of the scanned corridor are left out\n")

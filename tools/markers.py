@@ -1,4 +1,4 @@
-"""Where the documentation is, and the two ways to write it: between the markers of a page, or a whole page."""
+"""Folders of the documentation, and functions to write whole pages or the parts between their markers."""
 
 from pathlib import Path
 
@@ -9,19 +9,19 @@ IMAGES = DOCS / "images"
 
 
 def banner(command: str) -> str:
-    """First line of a page that a command writes.
+    """First line of a generated page.
 
     Args:
-        command: What a reader types to write the page again.
+        command: Command that regenerates the page.
     """
     return f"<!-- Written by `{command}`; do not edit. -->\n\n"
 
 
 def between(page: str, name: str, block: str) -> str:
-    """The page with the block between its markers `<!-- name:begin -->` and `<!-- name:end -->`.
+    """Replace the text between a page's markers `<!-- name:begin -->` and `<!-- name:end -->`; returns the page.
 
     Raises:
-        ValueError: The page does not have the two markers once each, in order.
+        ValueError: The page does not contain both markers exactly once, in order.
     """
     begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
     if page.count(begin) != 1 or page.count(end) != 1 or page.index(begin) > page.index(end):
@@ -34,10 +34,10 @@ def fill(path: Path, blocks: dict[str, str]) -> None:
 
     Args:
         path: The page.
-        blocks: New text by name of the markers.
+        blocks: New text by marker name.
 
     Raises:
-        ValueError: Markers are absent, doubled, or out of order; the page is left as it was.
+        ValueError: Markers are missing, duplicated or out of order; the page is not modified.
     """
     page = path.read_text(encoding="utf-8")
     for name, block in blocks.items():

@@ -1,4 +1,4 @@
-"""Runs the long tests of ledgers, workers and readers, and writes docs/generated/reliability.md.
+"""Runs the long-running tests of ledgers, workers and readers, and writes docs/generated/reliability.md.
 
 python -m tools.reliability        (SHARE=0.1 = a tenth of the tries; ONLY="chaos damage")
 """
@@ -26,7 +26,7 @@ class Long:
 
     @property
     def module(self) -> str:
-        """Where it is."""
+        """Module of the test."""
         return f"tests.robustness.{self.name}"
 
 
@@ -48,7 +48,7 @@ TESTS = (
 
 
 def run(test: Long, share: float) -> tuple[str, int, float]:
-    """Output, exit code and duration (s) of a test."""
+    """Run a test; returns its output, exit code and duration (s)."""
     tries = max(1, round(test.tries * share))
     started = time.monotonic()
     environment = {key: value for key, value in os.environ.items() if key != "ONLY"} | {"N": str(tries)}
@@ -60,7 +60,7 @@ def run(test: Long, share: float) -> tuple[str, int, float]:
 
 
 def section(test: Long, share: float) -> str:
-    """What a test did, on the page."""
+    """The test's section of the page."""
     output, code, seconds = run(test, share)
     tries = max(1, round(test.tries * share))
     told = "\n".join(f"    {line}" for line in output.rstrip().splitlines()[-LAST_LINES:] if "Done." not in line)
@@ -71,14 +71,14 @@ def section(test: Long, share: float) -> str:
 
 
 def _written() -> dict[str, str]:
-    """Sections of the page as it is, by test."""
+    """Sections of the existing page, by test."""
     text = PAGE.read_text(encoding="utf-8") if PAGE.exists() else ""
     parts = [f"## {part.rstrip()}\n" for part in text.split("\n## ")[1:]]
     return {part[3:].partition(":")[0]: part for part in parts}
 
 
 def main() -> int:
-    """Run them one after the other, and write the page."""
+    """Run the tests sequentially, and write the page."""
     share = float(os.environ.get("SHARE", "1"))
     wanted = os.environ.get("ONLY", "").split()
     sections = _written()

@@ -1,1 +1,1 @@
-"""Hosts compose simulator, pipeline, faults and detectors into a flight."""
+"""Hosts: each composes simulator, pipeline, faults and detectors into flights."""

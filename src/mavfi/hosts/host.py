@@ -1,4 +1,4 @@
-"""What a host is: where the flights of one mission are flown, and what is flown once for several of them."""
+"""Interface of a host: the execution environment of a mission's flights, including what several flights share."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -15,7 +15,7 @@ from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import load_object
 
 GROUP = "mavfi.hosts"
-"""Entry points of this group are hosts: classes whose arguments are the keys of a campaign that only they have."""
+"""Entry-point group of hosts: classes whose constructor arguments are host-specific keys of a campaign."""
 _SHIPPED = {
     "local": "mavfi.hosts.local.mission_flights:LocalHost", "ros1": "mavfi.hosts.ros1.host:Ros1Host",
     "node": "mavfi.hosts.node.host:NodeHost",
@@ -24,13 +24,14 @@ _SHIPPED = {
 
 @dataclass(slots=True)
 class Flight:
-    """A flight.
+    """A completed flight.
 
     Attributes:
-        log: Its log; `profile`: when which state was published, if it was asked for.
-        world: Where it was flown; None = not known here.
-        pipeline: The kernels as they were at the end, for pictures and inspection.
-        extra: What this host adds to the record, as plain data.
+        log: The flight log.
+        profile: Publication times of each state, if requested.
+        world: The world of the flight; None = not available to this process.
+        pipeline: The kernels in their final state, for plots and inspection.
+        extra: Host-specific additions to the record, as plain data.
     """
 
     log: FlightLog
@@ -40,7 +41,7 @@ class Flight:
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def record(self) -> FlightRecord:
-        """The record that a ledger keeps."""
+        """The flight's entry in a ledger."""
         return replace(record_of(self.log), extra=dict(self.extra))
 
 
@@ -49,15 +50,15 @@ class Recorded(Protocol):
 
     @property
     def profile(self) -> Profile | None:
-        """When which state was published, if it was asked for."""
+        """Publication times of each state, if requested."""
 
     def record(self) -> FlightRecord:
-        """The record that a ledger keeps."""
+        """The run's entry in a ledger."""
 
 
 @dataclass(frozen=True, slots=True)
 class ArmSetup:
-    """What one arm flies with: scenario, factory of detectors (None = no detector), answer to its alarms."""
+    """Configuration of one arm: scenario, detector factory (None = no detector), and recovery policy."""
 
     scenario: Scenario
     make_detector: Callable[[], Detector] | None = None
@@ -65,23 +66,23 @@ class ArmSetup:
 
 
 class MissionFlights(Protocol):
-    """The flights of one mission under several arms.  Flights without a detector come before those with one."""
+    """The flights of one mission under several arms; arms without a detector are flown first."""
 
     def golden(self, arm: str, *, profile: bool = False) -> Recorded:
-        """An arm's error-free flight; `profile` = note when which state was published."""
+        """The error-free flight of an arm; `profile` requests the publication times of each state."""
 
     def know(self, arm: str, flight: Flight) -> None:
-        """Take over the golden flight of an arm that was flown elsewhere, e.g. with counted instructions."""
+        """Register an arm's golden flight that was flown elsewhere, e.g. while instructions were counted."""
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
-        """The flights with a fault, given as arm and fault: each with its place in the list, in any order.
+        """Fly the injected runs, given as (arm, fault); yields (index into `runs`, result) in any order.
 
-        An exception of ours ends one flight, not the others.
+        An exception ends only the run that raised it, and is yielded as its result.
         """
 
 
 class ArmFlights(ABC):
-    """Base of `MissionFlights` that keep the golden flight and the detector of each arm."""
+    """Base class of `MissionFlights` that caches the golden flight and the detector of each arm."""
 
     def __init__(self, arms: Mapping[str, ArmSetup]) -> None:
         self._arms = arms
@@ -111,13 +112,13 @@ class ArmFlights(ABC):
 
 
 class Host(Protocol):
-    """Where missions are flown.
+    """Execution environment of missions.
 
     Attributes:
-        name: As in configuration.
-        levels: Levels of faults that it can inject.
-        deterministic: Whether a flight is a pure function of its spec; otherwise it is never reported as `masked`.
-        in_process: Whether flights compile and load in this process, so that forked workers inherit compiled code.
+        name: Name in configuration files.
+        levels: Fault levels that it can inject.
+        deterministic: Whether a flight is a pure function of its spec; if not, no run is classified as `masked`.
+        in_process: Whether flights compile and load code in this process, so that forked workers inherit it.
     """
 
     name: str
@@ -126,38 +127,38 @@ class Host(Protocol):
     in_process: bool
 
     def resolve(self, spec: MissionSpec) -> Any:
-        """The mission of a spec: a `Scenario`, or an equivalent with `key` and `to_json`."""
+        """Resolve a spec to its mission: a `Scenario`, or an equivalent with `key` and `to_json`."""
 
     def check(self) -> None:
-        """Refuse in advance what would make every flight fail.
+        """Check the host's prerequisites before the first flight.
 
         Raises:
-            BadInputError: Something that the host needs is missing.
+            BadInputError: A prerequisite is missing.
         """
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> MissionFlights:
-        """Prepare the flights of a mission under arms by name; nothing is flown yet.
+        """Prepare the flights of a mission under named arms, without flying any.
 
-        If `fast_forward`, flights may begin at checkpoints of known ones and end as these did, if that gives the same
-        bytes.
+        With `fast_forward`, a flight may start from a checkpoint of an earlier one and end where it converges with it,
+        provided that the result is bit-identical.
         """
 
 
 def find_host(name: str, options: Mapping[str, Any] | None = None) -> Host:
-    """A host by name, made with its options.
+    """Construct a host by name with its options.
 
     Raises:
-        BadInputError: There is no such host, or it cannot be imported.
+        BadInputError: The host is unknown or cannot be imported.
     """
     host: Host = load_object("host", name, GROUP, _SHIPPED)(**(options or {}))
     return host
 
 
 def require_level(host: Host, level: str) -> None:
-    """Check that a host can inject faults of a level.
+    """Check that a host supports a fault level.
 
     Raises:
-        BadInputError: It cannot.
+        BadInputError: It does not.
     """
     if level not in host.levels:
         raise BadInputError(f"host {host.name}: faults of level {level!r}: allowed: {', '.join(sorted(host.levels))}")

@@ -1,4 +1,4 @@
-"""The detector of a mission, by name: it must have been trained for what is flown."""
+"""Loading of a mission's detector by name, with a check that its model was trained for this mission."""
 
 from pathlib import Path
 
@@ -26,14 +26,14 @@ def detector_for(
         scenario: The mission.
         name: Entry point of the group mavfi.detectors, or "package:Class".
         profile: "paper" or "tuned".
-        models_dir: Folder of trained models; None = the shipped ones.
+        models_dir: Folder of trained models; None = the shipped models.
 
     Returns:
-        The detector, and the sha256 of its trained model ("" where it has none).
+        The detector, and the SHA-256 of its trained model ("" for a detector without one).
 
     Raises:
-        BadInputError: No such detector, profile or model.
-        SpecMismatchError: The model was trained for something else.
+        BadInputError: The detector, profile or model does not exist.
+        SpecMismatchError: The model was trained for a different configuration.
     """
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
     fits = {
@@ -48,14 +48,14 @@ def detector_for(
 
 
 def with_keys_of(spec: MissionSpec, name: str) -> MissionSpec:
-    """A mission with the keys that go with a detector, as far as they are not chosen."""
+    """The mission with the detector's recommended keys, where the user left the defaults."""
     fields = MissionSpec.model_fields
     keys = {key: value for key, value in mission_keys(name).items() if getattr(spec, key) == fields[key].default}
     return spec.model_copy(update=keys)
 
 
 def limits_of(scenario: Scenario, world: World) -> MissionLimits:
-    """What rules hold the publications of a mission to."""
+    """Limits of a mission's publications, as rule-based detectors check them."""
     stack, platform = scenario.stack, scenario.platform
     period = 1e-6 * CONTROL_PERIOD_US
     p, i, d = (max(map(abs, gains)) for gains in (stack.gain_p, stack.gain_i, stack.gain_d))

@@ -1,1 +1,1 @@
-"""The perception-planning-control pipeline: states in, states out; it knows no faults and no simulator."""
+"""The perception-planning-control pipeline: maps states to states, independent of faults and simulator."""

@@ -1,7 +1,7 @@
-"""Journal of a large array's changes: going back costs as much as has changed since.
+"""Undo log of a large array: the cost of a rollback is proportional to the number of changes since.
 
-A map has 10^5 to 10^7 voxels, of which a scan touches some thousand.  So a snapshot of a map is the list of its changes
-so far (shared with every other snapshot), not a copy of its voxels.
+A map has 10^5 to 10^7 voxels, of which a scan updates a few thousand.  A snapshot of a map is therefore the list of its
+changes so far (shared with all other snapshots), not a copy of its voxels.
 """
 
 from collections.abc import Callable
@@ -12,12 +12,12 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Change:
-    """One change; the same object wherever it is part of what happened.
+    """One change; the same object in every snapshot that contains it.
 
     Attributes:
-        places: Flat indices, in the order in which they were written. Shape (n,), int32.
-        before: Their values before. Shape (n,).
-        after: Their values since. Shape (n,).
+        places: Flat indices in write order. Shape (n,), int32.
+        before: Previous values. Shape (n,).
+        after: New values. Shape (n,).
     """
 
     places: np.ndarray
@@ -26,14 +26,14 @@ class Change:
 
 
 Put = Callable[[np.ndarray, np.ndarray], None]
-"""Writes values to places of the array; called with the places and the values."""
+"""Writes values to the array; arguments: flat indices and values."""
 
 
 class Changes:
-    """All changes of an array that was zero at first.
+    """All changes of an array that was initially zero.
 
     Args:
-        array: The array; only compared with, never written to here. Shape (n,).
+        array: The array; read for comparison only. Shape (n,).
     """
 
     def __init__(self, array: np.ndarray) -> None:
@@ -46,35 +46,35 @@ class Changes:
         return len(self._list)
 
     def note(self, places: np.ndarray, before: np.ndarray, after: np.ndarray) -> None:
-        """Remember a change that was just made; the arrays are kept."""
+        """Append a change that was just made; the arrays are not copied."""
         self._list.append(Change(places, before, after))
 
     def forget(self) -> None:
-        """Forget all changes: the present contents become the base."""
+        """Clear the log: the current contents become the base."""
         self._list.clear()
 
     def take_back(self, down_to: int, put: Put) -> None:
-        """Undo the newest changes until so many are left; `put` writes to the array and to arrays derived from it."""
+        """Undo the latest changes until `down_to` are left; `put` writes to the array and to those derived from it."""
         while len(self._list) > down_to:
             change = self._list.pop()
             put(change.places[::-1], change.before[::-1])
 
     def save(self) -> tuple[Change, ...]:
-        """All changes so far, oldest first; later changes do not alter it."""
+        """All changes so far, oldest first; unaffected by later changes."""
         return tuple(self._list)
 
     def restore(self, saved: tuple[Change, ...]) -> np.ndarray:
-        """Go back to the instant at which `save` returned this.
+        """Restore the log to a saved one.
 
         Returns:
-            Contents of the array then; the caller writes them to the array, and must not change them.
+            Contents of the array at that time, read-only; the caller writes them to the array.
         """
         twin = self._twin_at(saved)
         self._list = list(saved)
         return twin
 
     def _twin_at(self, saved: tuple[Change, ...]) -> np.ndarray:
-        """A second array, led along the saved changes from where it was led last."""
+        """A second copy of the array, moved from the snapshot used last to `saved`."""
         if self._twin is None:
             self._twin = np.zeros_like(self._array)
         common = _common(self._twin_list, saved)
@@ -86,11 +86,11 @@ class Changes:
         return self._twin
 
     def same(self, saved: tuple[Change, ...], revocable: int) -> bool:
-        """Whether the array equals, bit for bit, its contents when `save` returned this.
+        """Whether the array is bit-identical to its contents at the time of `saved`.
 
         Args:
-            saved: What `save` gave.
-            revocable: So many of the newest changes may be taken back: they must be the same, too.
+            saved: Result of `save`.
+            revocable: Number of latest changes that may be undone, which must also be identical.
         """
         if len(saved) == len(self._list) == _common(self._list, saved):
             return True
@@ -112,7 +112,7 @@ class Changes:
 
 
 def _common(one: list[Change], other: tuple[Change, ...]) -> int:
-    """How many changes at the beginning are the same objects."""
+    """Number of leading changes that are identical objects."""
     count = 0
     for mine, theirs in zip(one, other, strict=False):
         if mine is not theirs:

@@ -17,7 +17,7 @@ MAX_YAW_RATE = 1.5707963267948966
 
 @dataclass(slots=True)
 class _TrackerMemory(Memory):
-    """Memory of the law, time that the way-point in force has left, inputs, and the first ones as they were marked."""
+    """Controller memory, remaining time of the way-point in force, inputs, and their values at the mark."""
 
     law: np.ndarray = field(default_factory=lambda: np.zeros(pid.MEMORY_WIDTH))
     remaining: float = 0.0
@@ -30,7 +30,7 @@ class _TrackerMemory(Memory):
 
 
 class Tracker(Remembers):
-    """Kernel `pid`; stepped at the control period."""
+    """Kernel `pid`: the tracker, stepped at the control period."""
 
     name = "pid"
     stage = Stage.CONTROL
@@ -52,7 +52,7 @@ class Tracker(Remembers):
         self.memory = _TrackerMemory()
 
     def receive(self, state: State, time_us: int) -> bool:
-        """Note an input; steps are due at the control period only."""
+        """Store an input; steps are due only at the control period."""
         del time_us
         if state.spec.name == "planning.waypoint":
             self.memory.waypoint = state
@@ -62,7 +62,7 @@ class Tracker(Remembers):
         return False
 
     def step(self, time_us: int) -> list[State]:
-        """Command that brings the vehicle to the way-point in force."""
+        """Compute the command that steers the vehicle to the way-point in force."""
         del time_us
         command, tracking = new_state("control.command"), new_state("control.tracking")
         values = floats(command.header, 5)
@@ -82,19 +82,19 @@ class Tracker(Remembers):
         return [command, tracking]
 
     def mark(self) -> None:
-        """Remember the memory as it is."""
+        """Save the current memory for `rollback`."""
         memory = self.memory
         memory.marked = (memory.law.copy(), memory.remaining, memory.fresh, memory.waypoint)
 
     def rollback(self) -> None:
-        """Restore the memory; a way-point that came since is new to it."""
+        """Restore the memory of the mark; a way-point received since then counts as new."""
         memory = self.memory
         law, memory.remaining, fresh, waypoint = memory.marked
         memory.fresh = fresh or memory.waypoint is not waypoint
         memory.law[:] = law
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
-        """Take up the time that the way-point in force has left: it is not new."""
+        """Restore the remaining time of the way-point in force, which does not count as new."""
         tracking, waypoint = last.get("control.tracking"), last.get("planning.waypoint")
         if tracking is None or waypoint is None:
             return ()

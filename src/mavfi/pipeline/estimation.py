@@ -1,4 +1,4 @@
-"""Perception without the truth: where the vehicle is, from IMU, position fixes and compass."""
+"""State estimation from IMU, position fixes and compass, for missions without access to the true state."""
 
 from dataclasses import dataclass, field
 
@@ -9,16 +9,16 @@ from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.states import ODOMETRY, Stage, State, floats, new_state
 
 AT_REST = filtering.Spread(velocity=0.02, tilt=0.01, force_bias=0.002, rate_bias=0.0002)
-"""Before take-off the vehicle stands still and level."""
+"""Initial uncertainty: before take-off the vehicle is at rest and level."""
 IN_FLIGHT = filtering.Spread(velocity=2.0, tilt=0.3, force_bias=0.05, rate_bias=0.005)
 PATIENCE = 10
-"""Fixes refused one after the other (1 s at 10 Hz) before the filter believes them and not itself."""
+"""Consecutive rejected fixes (1 s at 10 Hz) after which the filter is re-initialized to the fix."""
 _ODOMETRY_WIDTH = 19
 
 
 @dataclass(slots=True)
 class _Filter(Memory):
-    """The filter, and a fix that waits for it."""
+    """State of the filter, and the pending fix."""
 
     nominal: np.ndarray = field(default_factory=lambda: np.zeros(filtering.NOMINAL_WIDTH))
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((filtering.ERROR_WIDTH, filtering.ERROR_WIDTH)))
@@ -31,7 +31,7 @@ class _Filter(Memory):
 
 @dataclass(slots=True)
 class _EstimatorMemory(Memory):
-    """The last sample, the filter now, and the filter at the mark."""
+    """The last sample, the current filter, and the filter at the mark."""
 
     sample: np.ndarray = field(default_factory=lambda: np.zeros(6))
     filter: _Filter = field(default_factory=_Filter)
@@ -39,10 +39,10 @@ class _EstimatorMemory(Memory):
 
 
 class StateEstimator(Remembers):
-    """Kernel `state_estimation`; stepped at each sample of the IMU, aligned by the first fix.
+    """Kernel `state_estimation`; stepped at each IMU sample, initialized by the first fix.
 
-    It trusts plausible measurements: samples outside of the sensors' range are replaced by the last valid one,
-    improbable fixes are refused; after many refusals the filter restarts at the last of them.
+    It screens measurements: samples outside the sensors' range are replaced by the last valid one, improbable fixes
+    are rejected; after `PATIENCE` rejections the filter is re-initialized to the last fix.
     """
 
     name = "state_estimation"
@@ -57,11 +57,11 @@ class StateEstimator(Remembers):
 
     @property
     def covariance(self) -> np.ndarray:
-        """Of the error, see `kernels.perception.state_estimation`. Shape (15, 15)."""
+        """Error covariance, see `kernels.perception.state_estimation`. Shape (15, 15)."""
         return self.memory.filter.covariance
 
     def receive(self, state: State, time_us: int) -> bool:
-        """A sample of the IMU makes a step due; a fix waits for the next one."""
+        """An IMU sample makes a step due; a fix is stored until the next step."""
         del time_us
         if state.spec.name == "sensor.imu":
             self.memory.sample = floats(state.header, 6)
@@ -70,7 +70,7 @@ class StateEstimator(Remembers):
         return False
 
     def step(self, time_us: int) -> list[State]:
-        """Carry the estimate to now, and work in a fix that has come; gives nothing before the first fix."""
+        """Propagate the estimate to the current instant and apply a pending fix; no output before the first fix."""
         memory = self.memory.filter
         if filtering.usable_sample(self.memory.sample):
             memory.sample = self.memory.sample
@@ -102,11 +102,11 @@ class StateEstimator(Remembers):
         return estimate
 
     def mark(self) -> None:
-        """Remember the memory as it is."""
+        """Save the current memory for `rollback`."""
         self.memory.marked = self.memory.filter.copy()
 
     def rollback(self) -> None:
-        """Put the memory back; the last sample stays, and so does a fix that came since."""
+        """Restore the filter of the mark; the last sample and a fix received since then are kept."""
         waiting = self.memory.filter.fix
         self.memory.filter = self.memory.marked.copy()
         if waiting is not None:

@@ -1,6 +1,6 @@
-"""The compiled functions that the kernels call, as a table that a host hands in: any of them can be instrumented.
+"""Table of the compiled functions that the kernels call, supplied by the host, which can instrument any of them.
 
-An instrumented function takes the same arguments, gives the same result, and counts or injects instructions meanwhile.
+An instrumented function has the same arguments and result, and additionally counts or injects instructions.
 """
 
 from collections.abc import Callable
@@ -35,14 +35,14 @@ class KernelFunctions:
     track: Compiled = pid.track
 
     def instrumented(self, names: tuple[str, ...], make: Callable[[str, Compiled], Compiled]) -> "KernelFunctions":
-        """A table in which `make` gives what takes the place of the named functions, from the name and the function."""
+        """A table in which `make(name, function)` replaces each of the named functions."""
         return replace(self, **{name: make(name, getattr(self, name)) for name in names})
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """By name: Numba would send the source, which another process then compiles again, past its cache.
+        """Pickle by name: Numba would send the source, which another process would recompile, bypassing its cache.
 
         Raises:
-            PicklingError: A function is not the one that its module has under its name.
+            PicklingError: A function differs from the module attribute of its name.
         """
         places = [(function.__module__, function.__qualname__) for function in self._table()]
         if [_imported(*place) for place in places] != self._table():
@@ -62,4 +62,4 @@ def _from_places(places: list[tuple[str, str]]) -> KernelFunctions:
 
 
 PLAIN = KernelFunctions()
-"""The functions themselves."""
+"""The uninstrumented functions."""

@@ -1,13 +1,13 @@
-"""Interface of a kernel: it receives states, does one step on its explicit memory, and returns states.
+"""Interface of a kernel: it receives states, executes a step on its explicit memory, and returns states.
 
-A kernel knows no faults, no detectors, no simulator and no middleware.  A host calls `receive` with every publication
-that the kernel reads; where that makes a step due, the host calls `step` and publishes the result after the latency of
-its platform.  `mark` and `rollback` let a host run a stage again from the same memory.
+A kernel is independent of faults, detectors, simulator and middleware.  A host calls `receive` with every publication
+that the kernel reads; when this makes a step due, the host calls `step`, and publishes the result after the latency of
+the platform.  `mark` and `rollback` allow a host to recompute a stage from the same memory.
 
-The memory of a kernel is explicit, see `mavfi.pipeline.memory`: a host can save it, put it back, and compare it.
+The memory of a kernel is explicit, see `mavfi.pipeline.memory`: a host can save, restore and compare it.
 
-A class may list in `quiet` the inputs that never make a step due: a host whose kernels are elsewhere then need not ask.
-A class whose `rollback` takes inputs back, which are then received again, has `again`, which does not: see `repeat`.
+A class may list in `quiet` the inputs that never make a step due, which spares a host with remote kernels a round trip.
+A class whose `rollback` also discards inputs, to be received again, implements `again`, which keeps them: see `repeat`.
 """
 
 from collections.abc import Mapping
@@ -29,77 +29,77 @@ class Kernel(Protocol):
 
     @property
     def name(self) -> str:
-        """As in the latency table of a platform."""
+        """Name, as in a platform's latency table."""
 
     @property
     def stage(self) -> Stage:
-        """The stage that is run again on an alarm."""
+        """The stage that is recomputed on an alarm."""
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """Names of the states that it reads, rows of the state table."""
+        """Names of the states that it consumes, rows of the state table."""
 
     @property
     def writes(self) -> tuple[str, ...]:
         """Names of the states that it publishes, rows of the state table."""
 
     def receive(self, state: State, time_us: int) -> bool:
-        """Note an input; says whether a step is due now."""
+        """Store an input; returns whether a step is due now."""
 
     def step(self, time_us: int) -> list[State]:
-        """Compute once on the inputs noted last; gives the states to publish."""
+        """Execute one step on the latest inputs; returns the states to publish."""
 
     def mark(self) -> None:
-        """Remember the memory as it is."""
+        """Save the current memory for `rollback`."""
 
     def rollback(self) -> None:
-        """Put the memory back to the last mark; inputs stay."""
+        """Restore the memory of the last mark; inputs are kept."""
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
-        """Begin where a node that died left off, before anything is received: read its own last outputs back.
+        """Restore memory after a restart from the node's own last outputs, before any input is received.
 
         Args:
-            last: The last publication of each state, as consumers saw it.
-            time_us: Now.
+            last: The last publication of each state, as consumers received it.
+            time_us: Current instant (us).
 
         Returns:
-            States whose last publication is taken in by this, and is not to be received again.
+            States whose last publication is thereby consumed and must not be received again.
         """
 
 
 def repeat(kernel: Kernel) -> None:
-    """Prepare a kernel to take its last step again, on the inputs that it had."""
+    """Prepare a kernel to repeat its last step on the same inputs."""
     getattr(kernel, "again", kernel.rollback)()
 
 
 @dataclass(frozen=True, slots=True)
 class PipelineConfig:
-    """All that the pipeline knows of a mission.
+    """The pipeline's configuration for a mission.
 
     Attributes:
-        stack: Rules of the autopilot profile.
-        planner: Search.
-        map: Update rule.
-        camera: Geometry of the sensor.
-        directions: Ray of each pixel, camera frame x forward, y left, z up. Shape (n, 3).
+        stack: Autopilot profile.
+        planner: Path search.
+        map: Map kind, resolution and update rule.
+        camera: Camera geometry.
+        directions: Ray direction of each pixel, frame x forward, y left, z up. Shape (n, 3).
         arena_lower: Corner of the mapped volume, world frame (m). Shape (3,).
         arena_upper: Opposite corner of the arena (m). Shape (3,).
-        flight_lower: Corner of the box in which paths may lie (m). Shape (3,).
+        flight_lower: Corner of the box that contains all paths (m). Shape (3,).
         flight_upper: Opposite corner of the flight volume (m). Shape (3,).
-        goal: World frame (m). Shape (3,).
-        seed: Mission seed: planner randomness is drawn from it.
-        v_max: m/s.
-        a_max: m/s^2.
-        plan_radius: m.
-        check_radius: m.
-        control_period_us: Between two commands.
+        goal: Goal, world frame (m). Shape (3,).
+        seed: Mission seed, from which the planner's generator is seeded.
+        v_max: Speed limit (m/s).
+        a_max: Acceleration limit (m/s^2).
+        plan_radius: Clearance of planned paths (m).
+        check_radius: Clearance of the collision check (m).
+        control_period_us: Period of commands (us).
         tracker_slowdown: Loop time of the tracker / reference time it advances.
-        map_latency: From image to collision status (s).
-        plan_latency: From request to trajectory (s).
+        map_latency: Latency from image to collision status (s).
+        plan_latency: Latency from request to trajectory (s).
         velocity_lag: Time constant of the vehicle's velocity loop (s).
-        noise: Noise that the state estimator assumes; None = the pipeline receives the true state.
-        rewindable: Whether maps keep journals, so that they can go back to any earlier instant.
-        functions: Compiled functions of the kernels; a host may hand in instrumented ones.
+        noise: Noise parameters of the state estimator; None = the pipeline receives the true state.
+        rewindable: Whether maps keep undo logs, so that they can be restored to any earlier instant.
+        functions: Compiled functions of the kernels; a host may supply instrumented ones.
     """
 
     stack: StackConfig
@@ -128,18 +128,18 @@ class PipelineConfig:
 
     @property
     def odometry(self) -> str:
-        """The state that says where the vehicle is."""
+        """Name of the state that carries the vehicle's odometry."""
         return ODOMETRY["truth" if self.noise is None else "estimator"]
 
 
 HORIZONTAL_MARGIN = 5.0
 VERTICAL_MARGIN = 0.5
 LARGEST_GRID = 1 << 27
-"""Voxels; the pipeline keeps about 25 bytes for each."""
+"""Limit of voxels; the pipeline uses about 25 bytes per voxel."""
 
 
 def map_grid(config: PipelineConfig) -> Grid:
-    """The grid of the map: the arena with a margin, offset by half a voxel so that the ground lies inside a layer.
+    """Grid of the map: the arena plus a margin, offset by half a voxel so that the ground lies inside a layer.
 
     Raises:
         BadInputError: The resolution is too fine for this arena.

@@ -1,4 +1,4 @@
-"""The maps that kernel `octomap` can keep: a dense array, OctoMap's octree with the same occupancy, or a user's own."""
+"""Occupancy maps of kernel `octomap`: a dense array, OctoMap's octree with equal occupancy, or a user's own class."""
 
 from collections.abc import Callable
 from typing import Any, Protocol, cast
@@ -16,55 +16,55 @@ from mavfi.pipeline.memory import Foreign
 from mavfi.plugins import build, load_object, reason
 
 FIRST_CAPACITY = 1 << 14
-"""Capacity of a new octree (nodes); it is doubled when it does not suffice."""
+"""Initial capacity of an octree (nodes), doubled on demand."""
 
 
 class OccupancyMap(Protocol):
-    """A map that takes scans in, and can take them back."""
+    """A map that integrates scans, and supports rollback."""
 
     @property
     def log_odds(self) -> np.ndarray:
-        """Of every voxel of the grid, 0 = unknown. Shape (size,), float32."""
+        """Log-odds of every voxel of the grid, 0 = unknown. Shape (size,), float32."""
 
     def insert(self, points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Integrate a scan.
 
         Args:
             points: World frame (m). Shape (n, 3), float32.
-            origin: Sensor, world frame (m). Shape (3,).
+            origin: Sensor position, world frame (m). Shape (3,).
 
         Returns:
-            The voxels that were updated, free ones first (int32), and their log-odds now (float32).
+            Indices of the updated voxels, free ones first (int32), and their new log-odds (float32).
         """
 
     def mark(self) -> None:
-        """Remember the map as it is."""
+        """Save the current map for `rollback`."""
 
     def rollback(self) -> None:
-        """Put the map back to the last mark."""
+        """Restore the map of the last mark."""
 
     def save(self) -> Any:  # noqa: ANN401 (each kind of map has its own form)
-        """Copy of the map and of its rollback data; never changed afterwards."""
+        """Immutable copy of the map and its rollback data."""
 
     def restore(self, saved: Any) -> None:  # noqa: ANN401
-        """Put the map back to what `save` gave."""
+        """Restore the result of `save`."""
 
     def same(self, saved: Any) -> bool:  # noqa: ANN401
-        """Whether `save` would give the same, bit for bit."""
+        """Whether the map and its rollback data are bit-identical to `saved`."""
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What it remembers as numbers, by name: its own arrays, no copies."""
+        """Numeric memory by name: the arrays themselves, not copies."""
 
 
 class DenseMap:
-    """Log-odds in an array.
+    """Log-odds in a dense array.
 
     Args:
-        frame: Grid.
+        frame: Geometry of the grid.
         rule: Update rule.
-        max_range: Of the sensor (m).
+        max_range: Sensor range (m).
         functions: Compiled functions that it calls.
-        rewindable: Whether `restore` can go back to any `save`; otherwise only the last scan can be taken back.
+        rewindable: Whether any `save` can be restored; otherwise only the last scan can be undone.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class DenseMap:
         self._stamps = 0
 
     def insert(self, points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Integrate a scan, and keep the voxels' values before."""
+        """Integrate a scan, and store the previous values of its voxels."""
         self._stamps += 1
         count = self._functions.insert_scan(
             points, origin, self._range, self._frame, self._rule, self.log_odds, self._stamp, self._stamps,
@@ -91,7 +91,7 @@ class DenseMap:
         )  # fmt: skip
         voxels, before = self._touched[:count].copy(), self._before[:count].copy()
         after = self.log_odds[voxels]
-        if self._rewindable:  # most voxels are at a clamp already: what stays need not be kept
+        if self._rewindable:  # most voxels are clamped already: unchanged ones are not stored
             changed = np.flatnonzero(before.view(np.uint32) != after.view(np.uint32))
             self._changes.note(voxels[changed], before[changed], after[changed])
         else:
@@ -104,21 +104,21 @@ class DenseMap:
         self.log_odds[voxels] = log_odds
 
     def mark(self) -> None:
-        """Make the last scans permanent: no rollback behind this point."""
+        """Commit the scans so far: rollback does not reach beyond this point."""
         self._takes_back = False
 
     def rollback(self) -> None:
-        """Take the last scan back; its stamp is not used again, since stamps are not taken back."""
+        """Undo the last scan; its stamp is not reused, as the stamp counter is not restored."""
         if self._takes_back:
             self._changes.take_back(len(self._changes) - 1, self._put)
         self._takes_back = False
 
     def save(self) -> tuple[tuple[Change, ...], bool]:
-        """Every scan so far, and whether the last one can be taken back; stamps only have to be new."""
+        """All scans so far, and whether the last one can be undone; stamps only need to be unused ones."""
         return self._changes.save(), self._takes_back
 
     def restore(self, saved: tuple[tuple[Change, ...], bool]) -> None:
-        """Put the map back to what `save` gave."""
+        """Restore the result of `save`."""
         changes, self._takes_back = saved
         self.log_odds[:] = self._changes.restore(changes)
 
@@ -128,15 +128,15 @@ class DenseMap:
         return self._takes_back == takes_back and self._changes.same(changes, int(takes_back))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Log-odds of the voxels; stamps only have to be new."""
+        """Log-odds of the voxels; stamps are no memory, as they only need to be unused ones."""
         return {"log_odds": self.log_odds}
 
 
 class OctreeMap:
-    """Log-odds in an octree, which takes more memory when it needs it; arguments as of `DenseMap`.
+    """Log-odds in an octree that grows on demand; arguments as of `DenseMap`.
 
     Attributes:
-        tree: Its nodes.
+        tree: Nodes of the octree.
     """
 
     def __init__(
@@ -156,13 +156,13 @@ class OctreeMap:
 
     @property
     def log_odds(self) -> np.ndarray:
-        """Of every voxel of the grid, 0 = unknown; looked up in the tree. Shape (size,), float32."""
+        """Log-odds of every voxel of the grid, read from the tree, 0 = unknown. Shape (size,), float32."""
         dense = np.zeros(self._size, np.float32)
         octree.to_dense(self.tree, self._frame, dense)
         return dense
 
     def insert(self, points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Integrate a scan; voxels beyond the largest tree, which only corrupted nodes can fill, are left out."""
+        """Integrate a scan; voxels beyond the largest tree, reached only with corrupted nodes, are dropped."""
         self._stamps += 1
         n_free, count = self._functions.collect(
             points, origin, self._range, self._frame, self._stamp, self._stamps, self._touched
@@ -179,31 +179,31 @@ class OctreeMap:
             self.tree = larger
 
     def mark(self) -> None:
-        """Keep a copy: nodes are so many and so small that a journal of changes costs more."""
+        """Copy the nodes: they are so small and numerous that an undo log would cost more."""
         self._marked = octree.compact_copy(self.tree)
 
     def rollback(self) -> None:
-        """Put every node back, and the memory that was taken since is as new."""
+        """Restore all nodes; capacity allocated since then is cleared."""
         octree.copy_into(self._marked, self.tree)
 
     def save(self) -> tuple[Octree, Octree]:
-        """Copies of the nodes as they are, and as they were at the last mark (these are never changed)."""
+        """Copies of the current nodes and of those at the last mark (immutable)."""
         return octree.compact_copy(self.tree), self._marked
 
     def restore(self, saved: tuple[Octree, Octree]) -> None:
-        """Restore the nodes of `save`; their capacity decides nothing."""
+        """Restore the nodes of `save`; capacity has no effect on results."""
         nodes, self._marked = saved
         if len(nodes.log_odds) > len(self.tree.log_odds):
             self.tree = octree.new_octree(len(nodes.log_odds))
         octree.copy_into(nodes, self.tree)
 
     def same(self, saved: tuple[Octree, Octree]) -> bool:
-        """Whether the nodes are the same, in the same places, now and at the last mark."""
+        """Whether the nodes, including their positions in memory, are identical now and at the last mark."""
         nodes, marked = saved
         return _same_nodes(octree.compact_copy(self.tree), nodes) and _same_nodes(self._marked, marked)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Children and log-odds of the nodes that were ever used, and the counters."""
+        """Children and log-odds of all nodes used so far, and the counters."""
         used = len(octree.compact_copy(self.tree).log_odds)
         tree = self.tree
         return {"children": tree.children[:used], "log_odds": tree.log_odds[:used], "counters": tree.counters}
@@ -214,7 +214,7 @@ def _same_nodes(one: Octree, other: Octree) -> bool:
 
 
 class GuardedMap(Foreign[OccupancyMap]):
-    """A user's map, whose answers are looked at before the pipeline works with them."""
+    """A user's map whose return values are validated before use."""
 
     def __init__(self, name: str, inner: OccupancyMap, size: int) -> None:
         super().__init__(inner)
@@ -222,7 +222,7 @@ class GuardedMap(Foreign[OccupancyMap]):
 
     @property
     def log_odds(self) -> np.ndarray:
-        """Of every voxel of the grid, 0 = unknown. Shape (size,), float32."""
+        """Log-odds of every voxel of the grid, 0 = unknown. Shape (size,), float32."""
         try:
             values = np.asarray(self.content.log_odds)
         except AttributeError:
@@ -235,13 +235,13 @@ class GuardedMap(Foreign[OccupancyMap]):
         """Integrate a scan.
 
         Raises:
-            BadInputError: The map raised, or its answer does not have the form of `OccupancyMap.insert`.
+            BadInputError: The map raised, or its return value does not conform to `OccupancyMap.insert`.
         """
         try:
             voxels, log_odds = map(np.asarray, self.content.insert(points, origin))
         except MavfiError:
             raise
-        except Exception as error:  # noqa: BLE001 - whatever a user's map raises
+        except Exception as error:  # noqa: BLE001 - any exception of a user's map
             raise self._wrong(f"insert raised {reason(error)}") from None
         shapes = f"insert gave shapes {voxels.shape} and {log_odds.shape}"
         self._must(voxels.ndim == 1 and voxels.shape == log_odds.shape, shapes, "(n,) and (n,)")
@@ -254,11 +254,11 @@ class GuardedMap(Foreign[OccupancyMap]):
         return voxels, log_odds
 
     def mark(self) -> None:
-        """Remember the map as it is."""
+        """Save the current map for `rollback`."""
         self.content.mark()
 
     def rollback(self) -> None:
-        """Put the map back to the last mark."""
+        """Restore the map of the last mark."""
         self.content.rollback()
 
     def _must(self, right: bool, found: str, allowed: str) -> None:
@@ -271,15 +271,15 @@ class GuardedMap(Foreign[OccupancyMap]):
 
 GROUP = "mavfi.maps"
 MAPS: dict[str, Callable[..., OccupancyMap]] = {"dense": DenseMap, "octree": OctreeMap}
-"""The shipped kinds, by `MapConfig.kind`."""
+"""Shipped map classes, by `MapConfig.kind`."""
 _SHIPPED = {kind: f"{__name__}:{factory.__name__}" for kind, factory in MAPS.items()}
 
 
 def find_map(kind: str) -> Callable[[KeyFrame, UpdateRule, float], OccupancyMap]:
-    """The class of a kind of map: a shipped one, an entry point of the group `mavfi.maps`, or "package:Class".
+    """Find a map class: a shipped kind, an entry point of the group `mavfi.maps`, or "package:Class".
 
     Raises:
-        BadInputError: There is none, or it cannot be imported.
+        BadInputError: It does not exist or cannot be imported.
     """
     return cast(Callable[[KeyFrame, UpdateRule, float], OccupancyMap], load_object("map", kind, GROUP, _SHIPPED))
 
@@ -288,23 +288,23 @@ def make_map(
     kind: str, frame: KeyFrame, rule: UpdateRule, max_range: float, functions: KernelFunctions = PLAIN,
     rewindable: bool = False,
 ) -> OccupancyMap:  # fmt: skip
-    """An empty map.
+    """Construct an empty map.
 
     Args:
         kind: See `find_map`.
-        frame: Geometry of the grid among OctoMap's keys.
-        rule: Log-odds of a hit and a miss, and their limits.
-        max_range: Where a ray without return ends (m).
+        frame: Geometry of the grid in OctoMap's keys.
+        rule: Log-odds of a hit and a miss, and their clamps.
+        max_range: Length of a ray without a return (m).
         functions: Compiled functions that the shipped kinds call.
-        rewindable: Whether it shall be able to go back to any earlier instant; a user's own map is copied whole.
+        rewindable: Whether it must be restorable to any earlier instant; a user's own map is always copied whole.
 
     Raises:
-        BadInputError: It cannot be built, or lacks a method.
+        BadInputError: It cannot be constructed, or lacks a method.
     """
     if kind in MAPS:
         return MAPS[kind](frame, rule, max_range, functions, rewindable)
     factory = find_map(kind)
     made = build("map", kind, factory, frame, rule, max_range, needs=("insert", "mark", "rollback"))
     guarded = GuardedMap(kind, made, frame.nx * frame.ny * frame.nz)
-    _ = guarded.log_odds  # looked at before the first scan
+    _ = guarded.log_odds  # validated before the first scan
     return cast(OccupancyMap, guarded)

@@ -1,7 +1,7 @@
-"""Explicit memory: what is remembered between steps, as dataclasses of plain values that can be copied and compared.
+"""Explicit memory: the persistent state of a kernel, as dataclasses of plain values that can be copied and compared.
 
-Plain values are numbers, text, None, published states (which never change), arrays, and tuples, lists and dictionaries
-of these and of memories.  Maps are too large to be copied: they keep their changes, see `Keeper`.
+Plain values are numbers, text, None, published states (immutable), arrays, and tuples, lists and dictionaries of these
+and of memories.  Maps are too large to copy: they keep undo logs, see `Keeper`.
 """
 
 import copy
@@ -17,33 +17,33 @@ from mavfi.states import State
 
 
 class Memory:
-    """Base of memories; a subclass is a dataclass with slots, whose fields are all that it remembers."""
+    """Base class of memories; a subclass is a slotted dataclass whose fields are its complete state."""
 
     __slots__: tuple[str, ...] = ()
 
     def copy(self) -> Self:
-        """A copy that later changes do not reach."""
+        """A deep copy."""
         return type(self)(*(copied(getattr(self, name)) for name in self.__slots__))
 
     def same(self, other: Self) -> bool:
-        """Whether both are equal, bit for bit."""
+        """Whether both are bit-identical."""
         return all(same(getattr(self, name), getattr(other, name)) for name in self.__slots__)
 
 
 class Keeper(Protocol):
-    """Something large that keeps its own changes: a map, or a search of a user's own."""
+    """Large state that manages its own snapshots: a map, or a user's own path search."""
 
     def save(self) -> Any:  # noqa: ANN401 (each has its own form)
-        """What it is now; never changed afterwards."""
+        """Immutable snapshot of the current state."""
 
     def restore(self, saved: Any) -> None:  # noqa: ANN401
-        """Put it back to what `save` gave."""
+        """Restore the result of `save`."""
 
     def same(self, saved: Any) -> bool:  # noqa: ANN401
-        """Whether it is what it was when `save` gave this, bit for bit."""
+        """Whether the current state is bit-identical to `saved`."""
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What it remembers as numbers, by name: its own arrays, no copies."""
+        """Numeric memory by name: the arrays themselves, not copies."""
 
 
 Saved = tuple[Memory, tuple[Any, ...]]
@@ -51,10 +51,10 @@ Saved = tuple[Memory, tuple[Any, ...]]
 
 
 class Remembers:
-    """What a kernel with explicit memory can do.
+    """Base class of kernels with explicit memory.
 
     Attributes:
-        memory: All that it remembers, but for the keepers.
+        memory: The complete memory, except for the keepers.
         keepers: Its maps.
     """
 
@@ -62,37 +62,37 @@ class Remembers:
     keepers: tuple[Keeper, ...] = ()
 
     def save(self) -> Saved:
-        """What it remembers now."""
+        """Snapshot of the current memory."""
         return self.memory.copy(), tuple(keeper.save() for keeper in self.keepers)
 
     def restore(self, saved: Saved) -> None:
-        """Put it back to what `save` gave, which can be restored again."""
+        """Restore the result of `save`, which remains valid for further restores."""
         memory, kept = saved
         self.memory = memory.copy()
         for keeper, content in zip(self.keepers, kept, strict=True):
             keeper.restore(content)
 
     def same(self, saved: Saved) -> bool:
-        """Whether `save` would give the same, bit for bit."""
+        """Whether the current memory is bit-identical to `saved`."""
         memory, kept = saved
         return self.memory.same(memory) and all(
             keeper.same(content) for keeper, content in zip(self.keepers, kept, strict=True)
         )
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
-        """See `Kernel.resume`; nothing of what it published is needed."""
+        """See `Kernel.resume`; by default no output is read back."""
         del last, time_us
         return ()
 
     def fingerprint(self) -> bytes:
-        """Digest of what it remembers: the same in any process."""
+        """Hash of the memory, equal in all processes."""
         total = hashlib.sha256()
         _feed(total, self.save())
         return total.digest()
 
 
 def copied(value: Any) -> Any:  # noqa: ANN401
-    """A copy of a plain value that later changes do not reach."""
+    """A deep copy of a plain value."""
     if isinstance(value, np.ndarray):
         return value.copy()
     if isinstance(value, list):
@@ -106,7 +106,7 @@ def copied(value: Any) -> Any:  # noqa: ANN401
 
 
 def same(value: Any, other: Any) -> bool:  # noqa: ANN401, PLR0911 (one line for each kind)
-    """Whether two plain values are equal, bit for bit (NaN equals the same NaN, 0.0 is not -0.0)."""
+    """Whether two plain values are bit-identical (NaN equals the same NaN, 0.0 differs from -0.0)."""
     if value is other:
         return True
     if type(value) is not type(other):
@@ -148,10 +148,10 @@ Content = TypeVar("Content")
 
 
 class Foreign(Generic[Content]):
-    """Keeps an object of a user's own, of which nothing is known: copied whole, and compared as a pickle.
+    """Keeper of a user's opaque object: copied whole, and compared by its pickle.
 
     Attributes:
-        content: The object; after `restore` another one.
+        content: The object; replaced by `restore`.
     """
 
     def __init__(self, content: Content) -> None:
@@ -162,16 +162,16 @@ class Foreign(Generic[Content]):
         return copy.deepcopy(self.content)
 
     def restore(self, saved: Content) -> None:
-        """Go on with a deep copy of what was saved."""
+        """Replace the object by a deep copy of the saved one."""
         self.content = copy.deepcopy(saved)
 
     def same(self, saved: Content) -> bool:
-        """Whether both give the same pickle; False where there is none."""
+        """Whether both have the same pickle; False if either cannot be pickled."""
         try:
             return pickle.dumps(self.content) == pickle.dumps(saved)
-        except Exception:  # noqa: BLE001 - whatever a user's object raises
+        except Exception:  # noqa: BLE001 - any exception of a user's object
             return False
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """None: nothing is known of it."""
+        """Empty, as the object is opaque."""
         return {}

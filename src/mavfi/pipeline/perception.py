@@ -44,7 +44,7 @@ class PointCloud(Remembers):
         return True
 
     def step(self, time_us: int) -> list[State]:
-        """Back-project the image that `receive` took; returns the point cloud."""
+        """Back-project the stored image; returns the point cloud."""
         del time_us
         depth = self.memory.depth
         pose = floats(depth.header, 7)
@@ -61,10 +61,10 @@ class PointCloud(Remembers):
         return [cloud]
 
     def mark(self) -> None:
-        """Nothing but the input is remembered."""
+        """No operation: the input is the only memory."""
 
     def rollback(self) -> None:
-        """Inputs stay."""
+        """No operation: inputs are kept."""
 
 
 @dataclass(slots=True)
@@ -75,11 +75,11 @@ class _MapMemory(Memory):
 
 
 class OctoMap(Remembers):
-    """Kernel `octomap`, on a dense array, an octree or a map of the user's, as the configuration says.
+    """Kernel `octomap`, on a dense array, an octree or a user's map, depending on the configuration.
 
     Attributes:
-        grid: Geometry.
-        frame: The grid among OctoMap's keys.
+        grid: Geometry of the map.
+        frame: The grid in OctoMap's keys.
         map: Occupancy of the voxels.
     """
 
@@ -92,7 +92,7 @@ class OctoMap(Remembers):
     def __init__(self, config: PipelineConfig) -> None:
         self.grid = grid = map_grid(config)
         rule = config.map
-        # half a voxel: OctoMap's voxel borders are multiples of the resolution, ours lie between them
+        # half a voxel: OctoMap's voxel borders are multiples of the resolution, those of this grid lie in between
         half = 0.5 * rule.resolution
         kx, ky, kz = (round((corner + half) / rule.resolution) for corner in (grid.x0, grid.y0, grid.z0))
         self.frame = KeyFrame(rule.resolution, half, half, half, kx, ky, kz, grid.nx, grid.ny, grid.nz)
@@ -112,7 +112,7 @@ class OctoMap(Remembers):
         return True
 
     def step(self, time_us: int) -> list[State]:
-        """Integrate the cloud that `receive` took; returns the map update."""
+        """Integrate the stored cloud; returns the map update."""
         del time_us
         self.memory.scan += 1
         points = self.memory.cloud.elements.view(np.float32).reshape(-1, 3)
@@ -124,30 +124,30 @@ class OctoMap(Remembers):
         return [update]
 
     def mark(self) -> None:
-        """Remember the map as it is, and the number of the scan."""
+        """Save the map and the scan number for `rollback`."""
         self.map.mark()
         self.memory.marked_scan = self.memory.scan
 
     def rollback(self) -> None:
-        """Take the scan since the last mark back."""
+        """Undo the scan since the last mark."""
         self.map.rollback()
         self.memory.scan = self.memory.marked_scan
 
 
 @dataclass(slots=True)
 class _CheckMemory(Memory):
-    """Inputs, those of the last step, and whether it is repeated.
+    """Current inputs, inputs of the last step, and recomputation flags.
 
     Attributes:
-        trajectories: The last two, by number.
-        waypoint: The one in force.
-        position: Of the vehicle (m). Shape (3,).
-        remaining: Time that the tracker gives the way-point in force (s).
-        published: The last status, and so the counter of collisions.
-        escaping: Number of a trajectory that started too near to an obstacle; -1 = none.
-        used: Inputs of the last step other than the map.
-        stepped: Whether there was a step since the mark.
-        rolled_back: Whether that step was taken back.
+        trajectories: The last two trajectories, by sequence number.
+        waypoint: The way-point in force.
+        position: Vehicle position (m). Shape (3,).
+        remaining: Remaining time of the way-point in force, from the tracker (s).
+        published: The last published status, which carries the collision counter.
+        escaping: Sequence number of a trajectory that starts too close to an obstacle; -1 = none.
+        used: Inputs of the last step, except the map.
+        stepped: Whether a step was executed since the mark.
+        rolled_back: Whether that step was rolled back.
         again: Whether the next step repeats it.
     """
 
@@ -164,16 +164,16 @@ class _CheckMemory(Memory):
 
 
 _Inputs = tuple[State | None, int, int, np.ndarray, float]
-"""Trajectory in force, index of its point, its sequence number, position, remaining time."""
+"""Trajectory in force, index of its current point, its collision sequence number, position, remaining time."""
 
 
 class CollisionCheck(Remembers):
-    """Kernel `collision_check`: alarm by sequence numbers, or a check of every map.
+    """Kernel `collision_check`: alarms with sequence numbers, or a check of every map.
 
     An alarm is one-shot, or repeated with the same number at each scan until the way-point in force answers it.
 
-    The counter of collisions lives in the last published status, as in the published code, where the message is kept
-    and sent again: counting continues from the received value, corrupted or not.
+    The collision counter resides in the last published status, as in the published code, which keeps and republishes
+    the message: counting continues from the value as received, corrupted or not.
     """
 
     name = "collision_check"
@@ -189,14 +189,14 @@ class CollisionCheck(Remembers):
             "perception.collision_status", "control.tracking",
         )  # fmt: skip
         self._every_map = config.stack.replanning == "every_map"
-        # not beyond the planner's clearance, or a path along a wall would always see the unknown inside of the wall
+        # at most the planner's clearance, or a path along a wall would always encounter the unknown space inside it
         self._reach = max(1, math.ceil(config.plan_radius / config.map.resolution))
         self.room = Room(config, config.functions.apply_updates)
         self.keepers = (self.room,)
         self.memory = _CheckMemory(new_state("perception.collision_status"))
 
     def receive(self, state: State, time_us: int) -> bool:
-        """A map update makes a step due; where every map is checked, a new trajectory does too."""
+        """A map update makes a step due; with a check of every map, so does a new trajectory."""
         del time_us
         name = state.spec.name
         if name == "perception.map_update":
@@ -217,8 +217,8 @@ class CollisionCheck(Remembers):
 
     def _take_trajectory(self, state: State) -> bool:
         if self._every_map and len(state.elements) == 0:
-            return False  # no plan was found: the present trajectory stays in force
-        # a new trajectory is in force some ticks after it was sent: the one before is still wanted
+            return False  # planning failed: the current trajectory remains in force
+        # a new trajectory takes effect some periods after its publication: its predecessor is still needed
         self.memory.trajectories[int(state.header["trajectory_seq"][0])] = state
         while len(self.memory.trajectories) > 2:
             del self.memory.trajectories[next(iter(self.memory.trajectories))]
@@ -231,7 +231,7 @@ class CollisionCheck(Remembers):
         return self._every_map
 
     def _in_force(self) -> tuple[State | None, int, int]:
-        """Trajectory in force, index of its point, and its sequence number."""
+        """Trajectory in force, index of its current point, and its collision sequence number."""
         if self._every_map and self.memory.trajectories:
             newest = next(reversed(self.memory.trajectories))
             if self.memory.waypoint is None or int(self.memory.waypoint.header["trajectory_seq"][0]) != newest:
@@ -246,7 +246,7 @@ class CollisionCheck(Remembers):
         )  # fmt: skip
 
     def step(self, time_us: int) -> list[State]:
-        """Check the rest of the trajectory in force on the present map."""
+        """Check the remaining trajectory in force on the current map."""
         del time_us
         self.memory.stepped = True
         seq = int(self.memory.published.header["future_collision_seq"][0])
@@ -255,10 +255,10 @@ class CollisionCheck(Remembers):
         )
         status.header[0] = (collision_check.NO_COLLISION, np.inf, np.inf, seq, -1, False)
         if self.memory.again:
-            self.memory.again = self.memory.rolled_back = False  # a recomputation works on the inputs of the first time
+            self.memory.again = self.memory.rolled_back = False  # a recomputation uses the inputs of the original step
         else:
             self.memory.used = (*self._in_force(), self.memory.position, self.memory.remaining)
-        assert self.memory.used is not None  # only what was done is done again
+        assert self.memory.used is not None  # `again` requires an earlier step
         trajectory, index, epoch, position, remaining = self.memory.used
         if trajectory is None or index < 0 or index >= len(trajectory.elements):
             return [status]
@@ -287,7 +287,7 @@ class CollisionCheck(Remembers):
         return [status]
 
     def _still_escaping(self, number: int, point: np.ndarray) -> bool:
-        """Whether the trajectory started too near to an obstacle and the reference has not left that zone yet."""
+        """Whether the trajectory starts too close to an obstacle, and the reference has not left that zone yet."""
         if number != self.memory.escaping:
             return False
         voxel = voxel_of(self.room.grid, point[0], point[1], point[2])
@@ -297,21 +297,21 @@ class CollisionCheck(Remembers):
         return False
 
     def mark(self) -> None:
-        """Remember the map as it is."""
+        """Save the map for `rollback`."""
         self.room.mark()
         self.memory.stepped = False
 
     def again(self) -> None:
-        """Repeat the last step; the map stays, which it does not change."""
+        """Repeat the last step on the same map, which a step does not modify."""
         self.memory.again = self.memory.used is not None
 
     def rollback(self) -> None:
-        """Take the map updates since the last mark back; a step since then is repeated with the inputs that it had."""
+        """Undo the map updates since the last mark; a step since then is repeated on its original inputs."""
         self.room.rollback()
         self.memory.rolled_back = self.memory.stepped
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
-        """Take up the last status: counting collisions continues from there."""
+        """Restore the collision counter from the last status."""
         status = last.get("perception.collision_status")
         if status is not None:
             self.receive(status, time_us)

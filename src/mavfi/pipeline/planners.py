@@ -1,4 +1,4 @@
-"""Path searches by name.  A user's own planner is a class with the interface of `PathSearch` behind an entry point."""
+"""Path searches by name.  A user's own planner is a class with the interface of `PathSearch` and an entry point."""
 
 from abc import ABC, abstractmethod
 from typing import Protocol, cast
@@ -35,14 +35,14 @@ class PathSearch(Protocol):
     def search(
         self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
     ) -> np.ndarray:
-        """A free path.
+        """Search for a collision-free path.
 
         Args:
-            counter: > 0 = blocked. Shape (grid.size,), int16.
-            grid: Geometry.
+            counter: Blocked where > 0. Shape (grid.size,), int16.
+            grid: Geometry of the map.
             start: World frame (m). Shape (3,).
             goal: World frame (m). Shape (3,).
-            lower: Corner of the box in which paths may lie (m). Shape (3,).
+            lower: Corner of the box that contains all paths (m). Shape (3,).
             upper: Opposite corner (m). Shape (3,).
 
         Returns:
@@ -51,7 +51,7 @@ class PathSearch(Protocol):
 
 
 class SamplingSearch(ABC):
-    """Runs of a sampling planner; the best path, shortened.  Its generator is its only memory."""
+    """Best of several runs of a sampling-based planner, shortened.  Its generator is its only memory."""
 
     functions: KernelFunctions = PLAIN
     """Compiled functions that it calls."""
@@ -65,7 +65,7 @@ class SamplingSearch(ABC):
 
     @abstractmethod
     def _run(self, problem: _Problem) -> int:
-        """Put a path into `_path`; returns its number of vertices, 0 = none found."""
+        """Write a path to `_path`; returns its number of vertices, 0 = none found."""
 
     def search(
         self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
@@ -73,11 +73,11 @@ class SamplingSearch(ABC):
         """See `PathSearch.search`."""
         best = np.zeros((0, 3))
         shortest = np.inf
-        for attempt in range(min(self._runs, self._config.restarts)):  # memory that a fault can change is not trusted
+        for attempt in range(min(self._runs, self._config.restarts)):  # bounded twice: memory may be corrupted
             count = self._run((counter, grid, start, goal, lower, upper))
             if count == 0:
                 if attempt > 0 and len(best) == 0:
-                    break  # two failures in a row: there is hardly a way
+                    break  # two consecutive failures: a path is unlikely to exist
                 continue
             count = self.functions.shortcut_greedy(counter, grid, self._path, count)
             length = paths.path_length(self._path, count)
@@ -126,8 +126,8 @@ class RrtConnect(SamplingSearch):
 class RrtStar(SamplingSearch):
     """One RRT* run, shortened.
 
-    Its budget is `iterations`.  Without a path by then, the same tree keeps growing to the first one, for at most
-    `restarts` budgets: as many samples as the other planners may draw, and no other planner takes its place.
+    Its budget is `iterations`.  If no path is found, the same tree continues to grow until the first path, for at most
+    `restarts` budgets: the number of samples allowed to the other planners.  No other planner is used as a fallback.
     """
 
     def __init__(self, config: PlannerConfig, seed: int) -> None:
@@ -152,10 +152,10 @@ _SHIPPED = {
 
 
 def make_search(config: PlannerConfig, seed: int, functions: KernelFunctions = PLAIN) -> PathSearch:
-    """The planner that a configuration names: a shipped one, an entry point of `mavfi.planners`, or "package:Class".
+    """Construct a planner: a shipped one, an entry point of `mavfi.planners`, or "package:Class".
 
     Raises:
-        BadInputError: There is no such planner, or it cannot be built.
+        BadInputError: It does not exist or cannot be constructed.
     """
     factory = load_object("planner", config.name, GROUP, _SHIPPED)
     search = cast(PathSearch, build("planner", config.name, factory, config, seed, needs=("search",)))

@@ -1,8 +1,8 @@
-"""The motion planner: request -> path (MAVFI section III-A); what becomes of a path is in `trajectories`.
+"""The motion planner: request -> path (MAVFI section III-A); time parameterization is in `trajectories`.
 
-The motion planner decides when to plan and from where; two policies share its code.  `event`: on a newly predicted
-collision and when nothing is flown (the published code).  `every_map`: whenever the present trajectory is blocked, ends
-short or makes no progress, from a junction at which the vehicle can still stop.
+The motion planner decides when to plan and from which point, under one of two policies.  `event`: on a newly predicted
+collision, and when no trajectory is flown (the published code).  `every_map`: whenever the current trajectory is
+blocked, ends short of the goal or makes no progress, from a junction at which the vehicle can still stop.
 """
 
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ _MARGIN = 0.3
 _STUCK_US = 4_000_000
 _BACKTRACK_AFTER = 3
 _BACKTRACK_UNTIL = 12
-"""Failures in a row after which going back is no longer tried: there is no path."""
+"""Number of consecutive failures after which backtracking is abandoned: no path exists."""
 _BACKTRACK_LENGTH = 4.0
 _CRUMB = 0.5
 _EMERGENCY_STOP_TIME = 0.6
@@ -36,7 +36,7 @@ _EMERGENCY_STOP_TIME = 0.6
 
 @dataclass(slots=True)
 class _Decisions(Memory):
-    """Small memory of the planner that a rollback restores."""
+    """Decision variables of the planner, which a rollback restores."""
 
     acted_seq: int = 0
     alarm: float = -1.0
@@ -51,7 +51,7 @@ class _Decisions(Memory):
 
 @dataclass(slots=True)
 class _PlannerMemory(Memory):
-    """Inputs, where the vehicle was, decisions, and with the generator's state the last ones as they were marked."""
+    """Inputs, positions flown, decision variables, and those of the last mark with the generator's state."""
 
     marked: tuple[_Decisions, np.ndarray]
     status: State | None = None
@@ -64,7 +64,7 @@ class _PlannerMemory(Memory):
 
 
 class MotionPlanner(Remembers):
-    """Kernel `planner`: request -> path, on a clearance map of its own."""
+    """Kernel `planner`: request -> path, on the node's clearance map."""
 
     name = "planner"
     stage = Stage.PLANNING
@@ -86,11 +86,11 @@ class MotionPlanner(Remembers):
 
     # ---- inputs -----------------------------------------------------------------------------------------------------
     def receive(self, state: State, time_us: int) -> bool:
-        """Note an input; a step is due when the policy wants a plan."""
+        """Store an input; a step is due when the policy requests a plan."""
         name = state.spec.name
         if name == "perception.map_update":
             self.room.apply(state)
-            self.room.mark()  # updates carry absolute values: they are never taken back here
+            self.room.mark()  # updates carry absolute values and are never rolled back here
         elif name == "perception.collision_status":
             self._take_status(state)
             if self._every_map:
@@ -112,7 +112,7 @@ class MotionPlanner(Remembers):
 
     def _take_trajectory(self, state: State, time_us: int) -> None:
         if self._every_map and len(state.elements) == 0:
-            return  # no plan was found: the present trajectory stays in force
+            return  # planning failed: the current trajectory remains in force
         self.memory.trajectory = state
         if len(state.elements):
             self.memory.arc = np.zeros(len(state.elements))
@@ -133,20 +133,20 @@ class MotionPlanner(Remembers):
         return self._idle() and time_us >= self.memory.decisions.retry_us and not self._adoption_pending(time_us)
 
     def _idle(self) -> bool:
-        """Whether nothing is flown although a map and no plan is there."""
+        """Whether no trajectory is flown although a map is available."""
         if self.memory.waypoint is None or self.room.updates == 0:
             return False
         return int(self.memory.waypoint.header["index"][0]) < 0
 
     def _adoption_pending(self, time_us: int) -> bool:
-        """Whether the last trajectory is about to be taken over, e.g. once the vehicle has come to rest."""
+        """Whether the last trajectory is about to be adopted, e.g. once the vehicle is at rest."""
         if self.memory.trajectory is None or len(self.memory.trajectory.elements) == 0:
             return False
         new = self.memory.waypoint is None or not self._same_trajectory(self.memory.waypoint)
         return new and time_us - self.memory.decisions.progress_us < _ADOPTION_US
 
     def _on_trajectory(self) -> tuple[int, float]:
-        """Index of the way-point on the trajectory known here, and its arc length; (-1, 0) when none is flown."""
+        """Index of the way-point on the last trajectory, and its arc length (m); (-1, 0) if none is flown."""
         if self.memory.waypoint is None or self.memory.trajectory is None or len(self.memory.trajectory.elements) == 0:
             return -1, 0.0
         index = int(self.memory.waypoint.header["index"][0])
@@ -156,18 +156,18 @@ class MotionPlanner(Remembers):
         return index, float(self.memory.arc[index])
 
     def _same_trajectory(self, state: State) -> bool:
-        """Whether a state speaks of the trajectory that was published last."""
+        """Whether a state refers to the last published trajectory."""
         return self.memory.trajectory is not None and int(state.header["trajectory_seq"][0]) == int(
             self.memory.trajectory.header["trajectory_seq"][0]
         )
 
     def _wants_new_plan(self, time_us: int) -> bool:
-        """Policy `every_map`: none flown, blocked, ended short, or no progress."""
+        """Policy `every_map`: no trajectory, blocked, ended short of the goal, or no progress."""
         memory, config = self.memory.decisions, self._config
         if self.memory.status is None:
             return False
         if time_us < memory.settled_us:
-            return False  # the last plan is on its way
+            return False  # the last plan is still in transit
         index, along = self._on_trajectory()
         position = self.memory.odometry[:3]
         to_goal = paths.distance(position, config.goal)
@@ -188,7 +188,7 @@ class MotionPlanner(Remembers):
 
     # ---- planning ---------------------------------------------------------------------------------------------------
     def step(self, time_us: int) -> list[State]:
-        """Plan once; an empty path says that none was found."""
+        """Plan once; an empty path reports failure."""
         memory = self.memory.decisions
         if self._every_map:
             path = self._plan_from_junction()
@@ -214,7 +214,7 @@ class MotionPlanner(Remembers):
         return path
 
     def _plan_from_rest(self) -> State | None:
-        """From the place where the vehicle will stand; with the checker's radius where the planner's does not fit."""
+        """Plan from the predicted rest position; with the checker's radius if the planner's does not fit."""
         position, velocity = self.memory.odometry[:3], self.memory.odometry[3:6]
         speed = length(velocity)
         stop = position + velocity * self._config.velocity_lag if speed < 2.0 * self._config.v_max else position.copy()
@@ -222,7 +222,7 @@ class MotionPlanner(Remembers):
         return None if found is None else self._path(found, 0.0)
 
     def _plan_in_flight(self, alarm: float) -> State | None:
-        """Replace the trajectory without a stop, if the collision is far enough away."""
+        """Plan a replacement without stopping, if the predicted collision is late enough."""
         stack = self._config.stack
         velocity = self.memory.odometry[3:6]
         speed = length(velocity)
@@ -241,7 +241,7 @@ class MotionPlanner(Remembers):
         return self._path(np.vstack([*leading, found]), speed)
 
     def _plan_from_junction(self) -> State | None:
-        """From the point of the present trajectory at which the vehicle can stand when the plan arrives."""
+        """Plan from the point of the current trajectory at which the vehicle can be when the plan arrives."""
         config = self._config
         index, along = self._on_trajectory()
         if index < 0:
@@ -264,13 +264,13 @@ class MotionPlanner(Remembers):
         return None if found is None else self._path(found, speed, junction)
 
     def _standing_point(self) -> np.ndarray:
-        """Reference position while nothing is flown."""
+        """Reference position while no trajectory is flown."""
         if self.memory.waypoint is None:
             return self.memory.odometry[:3].copy()
         return floats(self.memory.waypoint.header, timing.POINT_WIDTH)[:3].copy()
 
     def _backtrack(self) -> State | None:
-        """After repeated failures: back along the flown path, into space that was free (policy `every_map`)."""
+        """After repeated failures: return along the flown path into known free space (policy `every_map`)."""
         failures = self.memory.decisions.failures
         if not self._every_map or failures % _BACKTRACK_AFTER or failures > _BACKTRACK_UNTIL:
             return None
@@ -287,17 +287,17 @@ class MotionPlanner(Remembers):
 
     # ---- recomputation ----------------------------------------------------------------------------------------------
     def mark(self) -> None:
-        """Remember decisions and randomness; the map is not rolled back, updates carry absolute values."""
+        """Save decisions and random state; the map is not rolled back, as updates carry absolute values."""
         self.memory.marked = (self.memory.decisions.copy(), self.routes.random.copy())
 
     def rollback(self) -> None:
-        """Restore decisions and random state to those of `mark`."""
+        """Restore decisions and random state of the mark."""
         decisions, random = self.memory.marked
         self.memory.decisions = decisions.copy()
         self.routes.random[:] = random
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
-        """Take up the last trajectory of the node; its number of an alarm says which alarms are answered."""
+        """Restore the node's last trajectory, whose sequence number indicates the answered alarms."""
         trajectory = last.get("planning.trajectory")
         if trajectory is not None:
             self._take_trajectory(trajectory, time_us)

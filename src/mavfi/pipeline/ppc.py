@@ -1,4 +1,4 @@
-"""Builds the perception-planning-control pipeline: its kernels, in the order of the data flow."""
+"""Construction of the perception-planning-control pipeline: its kernels in data-flow order."""
 
 from mavfi.pipeline.control import Tracker
 from mavfi.pipeline.estimation import StateEstimator
@@ -10,7 +10,7 @@ from mavfi.pipeline.waypoints import WaypointHandOver
 
 
 def build_pipeline(config: PipelineConfig) -> dict[str, Kernel]:
-    """All kernels by name: seven, and the state estimator where the pipeline does not receive the true state."""
+    """All kernels by name: seven, plus the state estimator if the pipeline does not receive the true state."""
     estimators = () if config.noise is None else (StateEstimator(config.noise),)
     planner = MotionPlanner(config)
     kernels: tuple[Kernel, ...] = (

@@ -1,4 +1,4 @@
-"""A consumer's copy of the map with its clearance counters, and how to take the last updates back."""
+"""Clearance map: a consumer's copy of the map with clearance counters, and rollback of its updates."""
 
 import numpy as np
 
@@ -11,14 +11,14 @@ from mavfi.states import State
 
 
 class Room:
-    """Clearance map: free space for flying, as far as a kernel knows from map updates.
+    """Clearance map: free space according to the map updates that a kernel has received.
 
     Attributes:
-        grid: Geometry.
+        grid: Geometry of the map.
         cells: UNKNOWN, KNOWN_FREE or OCCUPIED. Shape (grid.size,), uint8.
-        wide: > 0 = nearer than the planner's radius to an occupied voxel. Shape (grid.size,), int16.
-        narrow: Counters for the checker's radius.
-        updates: How many map updates were taken over.
+        wide: > 0 = closer to an occupied voxel than the planner's radius. Shape (grid.size,), int16.
+        narrow: The same counters for the checker's radius.
+        updates: Number of map updates applied.
     """
 
     def __init__(self, config: PipelineConfig, apply_updates: Compiled = clearance.apply_updates) -> None:
@@ -49,37 +49,37 @@ class Room:
         self.updates += 1
 
     def _put(self, voxels: np.ndarray, cells: np.ndarray) -> None:
-        """Give voxels their states, and the counters what follows from them."""
+        """Set the states of voxels, and update the counters accordingly."""
         clearance.undo_updates(
             self.grid, self.cells, self.wide, self._wide_offsets, self.narrow, self._narrow_offsets,
             np.ascontiguousarray(voxels[::-1]), np.ascontiguousarray(cells[::-1]), len(voxels),
         )  # fmt: skip
 
     def mark(self) -> None:
-        """Remember the map as it is."""
+        """Save the current map for `rollback`."""
         if not self._rewindable:
             self._changes.forget()
         self._marked = len(self._changes)
 
     def rollback(self) -> None:
-        """Take back every update since the last mark."""
+        """Undo all updates since the last mark."""
         self.updates -= len(self._changes) - self._marked
         self._changes.take_back(self._marked, self._put)
 
     def save(self) -> tuple[tuple[Change, ...], int, int]:
-        """Every update so far, how many of them were there at the last mark, and the number of updates."""
+        """All changes so far, their number at the last mark, and the number of updates."""
         return self._changes.save(), self._marked, self.updates
 
     def restore(self, saved: tuple[tuple[Change, ...], int, int]) -> None:
-        """Put the map back to what `save` gave."""
+        """Restore the result of `save`."""
         changes, self._marked, self.updates = saved
         cells = self._changes.restore(changes)
         flips = np.flatnonzero((self.cells == clearance.OCCUPIED) != (cells == clearance.OCCUPIED)).astype(np.int32)
-        self._put(flips, cells[flips])  # counters follow from the occupied voxels alone
+        self._put(flips, cells[flips])  # counters depend on the occupied voxels alone
         self.cells[:] = cells
 
     def same(self, saved: tuple[tuple[Change, ...], int, int]) -> bool:
-        """Whether the map, and the map after a rollback, are equal; counters follow from the cells."""
+        """Whether the map, and the map after a rollback, are equal; counters are implied by the cells."""
         changes, marked, updates = saved
         revocable = len(self._changes) - self._marked
         return self.updates == updates and revocable == len(changes) - marked and self._changes.same(changes, revocable)

@@ -1,7 +1,7 @@
-"""Choice of a path: searches on the clearance map, and the selection among their paths.
+"""Path selection: searches on the clearance map, and the choice among their results.
 
-A path keeps the planner's radius where it can.  Where that leads far around, or nowhere, a way through a narrow
-passage is looked for; the quickest path is flown.
+A path keeps the planner's radius where possible.  If this causes a long detour or fails, paths through narrow passages
+are searched with the checker's radius; the fastest path is selected.
 """
 
 from typing import Any
@@ -18,18 +18,18 @@ from mavfi.pipeline.planners import PathSearch, SamplingSearch, make_search
 from mavfi.pipeline.room import Room
 
 TIGHT_SPEED = 2.0
-"""Speed where only the checker's radius fits (m/s)."""
+"""Speed limit where only the checker's radius fits (m/s)."""
 PLANNING_ACCELERATION = 2.5
-"""Along the path (m/s^2); half of a_max, the rest is for corners and tracking."""
+"""Planned acceleration along the path (m/s^2); half of a_max, the rest is reserved for corners and tracking."""
 LATERAL_SHARE = 0.7
-"""Acceleration across the path / a_max."""
+"""Planned lateral acceleration / a_max."""
 NOMINAL_SPEED = 3.0
 BLEND = 3.5
 """Longest distance of a corner blend from its corner at the nominal speed (m)."""
 _REACH = 3.0
 _TRIES = 200
 _GOOD_ENOUGH = 1.15
-"""Time of a path / time of the straight line up to which no further search is made."""
+"""Travel time of a path / of the straight line, below which no further search is made."""
 _STRETCH_STEP = 0.25
 _LOCAL_ITERATIONS = 300
 _LOCAL_MARGIN = 6.0
@@ -37,10 +37,10 @@ _SHORTCUTS = 80
 
 
 class Routes:
-    """Finds ways to the goal.
+    """Finds paths to the goal.
 
     Attributes:
-        room: The clearance map that is searched.
+        room: The clearance map for the searches.
     """
 
     def __init__(self, config: PipelineConfig) -> None:
@@ -49,7 +49,7 @@ class Routes:
         search = make_search(config.planner, config.seed, config.functions)
         small = config.planner.model_copy(update={"iterations": _LOCAL_ITERATIONS, "restarts": 1})
         local = make_search(small, config.seed, config.functions)
-        local.random = search.random  # one stream, one thing to roll back
+        local.random = search.random  # a single stream to roll back
         self._searches: Foreign[tuple[PathSearch, PathSearch]] = Foreign((search, local))
         v_max = config.v_max
         self._pace = travel.Pace(
@@ -61,37 +61,37 @@ class Routes:
 
     @property
     def search(self) -> PathSearch:
-        """The planner that the configuration names."""
+        """The configured planner."""
         return self._searches.content[0]
 
     @property
     def random(self) -> np.ndarray:
-        """State of its generator. Shape (4,), uint64."""
+        """State of the planner's generator. Shape (4,), uint64."""
         return self.search.random
 
     def save(self) -> Any:  # noqa: ANN401
-        """What searches remember: the generator; of a planner of a user's own, everything."""
+        """Snapshot of the searches' memory: the generator; for a user's planner the whole object."""
         return self.random.copy() if isinstance(self.search, SamplingSearch) else self._searches.save()
 
     def restore(self, saved: Any) -> None:  # noqa: ANN401
-        """Put it back to what `save` gave."""
+        """Restore the result of `save`."""
         if isinstance(self.search, SamplingSearch):
             self.random[:] = saved
         else:
             self._searches.restore(saved)
 
     def same(self, saved: Any) -> bool:  # noqa: ANN401
-        """Whether `save` would give the same."""
+        """Whether the current memory equals `saved`."""
         if isinstance(self.search, SamplingSearch):
             return bool((self.random == saved).all())
         return self._searches.same(saved)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """State of the generator; of a planner of a user's own nothing is known."""
+        """State of the generator; empty for a user's planner, which is opaque."""
         return {"random": self.random} if isinstance(self.search, SamplingSearch) else {}
 
     def between(self, start: np.ndarray, counter: np.ndarray, goal: np.ndarray | None = None) -> np.ndarray | None:
-        """Vertices from (next to) `start` to (next to) the goal (None = the mission's) in `counter`, or None."""
+        """Vertices from (near) `start` to (near) the goal (None = the mission's) in `counter`; None = no path."""
         config, room = self._config, self.room
         goal = config.goal if goal is None else goal
         first, last = np.zeros(3), np.empty(3)
@@ -105,13 +105,13 @@ class Routes:
         return found if len(found) else None
 
     def _core(self) -> np.ndarray:
-        """> 0 = what no way out of a blocked place may cross; the published code does not look. Shape (size,)."""
+        """Voxels (> 0) that an escape from a blocked place must avoid; the published code has none. Shape (size,)."""
         if self._config.stack.replanning == "every_map":
             np.equal(self.room.cells, OCCUPIED, out=self._occupied, casting="unsafe")
         return self._occupied
 
     def first_found(self, start: np.ndarray) -> np.ndarray | None:
-        """A path with the planner's radius or, if there is none, with the checker's."""
+        """A path with the planner's radius or, failing that, with the checker's."""
         for counter in (self.room.wide, self.room.narrow):
             found = self.between(start, counter)
             if found is not None:
@@ -119,9 +119,9 @@ class Routes:
         return None
 
     def fastest(self, start: np.ndarray, velocity: np.ndarray) -> np.ndarray | None:
-        """The quickest path that a number of searches find, through narrow places only if it must.
+        """The fastest of several paths; narrow passages are used only if necessary.
 
-        Position (m) and velocity (m/s) of the start are in the world frame.
+        Start position (m) and velocity (m/s) are in the world frame.
         """
         straight = np.array([start, self._config.goal])
         enough = _GOOD_ENOUGH * paths.path_length(straight, 2) / self._config.v_max
@@ -144,7 +144,7 @@ class Routes:
         return travel.travel_time(self.room.wide, self.room.grid, path, len(path), velocity, self._pace)
 
     def _quickened(self, path: np.ndarray, velocity: np.ndarray, counter: np.ndarray) -> np.ndarray:
-        """The path after many small improvements that stay out of `counter`."""
+        """Path after stochastic local improvements that avoid `counter`."""
         work, buffer = self._buffer
         if len(path) > len(work) - 2:
             return path
@@ -157,7 +157,7 @@ class Routes:
 
     # ---- narrow passages --------------------------------------------------------------------------------------------
     def _widened(self, path: np.ndarray) -> np.ndarray:
-        """The same path with the planner's radius wherever it fits next to the path."""
+        """The path, rerouted with the planner's radius where possible."""
         points = _samples(path)
         tight = [self._is_tight(point) for point in points]
         kept: list[np.ndarray] = [points[:1]]
@@ -177,7 +177,7 @@ class Routes:
         return voxel >= 0 and bool(self.room.wide[voxel] > 0)
 
     def _around(self, stretch: np.ndarray) -> np.ndarray:
-        """What replaces a tight stretch, without its first point: a quicker way around, or itself."""
+        """Replacement of a narrow section, without its first point: a faster bypass, or the section itself."""
         config, room = self._config, self.room
         lower = np.maximum(config.flight_lower, stretch.min(0) - _LOCAL_MARGIN)
         upper = np.minimum(config.flight_upper, stretch.max(0) + _LOCAL_MARGIN)
@@ -189,7 +189,7 @@ class Routes:
         return stretch[1:]
 
     def _shortened(self, path: np.ndarray) -> np.ndarray:
-        """Straight lines instead of detours where the line is free."""
+        """The path with collision-free straight shortcuts."""
         room, (work, buffer) = self.room, self._buffer
         if len(path) > len(work) - 2:
             return path
@@ -200,12 +200,12 @@ class Routes:
 
 
 def _from(start: np.ndarray, path: np.ndarray) -> np.ndarray:
-    """A path that begins at `start` itself."""
+    """The path, extended to start exactly at `start`."""
     return path if paths.distance(path[0], start) <= 1e-6 else np.vstack([start, path])
 
 
 def _samples(path: np.ndarray) -> np.ndarray:
-    """Vertices of a path and points between them."""
+    """Vertices of a path and intermediate points."""
     pieces = [path[:1]]
     for a, b in zip(path[:-1], path[1:], strict=True):
         steps = max(1, int(np.ceil(paths.distance(a, b) / _STRETCH_STEP)))

@@ -1,4 +1,4 @@
-"""The trajectory generator: path -> timed trajectory (MAVFI section III-A); setpoints are in `waypoints`."""
+"""The trajectory generator: path -> timed trajectory (MAVFI section III-A); for set-points see `waypoints`."""
 
 import math
 from collections.abc import Mapping
@@ -19,28 +19,28 @@ from mavfi.pipeline.routes import BLEND, LATERAL_SHARE, NOMINAL_SPEED, PLANNING_
 from mavfi.states import Stage, State, floats, new_state
 
 BRAKING = 4.0
-"""Hardest deceleration that a plan may ask for (m/s^2)."""
+"""Maximum planned deceleration (m/s^2)."""
 _STANDING = 0.3
 _CLOSE_BLEND = 2.0
-"""Longest distance of a corner blend from its corner at the nominal speed, where the course is kept close (m)."""
+"""Maximum distance of a corner blend from its corner at the nominal speed, if the path is followed closely (m)."""
 _CLOSE, _ROUND = 0.2, 1.0 / 3.0
-"""Innermost control point of a blend: close to the corner, or of least curvature and so of most speed."""
+"""Innermost control point of a blend: close to the corner, or of minimum curvature and thus maximum speed."""
 _LOOK = 3.0
-"""How far ahead of the vehicle its yaw looks at the nominal speed (m)."""
+"""Look-ahead distance of the yaw reference at the nominal speed (m)."""
 
 _ACCELERATION_SHARE = 0.9
-"""Largest acceleration of a polynomial / a_max."""
+"""Maximum acceleration of a polynomial / a_max."""
 _ENTRY_SHARE = 0.8
-"""Largest acceleration with which a polynomial begins / its limit."""
+"""Maximum initial acceleration of a polynomial / its limit."""
 _REACH_SHARE = 0.7
-"""Reach of a polynomial at a corner / that of a blend which cuts it as deeply."""
+"""Reach of a polynomial at a corner / that of a blend with the same depth of cut."""
 _STATION_TIME = 0.5
-"""Spacing of knots on a straight leg / v_max (s)."""
+"""Knot spacing on a straight leg / v_max (s)."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Motion:
-    """How the vehicle moves where a trajectory begins; velocity None = along the path, yaw NaN = unknown."""
+    """Initial motion of a trajectory; velocity None = along the path, yaw NaN = unknown."""
 
     speed: float
     velocity: np.ndarray | None = None
@@ -58,10 +58,10 @@ class _GeneratorMemory(Memory):
 
 
 class TrajectoryGenerator(Remembers):
-    """Kernel `trajectory`: smooths a path, times it, publishes points.  It runs in the planner's node, on the same map.
+    """Kernel `trajectory`: smooths and times a path.  It runs in the planner's node, on the same clearance map.
 
     Attributes:
-        fallbacks: How often no polynomial was found and corners were rounded instead.
+        fallbacks: Number of paths without a feasible polynomial, for which corners were blended instead.
     """
 
     name = "trajectory"
@@ -100,7 +100,7 @@ class TrajectoryGenerator(Remembers):
         return False
 
     def step(self, time_us: int) -> list[State]:
-        """Time the path; an empty one becomes an empty trajectory, as in the published code."""
+        """Time the path; an empty path yields an empty trajectory, as in the published code."""
         del time_us
         self.memory.seq += 1
         points = self._points()
@@ -130,16 +130,16 @@ class TrajectoryGenerator(Remembers):
 
     def _limits(self) -> timing.Limits:
         config = self._config
-        # held points are tracked a little late: a reserve of speed keeps the vehicle from falling behind
+        # held points are tracked with a small delay: a speed margin prevents the vehicle from falling behind
         top = config.v_max if self._splices else 0.97 * config.v_max
-        slow = min(1.0, config.v_max / NOMINAL_SPEED)  # lengths go with speed
+        slow = min(1.0, config.v_max / NOMINAL_SPEED)  # lengths scale with speed
         return timing.Limits(
             top, min(TIGHT_SPEED, top) if self._splices else top, LATERAL_SHARE * config.a_max, PLANNING_ACCELERATION,
             BRAKING, self._blend * slow, _LOOK * slow,
         )  # fmt: skip
 
     def _blends(self, vertices: np.ndarray, entry: float) -> int:
-        """Dense points of rounded corners with a speed profile; their number."""
+        """Sample blended corners with a speed profile; returns the number of dense points."""
         room, limits = self._room, self._limits()
         count = timing.smooth(
             room.narrow, room.grid, vertices, len(vertices), limits.blend, self._inner, self._corners, self._curve
@@ -151,7 +151,7 @@ class TrajectoryGenerator(Remembers):
         return timing.sample(self._curve, count, self._arc, self._speed, step, limits.look, 0.0, self._dense)
 
     def _polynomials(self, vertices: np.ndarray, motion: _Motion) -> int:
-        """Dense points of a minimum-snap curve; their number, 0 = none was found."""
+        """Sample a minimum-snap curve; returns the number of dense points, 0 = infeasible."""
         room, limits = self._room, self._limits()
         law = stations.Law(
             limits.speed, _ACCELERATION_SHARE * self._config.a_max, limits.tight_speed, limits.lateral,
@@ -175,7 +175,7 @@ class TrajectoryGenerator(Remembers):
         )
 
     def _splice(self, vertices: np.ndarray, entry: float) -> tuple[np.ndarray, _Motion]:
-        """Rest of the trajectory in force up to the junction, then the new path; timed from the present speed."""
+        """Remaining trajectory in force up to the junction, then the new path; timed from the current speed."""
         junction = int(self.memory.path.header["junction"][0])
         if self.memory.waypoint is None or self.memory.flown is None or junction < 0:
             return vertices, _Motion(0.0)
@@ -202,15 +202,15 @@ class TrajectoryGenerator(Remembers):
         return np.vstack([*head, tail]), motion
 
     def mark(self) -> None:
-        """Remember the sequence number."""
+        """Save the sequence number for `rollback`."""
         self.memory.marked_seq = self.memory.seq
 
     def rollback(self) -> None:
-        """Restore the sequence number of `mark`."""
+        """Restore the sequence number of the mark."""
         self.memory.seq = self.memory.marked_seq
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
-        """Take up the last trajectory: its number, and its points, onto which the next one may be spliced."""
+        """Restore the last trajectory: its sequence number, and its points for splicing."""
         trajectory = last.get("planning.trajectory")
         if trajectory is not None:
             self.memory.seq = int(trajectory.header["trajectory_seq"][0])
@@ -219,6 +219,6 @@ class TrajectoryGenerator(Remembers):
 
 
 def _without_repeats(vertices: np.ndarray) -> np.ndarray:
-    """Vertices without those that repeat their predecessor."""
+    """Vertices without consecutive duplicates."""
     kept = [row for row in range(len(vertices)) if row == 0 or paths.distance(vertices[row], vertices[row - 1]) > 1e-3]
     return np.ascontiguousarray(vertices[kept])

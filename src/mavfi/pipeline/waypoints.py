@@ -1,6 +1,6 @@
-"""Setpoint generator: which point of which trajectory control follows now, and when the vehicle stops.
+"""Setpoint generator: selects the trajectory point that control follows, and decides when the vehicle stops.
 
-Trajectories and collision messages are numbered; numbers below the last one are rejected, as in the published
+Trajectories and collision messages carry sequence numbers; numbers below the last one are rejected, as in the published
 code.
 """
 
@@ -29,7 +29,7 @@ _ADOPTION_WINDOW = 50
 
 @dataclass(frozen=True, slots=True)
 class _InForce(Memory):
-    """What is flown, and what waits; replaced, never changed, so that a mark is a reference."""
+    """The trajectory in force and the pending one; replaced, never modified, so that a mark is a reference."""
 
     trajectory: State | None = None
     index: int = -1
@@ -45,7 +45,7 @@ class _InForce(Memory):
 
 @dataclass(slots=True)
 class _HandOverMemory(Memory):
-    """What is flown, inputs, limits of the known space, the trajectory in force with its arc, and the marks."""
+    """Trajectory in force with its arc lengths, inputs, limits of the known space, and the marks."""
 
     now: _InForce = field(default_factory=_InForce)
     inbox: list[State] = field(default_factory=list)
@@ -60,7 +60,7 @@ class _HandOverMemory(Memory):
 
 
 class WaypointHandOver(Remembers):
-    """Kernel `waypoint`; stepped at the control period, publishes when the point in force changes."""
+    """Kernel `waypoint`; stepped at the control period, publishes only when the point in force changes."""
 
     name = "waypoint"
     stage = Stage.PLANNING
@@ -75,7 +75,7 @@ class WaypointHandOver(Remembers):
         self._creep = min(_CREEP_SHARE * config.v_max, _CREEP_STEP / max(config.map_latency, 1e-3))
 
     def receive(self, state: State, time_us: int) -> bool:
-        """Note an input; steps are due at the control period only."""
+        """Store an input; steps are due only at the control period."""
         del time_us
         name = state.spec.name
         if name == self._config.odometry:
@@ -87,7 +87,7 @@ class WaypointHandOver(Remembers):
         return False
 
     def step(self, time_us: int) -> list[State]:
-        """Hand over if it is time; gives no state where the point in force stays."""
+        """Select the point in force; no output if it is unchanged."""
         inbox, self.memory.inbox = self.memory.inbox, []
         for state in inbox:
             if state.spec.name == "planning.trajectory":
@@ -106,11 +106,11 @@ class WaypointHandOver(Remembers):
         if self.memory.published is None:
             return [self._hold()]
         if memory.trajectory is None:
-            return []  # nothing is flown: the point in force stays
+            return []  # no trajectory: the point in force remains
         return self._governed_point() if self._governed else self._held_point()
 
     def abandon(self, time_us: int) -> list[State]:
-        """Drop the way-point in force for the next one."""
+        """Skip from the way-point in force to the next one."""
         if self.memory.now.trajectory is None:
             return self.step(time_us)
         if self._governed:
@@ -121,27 +121,27 @@ class WaypointHandOver(Remembers):
         return self._held_point()
 
     def stop(self) -> list[State]:
-        """Give the trajectory up and hold; the planner then replans."""
+        """Abandon the trajectory and hold position; the planner then replans."""
         self._set(waiting=None)
         return [self._brake()]
 
     def mark(self) -> None:
-        """Remember the memory as it is."""
+        """Save the memory for `rollback`."""
         self.memory.marked = self.memory.now
         self.memory.marked_inputs = (list(self.memory.inbox), self.memory.remaining, self.memory.published)
 
     def rollback(self) -> None:
-        """Put the memory, and the inputs that the step consumed, back."""
+        """Restore the memory of the mark, and the inputs that the step consumed."""
         self.memory.now = self.memory.marked
         inbox, self.memory.remaining, self.memory.published = self.memory.marked_inputs
         self.memory.inbox = inbox + self.memory.inbox
         self._load(self.memory.now.trajectory)
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
-        """Take up the way-point in force, its numbers and, if it is a point of that, the last trajectory.
+        """Restore the way-point in force, its sequence numbers and, if it belongs to the last one, its trajectory.
 
-        A vehicle that holds is sent only a trajectory that answers a later alarm than the hold does: another one may
-        be what it has given up.  A planner that hears nothing of its trajectory plans again.
+        While the vehicle holds, a trajectory is received again only if it answers a later alarm than the hold does,
+        as it may otherwise be the abandoned one.  A planner whose trajectory is not adopted plans again.
         """
         del time_us
         waypoint, trajectory = last.get("planning.waypoint"), last.get("planning.trajectory")
@@ -169,7 +169,7 @@ class WaypointHandOver(Remembers):
         self.memory.now = replace(self.memory.now, **changes)  # type: ignore[arg-type]
 
     def _offer(self, state: State, time_us: int) -> None:
-        """Accept or reject a trajectory."""
+        """Accept or reject a trajectory by its sequence numbers."""
         memory = self.memory.now
         seq = int(state.header["trajectory_seq"][0])
         epoch = int(state.header["future_collision_seq"][0])
@@ -187,7 +187,7 @@ class WaypointHandOver(Remembers):
         )  # fmt: skip
 
     def _warn(self, state: State, time_us: int) -> None:
-        """Act on a collision status: stop at once, or after the grace period if there is time."""
+        """Respond to a collision status: stop at once, or after the grace period if time permits."""
         header = state.header[0]
         if self._governed:
             self.memory.limits = (
@@ -205,7 +205,7 @@ class WaypointHandOver(Remembers):
         self._set(seen_seq=seq, stop_us=due if memory.stop_us < 0 else min(due, memory.stop_us))
 
     def _watch(self, time_us: int) -> None:
-        """Deviation monitor: too far from the reference means stop and replan."""
+        """Deviation monitor: stop and replan if too far from the reference."""
         limit = self._config.stack.deviation_limit
         if limit <= 0.0 or self.memory.now.trajectory is None or self.memory.published is None:
             return
@@ -214,7 +214,7 @@ class WaypointHandOver(Remembers):
             self._set(stop_us=time_us)
 
     def _sane(self, state: State) -> bool:
-        """Checks of a trajectory by a consumer without a map."""
+        """Plausibility checks of a trajectory that require no map."""
         points = floats(state.elements, POINT_WIDTH).reshape(-1, POINT_WIDTH)
         if len(points) == 0:
             return True
@@ -240,7 +240,7 @@ class WaypointHandOver(Remembers):
             handover.arc_lengths(self.memory.points, self.memory.arc)
 
     def _slow_enough(self, waiting: State) -> bool:
-        """Whether a trajectory may be taken over at the present speed."""
+        """Whether a trajectory may be adopted at the current speed."""
         if self._governed or len(waiting.elements) == 0:
             return True
         speed = length(self.memory.odometry[3:6])
@@ -256,7 +256,7 @@ class WaypointHandOver(Remembers):
     def _adopt(self, trajectory: State) -> State:
         if len(trajectory.elements) == 0:
             if self._governed and self.memory.now.trajectory is not None and self.memory.now.clock[1] > 0.0:
-                self._set(waiting=None)  # the present trajectory still leads to a place where the vehicle can stop
+                self._set(waiting=None)  # the current trajectory still leads to a safe stopping point
                 return self._governed_point()[0]
             self._set(trajectory=None, index=-1, waiting=None)
             return self._hold(turn=_HOLD_TURN)
@@ -271,7 +271,7 @@ class WaypointHandOver(Remembers):
         return self._publish(start, waypoint)
 
     def _nearest_start(self) -> int:
-        """Point of a spliced trajectory that is nearest to the reference in force (it has moved on meanwhile)."""
+        """Point of a spliced trajectory nearest to the reference in force, which has advanced since planning."""
         if self.memory.published is None:
             return 0
         reference = floats(self.memory.published.header, POINT_WIDTH)[:3]
@@ -319,7 +319,7 @@ class WaypointHandOver(Remembers):
         return state
 
     def _hold(self, turn: float = 0.0) -> State:
-        """Stand where the vehicle comes to rest; `turn` looks around (rad)."""
+        """Hold at the predicted rest position; `turn`: yaw offset to look around (rad)."""
         waypoint = np.zeros(POINT_WIDTH)
         lag = self._config.velocity_lag if not self._governed else 0.0
         waypoint[:3] = self.memory.odometry[:3] + lag * self.memory.odometry[3:6]

@@ -1,12 +1,11 @@
-"""Words of a kernel's memory: every number that it remembers, by name, found by reflection; counted and changed.
+"""Words of a kernel's memory: every persistent number by name, found by reflection; for counting and modification.
 
-Names are those of the code: `decisions.acted_seq`, `now.trajectory.x` (a word for each point), `trajectories[1].x` (the
-second of the mapping's values), `clock[0]`; of a map the name of its array, `log_odds`.  Text, None, keys of mappings
-and lengths are no words.  Marks (names that begin with `marked`) are none either: they are what a recomputation goes
-back to, and are written before each step.
+Names follow the code: `decisions.acted_seq`, `now.trajectory.x` (one word per point), `trajectories[1].x` (second value
+of the mapping), `clock[0]`; for a map the name of its array, `log_odds`.  Text, None, mapping keys and lengths are
+excluded.  So are marks (names that begin with `marked`): they are the rollback copies, overwritten before each step.
 
-A value that is remembered under two names has its words under both, and a change under one name leaves the other as it
-is: each is a copy of the node's own.  A message that kernels share is copied before it is changed.
+A value stored under two names has words under both, and a change under one name leaves the other unchanged, as separate
+copies in a node would.  A message shared by kernels is copied before modification.
 """
 
 import re
@@ -20,27 +19,27 @@ from mavfi.pipeline.memory import Memory, Remembers
 from mavfi.states import State
 
 INTEGER = "i4"
-"""Type of remembered integers: counters and instants (us) of a node; those of messages have it, too."""
+"""Type code of stored integers: counters and instants (us) of a node, as in messages."""
 _MARK = "marked"
 _FLAG = {"b1": "?"}
 _INDEX = re.compile(r"\[\d+\]")
 _PARTS = re.compile(r"[^.\[\]]+")
 Change = Callable[[np.ndarray], None]
-"""Changes one word in place, given as an array of shape (1,) of its type."""
+"""Modifies one word in place, passed as an array of shape (1,) of its type."""
 
 
 @dataclass(frozen=True, slots=True)
 class Words:
-    """Numbers of one type under one name; those of an array count in C order."""
+    """Numbers of one type under one name; array elements are indexed in C order."""
 
     name: str
     dtype: str
     count: int
 
     def named(self, text: str) -> range:
-        """Which of them a text names: all if it is the name, its end, or part of it without the places in lists.
+        """Indices of the words that a text selects: all, if it is the name, its suffix, or part of it without indices.
 
-        With an index behind it, `x[3]`, the text names that word.
+        With an index appended, `x[3]`, the text selects a single word.
         """
         if not text or self._ends_with(text) or self._has(text):
             return range(self.count)
@@ -58,7 +57,7 @@ class Words:
 
 
 def words_of(kernel: Remembers) -> Iterator[Words]:
-    """Everything that a kernel remembers now, in the order of its memory."""
+    """All words that a kernel currently stores, in the order of its memory."""
     yield from _in_memory("", kernel.memory)
     for keeper in kernel.keepers:
         for name, array in keeper.arrays().items():
@@ -66,7 +65,7 @@ def words_of(kernel: Remembers) -> Iterator[Words]:
 
 
 def change(kernel: Remembers, name: str, index: int, apply: Change) -> tuple[Any, Any] | None:
-    """Change one word of what a kernel remembers; gives its value before and after, None if there is no such word."""
+    """Modify one word of a kernel's memory; returns its value before and after, None if the word does not exist."""
     if not any(words.name == name and 0 <= index < words.count for words in words_of(kernel)):
         return None
     for keeper in kernel.keepers:
@@ -79,7 +78,7 @@ def change(kernel: Remembers, name: str, index: int, apply: Change) -> tuple[Any
     return before, after
 
 
-# ---- finding ---------------------------------------------------------------------------------------------------------
+# ---- enumeration -----------------------------------------------------------------------------------------------------
 def _in_memory(start: str, memory: Memory) -> Iterator[Words]:
     for name in memory.__slots__:
         if not name.startswith(_MARK):
@@ -88,7 +87,7 @@ def _in_memory(start: str, memory: Memory) -> Iterator[Words]:
 
 def _in_value(name: str, value: Any) -> Iterator[Words]:
     if isinstance(value, State):
-        for field in dict.fromkeys(value.spec.fields):  # a name in list and header means the list's, as everywhere
+        for field in dict.fromkeys(value.spec.fields):  # a name in both elements and header denotes the element field
             in_list = field in value.spec.elements
             if in_list or not value.spec.in_elements(field.name):
                 yield Words(f"{name}.{field.name}", field.dtype, len(value.elements) if in_list else 1)
@@ -112,7 +111,7 @@ def _scalar_type(value: float) -> str:
     return "?" if isinstance(value, bool) else INTEGER if isinstance(value, int) else "f8"
 
 
-# ---- changing --------------------------------------------------------------------------------------------------------
+# ---- modification ----------------------------------------------------------------------------------------------------
 def _apply(word: np.ndarray, apply: Change) -> tuple[Any, Any]:
     before = word[0].item()
     apply(word)
@@ -120,7 +119,7 @@ def _apply(word: np.ndarray, apply: Change) -> tuple[Any, Any]:
 
 
 def _changed(value: Any, path: list[str], index: int, apply: Change) -> tuple[Any, Any, Any]:
-    """A value with one word changed, and that word before and after; the value itself stays, since others may have it.
+    """Copy of a value with one word modified, and that word before and after; the original may be shared.
 
     `path` leads from the value to the word.
     """
@@ -139,7 +138,7 @@ def _changed(value: Any, path: list[str], index: int, apply: Change) -> tuple[An
     if isinstance(value, Memory):
         inner, before, after = _changed(getattr(value, first), rest, index, apply)
         memory = value.copy()
-        object.__setattr__(memory, first, inner)  # it may be one that is replaced, never changed
+        object.__setattr__(memory, first, inner)  # the class may be frozen
         return memory, before, after
     key = list(value)[int(first)] if isinstance(value, dict) else int(first)
     inner, before, after = _changed(value[key], rest, index, apply)

@@ -1,4 +1,4 @@
-"""The host of faults in instructions: flights with a fault fork from a golden flight at the injected calls."""
+"""Instruction-level fault injection: injected runs fork from a golden flight at the injected calls."""
 
 from mavfi.hosts.instruction.flights import InjectedFlights, fly_instruction_faults
 

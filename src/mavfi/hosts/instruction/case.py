@@ -1,4 +1,4 @@
-"""A fault in an instruction on its way through a flight, outputs of the injected step, and the resulting flight log."""
+"""Progress of an instruction fault through a flight: outputs of the injected step, and the resulting flight log."""
 
 import math
 from collections.abc import Sequence
@@ -20,36 +20,36 @@ from mavfi.pipeline.memory import Remembers
 from mavfi.states import DETECTORS, INJECTABLE, INJECTED_KERNEL, PLANNERS, State
 
 WAITING = "not_activated"
-"""State of a case whose instruction has not come yet."""
+"""State of a case whose instruction has not been reached."""
 
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """One step of a kernel: header and elements of what it publishes, by name, and a fingerprint of its memory."""
+    """Output of one kernel step: header and elements of each publication, by name, and a hash of its memory."""
 
     states: dict[str, tuple[np.ndarray, np.ndarray]]
     memory: bytes
 
     @staticmethod
     def of(kernel: Kernel, states: Sequence[State]) -> "Output":
-        """Output of a step that has just been made."""
+        """Output of the step that has just been executed."""
         published = {state.spec.name: (state.header.copy(), state.elements.copy()) for state in states}
         return Output(published, cast(Remembers, kernel).fingerprint())
 
     def same(self, other: "Output") -> bool:
-        """Whether both are the same, bit for bit, memory included."""
+        """Whether both are bit-identical, memory included."""
         return self.memory == other.memory and first_difference(self, other) is None
 
 
 @dataclass(frozen=True, slots=True)
 class ChildReport:
-    """Report of a child.
+    """Report of a forked child process.
 
     Attributes:
-        log: Of its flight; None where nothing differed at the end of the injected call.
-        output: Of the injected step; None where the kernel made none.
-        call_same: Whether result and arguments of the injected call are bit for bit the golden ones.
-        missed: Whether the call ended before the instruction came, or that instruction's value has no such bit.
+        log: Log of its flight; None = no difference at the end of the injected call.
+        output: Output of the injected step; None = none was computed.
+        call_same: Whether result and arguments of the injected call are bit-identical to the golden ones.
+        missed: Whether the call ended before the instruction was reached, or the value has no such bit.
     """
 
     log: FlightLog | None
@@ -60,16 +60,16 @@ class ChildReport:
 
 @dataclass(slots=True)
 class Case:
-    """One fault on its way.
+    """One fault in progress.
 
     Attributes:
-        fault: As drawn.
-        kernel: The kernel of the pipeline, "" = the detector, and `call` of its function, that are injected, at
+        fault: The sampled fault.
+        kernel: The injected kernel of the pipeline, "" = the detector; `call` of its function is injected, at
             `time_us` (us).
-        value: The machine code's report of the injected value.
+        value: The injected value, as reported by the machine code.
         how: How the call ended, or `WAITING`; `detail`: signal, budget or exception.
-        report: Of the child that went on flying.
-        golden: The kernel's output in that step without the fault.
+        report: Report of the child that completed the flight.
+        golden: Error-free output of the kernel in the same step.
     """
 
     fault: InstructionFault
@@ -84,11 +84,11 @@ class Case:
 
 
 def check_kernel(kernel: str, planner: str, detector: Detector | None = None) -> None:
-    """Check that a kernel, or a detector in its place, can be injected in a mission with this planner and detector.
+    """Check that a kernel, or detector, can be injected in a mission with this planner and detector.
 
     Raises:
-        BadInputError: There is no such kernel, it is a planner and the mission flies another one, or it is a detector
-            that does not watch the mission.
+        BadInputError: The kernel is unknown, is a planner that the mission does not use, or is a detector that does not
+            monitor the mission.
     """
     if kernel in DETECTORS:
         if part_of(detector, kernel) is None:
@@ -101,13 +101,13 @@ def check_kernel(kernel: str, planner: str, detector: Detector | None = None) ->
 
 
 def case_of(fault: InstructionFault, scenario: Scenario, detector: Detector | None = None) -> Case:
-    """A fault before its injection; `BadInputError` if the mission has no such kernel or detector."""
+    """The case of a fault before its injection; `BadInputError` if the mission lacks the kernel or detector."""
     check_kernel(fault.kernel, scenario.planner.name, detector)
     return Case(fault, INJECTED_KERNEL.get(fault.kernel, ""), fault.call)
 
 
 def flight_of(case: Case, golden: Flight) -> Flight:
-    """The flight with the fault, given the golden one."""
+    """The injected run, given the golden one."""
     log = golden.log if case.report is None or case.report.log is None else case.report.log
     injection = injection_of(case.fault, case.value, case.time_us / 1e6, case.call)
     return Flight(replace(log, injections=[injection], kernel=_effect(case, golden.log)), None, golden.world,
@@ -115,7 +115,7 @@ def flight_of(case: Case, golden: Flight) -> Flight:
 
 
 def _effect(case: Case, golden: FlightLog) -> KernelEffect:
-    """The kernel's effect: against its own golden output where both made a step, else against the whole flight."""
+    """Effect on the kernel: relative to its golden output if both steps completed, else to the whole flight."""
     report, difference = case.report, None
     how = case.how
     if how == "done" and report is not None:
@@ -131,12 +131,12 @@ def _effect(case: Case, golden: FlightLog) -> KernelEffect:
 
 
 def first_difference(golden: Output, injected: Output) -> dict[str, Any] | None:
-    """The first published field that differs, as plain data; None if nothing differs.
+    """The first published field that differs, as plain data; None = no difference.
 
     Returns:
-        `state`, `field`, `element` (None for a field of the header), `before` (golden), `after`, `elements` (in how
-        many places the field differs) and `largest` (difference; infinite where one is not finite).  Where the lists
-        differ in length: the field `elements`, with both lengths.
+        `state`, `field`, `element` (None for a header field), `before` (golden), `after`, `elements` (number of
+        positions at which the field differs) and `largest` (largest difference; infinite if any is not finite).  For
+        lists of different length: field `elements` with both lengths.
     """
     for state, (header, elements) in golden.states.items():
         if state not in injected.states:

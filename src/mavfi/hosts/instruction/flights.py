@@ -1,4 +1,4 @@
-"""Flies one mission with each of a number of faults in instructions."""
+"""Flies one mission with each of several instruction faults."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ from mavfi.mission import Scenario
 
 @dataclass(frozen=True, slots=True)
 class InjectedFlights:
-    """Flights with faults in instructions.
+    """Injected runs with instruction faults.
 
     Attributes:
-        golden: The flight without a fault; its pipeline is also that of the others.
-        flights: With the faults, in their order.  `log.kernel` is the effect on the kernel; where it crashed, hung or
-            raised, the log is that of the flight under the mission's policy for dead nodes.
+        golden: The error-free flight; the injected runs share its pipeline.
+        flights: One run per fault, in order.  `log.kernel` is the effect on the kernel; after a crash, hang or
+            exception, the log is that of the flight under the mission's policy for dead nodes.
     """
 
     golden: Flight
@@ -32,22 +32,22 @@ def fly_instruction_faults(
     scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None,
     golden: Flight | None = None, recovery: Recovery = INLINE,
 ) -> InjectedFlights:  # fmt: skip
-    """Fly one mission with each of a number of faults in instructions: they fork from one golden flight.
+    """Fly one mission with each of several instruction faults, all forked from one golden flight.
 
     Args:
         scenario: The mission.
         faults: See `mavfi.campaign.samplers.instruction`.
-        detector: What watches; None = nothing.
-        golden: The flight of this mission without a fault, with this detector, if it has been flown: then the golden
-            flight stops once all faults have been injected.
-        recovery: Answer to alarms of the detector.
+        detector: The detector; None = none.
+        golden: The golden flight with this detector, if known: the golden flight here then stops after the last
+            injection.
+        recovery: The recovery policy for the detector's alarms.
 
     Raises:
-        MismatchError: A fault belongs to other machine code.
-        BadInputError: The scenario cannot be flown, or it has no such kernel.
-        MavfiError: The golden flight is another one.
+        MismatchError: A fault was sampled for different machine code.
+        BadInputError: The scenario cannot be flown, or the mission lacks the kernel.
+        MavfiError: `golden` differs from the golden flight flown here.
     """
-    with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
+    with np.errstate(all="ignore"):  # overflow of corrupted values is expected behaviour
         forks = Forks(scenario, faults, detector, recovery)
         if golden is None:
             return InjectedFlights(*forks.fly_all())

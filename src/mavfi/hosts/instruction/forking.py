@@ -1,14 +1,15 @@
-"""Flights with a fault in an instruction of a kernel: they fork from one golden flight at the injected calls.
+"""Forked execution of instruction faults: injected runs branch off one golden flight at the injected calls.
 
-The golden flight runs plain kernels.  At an injected call it waits while a forked child makes the call with the fault
-and finishes the flight.  Where the child dies (crash, hang, exception), a second child continues from the same instant
-as the mission wants (`hosts.loop.restarts`); as a ROS graph would by default: the node's result is lost, and after the
-restart latency it is back with fresh memory.  Then the golden flight itself continues, to the next injected call.
+The golden flight runs plain kernels.  At an injected call it waits while a forked child executes the call with the
+fault and completes the flight.  If the child crashes, hangs or raises, a second child continues from the same instant
+under the mission's policy for dead nodes (`hosts.loop.restarts`); by default as in a ROS graph: the node's result is
+lost, and the node returns with initialized memory after the restart latency.  The golden flight then continues to the
+next injected call.
 
-A detector's false alarm before the fault makes kernels run again, and so shifts the calls: the call that was drawn may
-then be shorter than the instruction's index, or have a narrower value there.  In flights with a detector the fault goes
-into the first call from there on that has such a bit, as faults in states go into the first publication at or after an
-instant.
+A false alarm of a detector before the fault causes recomputations, which shift the call numbers: the sampled call may
+then end before the instruction's index, or have a narrower value there.  With a detector, the fault is therefore
+injected into the first call at or after the sampled one that has such a bit, as a state fault is injected into the
+first publication at or after its instant.
 """
 
 import pickle
@@ -38,9 +39,9 @@ from mavfi.pipeline.memory import copied
 from mavfi.states import DETECTORS, State
 
 TIMEOUT = 60.0
-"""Wall-clock limit of an injected flight (s): for what the budget of instructions does not see."""
+"""Wall-clock limit of an injected run (s): catches hangs that the instruction budget does not count."""
 _ATTEMPTS = 3
-"""With this limit: what a child has compiled, the next one finds in the cache."""
+"""Attempts under this limit: each finds the code that the previous child compiled in the cache."""
 
 
 @dataclass(slots=True)
@@ -55,13 +56,13 @@ class _Child:
 
 
 class _ForkingFunction:
-    """A kernel's function: plain, but for injected calls."""
+    """A kernel's function: plain except for injected calls."""
 
     def __init__(self, forks: "Forks", name: str, function: Callable[..., Any]) -> None:
         self._forks, self._name, self._function, self._calls = forks, name, function, 0
 
     def __call__(self, *args: Any) -> Any:
-        if self._forks.loop.repeating:  # faults are addressed by calls of first runs, as in flights without a detector
+        if self._forks.loop.repeating:  # faults address calls of first executions, as in flights without a detector
             return self._function(*args)
         call, self._calls = self._calls, self._calls + 1
         for case in self._forks.cases:
@@ -73,11 +74,11 @@ class _ForkingFunction:
 
 
 class Forks:
-    """A golden flight, watched by a detector or none, from which flights with faults fork.
+    """A golden flight, with or without a detector, from which injected runs fork.
 
     Attributes:
-        cases: The faults on their way, in their order.
-        child: What this process was forked for; None = it flies the golden flight.
+        cases: The faults, in order.
+        child: Task of this process if it is a forked child; None = it flies the golden flight.
 
     Raises:
         BadInputError: The scenario cannot be flown, or it has no such kernel.
@@ -103,16 +104,16 @@ class Forks:
         self._restarts = Restarts(self.loop, scenario.dead_node)
         self.loop.after_step.append(self._stepped)
 
-    # ---- injecting --------------------------------------------------------------------------------------------------
+    # ---- injection --------------------------------------------------------------------------------------------------
     def inject(self, case: Case, function: Any, args: tuple[Any, ...]) -> tuple[bool, Any]:
-        """Fork at an injected call; returns False in the golden flight, in a child True and the result of the call."""
+        """Fork at an injected call; returns (False, None) in the golden flight, (True, result) in a child."""
         variant = variant_for(function, args)
         try:
             check_fault(case.fault, variant, function)
         except MismatchError:
             if self._detector is None:
                 raise
-            case.call += 1  # calls have shifted: this one has arguments of other types
+            case.call += 1  # call numbers have shifted: the arguments of this call have other types
             return False, None
         variant.own_report()
         case.time_us = self.loop.now
@@ -138,7 +139,7 @@ class Forks:
         return False, None
 
     def _fork(self, case: Case, *, dead: bool) -> Ended | None:
-        """None in the child; in the golden flight how it ended, after new attempts where it was only slow."""
+        """None in the child; in the golden flight the child's termination, retried after a wall-clock timeout."""
         for _ in range(_ATTEMPTS):
             point = ForkPoint()
             ended = point.split(TIMEOUT)
@@ -149,11 +150,11 @@ class Forks:
         return ended
 
     def _injected_call(self, variant: Variant, function: Any, args: tuple[Any, ...]) -> Any:
-        """The call with the fault; a child whose data came out the same ends here: the rest is the golden flight."""
+        """The call with the fault; a child whose data equals the golden data ends here, as its remainder is golden."""
         child = self.child
-        assert child is not None  # only children come here
+        assert child is not None  # called in children only
         fault = child.case.fault
-        placed = arena().place(args)  # with the strides of the originals: a copy may be of another type
+        placed = arena().place(args)  # preserves strides, which a copy may not: they select the compiled variant
         copies = tuple(copied(argument) for argument in args) if placed is None else placed.args
         golden = digest(_as_tuples((function(*copies), copies)))
         result = variant.inject(fault.index, *fault.masks, fault.budget, *args)
@@ -166,7 +167,7 @@ class Forks:
         return result
 
     def _stepped(self, kernel: Kernel, states: list[State], now: int) -> None:
-        """Note the output of injected steps; the node of a step that died dies here."""
+        """Store the output of an injected step; terminates the node of a step that crashed."""
         child = self.child
         if child is None:
             for case in self._awaited.pop(kernel.name, ()):
@@ -178,15 +179,15 @@ class Forks:
             elif child.output is None:
                 child.output = Output.of(kernel, states)
 
-    # ---- ends -------------------------------------------------------------------------------------------------------
+    # ---- completion -------------------------------------------------------------------------------------------------
     def fly_all(self) -> tuple[Flight, list[Flight]]:
-        """The golden flight, and the flights with the faults, in their order; children do not come back."""
+        """The golden flight, and the injected runs in order; does not return in children."""
         golden = self._fly(lambda: False)
-        assert golden is not None  # it was not stopped
+        assert golden is not None  # `_fly` never stops early
         return golden, [flight_of(case, golden) for case in self.cases]
 
     def fly_to_injections(self) -> tuple[GoldenPrefix, list[Case]]:
-        """Fly until everything about the faults is known; children do not come back."""
+        """Fly until all cases are complete; does not return in children."""
         self._fly(self._all_known)
         return prefix_of(self.loop), self.cases
 
@@ -194,7 +195,7 @@ class Forks:
         return self.child is None and not self._awaited and all(case.how != WAITING for case in self.cases)
 
     def _fly(self, enough: Callable[[], bool]) -> Flight | None:
-        """Fly to the end, or until it is enough; a child reports, and ends."""
+        """Fly to the end, or until `enough`; a child reports and exits."""
         try:
             golden = fly_until(self.loop, enough)
         except BaseException:
@@ -208,7 +209,7 @@ class Forks:
                 if part is not None:
                     part.instrument({})
         if self.child is not None:
-            assert golden is not None  # for a child it is never enough
+            assert golden is not None  # `enough` is never true in a child
             report = ChildReport(golden.log, self.child.output, self.child.call_same)
             self.child.point.finish(pickle.dumps(report))
         return golden

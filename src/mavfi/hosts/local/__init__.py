@@ -1,4 +1,4 @@
-"""The deterministic host: every flight in this process, on integer microseconds."""
+"""The deterministic host: all flights run in this process, in integer microseconds."""
 
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local.flight import fly

@@ -1,4 +1,4 @@
-"""The complete state of a flight at the instant before a control tick: saved, restored and compared."""
+"""Checkpoints: complete state of a flight just before a control period; saved, restored and compared."""
 
 from dataclasses import dataclass
 from typing import Any, cast
@@ -13,7 +13,7 @@ from mavfi.states import Stage
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Instant:
-    """State of plant, loop and kernels at an instant; never changed, and shared by flights."""
+    """State of plant, loop and kernels at an instant; immutable, shared by flights."""
 
     plant: Any
     loop: LoopMemory
@@ -22,10 +22,10 @@ class Instant:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Checkpoint:
-    """An instant of a flight (None = its end) from which it, or another one, can continue.
+    """An instant of a flight (None = its end) from which this or another flight can continue.
 
-    It has numbers of rows, events and publications (`shown`), alarms with the outcomes known then, counts (see
-    `Record.counts`), a copy of the first tap, and the memory of the detector (see `Watched`).
+    It holds the numbers of rows, events and publications (`shown`), the alarms with their outcomes so far, counts (see
+    `Record.counts`), a copy of the injector tap, and the detector's memory (see `Watched`).
     """
 
     instant: Instant | None
@@ -39,19 +39,19 @@ class Checkpoint:
 
     @property
     def here(self) -> Instant:
-        """The instant, where this is not the end."""
-        assert self.instant is not None  # nothing continues from the end
+        """The instant; requires that this is not the end of the flight."""
+        assert self.instant is not None  # precondition
         return self.instant
 
 
 class Watched:
-    """A detector (`content`) with explicit memory: `memory()` and `restore()`."""
+    """A detector (`content`) that implements `memory()` and `restore()`."""
 
     def __init__(self, detector: Any) -> None:  # noqa: ANN401
         self.content = detector
 
     def save(self) -> Any:  # noqa: ANN401
-        """Its memory."""
+        """The detector's memory."""
         return self.content.memory()
 
     def restore(self, saved: Any) -> None:  # noqa: ANN401
@@ -59,25 +59,25 @@ class Watched:
         self.content.restore(saved)
 
     def same(self, saved: Any) -> bool:  # noqa: ANN401
-        """Whether `save` would give the same."""
+        """Whether the current memory equals `saved`."""
         return bool(self.content.memory() == saved)
 
 
 def keeper_of(detector: Detector | None) -> Watched | Foreign[Any]:
-    """Saves the memory of a detector; one without such methods is copied whole."""
+    """Adapter that saves a detector's memory; a detector without `memory` and `restore` is copied whole."""
     explicit = all(callable(getattr(detector, name, None)) for name in ("memory", "restore"))
     return Watched(detector) if explicit else Foreign(detector)
 
 
 def take(loop: Loop) -> Instant:
-    """The present instant of a loop."""
+    """The current instant of a loop."""
     _settle(loop)
     kernels = {name: kernel.save() for name, kernel in _kernels(loop).items()}
     return Instant(loop.plant.snapshot(), loop.memory().copy(), kernels)
 
 
 def put(loop: Loop, instant: Instant) -> None:
-    """Put a loop back to an instant that was taken of it; record and taps stay."""
+    """Restore a loop to one of its own instants; record and taps are unchanged."""
     loop.plant.restore(instant.plant)
     loop.restore(instant.loop)
     for name, kernel in _kernels(loop).items():
@@ -85,7 +85,7 @@ def put(loop: Loop, instant: Instant) -> None:
 
 
 def is_at(loop: Loop, instant: Instant) -> bool:
-    """Whether a loop is at an instant, bit for bit; taps are not compared."""
+    """Whether a loop is bit-identical to an instant; taps are not compared."""
     if not loop.plant.is_at(instant.plant):
         return False
     _settle(loop)
@@ -95,15 +95,15 @@ def is_at(loop: Loop, instant: Instant) -> bool:
 
 
 def _kernels(loop: Loop) -> dict[str, Remembers]:
-    return cast(dict[str, Remembers], loop.kernels)  # those of this process are
+    return cast(dict[str, Remembers], loop.kernels)  # true of all in-process kernels
 
 
 def _settle(loop: Loop) -> None:
-    """Normalize what decides nothing, so that it is the same in all flights.
+    """Normalize state without effect on the flight, so that equivalent states compare equal.
 
-    Queue entries are numbered from 0: only their order matters.  Planning kernels that are not under way are marked:
-    only a publication of such a kernel makes it go back, and its step marks it first; one requested to go back keeps
-    its mark.
+    Queue entries are renumbered from 0, as only their order matters.  Idle planning kernels are marked: they are rolled
+    back only on one of their own publications, whose step marks them first.  A kernel with a pending recomputation
+    request keeps its mark.
     """
     waiting = sorted(loop.queue, key=lambda entry: entry[:2])
     loop.queue = [(time, place, action, given) for place, (time, _, action, given) in enumerate(waiting)]

@@ -1,11 +1,11 @@
-"""Fast-forward: the flights of one mission, with faults and under several detectors, without flying equal parts twice.
+"""Fast-forward: flies the injected runs of one mission, under several detectors, and simulates common parts once.
 
-`FastForward.fly` answers what `mavfi.hosts.local.fly` answers, bit for bit.  It saves work in three ways:
+`FastForward.fly` returns bit for bit the results of `mavfi.hosts.local.fly`.  It saves work in three ways:
 
-- A flight with a fault begins at the golden run's last checkpoint before the fault.
-- At each checkpoint at which plant, kernels and queue have converged to those of a known flight, the rest is known.
-- A detector without alarms changes nothing.  So where a flight without a detector is known, a detector is only shown
-  its publications; at its first alarm the flight continues from the checkpoint before.
+- An injected run starts from the golden run's last checkpoint before the fault.
+- At each checkpoint where plant, kernels and queue have converged to those of a known flight, its remainder is reused.
+- A detector without alarms has no effect.  Where the flight without a detector is known, the detector only checks the
+  publications of that flight; at its first alarm, simulation continues from the preceding checkpoint.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,17 +29,17 @@ from mavfi.mission import Scenario
 from mavfi.states import State
 
 TICKS = {"dense": 50, "octree": 200}
-"""Control ticks between two checkpoints, by the kind of map: an octree is copied whole each time."""
+"""Control periods between two checkpoints, by map kind: an octree is copied whole each time."""
 
 
 @dataclass(slots=True)
 class Share:
-    """How much of the flights was simulated.
+    """Share of the flights that was simulated.
 
     Attributes:
-        ticks: Control ticks of all flights; those `flown` were simulated, in those `shown` a detector was only shown
-            the publications of a known flight.
-        converged: Flights that converged to another one before their end.
+        ticks: Control periods of all flights, of which `flown` were simulated; in those `shown`, a detector only
+            checked the publications of a known flight.
+        converged: Number of flights that converged to another one before their end.
     """
 
     flights: int = 0
@@ -51,7 +51,7 @@ class Share:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """A flight that is over, with its publications (if it has no detector) and its checkpoints by number of rows."""
+    """A completed flight, its publications (if it has no detector), and its checkpoints by number of rows."""
 
     log: FlightLog
     rows: list[np.ndarray]
@@ -60,21 +60,21 @@ class Track:
     end: Checkpoint
 
     def before(self, time_us: int) -> int:
-        """Number of rows of the last checkpoint before an instant; the first one, if there is none."""
+        """Number of rows of the last checkpoint before an instant (us); 0 if there is none."""
         return max((rows for rows in self.checkpoints if rows * CONTROL_PERIOD_US < time_us), default=0)
 
     def pieces(self, rows: int) -> Iterator[tuple[Checkpoint, Checkpoint]]:
-        """The checkpoints from one on, each with the next one, to the end."""
+        """Pairs of consecutive checkpoints from `rows` on, up to the end."""
         chosen = [self.checkpoints[place] for place in sorted(self.checkpoints) if place >= rows]
         return pairwise([*chosen, self.end])
 
 
 class FastForward:
-    """All flights of one mission; `share` says how much of them was simulated.
+    """All flights of one mission; `share` counts the simulated part.
 
     Raises:
         BadInputError: The scenario cannot be flown.
-        MavfiError: It has an estimator, whose sensors are not part of a checkpoint.
+        MavfiError: It uses an estimator, whose sensors are not part of a checkpoint.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -92,16 +92,16 @@ class FastForward:
         self, fault: StateFault | None = None, detector: Detector | None = None, arm: str = "",
         recovery: Recovery = INLINE,
     ) -> Flight:  # fmt: skip
-        """Fly, as far as it is not known yet; only the golden flight without a detector has a profile.
+        """Fly, reusing known parts; only the golden flight without a detector has a profile.
 
         Args:
-            fault: What to inject; None = golden flight.
-            detector: None = none.  It is started where its flights begin.
-            arm: Name of the detector: the same name always comes with the same detector and recovery.
-            recovery: Answer to its alarms; it `remembers` nothing, since a checkpoint would not know of it.
+            fault: The fault; None = golden flight.
+            detector: The detector, initialized at the start of each flight; None = none.
+            arm: Name of the detector's arm; each name must always denote the same detector and recovery policy.
+            recovery: The recovery policy; it must not `remember`, since checkpoints do not contain its state.
         """
         self.recovery = recovery
-        with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
+        with np.errstate(all="ignore"):  # overflow of corrupted values is expected behaviour
             if fault is None:
                 track = self.golden(detector, arm)
             else:
@@ -111,7 +111,7 @@ class FastForward:
         return Flight(track.log, self._profile if fault is None and detector is None else None)
 
     def golden(self, detector: Detector | None = None, arm: str = "") -> Track:
-        """The golden flight, flown when it is first wanted."""
+        """The golden flight, flown on first use."""
         if arm not in self._golden:
             self._golden[arm] = self._first() if detector is None else self._watched(detector)
         return self._golden[arm]
@@ -140,7 +140,7 @@ class FastForward:
         return branch.fly()
 
     def _unwatched(self, fault: StateFault) -> Track:
-        """The flight with a fault and no detector; of the last fault it is known."""
+        """The injected run without a detector; the latest one is cached."""
         if self._last is None or self._last[0] != fault:
             self._last = fault, self._injected(fault, None, "")
         return self._last[1]
@@ -149,10 +149,10 @@ class FastForward:
         own, plain = self.golden(detector, arm), self.golden()
         rows = own.before(fault.time_us)
         start = own.checkpoints[rows]
-        assert isinstance(start.injector, CounterWatch)  # it is of a flight without a fault
+        assert isinstance(start.injector, CounterWatch)  # a golden flight's tap
         injector = StateInjector(fault, start.injector)
         as_plain = rows in plain.checkpoints and start.instant is plain.checkpoints[rows].instant
-        # where nothing has alarmed yet, the flight without a detector shows what happens until it does
+        # if the prefix has no alarms, the run without a detector is identical up to the first alarm
         along = self._unwatched(fault) if detector is not None and as_plain and not injector.spent else None
         branch = _Branch(self, detector, [plain] if along is None else [along, plain], own, keeps=detector is None)
         branch.begin(own, start)
@@ -170,7 +170,7 @@ class FastForward:
 
 
 class _Branch:
-    """A flight under construction; it may converge to `known` flights or to `own`, the golden one with its detector."""
+    """A flight in progress; it may converge to the `known` flights or to `own`, the golden flight with its detector."""
 
     def __init__(
         self, forward: FastForward, detector: Detector | None, known: Sequence[Track] = (), own: Track | None = None,
@@ -197,33 +197,33 @@ class _Branch:
             taps.detector, taps.watched, taps.seal = tap, tap.states, tap.seal if tap.seals else None
 
     def remember(self, saved: Any) -> None:  # noqa: ANN401
-        """Restore the memory of the detector, if there is one, from a checkpoint."""
+        """Restore the detector's memory, if there is a detector, from a checkpoint."""
         if self._detector is not None:
             self._detector.restore(saved)
-            self._watch()  # it may be another object
+            self._watch()  # restoring may have replaced the object
 
     # ---- the record -------------------------------------------------------------------------------------------------
     def begin(self, track: Track, start: Checkpoint) -> None:
-        """Take over the record of a flight up to a checkpoint."""
+        """Start with another flight's record up to a checkpoint."""
         record = self.loop.record
         record.rows, record.events = track.rows[: start.rows], track.log.events[: start.events]
         record.alarms, self._shown = list(start.alarms), track.shown[: start.shown]
         record.set_counts(start.counts)
 
     def keep(self, instant: Instant) -> None:
-        """Note a checkpoint here."""
+        """Store a checkpoint at the current number of rows."""
         self._checkpoints[len(self.loop.record.rows)] = self._checkpoint(instant)
 
     def _checkpoint(self, instant: Instant | None = None) -> Checkpoint:
         record, injector = self.loop.record, self.loop.taps.injector
-        assert isinstance(injector, (CounterWatch, StateInjector))  # whatever is flown here has one
+        assert isinstance(injector, (CounterWatch, StateInjector))  # installed in every flight of this class
         return Checkpoint(
             instant, len(record.rows), len(record.events), len(self._shown), tuple(record.alarms), record.counts(),
             injector.copy(), None if self._detector is None else self._detector.save(),
         )  # fmt: skip
 
     def _append(self, track: Track, here: Checkpoint, there: Checkpoint) -> None:
-        """Continue as another flight did from one of its checkpoints to another one."""
+        """Append another flight's record between two of its checkpoints."""
         record, log = self.loop.record, track.log
         record.rows += track.rows[here.rows : there.rows]
         record.events += log.events[here.events : there.events]
@@ -237,9 +237,9 @@ class _Branch:
         elif self._keeps:
             self.keep(there.here)
 
-    # ---- continuing as another flight --------------------------------------------------------------------------------
+    # ---- reuse of another flight ------------------------------------------------------------------------------------
     def converge(self, track: Track, rows: int) -> None:
-        """Continue as another flight to the end."""
+        """Reuse the remainder of another flight."""
         self._share.converged += 1
         if not self._keeps:
             self._append(track, track.checkpoints[rows], track.end)
@@ -248,7 +248,7 @@ class _Branch:
             self._append(track, here, there)
 
     def follow(self, track: Track, rows: int) -> None:
-        """Continue as a flight without a detector, to the end or to the first alarm at its publications."""
+        """Reuse a flight without a detector, to its end or to the first alarm on its publications."""
         for here, there in track.pieces(rows):
             if self._detector is None:
                 return self.converge(track, here.rows)
@@ -264,12 +264,12 @@ class _Branch:
             self._append(track, here, there)
 
     def _is_own(self, here: Checkpoint) -> bool:
-        """Whether the rest is that of the golden flight with the same detector."""
+        """Whether the remainder equals that of the golden flight with the same detector."""
         known = None if self._own is None else self._own.checkpoints.get(here.rows)
         return known is not None and known.instant is here.instant and self._is_through() and self._same_detector(known)
 
     def _is_through(self) -> bool:
-        """Whether the injector and the last alarm have no further effect."""
+        """Whether injector and recovery have no further effect."""
         injector = self.loop.taps.injector
         return not self.loop.awaited and not self.loop.requests and injector is not None and injector.spent
 
@@ -288,7 +288,7 @@ class _Branch:
 
     # ---- flying -----------------------------------------------------------------------------------------------------
     def fly(self) -> Track:
-        """Continue to the end, by simulation where nothing else will do."""
+        """Continue to the end; simulate where no known flight can be reused."""
         loop, record = self.loop, self.loop.record
         while self._log is None:
             self._flown = True
@@ -303,7 +303,7 @@ class _Branch:
         return Track(self._log, record.rows, self._shown, self._checkpoints, self._checkpoint())
 
     def _arrive(self) -> None:
-        """At the instant of a checkpoint: continue as another flight, if one is in the same state."""
+        """At a checkpoint instant: reuse another flight if the current state has converged to it."""
         rows = len(self.loop.record.rows)
         other = self._converged() if self._is_through() else None
         if self._keeps:
@@ -314,12 +314,12 @@ class _Branch:
             self.follow(other, rows)
 
     def _converged(self) -> Track | None:
-        """A flight that is in the same state now."""
+        """A known flight in the current state; None = none."""
         loop, seen = self.loop, set()
         for track in (*self._known, self._own):
             here = None if track is None else track.checkpoints.get(len(loop.record.rows))
             if track is None or here is None or not here.injector.spent or id(here.instant) in seen:
-                continue  # the other flight has its fault still before it
+                continue  # the other flight's injection is still pending
             seen.add(id(here.instant))
             if track is self._own and not self._same_detector(here):
                 continue

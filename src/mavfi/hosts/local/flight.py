@@ -1,4 +1,4 @@
-"""One flight in one process, deterministic to the bit."""
+"""One in-process flight, bit-reproducible."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,16 +20,16 @@ def fly(
     recovery: Recovery = INLINE, profile: bool = False, recorders: Sequence[Recorder] = (),
     functions: KernelFunctions = PLAIN,
 ) -> Flight:  # fmt: skip
-    """Fly one mission; the same arguments give the same bytes.
+    """Fly one mission; equal arguments yield bit-identical results.
 
     Args:
         scenario: The mission.
-        fault: What to inject; None = golden flight.
-        detector: What watches; None = nothing.
-        recovery: Answer to its alarms.
-        profile: Whether to note when which state was published.
-        recorders: See what consumers see.
-        functions: What the kernels call: the compiled functions, or instrumented ones.
+        fault: The fault; None = golden flight.
+        detector: The detector; None = none.
+        recovery: The recovery policy for its alarms.
+        profile: Whether to record the publication times of each state.
+        recorders: Called with each publication as consumers receive it.
+        functions: Functions that the kernels call: compiled or instrumented.
 
     Raises:
         BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.

@@ -1,6 +1,6 @@
-"""Injects a fault into what a kernel remembers: an action of the loop, before all others of its instant.
+"""Injection of faults into a kernel's persistent memory, as the first action of the loop at the fault's instant.
 
-A kernel that raises an exception afterwards dies with its node, under the policy of the mission for dead nodes.
+A kernel that subsequently raises an exception terminates its node, under the mission's policy for dead nodes.
 """
 
 from collections.abc import Callable
@@ -23,11 +23,11 @@ _RESTART_US = round(1e6 * RESTART_S)
 _ANSWERS: dict[str, Callable[[], Any]] = {
     "receive": bool, "step": list, "rollback": lambda: None, "again": lambda: None, "stop": list, "abandon": list,
 }  # fmt: skip
-"""What a kernel answers that has died of a call, by method."""
+"""Return value of each method of a kernel that has crashed."""
 
 
 def flip_bit(word: np.ndarray, bit: int | None) -> None:
-    """Flip a bit of a word, which has shape (1,); bit 0 is the least significant one, None flips nothing."""
+    """Flip a bit of a word of shape (1,), in place; bit 0 is the least significant, None leaves it unchanged."""
     if bit is not None:
         raw = word.copy()
         raw.view(np.uint8)[bit // 8] ^= np.uint8(1 << bit % 8)
@@ -35,18 +35,19 @@ def flip_bit(word: np.ndarray, bit: int | None) -> None:
 
 
 class MemoryInjector:
-    """The injector of a flight that has not begun; publications pass untouched.
+    """Injector tap of a flight that has not started; publications pass unchanged.
 
     Attributes:
-        effect: How the kernel died of the fault; None = it did not.
+        effect: How the kernel crashed after the fault; None = it did not.
     """
 
     spent = True
 
     def __init__(self, loop: Loop, fault: MemoryFault) -> None:
-        self._loop, self._fault = proxy(loop), fault  # it owns this
+        self._loop, self._fault = proxy(loop), fault  # the loop owns this object
         policy = loop.scenario.dead_node
-        self._restarts = Restarts(loop, "fresh" if policy == "recompute" else policy)  # its memory is wrong
+        # no recomputation: it would use the corrupted memory
+        self._restarts = Restarts(loop, "fresh" if policy == "recompute" else policy)
         self._injection: Injection | None = None
         self.effect: KernelEffect | None = None
         if fault.has_site:
@@ -54,14 +55,14 @@ class MemoryInjector:
             loop.at(fault.time_us, _ACTION)
 
     def __call__(self, state: State, time_us: int) -> State:
-        """The publication itself."""
+        """The unchanged publication."""
         del time_us
         return state
 
     def _inject(self, now: int) -> None:
         fault, loop = self._fault, self._loop
         if fault.kernel not in loop.kernels or fault.kernel in loop.down:
-            return  # there is no such memory now
+            return  # the memory does not exist at this instant
         kernel = loop.kernels[fault.kernel]
         types = {words.dtype for words in words_of(cast(Remembers, kernel)) if words.name == fault.field}
         if types - {fault.dtype}:
@@ -74,7 +75,7 @@ class MemoryInjector:
             self._guard(kernel)
 
     def _guard(self, kernel: Any) -> None:
-        """Let exceptions of a kernel end its node, not the flight."""
+        """Make exceptions of a kernel terminate its node instead of the flight."""
         for name, answer in _ANSWERS.items():
             if hasattr(kernel, name):
                 setattr(kernel, name, self._guarded(kernel.name, getattr(kernel, name), answer))
@@ -83,7 +84,7 @@ class MemoryInjector:
         def call(*arguments: Any) -> Any:
             try:
                 return method(*arguments)
-            except Exception as error:  # whatever a kernel raises
+            except Exception as error:  # any exception type: kernels operate on corrupted memory
                 if machine_failure(error):
                     raise
                 if kernel not in self._loop.down:
@@ -94,7 +95,7 @@ class MemoryInjector:
         return call
 
     def finish(self) -> list[Injection]:
-        """The injection; if there was no such word, a record that says so."""
+        """The injection; if the word did not exist, a record of the missed activation."""
         fault = self._fault
         time_s = fault.time_us / 1e6 if fault.has_site else 0.0
         missed = Injection(fault.level, fault.site, time_s, fault.bit, None, None, activated=False)

@@ -1,4 +1,4 @@
-"""All flights of one mission in this process: fast-forwarded where that gives the same bytes, else flown in full."""
+"""In-process flights of one mission: fast-forwarded where the result is bit-identical, otherwise flown in full."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -13,7 +13,7 @@ from mavfi.mission import MissionSpec, Scenario
 
 
 class LocalHost:
-    """The deterministic host."""
+    """The deterministic in-process host."""
 
     name = "local"
     levels = frozenset({"state", "memory", "instruction"})
@@ -25,7 +25,7 @@ class LocalHost:
         return resolve(spec)
 
     def check(self) -> None:
-        """See `Host.check`; nothing can be missing."""
+        """See `Host.check`; there are no prerequisites."""
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "LocalFlights":
         """See `Host.mission`."""
@@ -41,12 +41,12 @@ class LocalFlights(ArmFlights):
         self._forward: dict[str, FastForward] = {}
 
     def know(self, arm: str, flight: Flight) -> None:
-        """See `MissionFlights.know`; the arms of this mission are then flown in full."""
+        """See `MissionFlights.know`; disables fast-forward for all arms of this mission."""
         super().know(arm, flight)
         self._fast = False
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
-        """See `MissionFlights.injected`: state faults in their order, instruction faults arm by arm."""
+        """See `MissionFlights.injected`: state and memory faults in list order, then instruction faults by arm."""
         batches: dict[str, list[tuple[int, InstructionFault]]] = {}
         for place, (arm, fault) in enumerate(runs):
             if isinstance(fault, InstructionFault):
@@ -57,7 +57,7 @@ class LocalFlights(ArmFlights):
                     allowed = "state, memory, instruction"
                     raise BadInputError(f"host local: faults of level {fault.level!r}: allowed: {allowed}")
                 yield place, self._fly(arm, fault)
-            except Exception as error:  # noqa: BLE001 - it ends this flight, not the others
+            except Exception as error:  # noqa: BLE001 - ends this run only
                 yield place, error
         for arm, batch in batches.items():
             yield from self._instructions(arm, batch)
@@ -71,7 +71,7 @@ class LocalFlights(ArmFlights):
                 setup.scenario, [fault for _, fault in batch], self._detector(arm), self._golden.get(arm),
                 setup.recovery,
             ).flights  # fmt: skip
-        except Exception as error:  # noqa: BLE001 - it ends one of these flights, not the others
+        except Exception as error:  # noqa: BLE001 - raised by one of the runs; each is retried separately
             if len(batch) == 1:
                 yield batch[0][0], error
                 return
@@ -81,11 +81,11 @@ class LocalFlights(ArmFlights):
         yield from ((place, flight) for (place, _), flight in zip(batch, found, strict=True))
 
     def _fly(self, arm: str, fault: StateFault | MemoryFault | None, *, profile: bool = False) -> Flight:
-        """Fast-forwarded if possible.
+        """Fly one run, fast-forwarded if possible.
 
-        Not: null faults, whose purpose is to fly through the injector; faults in memory, which no checkpoint knows;
-        detectors that may restart nodes or end in a degraded mode, whose answers depend on earlier alarms; detectors
-        that take part in what is not published (`seal`, `duplicates`).
+        Excluded are null faults, whose purpose is to exercise the injector; memory faults, which checkpoints do not
+        contain; detectors whose recovery restarts nodes or degrades, as responses depend on earlier alarms; and
+        detectors with `seal` or `duplicates`, which act on unpublished values.
         """
         setup = self._arms[arm]
         detector = self._detector(arm)
@@ -97,7 +97,7 @@ class LocalFlights(ArmFlights):
             try:
                 forward = self._forward.get(key) or FastForward(setup.scenario)
                 flight = forward.fly(fault, detector, arm if detector is not None else "", setup.recovery)
-            except Exception:  # noqa: BLE001 - what cannot be copied or compared; the long way says what is recorded
+            except Exception:  # noqa: BLE001 - state that cannot be copied or compared: the full flight decides
                 self._forward.pop(key, None)
             else:
                 self._forward[key] = forward

@@ -1,1 +1,1 @@
-"""One flight on integer microseconds: scheduler, plant, taps, recovery; every host composes its flights from these."""
+"""One flight in integer microseconds: scheduler, plant, taps and recovery, the building blocks of every host."""

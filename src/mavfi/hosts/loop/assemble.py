@@ -1,4 +1,4 @@
-"""Assembles a flight: world, plant, kernels and loop."""
+"""Assembly of a flight: world, plant, kernels and loop."""
 
 from collections.abc import Callable
 from functools import partial
@@ -24,16 +24,16 @@ def new_loop(
     scenario: Scenario, *, profile: bool = False, functions: KernelFunctions = PLAIN, rewindable: bool = False,
     make_plant: MakePlant = Simulator, make_kernels: MakeKernels = build_pipeline,
 ) -> Loop:  # fmt: skip
-    """A flight at its start, without taps.
+    """Build a flight in its initial state, without taps.
 
     Args:
         scenario: The mission.
-        profile: Whether to note when which state was published.
-        functions: What the kernels call: the compiled functions, or instrumented ones.
-        rewindable: Whether the flight can be put back to earlier instants (`hosts.local.checkpoints`): maps keep their
-            changes, and kernels are marked even if nothing can alarm yet.
-        make_plant: Makes the plant.
-        make_kernels: Makes the kernels, which may be proxies of kernels elsewhere.
+        profile: Whether to record the publication times of each state.
+        functions: Functions that the kernels call: compiled or instrumented.
+        rewindable: Whether the flight can be restored to earlier instants (`hosts.local.checkpoints`): maps keep an
+            undo log, and kernels are marked even without a detector.
+        make_plant: Constructs the plant.
+        make_kernels: Constructs the kernels; they may be proxies of remote ones.
 
     Raises:
         BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
@@ -45,7 +45,7 @@ def new_loop(
 
 
 def watch(loop: Loop, detector: Detector | None, recovery: Recovery = INLINE) -> None:
-    """Attach a detector, if there is one, to a flight that has not begun."""
+    """Attach a detector to a flight that has not started; None = no effect."""
     if detector is None:
         return
     loop.marks = True

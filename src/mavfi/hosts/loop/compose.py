@@ -1,4 +1,4 @@
-"""From names to a scenario, and from a scenario to what simulator and pipeline need."""
+"""Resolution of names into a scenario, and of a scenario into the inputs of simulator and pipeline."""
 
 from pathlib import Path
 
@@ -21,18 +21,18 @@ from mavfi.states import Stage
 
 _DEFAULT_V_MAX = 3.0
 _NOMINAL_HULL = 0.35
-"""Collision radius of the vehicle that the radii of a stack are meant for (m)."""
+"""Collision radius of the vehicle for which the radii of an autopilot profile are specified (m)."""
 _LEAST_POSITION_NOISE, _LEAST_HEADING_NOISE = 1e-3, 1e-3
 _RULES = ("alarm", "epoch_liveness")
-"""Rules of a profile that a mission can change."""
+"""Keys of an autopilot profile that a mission can override."""
 _LIMITS = ("arena_lower", "arena_upper", "flight_lower", "flight_upper", "goal")
 
 
 def find_environment(name: str) -> EnvironmentConfig:
-    """A shipped environment by name, a YAML file, or a scanned map (.bt, .ot) by path.
+    """Find an environment: a shipped name, a YAML file, or the path of a scanned map (.bt, .ot).
 
     Raises:
-        BadInputError: There is no such environment.
+        BadInputError: The environment does not exist.
     """
     if name.lower().endswith(SCAN_ENDINGS):
         return environment_for_file(Path(name))
@@ -40,17 +40,17 @@ def find_environment(name: str) -> EnvironmentConfig:
 
 
 def find_planner(name: str) -> PlannerConfig:
-    """A shipped planner by name, a YAML file, or an entry point or "package:Class" with default parameters."""
+    """Find a planner: a shipped name, a YAML file, or an entry point or "package:Class" with default parameters."""
     if name.endswith((".yaml", ".yml")) or name in names("planners"):
         return shipped("planners", PlannerConfig, name)
     return PlannerConfig(name=name)
 
 
 def resolve(spec: MissionSpec) -> Scenario:
-    """The scenario of a spec; missing options come from the environment, then from the defaults.
+    """Resolve a spec to a scenario; unset options default to the environment's values, then to global defaults.
 
     Raises:
-        BadInputError: Something is not known, or does not fit together.
+        BadInputError: A name is unknown, a value is out of range, or options are incompatible.
     """
     world = find_environment(spec.environment)
     if spec.vehicle is not None:
@@ -73,7 +73,7 @@ def resolve(spec: MissionSpec) -> Scenario:
 
 
 def _stack(spec: MissionSpec) -> configs.StackConfig:
-    """The rules of the autopilot profile, and what the mission changes of them."""
+    """The autopilot profile with the mission's overrides."""
     own = {name: value for name in _RULES if (value := getattr(spec, name)) is not None}
     return shipped("stacks", configs.StackConfig, spec.autopilot).model_copy(update=own)
 
@@ -88,18 +88,18 @@ def pipeline_config(
     scenario: Scenario, world: World, directions: np.ndarray, rewindable: bool = False,
     functions: KernelFunctions = PLAIN,
 ) -> PipelineConfig:  # fmt: skip
-    """The pipeline's part of a mission.
+    """The pipeline's configuration for a mission.
 
     Args:
         scenario: The mission.
-        world: Its world: only limits and goal are passed on, obstacles are for the camera to see.
-        directions: Ray of each pixel. Shape (n, 3).
-        rewindable: Whether the flight can be put back to earlier instants.
-        functions: What its kernels call.
+        world: Its world: only limits and goal are passed on; the pipeline senses obstacles through the camera.
+        directions: Ray direction of each pixel. Shape (n, 3).
+        rewindable: Whether the flight can be restored to earlier instants.
+        functions: Functions that the kernels call.
     """
     stack = scenario.stack
     hull = scenario.vehicle.hull_radius / _NOMINAL_HULL
-    # copies, since kernels would be compiled again for the world's read-only arrays
+    # copies: kernels would be compiled a second time for the world's read-only arrays
     limits = {name: getattr(world, name).copy() for name in _LIMITS}
     return PipelineConfig(
         stack=stack, planner=scenario.planner, map=scenario.map, camera=scenario.camera, directions=directions,
@@ -114,7 +114,7 @@ def pipeline_config(
 
 
 def _noise(config: configs.LocalizationConfig) -> Noise | None:
-    """The estimator's noise: that of the sensors, but not below what its steps of 4 ms can resolve."""
+    """Noise parameters of the estimator: the sensors' noise, bounded below by the resolution of its 4 ms steps."""
     if config.kind == "truth":
         return None
     scale = max(config.imu_noise, 1.0)

@@ -1,7 +1,7 @@
-"""Steps computed twice, against faults in the computation: two runs are compared, a third one decides.
+"""Duplicated execution of kernel steps against computation faults: compare two executions, decide by a third.
 
-All three work on the same memory and inputs, see `pipeline.kernel.repeat`.  Each costs the kernel's latency, and the
-results are published after the last one.  What is compared is what is published; memory is that of the last run.
+All executions start from the same memory and inputs, see `pipeline.kernel.repeat`.  Each costs the kernel's latency;
+the results are published after the last one.  Only published values are compared; memory is that of the last execution.
 """
 
 from collections.abc import Collection
@@ -20,19 +20,19 @@ _SCORE = 2.0
 
 
 class Duplicates:
-    """Computes steps of kernels of a loop twice.
+    """Duplicates the steps of selected kernels of a loop.
 
     Args:
         loop: The flight.
-        kernels: Their names.
+        kernels: Names of the kernels.
     """
 
     def __init__(self, loop: "Loop", kernels: Collection[str]) -> None:
-        self._loop = proxy(loop)  # which owns this
+        self._loop = proxy(loop)  # the loop owns this object
         self._kernels = frozenset(kernels)
 
     def __call__(self, kernel: Kernel, first: list[State], now: int) -> tuple[list[State], int]:
-        """The results to publish, given those of the first run, and the time that the other runs take (us)."""
+        """Return the results to publish, given the first execution's, and the time of the further executions (us)."""
         if kernel.name not in self._kernels:
             return first, 0
         second, runs = self._again(kernel, now), 1
@@ -73,7 +73,7 @@ def _same(one: list[State], other: list[State]) -> bool:
 
 
 def _difference(one: list[State], other: list[State]) -> str | None:
-    """Name of the first state that differs, None if all are the same, bit for bit."""
+    """Name of the first state that differs; None = all are bit-identical."""
     for mine, its in zip(one, other, strict=False):
         if mine.spec is not its.spec or not mine.same_bits(its):
             return mine.spec.name

@@ -1,4 +1,4 @@
-"""Golden flights that are stopped once enough is known: a prefix, which must equal that of the whole golden flight."""
+"""Golden flights stopped early: each is a prefix, and must be identical to the start of the complete golden flight."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ from mavfi.mission import MissionStatus
 
 @dataclass(frozen=True, slots=True)
 class GoldenPrefix:
-    """A flight, perhaps stopped early: rows as of a flight log, and its status; None = it was stopped."""
+    """A possibly truncated flight: its rows, as in a flight log, and its status (None = truncated)."""
 
     rows: np.ndarray
     status: MissionStatus | None
 
     def check(self, golden: FlightLog) -> None:
-        """Check that a golden flight begins bit for bit like this one, and ended like it if this one ended.
+        """Check that a golden flight starts bit-identically and, unless this one is truncated, ends identically.
 
         Raises:
-            MavfiError: It does not.
+            MavfiError: The flights differ.
         """
         ended = self.status is not None
         same_end = self.status is golden.status and len(self.rows) == len(golden.rows)
@@ -32,7 +32,7 @@ class GoldenPrefix:
 
 
 def fly_until(loop: Loop, enough: Callable[[], bool]) -> Flight | None:
-    """Fly a loop from its start until `enough`, asked after each control period; None = it was stopped by that."""
+    """Fly a loop from its start until `enough` (evaluated after each control period) is true; None = stopped early."""
     loop.begin()
     while loop.status is None and not enough():
         loop.run(len(loop.record.rows) + 1)
@@ -40,5 +40,5 @@ def fly_until(loop: Loop, enough: Callable[[], bool]) -> Flight | None:
 
 
 def prefix_of(loop: Loop) -> GoldenPrefix:
-    """What a loop has flown so far."""
+    """The part of the flight that a loop has flown so far."""
     return GoldenPrefix(np.asarray(loop.record.rows), loop.status)

@@ -1,4 +1,4 @@
-"""The mission's status, judged at every control period."""
+"""Evaluation of the mission's status at every control period."""
 
 import math
 
@@ -8,7 +8,7 @@ from mavfi.sim.environments import World
 
 
 class Judge:
-    """What ends a mission: goal, arena, failed plans in a row, and the longest flight, `limit_us`."""
+    """Termination conditions: goal, collision, arena, consecutive failed plans, and the time limit `limit_us` (us)."""
 
     def __init__(self, scenario: Scenario, world: World) -> None:
         self._goal = world.goal.tolist()
@@ -18,7 +18,7 @@ class Judge:
 
     def status(self, plant: Plant, failed_plans: int, now: int) -> MissionStatus | None:
         """The final status; None = the mission continues."""
-        state = plant.odometry.tolist()  # NumPy would take longer to start than to run, fifty times a second
+        state = plant.odometry.tolist()  # at 13 elements, NumPy's call overhead exceeds the computation
         if not all(map(math.isfinite, state)):
             return MissionStatus.INVALID_STATE
         if plant.collided:

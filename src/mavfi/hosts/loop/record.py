@@ -1,4 +1,4 @@
-"""What a flight leaves while it is flown: rows, events, alarms, publications, and modelled times of kernels."""
+"""Record of a flight in progress: rows, events, alarms, publications, and modelled compute times of kernels."""
 
 from collections.abc import Iterable
 
@@ -10,7 +10,7 @@ from mavfi.states import STAGE_KERNELS, State, StateSpec
 
 
 class Publications:
-    """Counts publications by state and, if a profile is wanted, notes when they were made: faults are drawn from it."""
+    """Counts publications by state; with a profile, also records their times, from which faults are sampled."""
 
     def __init__(self, wanted: bool, states: Iterable[StateSpec]) -> None:
         self.wanted = wanted
@@ -28,7 +28,7 @@ class Publications:
             self._sizes[name].append(len(state.elements))
 
     def profile(self) -> Profile | None:
-        """The profile, if it is wanted."""
+        """The profile; None unless requested."""
         if not self.wanted:
             return None
         return Profile(
@@ -38,7 +38,7 @@ class Publications:
 
 
 class Record:
-    """The record of one flight: rows, events, alarms with the outcomes known so far, and modelled times (us)."""
+    """Record of one flight: rows, events, alarms with the outcomes known so far, and modelled times (us)."""
 
     def __init__(self, kernels: Iterable[str], publications: Publications) -> None:
         self.rows: list[np.ndarray] = []
@@ -49,15 +49,15 @@ class Record:
         self.publications = publications
 
     def write_row(self, now: int, odometry: np.ndarray, command: np.ndarray, reference: np.ndarray) -> None:
-        """Note a control period, see `flight_log.COLUMNS`: shapes (13,), (4,) and (3,)."""
+        """Append the row of a control period, see `flight_log.COLUMNS`: shapes (13,), (4,) and (3,)."""
         self.rows.append(np.concatenate(([1e-6 * now], odometry, command, reference)))
 
     def note(self, now: int, kind: str, data: dict[str, object]) -> None:
-        """Note an event."""
+        """Append an event."""
         self.events.append(Event(now, kind, data))
 
     def published(self, state: State, now: int) -> None:
-        """Note a publication, and the event that it is."""
+        """Count a publication and record the corresponding event, if any."""
         self.publications.note(state, now)
         name, header = state.spec.name, state.header
         if name == "planning.path":
@@ -69,11 +69,11 @@ class Record:
             self.note(now, "collision_predicted", {"time_to_collision": float(header["time_to_collision"][0])})
 
     def counts(self) -> tuple[int, ...]:
-        """Modelled compute and recompute times of kernels and stages, and numbers of publications."""
+        """Modelled compute times of kernels, recompute times of stages, and publication counts."""
         return (*self.compute_us.values(), *self.recompute_us.values(), *self.publications.count.values())
 
     def set_counts(self, counts: Iterable[int]) -> None:
-        """Inverse of `counts`; tables that were handed out before do not change."""
+        """Inverse of `counts`; tables returned earlier are not modified."""
         rest = iter(counts)
         self.compute_us = {name: next(rest) for name in self.compute_us}
         self.recompute_us = {name: next(rest) for name in self.recompute_us}

@@ -1,15 +1,15 @@
-"""What an alarm leads to: `decide`, pure and the only place where that is decided; `Watch` applies it to a detector.
+"""Responses to alarms: the pure function `decide` selects an action; `Watch` connects a detector and executes it.
 
-Coupling `inline`: the detector is a gate.  The value is held back, the kernel goes back to the memory that it had, and
-is stepped again at once; the result is published, and accepted even if it is the same value.  With `same_twice:
-escalate` it is judged again: a rule that is broken twice by the same inputs speaks of the node's memory, and the node
-is restarted.  With `grain: message` the producer's copy comes first: a value that was changed on its way is right then,
-one that was computed wrongly is not, and is computed again.  Where a restart does not help, `degraded: hover` withholds
-all further commands: the flight controller hovers when the last one has expired.
+Coupling `inline`: the detector is a gate.  A rejected value is withheld, the kernel's memory is restored, and its step
+is repeated at once; the result is published and accepted, even if it is the same value.  With `same_twice: escalate` it
+is checked again: a rule violated twice on the same inputs indicates corrupted node memory, and the node is restarted.
+With `grain: message` the producer's copy is retransmitted first, which repairs a value corrupted in transit; a value
+that was computed incorrectly is rejected again and then recomputed.  If a restart does not help, `degraded: hover`
+withholds all further commands: the flight controller hovers when the last one has expired.
 
-Coupling `observer`: the detector is a subscriber, as the paper's node.  Consumers have seen the value when the alarm
-comes, so the kernel goes back at its next step: at the next control period for planning and control, at the next image
-for perception, at the next IMU sample for the state estimator.
+Coupling `observer`: the detector is a subscriber, as the paper's node.  Consumers have received the value by the time
+of the alarm, so the kernel is restored at its next step: at the next control period for planning and control, at the
+next image for perception, at the next IMU sample for the state estimator.
 """
 
 from collections import deque
@@ -33,35 +33,36 @@ SameTwice = Literal["accept", "escalate"]
 Degraded = Literal["none", "hover"]
 COLLISION, PATH, COMMAND = "perception.collision_status", "planning.path", "control.command"
 RESTART_US, BACK_OFF = 20_000, 3
-"""Time that a node restarted by a detector is away (us): its process stays, its memory is initialized; and its
-growth with each restart of a flight: together they outlast a fault of 1 s."""
+"""Down time of a node that a detector restarts (us): the process survives, its memory is initialized; and the factor
+by which the down time grows with each restart in a flight.  Their sum outlasts a fault of 1 s."""
 MOST_RESTARTS = 5
-"""In one flight: detectors can be wrong themselves, and must not keep a vehicle from flying."""
+"""Limit per flight: a faulty detector must not keep a vehicle from flying."""
 PERSISTS_US, GAP_US = 2_000_000, 500_000
-"""Hard alarms persist if they come for so long, with gaps of at most so long (us)."""
+"""Hard alarms are persistent if they span the first duration with gaps of at most the second (us)."""
 MOST_ALARMS, ALARMS_WITHIN_US = 50, 10_000_000
-"""Hard alarms within a time (us) after which a detector that may restart nodes is not asked any more: it is wrong."""
+"""Number of hard alarms within a time (us) after which a detector that may restart nodes is disabled as faulty."""
 SCANNING = STAGE_KERNELS[Stage.PERCEPTION]
-"""Kernels that compute again together, from the image on."""
+"""Kernels that are recomputed together, starting from the image."""
 WAYPOINT = "planning.waypoint"
 
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """How the alarms of a detector are answered; keys of a mission.
+    """Recovery policy for the alarms of a detector; the attributes are keys of a mission.
 
     Attributes:
-        coupling: Of the detector.
-        grain: What is repeated: the `stage` with its latency, only the `kernel` that wrote the value, or its `message`:
-            the producer sends the copy that it has kept again, at no modelled cost.
-        same_twice: What becomes of a recomputation that breaks a rule again (`Alarm.hard`): `accept`, or `escalate` to
+        coupling: Coupling of the detector, see the module.
+        grain: Unit of repetition: the `stage` with its latency; only the `kernel` that wrote the value; or its
+            `message`, which the producer retransmits from its copy at no modelled cost.
+        same_twice: Policy for a recomputation that violates a rule again (`Alarm.hard`): `accept` it, or `escalate` to
             a restart of the node.
-        answer_s: A collision alarm that no path answers for so long (s) restarts the planner's node; 0 = never.
-        degraded: What becomes of the flight when no restart is left and a rule is still broken, or when hard alarms
-            persist: `none`, it goes on; `hover`, commands are withheld from then on.
+        answer_s: Deadline for the path that answers a collision alarm (s), after which the planner's node is restarted;
+            0 = none.
+        degraded: Policy when a rule is still violated with no restart left, or when hard alarms persist: `none`
+            continues the mission, `hover` withholds all further commands.
 
     Raises:
-        BadInputError: An observer is to withhold commands.
+        BadInputError: `degraded: hover` with coupling `observer`, which cannot withhold commands.
     """
 
     coupling: Coupling = "inline"
@@ -76,22 +77,22 @@ class Recovery:
 
     @staticmethod
     def of(spec: MissionSpec) -> "Recovery":
-        """As a mission wants it."""
+        """The recovery policy of a mission."""
         return Recovery(*(getattr(spec, key) for key in RECOVERY))
 
     @property
     def restarts(self) -> bool:
-        """Whether nodes may be restarted."""
+        """Whether the policy includes node restarts."""
         return self.same_twice == "escalate" or self.answer_s > 0
 
     @property
     def remembers(self) -> bool:
-        """Whether what an alarm leads to depends on earlier ones: a checkpoint knows nothing of these."""
+        """Whether the response to an alarm depends on earlier alarms, which a checkpoint does not contain."""
         return self.restarts or self.degraded != "none"
 
 
 INLINE = Recovery()
-"""A gate; the stage runs again, and the same value twice is accepted."""
+"""A gate that repeats the stage and accepts the result, even if it is the same value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,14 +100,14 @@ class Action:
     """Response to an alarm.
 
     Attributes:
-        kind: "recompute", a request to the setpoint generator: "abandon" the way-point in force, or "stop"; "restart"
-            of the node of `kernel`; "resend" of the value by its producer; or "hover" from now on.
-        stage: Whose latency is charged.
-        kernel: The kernel that is stepped again; "" = none, the latency alone is charged.
-        restores: Kernels whose memory is put back before, in this order.
-        awaited: The state whose next value comes from the recomputation, and passes; "" = none.
-        withholds: Whether the value that raised the alarm is held back.
-        alone: Whether only `kernel` is stepped again, on the inputs that it had, with its own latency.
+        kind: "recompute"; a request to the setpoint generator: "abandon" the way-point in force, or "stop"; "restart"
+            the node of `kernel`; "resend" the value from its producer's copy; or "hover" from now on.
+        stage: The stage whose latency is charged.
+        kernel: The kernel whose step is repeated; "" = none, only the latency is charged.
+        restores: Kernels whose memory is restored first, in this order.
+        awaited: The state whose next value is the result of the recomputation; "" = none.
+        withholds: Whether the value that raised the alarm is withheld.
+        alone: Whether only `kernel` is repeated, on its previous inputs and with its own latency.
     """
 
     kind: Literal["recompute", "abandon", "stop", "restart", "resend", "hover"]
@@ -119,7 +120,7 @@ class Action:
 
 
 class Awaited(NamedTuple):
-    """A recomputation under way: the rejected value, and the place of its alarm in the record."""
+    """A recomputation in progress: the rejected value, and the index of its alarm in the record."""
 
     rejected: State
     place: int
@@ -129,20 +130,20 @@ def decide(
     alarm: Alarm, spec: StateSpec, recovery: Recovery, *, after: Literal["", "resend", "recompute"] = "",
     uncured: bool = False,
 ) -> Action:  # fmt: skip
-    """The response to an alarm about a value of state `spec`.
+    """Select the response to an alarm on a value of state `spec`.
 
-    Only a gate (coupling `inline`) holds values back.
+    Only a gate (coupling `inline`) withholds values.
 
     Args:
         alarm: The alarm.
-        spec: Of the state.
-        recovery: How alarms are answered.
-        after: What the value is the result of: a message that is wrong twice was computed wrongly, a recomputation
-            that is wrong twice speaks of the memory of its node.
-        uncured: No restart is left, or hard alarms persist, and the recovery has a degraded mode.
+        spec: The state's specification.
+        recovery: The recovery policy.
+        after: Action that produced the value: a value rejected after a retransmission was computed incorrectly, one
+            rejected after a recomputation indicates corrupted node memory.
+        uncured: Whether the degraded mode applies: no restart is left or hard alarms persist, and a mode is configured.
 
     Raises:
-        BadInputError: The alarm names a stage that cannot be run again.
+        BadInputError: The alarm names a stage that cannot be recomputed.
     """
     if alarm.stage not in STAGE_KERNELS:
         text = f"stage {alarm.stage!r}: cannot be run again; allowed: {', '.join(STAGE_KERNELS)}"
@@ -160,7 +161,7 @@ def decide(
         alone = recovery.grain != "stage"
         restores = SCANNING if spec.writer in SCANNING and not alone else (spec.writer,)
         return Action("recompute", stage, restores[0], restores, spec.name, gated, alone)
-    # another stage than the writer's is to run again: this value passes
+    # the alarm requests recomputation of a stage other than the writer's: this value passes
     return Action("recompute", stage, "pid", ("pid",)) if stage is Stage.CONTROL else Action("recompute", stage)
 
 
@@ -178,55 +179,55 @@ def _never(kernel: str, now: int, after_us: int) -> None:
 
 
 class Watch:
-    """A detector as a tap of a loop, which answers its alarms.
+    """Connects a detector to a loop as a tap, and executes the response to its alarms.
 
-    It has memory only if its recovery `remembers`; such flights are not fast-forwarded.
+    It is stateful only if its recovery `remembers`; such flights are not fast-forwarded.
 
     Args:
         loop: The flight.
-        detector: What watches it.
-        recovery: How its alarms are answered.
-        restart: Restarts the node of a kernel: kernel, instant (us), time until it is back (us).
+        detector: The detector.
+        recovery: The recovery policy.
+        restart: Restarts the node of a kernel; arguments: kernel, instant (us), down time (us).
 
     Attributes:
-        restarts_left: How many nodes it may still restart.
-        alarm: What the detector said of the last value, None = nothing.
-        action: The answer to it.
-        degraded: Whether it withholds every command, and judges nothing.
-        seals: Whether it must be given each value as its producer hands it over.
-        states: Names of the states that it must be shown; None = all.
+        restarts_left: Remaining number of node restarts.
+        alarm: The alarm on the last value, None = none.
+        action: The response to it.
+        degraded: Whether it is in degraded mode: it withholds every command and checks nothing.
+        seals: Whether it needs each value before injection, as sent by the producer.
+        states: Names of the states that it needs to see; None = all.
     """
 
     def __init__(
         self, loop: "Loop", detector: Detector, recovery: Recovery = INLINE,
         restart: Callable[[str, int, int], None] = _never,
     ) -> None:  # fmt: skip
-        self._loop = proxy(loop)  # which owns this: maps of a flight that is over are freed at once
+        self._loop = proxy(loop)  # the loop owns this object; no cycle, so that maps are freed at once
         self._detector, self._recovery, self._restart = detector, recovery, restart
         self.restarts_left = MOST_RESTARTS
         self.alarm: Alarm | None = None
         self.action: Action | None = None
         self.degraded = False
-        self._hard_us = (0, -GAP_US)  # the first and the last of a row of hard alarms
+        self._hard_us = (0, -GAP_US)  # first and last instant of a contiguous series of hard alarms
         states = getattr(detector, "states", None)
-        always = {WAYPOINT} | ({COLLISION, PATH} if recovery.answer_s else set())  # with or without an alarm at them
+        always = {WAYPOINT} | ({COLLISION, PATH} if recovery.answer_s else set())  # required even without a model
         always |= set() if recovery.degraded == "none" else {COMMAND}
         self.states = None if states is None else always.union(states)
         self._sent: State | None = None
         self._seal = getattr(detector, "seal", None)
         self.seals = self._seal is not None or recovery.grain == "message"
-        self._hard: deque[int] = deque(maxlen=MOST_ALARMS)  # instants (us) of the last hard alarms
+        self._hard: deque[int] = deque(maxlen=MOST_ALARMS)  # instants of the latest hard alarms (us)
         self._silenced = False
-        self._asked: tuple[int, int] | None = None  # instant (us) and number of a collision alarm without an answer
+        self._asked: tuple[int, int] | None = None  # instant (us) and sequence number of an unanswered collision alarm
 
     def seal(self, state: State, now: int) -> None:
-        """Keep a value as its producer hands it over; a detector may seal it."""
+        """Keep a copy of a value as sent by its producer, and let the detector seal it."""
         self._sent = state
         if self._seal is not None:
             self._seal(state, now)
 
     def __call__(self, state: State, now: int) -> State | None:
-        """Show a value to the detector; the result of a recomputation passes, unless it is judged again."""
+        """Check a value; the result of a recomputation passes without a check unless the policy is `escalate`."""
         loop, detector, recovery = self._loop, self._detector, self._recovery
         awaited = loop.awaited.pop(state.spec.name, None)
         self.alarm = self.action = None
@@ -238,7 +239,7 @@ class Watch:
         uncured = alarm is not None and self._is_uncured(alarm, now, again=after == "recompute")
         given_up = after == "recompute" and self.restarts_left == 0
         if awaited is not None and (alarm is None or not alarm.hard or given_up) and not uncured:
-            alarm = None  # a statistic may be right twice, a rule cannot
+            alarm = None  # a statistical score may be high twice on a correct value; a violated rule remains an error
         if alarm is None or recovery.coupling == "observer":
             detector.accept(state, now)
         if awaited is not None:
@@ -257,13 +258,13 @@ class Watch:
         return None if withheld else state
 
     def _after(self, awaited: Awaited | None) -> Literal["", "resend", "recompute"]:
-        """What a value is the result of; what other actions led to counts as recomputed."""
+        """The action that produced a value; any action other than a retransmission counts as a recomputation."""
         if awaited is None:
             return ""
         return "resend" if self._loop.record.alarms[awaited.place].action == "resend" else "recompute"
 
     def _is_uncured(self, alarm: Alarm, now: int, *, again: bool) -> bool:
-        """Whether a degraded mode is wanted, and begins with this alarm."""
+        """Whether a degraded mode is configured, and starts with this alarm."""
         if not alarm.hard or self._recovery.degraded == "none":
             return False
         first, last = self._hard_us
@@ -272,21 +273,21 @@ class Watch:
         return used_up or last - first > PERSISTS_US
 
     def _count(self, now: int) -> None:
-        """Count a hard alarm; too many of them say that the detector is wrong."""
+        """Count a hard alarm; disable a detector with too many of them as faulty."""
         self._hard.append(now)
         if len(self._hard) == MOST_ALARMS and now - self._hard[0] < ALARMS_WITHIN_US:
             self._silenced = True
             self._loop.record.note(now, "detector_silenced", {"alarms": MOST_ALARMS})
 
     def _settle(self, awaited: Awaited, state: State, alarm: Alarm | None) -> None:
-        """Note the outcome of a recomputation, which may have raised an alarm again."""
+        """Record the outcome of a recomputation, given the alarm on its result."""
         alarms = self._loop.record.alarms
         if alarms[awaited.place].action in ("recompute", "resend"):
             passed = "accepted" if state.same_bits(awaited.rejected) else "repaired"
             outcome = passed if alarm is None else "rejected"
             alarms[awaited.place] = replace(alarms[awaited.place], outcome=outcome)
             if outcome == "repaired" and self._hard:
-                self._hard.pop()  # the detector was right
+                self._hard.pop()  # a repaired value confirms the alarm
 
     def _answer(self, action: Action, state: State, now: int) -> None:
         loop = self._loop
@@ -301,24 +302,24 @@ class Watch:
         if action.awaited:
             loop.awaited[action.awaited] = Awaited(state, len(loop.record.alarms) - 1)
         if action.kind == "resend":
-            assert self._sent is not None  # it was handed over before it was judged
+            assert self._sent is not None  # `seal` precedes the check
             if action.withholds:
                 loop.deliver(self._sent, now)
             else:
-                loop.at(now, "resend", self._sent)  # consumers see the value at hand first
+                loop.at(now, "resend", self._sent)  # consumers first receive the current value
             return
         if self._recovery.coupling == "observer":
             if action.kernel:
                 loop.requests[action.kernel] = action
         elif action.kind == "recompute" and (action.withholds and state.spec.writer in loop.busy):
-            return  # an alarm at another of its states has made it run again
+            return  # an alarm on another of its states has already requested this recomputation
         elif not action.kernel or (not action.awaited and action.kernel in loop.busy):
             loop.charge(action)
         else:
             loop.recompute(action, now)
 
     def _keep_waiting(self, state: State, now: int) -> None:
-        """Wait for the path that answers a collision alarm; if it is too late, restart the planner's node."""
+        """Monitor the deadline of the path that answers a collision alarm; restart the planner's node on a miss."""
         recovery, limit = self._recovery, self._recovery.answer_s
         if not limit or state.spec.name not in (COLLISION, PATH):
             return
@@ -332,7 +333,7 @@ class Watch:
             if number >= asked:
                 self._asked = None
         elif recovery.degraded != "none" and STATES[PATH].writer in self._loop.down:
-            self._asked = now, asked  # a restarted planner is given its time before nothing else is left
+            self._asked = now, asked  # the deadline of a planner that is restarting begins when it is back
         elif now - since > 1e6 * limit:
             self._asked = None
             if self.restarts_left or self._recovery.degraded != "none":

@@ -1,11 +1,11 @@
-"""Nodes that die: what becomes of them, and of the mission, is a policy of the mission (`dead_node`).
+"""Node crashes and restarts under the mission's policy (`dead_node`).
 
-- `end`: the mission ends there, and has failed.
-- `fresh`: what the node was computing is lost; after a time it is there again without memory, and is sent the whole map
-  and the last message of each state that it reads from other nodes.
-- `latched`: as `fresh`, and it is sent the last alarm again if the way-point in force does not answer that yet.
-- `readback`: as `latched`, and it reads its own last outputs back (`Kernel.resume`), as consumers saw them.
-- `recompute`: the step is computed again at once, from the memory before it; its result comes one latency later.
+- `end`: the mission ends at the crash and counts as failed.
+- `fresh`: the step in progress is lost; after a down time the node restarts with initialized memory and receives the
+  whole map and the last message of each state that it reads from other nodes.
+- `latched`: as `fresh`, and it also receives the last alarm if the way-point in force does not answer that yet.
+- `readback`: as `latched`, and it reads back its own last outputs as consumers received them (`Kernel.resume`).
+- `recompute`: the step is recomputed at once from the memory before it; its result is published one latency later.
 """
 
 from collections.abc import Sequence
@@ -21,21 +21,21 @@ from mavfi.pipeline.kernel import Kernel
 from mavfi.states import PERIODIC, STATES, State, in_node
 
 CHANGES = "perception.map_update"
-"""State of changes instead of whole values: a node that begins again is sent all of them."""
+"""State that carries increments instead of whole values: a restarted node receives all of them."""
 
 
 class Restarts:
-    """Lets nodes of a flight die under a policy; the flight has not begun."""
+    """Terminates and restarts the nodes of a flight under a policy; constructed before the flight starts."""
 
     def __init__(self, loop: Loop, policy: DeadNode = "fresh") -> None:
-        self._loop = proxy(loop)  # which owns this
+        self._loop = proxy(loop)  # the loop owns this object
         self._policy = policy
         self._latest: dict[str, State] = {}
         self._updates: list[State] = []
         self._acted_on = {spec.name: ActedOn(spec) for spec in STATES.values() if spec.acted_on}
         self._alarms: dict[str, State] = {}
         loop.taps.recorders.append(self._keep)
-        self._back = f"restart {policy}"  # a detector may restart nodes under another policy than that of their deaths
+        self._back = f"restart {policy}"  # a detector may restart nodes under a policy other than the mission's
         loop.actions[self._back] = self._restart
         loop.actions["again"] = self._again
 
@@ -48,28 +48,29 @@ class Restarts:
             self._alarms[name] = state
 
     def die(self, kernel: str, now: int, after_us: int, lost: Sequence[State] = ()) -> None:
-        """Let the node of a kernel die now.
+        """Terminate the node of a kernel at this instant.
 
         Args:
-            kernel: The kernel in whose step it dies.
-            now: us.
-            after_us: Time until it is there again (us).
-            lost: What the step would have published: the result of its recomputation.
+            kernel: The kernel in whose step the node crashes.
+            now: Current instant (us).
+            after_us: Down time until the restart (us).
+            lost: States that the step would have published, i.e. the result of its recomputation.
         """
         if self._policy == "end":
             self._loop.status = MissionStatus.NODE_DIED
         elif kernel in self._loop.down:
-            return  # it is away already, and comes back as its own death says
+            return  # already down; the restart is scheduled
         elif self._policy == "recompute":
             self._recompute(kernel, now, lost)
         else:
             self._lose(kernel, now, after_us)
 
     def detector_dies(self, detector: Detector, now: int, after_us: int) -> None:
-        """Let the detector die now: what is published passes, and the flight goes on.
+        """Terminate the detector at this instant; publications pass unchecked and the flight continues.
 
-        Under the policy `end` for good; under `recompute` its call is simply made again.  Else it is there again after
-        a time without memory, and is sent the last publication of each state, as a restarted node is.
+        Policy `end`: the detector does not return.  `recompute`: its call is repeated, without effect on the flight.
+        Otherwise it restarts with initialized memory after the down time and receives the last publication of each
+        state, as any restarted node.
         """
         if self._policy == "recompute":
             return
@@ -81,10 +82,10 @@ class Restarts:
 
     def _watch_again(self, detector: Detector, tap: Tap | None, now: int) -> None:
         detector.start()
-        for name in STATES:  # in the order of the data flow
+        for name in STATES:  # in data-flow order
             if name in self._latest:
                 detector.accept(self._latest[name], now)
-        self._loop.awaited.clear()  # recomputed meanwhile
+        self._loop.awaited.clear()  # recomputations finished during the down time
         self._loop.taps.detector = tap
 
     def _lose(self, kernel: str, now: int, after_us: int) -> None:
@@ -95,15 +96,15 @@ class Restarts:
             loop.requests.pop(name, None)
         for state in list(loop.awaited):
             if STATES[state].writer in names:
-                del loop.awaited[state]  # the recomputation died with the node: what it publishes next is judged anew
+                del loop.awaited[state]  # the recomputation died with the node: its next publication is checked
         loop.at(now + after_us, self._back, kernel)
 
-    # ---- the step again ---------------------------------------------------------------------------------------------
+    # ---- recomputation of the step ----------------------------------------------------------------------------------
     def _recompute(self, name: str, now: int, states: Sequence[State]) -> None:
         loop = self._loop
         cost = loop.latency[name]
         if cost == 0:
-            return  # the result comes as without the fault
+            return  # a result without latency is published as in the error-free case
         loop.record.recompute_us[loop.kernels[name].stage.value] += cost
         loop.down.add(name)
         loop.busy[name] = None
@@ -116,7 +117,7 @@ class Restarts:
         loop.finish(loop.kernels[name], states, now, loop.latency[name])
         loop.busy[name] = waiting
 
-    # ---- back again -------------------------------------------------------------------------------------------------
+    # ---- restart ----------------------------------------------------------------------------------------------------
     def _restart(self, now: int, kernel: str) -> None:
         loop, names = self._loop, in_node(kernel)
         fresh = loop.renew(kernel)
@@ -136,16 +137,16 @@ class Restarts:
         due, node = False, in_node(kernel.name)
         for name in kernel.reads:
             if STATES[name].writer in node or name in taken:
-                continue  # its own outputs, or what passed within the node: a path planned long ago is not flown anew
+                continue  # own outputs and node-internal states: replaying them would execute an outdated path
             for state in self._messages(name):
                 due = kernel.receive(state, now) or due
         if self._loop.marks:
-            kernel.mark()  # what it was sent is not taken back by a recomputation of the step under way
+            kernel.mark()  # a recomputation of the current step must not undo the retransmitted inputs
         if due and kernel.name not in PERIODIC:
             self._loop.start(kernel, now)
 
     def _messages(self, name: str) -> list[State]:
-        """What a restarted node is sent of a state."""
+        """Messages of a state that a restarted node receives."""
         if name == CHANGES:
             return self._updates
         latest, alarm = self._latest.get(name), self._alarms.get(name)
@@ -155,6 +156,6 @@ class Restarts:
         return messages
 
     def _unanswered(self, alarm: State) -> bool:
-        """Whether the way-point in force carries a lower number than an alarm."""
+        """Whether the way-point in force carries a lower sequence number than an alarm."""
         waypoint, counter = self._latest.get(WAYPOINT), alarm.spec.acted_on
         return waypoint is None or int(waypoint.header[counter][0]) < int(alarm.header[counter][0])

@@ -1,7 +1,7 @@
-"""The loop of one flight, on integer microseconds: plant, kernels and taps are handed in.
+"""Event loop of one flight in integer microseconds; plant, kernels and taps are injected dependencies.
 
-The plant advances to now; a kernel whose period or input is due steps; its results are published after the latency of
-the platform, through the taps; the control kernel's command goes to the plant; a status ends the flight.
+The plant advances to the current instant; kernels step when their period elapses or their input arrives; results are
+published through the taps after the platform's latency; the control command drives the plant; a status ends the flight.
 """
 
 import heapq
@@ -33,12 +33,12 @@ _TICK = "tick"
 _REQUESTED_AT_TICKS = tuple(
     name for name, spec in KERNELS.items() if spec.stage is Stage.PLANNING and spec.trigger == "input"
 )
-"""Kernels of which a requested recomputation waits for the next control period, not for an input."""
+"""Kernels whose requested recomputation starts at the next control period, not at the next input."""
 
 
 @dataclass(slots=True)
 class LoopMemory(Memory):
-    """State of a loop, without that of plant, kernels, sensors and taps; attributes as of `Loop`."""
+    """State of a loop, excluding plant, kernels, sensors and taps; attributes as of `Loop`."""
 
     now: int
     order: int
@@ -59,25 +59,25 @@ class Loop:
     Args:
         scenario: The mission.
         world: Its world.
-        plant: What moves, at the start.
-        make_kernels: Makes the kernels by name; they may be proxies of kernels elsewhere.
-        want_profile: Whether to note when which state was published.
-        marks: Whether kernels are marked before their steps, so that they can be recomputed.
+        plant: The vehicle, in its initial state.
+        make_kernels: Constructs the kernels by name; they may be proxies of remote ones.
+        want_profile: Whether to record the publication times of each state.
+        marks: Whether kernels are marked before their steps, which allows recomputation.
 
     Attributes:
-        taps: What every published state passes; hosts put theirs in before the flight.
-        actions: What hosts can put into the queue besides this class's methods, by name.
+        taps: Taps of every published state; hosts install theirs before the flight.
+        actions: Additional actions of hosts for the event queue, by name.
         before_tick, after_tick: Called with the instant (us) before and after each control period.
-        after_step: Called with a kernel, its results, and the instant, before they are published.
+        after_step: Called with a kernel, its results, and the instant (us), before publication.
         before_end: Called when the mission has a status.
-        busy: Kernels whose latency has not passed, and an input that waits for it.
-        awaited: Recomputations under way, by state.
-        requests: Recomputations that wait for the kernel's next step, by kernel (coupling `observer`).
-        down: Kernels whose node is dead.
-        renew: Makes the kernels of a dead node, given one of them, and may make others; none = it does not come back.
-        verify: Called with a kernel, the results of a step, and the instant: gives the results to publish, and the time
-            that this takes (us); None = results are published as they are.
-        repeating: Whether the step under way repeats another one, to verify it.
+        busy: Kernels whose latency has not elapsed, each with its pending input.
+        awaited: Recomputations in progress, by state.
+        requests: Recomputations requested for the kernel's next step, by kernel (coupling `observer`).
+        down: Kernels whose node is down.
+        renew: Constructs the kernels of a dead node, given one of them (others are ignored); {} = it never returns.
+        verify: Called with a kernel, the results of a step, and the instant (us); returns the results to publish and
+            the additional time (us).  None = results are published unverified.
+        repeating: Whether the current step repeats another one for verification.
     """
 
     def __init__(
@@ -116,35 +116,35 @@ class Loop:
 
     # ---- time -------------------------------------------------------------------------------------------------------
     def at(self, time_us: int, action: str, *arguments: Any) -> None:  # noqa: ANN401 (as the action wants)
-        """Schedule a method, or one of `actions`, by name; at equal times the order of requests counts."""
+        """Schedule a method, or one of `actions`, by name; events of equal time keep the order of their requests."""
         self.order += 1
         heapq.heappush(self.queue, (time_us, self.order, action, arguments))
 
     def fly(self) -> Flight:
-        """Run until the mission has a status; the same mission gives the same bytes."""
-        with np.errstate(all="ignore"):  # corrupted values may overflow; that is data, not an error
+        """Run until the mission has a status; deterministic, byte for byte."""
+        with np.errstate(all="ignore"):  # overflow of corrupted values is expected behaviour
             self.begin()
             self.run()
             return self.flight()
 
     def begin(self) -> None:
-        """Schedule the first actions; with an estimator, images need its first estimate."""
+        """Schedule the first actions; with an estimator, the first image requires an estimate."""
         for action in (_TICK, "capture") if self.sensors.estimating else ("capture", _TICK):
             self.at(0, action)
 
     def run(self, until: int = sys.maxsize) -> None:
-        """Continue until the mission has a status, or a control tick is next and so many have been."""
+        """Run until the mission has a status, or until `until` control periods have elapsed and the next is due."""
         while self.status is None:
             if self.queue[0][2] == _TICK and len(self.record.rows) >= until:
                 return
             self.now, _, action, arguments = heapq.heappop(self.queue)
-            # the vehicle is where the first physics step at or after this instant leaves it
+            # the plant stops at the first physics step at or after this instant
             self.plant.advance(-(-self.now // _PHYSICS_US) * _PHYSICS_US)
             (self.actions.get(action) or getattr(self, action))(self.now, *arguments)
 
     def flight(self) -> Flight:
-        """The flight, once the mission has a status."""
-        assert self.status is not None  # `run` has come to the end
+        """The flight; requires that the mission has a status."""
+        assert self.status is not None  # precondition
         for listener in self.before_end:
             listener()
         for text in self.plant.warnings():
@@ -154,7 +154,7 @@ class Loop:
 
     # ---- sensors and the control period -----------------------------------------------------------------------------
     def capture(self, now: int) -> None:
-        """Take a depth image, or reuse the last one where a recomputation of perception is requested."""
+        """Take a depth image, or reuse the last one if a recomputation of perception is requested."""
         self.captured_us, self.mapped = now, False
         request = self.requests.pop(SCANNING[0], None)
         if request is not None:
@@ -166,7 +166,7 @@ class Loop:
         self.deliver(self.sensors.depth(), now)
 
     def tick(self, now: int) -> None:
-        """One control period: judge, measure where the vehicle is, hand over, track."""
+        """One control period: evaluate the status, sample the motion sensors, start the periodic kernels."""
         for listener in self.before_tick:
             listener(now)
         self.status = self.status or self.judge.status(self.plant, self.failed_plans, now)
@@ -189,20 +189,20 @@ class Loop:
                 self.start(self.kernels[name], now)
 
     def sense(self, now: int) -> None:
-        """Publish what says where the vehicle is."""
+        """Publish the motion sensors: odometry, or the estimator's inputs."""
         for state in self.sensors.motion(now):
             self.deliver(state, now)
 
     # ---- kernels ----------------------------------------------------------------------------------------------------
     def start(self, kernel: Kernel, now: int, latency_us: int | None = None) -> None:
-        """Run a kernel that is not busy, again if that is requested; results are published when its latency has passed.
+        """Step an idle kernel, or repeat its step on request; results are published after its latency.
 
-        `latency_us` replaces the latency of the kernel.
+        `latency_us` overrides the kernel's latency.
         """
-        request = None if kernel.name in SCANNING else self.requests.pop(kernel.name, None)  # those: see `capture`
+        request = None if kernel.name in SCANNING else self.requests.pop(kernel.name, None)  # perception: `capture`
         if request is not None:
             if request.kind != "recompute":
-                kernel.mark()  # it takes the place of the period's step
+                kernel.mark()  # the request replaces the step of this period
             self.recompute(request, now)
             return
         if self.marks and kernel.name not in SCANNING:
@@ -214,7 +214,7 @@ class Loop:
         self.finish(kernel, states, now, cost)
 
     def finish(self, kernel: Kernel, states: list[State], now: int, latency_us: int) -> None:
-        """Publish a kernel's results when its latency has passed; those of a dead node are lost."""
+        """Publish a kernel's results after a latency; results of a dead node are lost."""
         for listener in self.after_step:
             listener(kernel, states, now)
         if kernel.name in self.down:
@@ -227,7 +227,7 @@ class Loop:
         self.at(now + latency_us, "done", kernel.name, states)
 
     def done(self, now: int, name: str, states: list[State]) -> None:
-        """The latency of a kernel has passed."""
+        """Publish the results of a kernel whose latency has elapsed, and start its pending input."""
         if name in self.down:
             return
         waiting = self.busy.pop(name, None)
@@ -235,30 +235,30 @@ class Loop:
         if waiting is None or name in self.down:
             return
         kernel = self.kernels[name]
-        if name in self.busy:  # it is run again: what waits keeps waiting
+        if name in self.busy:  # it is being recomputed: the pending input remains pending
             self.busy[name] = self.busy[name] or waiting
         elif kernel.receive(waiting, now):
             self.start(kernel, now)
 
     def _deliver_all(self, name: str, states: list[State], now: int) -> None:
-        """Send a kernel's results; the answer to an alarm may end its node on the way."""
+        """Publish a kernel's results; the response to an alarm may terminate its node midway."""
         for state in states:
             if name not in self.down:
                 self.deliver(state, now)
 
     # ---- publications -----------------------------------------------------------------------------------------------
     def deliver(self, state: State, now: int) -> None:
-        """Send a value through the taps to its consumers."""
+        """Pass a value through the taps to its consumers."""
         seen = self.taps(state, now)
         if seen is not None:
             self.publish(seen, now)
 
     def resend(self, now: int, state: State) -> None:
-        """Send a value that its producer has kept once more."""
+        """Retransmit the producer's copy of a value."""
         self.deliver(state, now)
 
     def publish(self, state: State, now: int) -> None:
-        """Show a value to its consumers; steps that it makes due begin."""
+        """Hand a value to its consumers, and start the steps that it makes due."""
         name = state.spec.name
         self.record.published(state, now)
         if name == "planning.path":
@@ -285,7 +285,7 @@ class Loop:
 
     # ---- recovery ---------------------------------------------------------------------------------------------------
     def recompute(self, action: Action, now: int) -> None:
-        """Restore memory and step again, or ask for another way-point; the latency is charged again."""
+        """Restore memory and repeat the step, or request another way-point; charges the latency again."""
         kernel: Any = self.kernels[action.kernel]
         cost = self.charge(action)
         if action.kind != "recompute":
@@ -300,7 +300,7 @@ class Loop:
         self.start(kernel, now, None if action.kernel in SCANNING else cost)
 
     def charge(self, action: Action) -> int:
-        """Charge a recomputation; returns its modelled time (us)."""
+        """Charge a recomputation to its stage; returns its modelled time (us)."""
         platform = self.scenario.platform
         if action.alone:
             cost = self.latency[action.kernel]
@@ -313,18 +313,18 @@ class Loop:
 
     # ---- memory -----------------------------------------------------------------------------------------------------
     def memory(self) -> LoopMemory:
-        """Its state, not copied: a checkpoint takes a copy."""
+        """The loop's state by reference; a checkpoint copies it."""
         return LoopMemory(*(getattr(self, name) for name in LoopMemory.__slots__))
 
     def restore(self, memory: LoopMemory) -> None:
-        """Continue from a state that `memory` gave; it can be restored again."""
+        """Continue from the state `memory`, which remains valid for further restores."""
         own = memory.copy()
         for name in own.__slots__:
             setattr(self, name, getattr(own, name))
 
     # ---- record -----------------------------------------------------------------------------------------------------
     def log(self, status: MissionStatus, rejected_commands: int) -> FlightLog:
-        """The record of a flight that is over."""
+        """The log of a completed flight."""
         record, injector = self.record, self.taps.injector
         meta = {
             "scenario": self.scenario.to_json(), "start": self.world.start.tolist(), "goal": self.world.goal.tolist(),

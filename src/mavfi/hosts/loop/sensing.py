@@ -1,4 +1,4 @@
-"""What the vehicle's sensors publish: the truth, or the inputs of an estimator."""
+"""Publications of the vehicle's sensors: the true odometry, or the inputs of an estimator."""
 
 import numpy as np
 
@@ -11,10 +11,10 @@ _ESTIMATE = ODOMETRY["estimator"]
 
 
 class Sensors:
-    """The sensors of one flight; `estimating`: whether there is an estimator.
+    """The sensors of one flight; `estimating`: whether an estimator is used.
 
-    With an estimator the true pose is published through sensors only: an image carries the last estimate that consumers
-    have seen, while the camera looks from where the vehicle is.
+    With an estimator, the true pose is published only through sensors: an image carries the last estimate published to
+    consumers, whereas the camera renders from the true pose.
     """
 
     def __init__(self, plant: Plant, localization: LocalizationConfig) -> None:
@@ -26,11 +26,11 @@ class Sensors:
         self._estimate[3] = 1.0
 
     def samples_between(self, now: int, later: int) -> range:
-        """Instants after `now` and before `later`, the next control period, at which the IMU is sampled."""
+        """Sampling instants of the IMU (us) between `now` and the next control period `later`, both exclusive."""
         return range(now + STEP_US, later, STEP_US) if self.estimating else range(0)
 
     def depth(self) -> State:
-        """A depth image with its believed pose."""
+        """A depth image with the believed pose."""
         ranges, pose = self._plant.depth()
         state = new_state("sensor.depth", len(ranges))
         floats(state.header, 7)[:] = self._estimate if self.estimating else pose
@@ -38,7 +38,7 @@ class Sensors:
         return state
 
     def motion(self, now: int) -> list[State]:
-        """Where the vehicle is: the true odometry; or an IMU sample, after a position fix if that is due."""
+        """Motion sensors: the true odometry; or an IMU sample, preceded by a position fix when one is due."""
         if not self.estimating:
             return [_state(ODOMETRY["truth"], self._plant.odometry)]
         measured = []
@@ -48,7 +48,7 @@ class Sensors:
         return [*measured, _state("sensor.imu", self._plant.imu())]
 
     def see(self, state: State) -> None:
-        """Note the last estimate that consumers have seen."""
+        """Store the last estimate published to consumers."""
         if state.spec.name == _ESTIMATE:
             values = floats(state.header, 10)
             self._estimate[:3], self._estimate[3:] = values[:3], values[6:]

@@ -1,4 +1,4 @@
-"""The functions that every published state passes, in a fixed order: injector, detector, recorders."""
+"""Taps of every published state, in a fixed order: injector, detector, recorders."""
 
 from collections.abc import Callable, Set
 from dataclasses import dataclass, field
@@ -8,35 +8,35 @@ from mavfi.flight_log import Injection
 from mavfi.states import State
 
 Tap = Callable[[State, int], State | None]
-"""Takes a publication and the instant (us); gives what is published instead, or None = held back."""
+"""Maps a publication and the instant (us) to the value to publish; None = withheld."""
 Recorder = Callable[[State, int], None]
-"""Sees what consumers will see, and the instant (us)."""
+"""Receives each value as consumers will, and the instant (us)."""
 
 
 class Injector(Protocol):
-    """The first tap."""
+    """The injector tap, applied first."""
 
     @property
     def spent(self) -> bool:
-        """Whether it leaves everything from now on untouched."""
+        """Whether all injections are complete, so that further values pass unchanged."""
 
     def __call__(self, state: State, time_us: int) -> State | None:
-        """The published value; None = it is lost."""
+        """The value to publish; None = lost."""
 
     def finish(self) -> list[Injection]:
-        """All of its injections."""
+        """All injections of the flight."""
 
 
 @dataclass(slots=True)
 class Taps:
-    """The taps of one flight, in their order.
+    """The taps of one flight, in order of application.
 
     Attributes:
-        injector: None = nothing is injected.
-        detector: None = nothing is watched.
-        recorders: In their order.
-        watched: Names of the states that the detector is shown; None = all.
-        seal: Sees each value as its producer hands it over; None = nothing does.
+        injector: None = no injection.
+        detector: None = no detector.
+        recorders: Called in list order.
+        watched: Names of the states that the detector receives; None = all.
+        seal: Receives each value before injection, as sent by the producer; None = unused.
     """
 
     injector: Injector | None = None
@@ -46,7 +46,7 @@ class Taps:
     seal: Recorder | None = None
 
     def __call__(self, state: State, time_us: int) -> State | None:
-        """What consumers see of a publication; None = nothing."""
+        """The value that consumers receive; None = none."""
         seen: State | None = state
         if self.seal is not None:
             self.seal(state, time_us)

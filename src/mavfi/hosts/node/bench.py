@@ -1,4 +1,4 @@
-"""A master and a node that we start, drive and listen to: the bench on which a foreign node is tested."""
+"""Test bench for a foreign node: starts a ROS master and the node, sends its inputs, and receives its outputs."""
 
 import os
 import queue
@@ -25,11 +25,11 @@ _POLL_S = 0.01
 _SLICE_S = 0.05
 _LAST_WORDS_S = 2.0
 _START_PATIENCE_S = 60.0
-"""How long programs may take to start (s)."""
+"""Time limit for the start of a program (s)."""
 
 
 class Bench:
-    """A master in the (private) network of this process, and programs of ROS in it; logs go to `folder`."""
+    """A ROS master in the (private) network of this process, and ROS programs; their logs go to `folder`."""
 
     def __init__(self, folder: Path) -> None:
         finder.require()
@@ -64,7 +64,7 @@ class Bench:
                 time.sleep(_POLL_S)
 
     def start(self, command: list[str], extra: Mapping[str, str] | None = None) -> "subprocess.Popen[bytes]":
-        """Start a program, which ends with the bench; `extra` are additional environment variables."""
+        """Start a program that ends with the bench; `extra`: additional environment variables."""
         variables = {
             **os.environ, **finder.environment(), URI_VARIABLE: MASTER_URI, "ROS_IP": "127.0.0.1",
             "ROS_HOME": str(self._folder), "ROS_LOG_DIR": str(self._folder), "OMP_NUM_THREADS": "1",
@@ -85,12 +85,12 @@ class Bench:
         return process
 
     def station(self, name: str = DRIVER) -> Station:
-        """A participant of the graph, as which inputs are published."""
+        """A participant of the graph that publishes the inputs."""
         self._stations.append(Station(self.master, name))
         return self._stations[-1]
 
     def wait_for_node(self, name: str, process: "subprocess.Popen[bytes]") -> None:
-        """Wait until a node is registered and answers; `MavfiError` if its process ends first, or it does not come."""
+        """Wait until a node is registered and responds; `MavfiError` if its process ends first, or on timeout."""
         end = time.monotonic() + _START_PATIENCE_S
         while time.monotonic() < end:
             if process.poll() is not None:
@@ -104,7 +104,7 @@ class Bench:
 
 
 class Drive:
-    """Sends a node its inputs one at a time, and waits for the output of each; `definition` is that of its outputs."""
+    """Sends inputs to a node one at a time, and waits for each output; `definition`: message definition of outputs."""
 
     def __init__(self, bench: Bench, node: NodeConfig) -> None:
         self._node, self._patience = node, node.patience_s
@@ -118,7 +118,7 @@ class Drive:
         threading.Thread(target=self._listen, daemon=True).start()
 
     def _connect(self, master: Master, node: str, output: str) -> Source:
-        """Wait until the node reads its input and sends its output."""
+        """Wait until the node subscribes to its input and publishes its output."""
         end = time.monotonic() + self._patience
         source = None
         while source is None or self._outlet.reader(node) is None:
@@ -138,9 +138,9 @@ class Drive:
         self._is_over.set()
 
     def ask(self, number: int, is_held: Callable[[], bool] = bool) -> bytes | None:
-        """Send the input of a number; returns the output without its ignored members, None = none came in time.
+        """Send one input; returns the output without its ignored members, None = timeout.
 
-        While we hold the node, as `is_held` says, time does not count.
+        Time during which the tracer holds the node, as reported by `is_held`, does not count.
         """
         while not self._answers.empty():
             self._answers.get_nowait()
@@ -154,7 +154,7 @@ class Drive:
         return None
 
     def _stamped(self, fields: dict[str, Any]) -> dict[str, Any]:
-        """The message with the present time, if it has a header."""
+        """The message, stamped with the current time if it has a header."""
         self._sent += 1
         if "std_msgs/Header header" not in self._composer.header["message_definition"].partition("=====")[0]:
             return fields

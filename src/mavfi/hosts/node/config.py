@@ -1,4 +1,4 @@
-"""A foreign ROS node under test: how it is started, what it is sent, and which of its messages are compared."""
+"""Configuration of a foreign ROS node under test: command, inputs, and the outputs that are compared."""
 
 import hashlib
 import json
@@ -10,7 +10,7 @@ from mavfi.config import Config
 
 
 class NodeInputs(Config):
-    """What a foreign node is sent, over and over."""
+    """Inputs sent to a foreign node in every cycle."""
 
     topic: str
     type: str = Field(description="a standard type, e.g. sensor_msgs/JointState")
@@ -18,14 +18,14 @@ class NodeInputs(Config):
 
 
 class NodeOutputs(Config):
-    """What the node answers: one message to each input."""
+    """Outputs of the node: one message per input."""
 
     topic: str
     ignore: tuple[str, ...] = Field(("seq", "stamp"), description="members that do not count, wherever they stand")
 
 
 class NodeConfig(Config):
-    """A foreign ROS node under test (host node); what stands for a `Scenario` at that host."""
+    """A foreign ROS node under test (host `node`); takes the place of a `Scenario` at that host."""
 
     name: str = Field(description="its name in the graph")
     command: tuple[str, ...] = Field(min_length=1, description="starts it")
@@ -37,9 +37,9 @@ class NodeConfig(Config):
     patience_s: float = Field(2.0, gt=0, le=60, description="without output for so long, the node hangs")
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
+        """The configuration as plain data."""
         return self.model_dump(mode="json")
 
     def key(self) -> str:
-        """Hash that identifies it."""
+        """Identifying hash."""
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()

@@ -1,7 +1,7 @@
-"""Restores the graph when mavfi lets go of it, also when mavfi is killed.
+"""Restores the ROS graph when mavfi detaches from it, even if mavfi is killed.
 
-It is a process of its own, out of reach of the keyboard: it waits for the end of its input, and then undoes what the
-last line of it lists.  A `Guardian` is the other end of that pipe.
+A separate process, immune to keyboard interrupts, waits for the end of its standard input, and then undoes the changes
+listed in the last line.  `Guardian` is the writing end of this pipe.
 """
 
 import json
@@ -22,7 +22,7 @@ _POLL_S = 0.005
 
 @dataclass(frozen=True, slots=True)
 class Turned:
-    """A reader of a topic that was turned to us: its name and address, and those of its publishers before."""
+    """A subscriber redirected to mavfi: its name and address, and the addresses of its original publishers."""
 
     topic: str
     node: str
@@ -32,7 +32,7 @@ class Turned:
 
 @dataclass(frozen=True, slots=True)
 class Registered:
-    """A publisher or reader (`role`) that we registered, as which node and at which address."""
+    """A publisher or subscriber (`role`) registered by mavfi, with the node name and address used."""
 
     topic: str
     node: str
@@ -41,7 +41,7 @@ class Registered:
 
 
 class Guardian:
-    """Starts the process, and sends it what is to be undone; `master` is the address of the master."""
+    """Starts the process, and sends it the changes to undo; `master`: address of the master."""
 
     def __init__(self, master: str) -> None:
         self._master = master
@@ -52,7 +52,7 @@ class Guardian:
         )
 
     def remember(self, what: Turned | Registered) -> None:
-        """Add something to be undone, before it is done."""
+        """Add a change to be undone; to be called before the change is made."""
         if isinstance(what, Turned):
             self._turned[what.topic, what.uri] = what
         else:
@@ -67,7 +67,7 @@ class Guardian:
         self._process.stdin.flush()
 
     def undo(self) -> None:
-        """Undo everything, and wait for the end; `MavfiError` if it takes too long."""
+        """Undo all changes, and wait for completion; `MavfiError` on timeout."""
         assert self._process.stdin is not None
         self._process.stdin.close()
         try:
@@ -77,7 +77,7 @@ class Guardian:
 
 
 def publishers_of(master: str, topic: str) -> list[str]:
-    """Addresses of the publishers of a topic, by the master; those that the master has lost are left out."""
+    """Addresses of a topic's publishers according to the master, without unreachable ones."""
     found = []
     for name, nodes in call(master, "getSystemState", CALLER)[0]:
         for node in nodes if name == topic else ():
@@ -87,7 +87,7 @@ def publishers_of(master: str, topic: str) -> list[str]:
 
 
 def undo(task: dict) -> None:
-    """Undo what a line lists; nodes that are gone need nothing."""
+    """Undo the changes that a line lists; nodes that have terminated are skipped."""
     for registered in task["registered"]:
         with suppress(MavfiError):
             method = f"unregister{registered['role']}"
@@ -102,7 +102,7 @@ def undo(task: dict) -> None:
 
 
 def _wait_until_back(turned: dict, publishers: int) -> None:
-    """Wait until a reader has its connections again; it makes them after it has answered."""
+    """Wait until a subscriber has its connections back; it establishes them after its response."""
     end = time.monotonic() + _BACK_S
     while time.monotonic() < end:
         rows = call(turned["uri"], "getBusInfo", CALLER)
@@ -112,7 +112,7 @@ def _wait_until_back(turned: dict, publishers: int) -> None:
 
 
 def main() -> None:
-    """Wait for the end of the input, and undo what its last line lists."""
+    """Wait for the end of the input, and undo the changes listed in its last line."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE):
         signal.signal(number, signal.SIG_IGN)
     last = ""

@@ -1,7 +1,8 @@
-"""The host `node`: a foreign ROS node under test.  A flight is a trial: start the node, drive it, compare its outputs.
+"""The host `node`: a foreign ROS node under test.  A run is a trial: start the node, send inputs, compare its outputs.
 
-A mission is error-free trials whose outputs must agree, then trials with a fault.  The instant of an injection is the
-machine's, not the seed's, so a trial cannot be repeated bit for bit; `masked` means that all outputs were golden.
+A mission consists of error-free trials whose outputs must agree, followed by trials with a fault.  The instant of an
+injection depends on the machine, not on the seed, so a trial is not bit-reproducible; `masked` means that all outputs
+equal the golden ones.
 """
 
 import hashlib
@@ -27,7 +28,7 @@ _DIED = tuple(effect.label for effect in DUE)
 
 
 class NodeHost:
-    """Trials on a foreign node, the node under test."""
+    """Trials on a foreign node under test."""
 
     name = "node"
     levels = frozenset({"register"})
@@ -40,16 +41,16 @@ class NodeHost:
         self._node = node
 
     def resolve(self, spec: MissionSpec) -> NodeConfig:
-        """The node, which has no world, instead of a scenario."""
+        """The node's configuration, in place of a scenario."""
         return self._node
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "NodeMission":
-        """The trials of a mission; there is one arm, and nothing to fast-forward."""
+        """The trials of a mission; there is a single arm, and no fast-forward."""
         require_allowed("key 'node.command'", self._node.command[0])
         return NodeMission(self._node)
 
     def check(self) -> None:
-        """See `Host.check`; includes golden trials, see `golden_trial`."""
+        """See `Host.check`; includes the golden trials, see `golden_trial`."""
         require_allowed("key 'node.command'", self._node.command[0])
         finder.require()
         private_network()
@@ -58,7 +59,7 @@ class NodeHost:
 
 @dataclass(frozen=True, slots=True)
 class TrialResult:
-    """The record of a trial, as a `Recorded`; a node has no profile."""
+    """The record of a trial, as a `Recorded`; a node has no publication profile."""
 
     kept: FlightRecord
     profile: None = None
@@ -82,27 +83,27 @@ class NodeMission:
         return TrialResult(record_of_trial(trial))
 
     def know(self, arm: str, flight: Recorded) -> None:
-        """See `MissionFlights.know`; nothing is flown elsewhere."""
+        """See `MissionFlights.know`; no operation, as no trial is run elsewhere."""
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, TrialResult | Exception]]:
-        """Trials with a fault, in turn; a `BadInputError`, which would end every trial, is raised."""
+        """Injected trials, run sequentially; a `BadInputError` is raised, as it would end every trial."""
         for place, (_, fault) in enumerate(runs):
             try:
                 trial = run_trial(self._node, self._outputs, cast(RegisterFault, fault))
             except BadInputError:
                 raise
-            except Exception as error:  # noqa: BLE001 - one trial that cannot be judged
+            except Exception as error:  # noqa: BLE001 - ends this trial only
                 yield place, error
             else:
                 yield place, TrialResult(record_of_trial(trial))
 
 
 def golden_trial(node: NodeConfig) -> Trial:
-    """The last of a number of error-free trials.
+    """Run the error-free trials; returns the last one.
 
     Raises:
         BadInputError: Their outputs differ.
-        MavfiError: The node does not come up, or gives no output.
+        MavfiError: The node does not start, or publishes no output.
     """
     trials = [run_trial(node) for _ in range(node.golden_runs)]
     if len({tuple(trial.outputs) for trial in trials}) > 1:
@@ -114,7 +115,7 @@ def golden_trial(node: NodeConfig) -> Trial:
 
 
 def record_of_trial(trial: Trial) -> FlightRecord:
-    """The record of a trial; its digest is that of the outputs, so that equal outputs count as masked."""
+    """The record of a trial; its digest is that of its outputs, so that golden outputs count as masked."""
     extra = {
         "outputs": trial.outputs, "asked": trial.asked, "differing": len(trial.differing),
         "differences": trial.differences, "reason": trial.reason,

@@ -16,17 +16,17 @@ URI_VARIABLE = "ROS_MASTER_URI"
 _DEFAULT_URI = "http://127.0.0.1:11311"
 CALLER = "/mavfi"
 MASTER_CALLER = "/master"
-"""Name of the master when it informs nodes about publishers."""
+"""Caller name of the master when it notifies nodes of publishers."""
 PATIENCE_S = 3.0
 _DONE = 1
 
 
 class SilentError(MavfiError):
-    """A participant of the graph does not answer."""
+    """A participant of the graph does not respond."""
 
 
 class _Transport(xmlrpc.client.Transport):
-    """HTTP with a time-out."""
+    """HTTP with a timeout."""
 
     def make_connection(self, host: Any) -> http.client.HTTPConnection:
         connection = super().make_connection(host)
@@ -40,7 +40,7 @@ def absolute(name: str) -> str:
 
 
 def check_known(what: str, name: str, names: Collection[str]) -> str:
-    """The absolute name; `BadInputError` with the known ones if it is not among them."""
+    """Return the absolute name; `BadInputError`, listing the known names, if it is unknown."""
     wanted = absolute(name)
     if wanted not in names:
         raise BadInputError(f"{what} {wanted}: not in the graph; allowed: {allowed(names, wanted)}")
@@ -48,11 +48,11 @@ def check_known(what: str, name: str, names: Collection[str]) -> str:
 
 
 def call(uri: str, method: str, *arguments: Any) -> Any:
-    """Call the interface of a master or node, as the node that the first argument names.
+    """Call a method of a master or node; the first argument is the caller's node name.
 
     Raises:
-        SilentError: No answer within PATIENCE_S.
-        MavfiError: The answer is a refusal.
+        SilentError: No response within PATIENCE_S.
+        MavfiError: The call was refused.
     """
     try:
         with xmlrpc.client.ServerProxy(uri, transport=_Transport()) as proxy:
@@ -68,7 +68,7 @@ def call(uri: str, method: str, *arguments: Any) -> Any:
 
 @dataclass(frozen=True)
 class Graph:
-    """Publishers, subscribers and types by topic, services by service; the type "*" = only readers of any type."""
+    """Publishers, subscribers and types by topic, providers by service; type "*" = unknown, subscribers only."""
 
     publishers: dict[str, list[str]]
     subscribers: dict[str, list[str]]
@@ -88,10 +88,10 @@ class Graph:
 
 
 class Master:
-    """A running ROS master; without an address that of the variable ROS_MASTER_URI, then port 11311 of this machine.
+    """A running ROS master; default address: variable ROS_MASTER_URI, else port 11311 of this machine.
 
     Raises:
-        BadInputError: None is there.
+        BadInputError: No master responds at the address.
     """
 
     def __init__(self, uri: str | None = None) -> None:
@@ -108,7 +108,7 @@ class Master:
         return call(self.uri, method, caller, *arguments)
 
     def graph(self) -> Graph:
-        """The graph as it is now."""
+        """The current graph."""
         publishers, subscribers, services = (dict(table) for table in self.call("getSystemState"))
         return Graph(publishers, subscribers, services, dict(self.call("getTopicTypes")))
 
@@ -124,7 +124,7 @@ class Master:
         return found
 
     def node_pid(self, name: str) -> int:
-        """Process of a node of this machine; `BadInputError` if it is not registered, has died, or runs elsewhere."""
+        """Process id of a node on this machine; `BadInputError` if it is unregistered, dead, or runs elsewhere."""
         node = absolute(name)
         uri = self.node_uri(node)
         try:
@@ -140,7 +140,7 @@ class Master:
 
 
 def is_here(uri: str) -> bool:
-    """Whether a node's address is one of this machine."""
+    """Whether a node's address belongs to this machine."""
     host = urlparse(uri).hostname or ""
     if host in ("localhost", socket.gethostname(), os.environ.get("ROS_IP"), os.environ.get("ROS_HOSTNAME")):
         return True

@@ -1,4 +1,4 @@
-"""Makes messages of standard types from plain data, as in a YAML file, with the type definitions of `rosbags`."""
+"""Serializes messages of standard types from plain data, e.g. of a YAML file, with type definitions of `rosbags`."""
 
 from functools import cache
 from typing import Any
@@ -22,10 +22,10 @@ def _store() -> Any:
 
 
 class Composer:
-    """Makes messages of one type, e.g. "sensor_msgs/JointState".
+    """Serializes messages of one type, e.g. "sensor_msgs/JointState".
 
     Raises:
-        BadInputError: The type is not a standard one.
+        BadInputError: It is not a standard type.
     """
 
     def __init__(self, kind: str) -> None:
@@ -39,10 +39,10 @@ class Composer:
         self._kind = kind
 
     def pack(self, fields: dict[str, Any]) -> bytes:
-        """A serialized message of plain data by name; missing fields are zero or empty.
+        """Serialize a message, given as plain data by field name; missing fields are zero or empty.
 
         Raises:
-            BadInputError: A name that the type does not have, or a value that does not fit.
+            BadInputError: The type lacks a given field, or a value does not fit its field.
         """
         return bytes(_store().serialize_ros1(self._make(self._name, fields, self._kind), self._name))
 

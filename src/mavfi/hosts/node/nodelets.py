@@ -1,7 +1,7 @@
-"""Runs the nodelet `depth_image_proc/point_cloud_xyz` of Debian: depth image in, point cloud out, in C++.
+"""Runs Debian's nodelet `depth_image_proc/point_cloud_xyz`: depth image to point cloud, in C++.
 
-Debian's library package `libdepth-image-proc0d` has the code, but not the files by which `pluginlib` finds it: those
-are in the development package, which would pull in 200 others.  They are a few lines, written here.
+Debian's library package `libdepth-image-proc0d` contains the code, but not the files by which `pluginlib` finds it:
+those are in the development package, which depends on 200 others.  They are a few lines, generated here.
 """
 
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ _PACKAGE = """<package format="2"><name>depth_image_proc</name><version>1.17.0</
 
 
 def require() -> None:
-    """Check that it is installed; the `BadInputError` says what to do."""
+    """Check that it is installed; the `BadInputError` names the remedy."""
     for name in (NODELET, _LIBRARY):
         if not find_file(name).exists():
             raise BadInputError(
@@ -37,9 +37,9 @@ def require() -> None:
 
 
 def point_cloud_xyz(folder: Path, remappings: Mapping[str, str]) -> tuple[list[str], dict[str, str]]:
-    """Command and environment variables that run the nodelet; its `pluginlib` files are written into a folder.
+    """Command and environment variables to run the nodelet; its `pluginlib` files are written to a folder.
 
-    `remappings` are those of its topics `image_rect`, `camera_info` and `points`, and of `__name`.
+    `remappings`: of its topics `image_rect`, `camera_info` and `points`, and of `__name`.
     """
     require()
     share = folder / "share" / "depth_image_proc"

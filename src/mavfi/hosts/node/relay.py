@@ -1,8 +1,8 @@
-"""Puts mavfi between the publishers of a topic and its readers, while they run.
+"""Relay between the publishers of a running topic and its subscribers.
 
-Two ways.  Turned: every reader is informed, as by the master, that we are the only publisher; afterwards its publishers
-are restored.  Remapped: we publish under another name, which the target was started with.  Messages pass as bytes;
-only those that are to be changed are decoded.
+Two modes.  Redirected: every subscriber is notified, as by the master, that mavfi is the only publisher; its original
+publishers are restored at the end.  Remapped: mavfi publishes under another name, with which the target was started.
+Messages pass as bytes; only messages to be modified are decoded.
 """
 
 import os
@@ -21,17 +21,17 @@ from mavfi.hosts.node.tcpros import Source
 TURN_PATIENCE_S = 2.0
 _WATCH_S = 0.1
 _LOOK_EVERY = 10
-"""Rounds of the watch between two looks at the graph."""
+"""Watch rounds between two queries of the graph."""
 _POLL_S = 0.001
 Change = Callable[[bytes, "Relay"], bytes]
-"""Takes a message, and returns its replacement."""
+"""Sends the replacement of a message through the relay, and returns it."""
 
 
 def sources_of(master: Master, graph: Graph, topic: str, skipped: Sequence[str] = ()) -> list[Source]:
-    """A connection to every living publisher of a topic.
+    """Connect to every live publisher of a topic.
 
     Raises:
-        BadInputError: The topic is not known, or nobody publishes it.
+        BadInputError: The topic is unknown or has no publisher.
     """
     topic = check_known("topic", topic, graph.topics)
     found, failures = [], []
@@ -53,20 +53,20 @@ class Relay:
     """Relays the messages of a topic from `__enter__` to `__exit__`.
 
     Args:
-        master: The graph.
+        master: The master of the graph.
         topic: The topic.
-        change: Replaces each message.
-        accepts: Checks the definition of the messages, and raises if it does not fit.
-        reader: Only this reader is turned; None = all.
-        to: Publish under this name instead of turning readers.
+        change: Called with each message; sends its replacement.
+        accepts: Validates the message definition, and raises if it is unsuitable.
+        reader: Only this subscriber is redirected; None = all.
+        to: Publish under this name instead of redirecting subscribers.
 
     Attributes:
-        passed: Number of messages given to readers.
-        failures: Why readers could not be turned.
-        error: Failure while messages passed.
+        passed: Number of messages passed to subscribers.
+        failures: Why subscribers could not be redirected.
+        error: Exception while relaying.
 
     Raises:
-        BadInputError: Topic or reader is not known; nobody publishes or reads; the new name is taken.
+        BadInputError: Topic or subscriber is unknown; there is no publisher or subscriber; the new name is in use.
     """
 
     def __init__(
@@ -129,13 +129,13 @@ class Relay:
         if self._is_turned:
             self._turn_all(self.master.graph())
         self._begun = True
-        if latched:  # the one message that there is must not come before there is somebody to send it to
+        if latched:  # the only message must not be relayed before there are subscribers
             self._pump(self._sources)
         threading.Thread(target=self._watch, daemon=True).start()
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
-        with self._lock:  # no reader is turned any more from here on
+        with self._lock:  # no subscriber is redirected after this point
             self._guardian.undo()
         self._close_sources()
         self._station.close()
@@ -152,21 +152,21 @@ class Relay:
     def _pass_on(self, source: Source) -> None:
         try:
             for message in source.messages():
-                if not self._begun:  # not all readers are turned yet
+                if not self._begun:  # not all subscribers are redirected yet
                     self.send(message)
                 elif any(reader.active for reader in self._outlet.readers):
                     self.passed += 1
                     self._change(message, self)
-        except Exception as error:  # noqa: BLE001 - whatever it is, the caller is told
+        except Exception as error:  # noqa: BLE001 - any cause: reported to the caller
             self.error = error
 
     def send(self, message: bytes) -> int:
-        """Send a message to the readers; returns their number."""
+        """Send a message to the subscribers; returns their number."""
         return self._outlet.send(message)
 
-    # ---- readers ----------------------------------------------------------------------------------------------------
+    # ---- subscribers ------------------------------------------------------------------------------------------------
     def _turn_all(self, graph: Graph) -> None:
-        """Turn the readers that are not turned yet; `MavfiError` if there is none in the end."""
+        """Redirect the remaining subscribers; `MavfiError` if none is redirected in the end."""
         readers = [self._only] if self._only else graph.subscribers.get(self.topic, [])
         failures: list[str] = []
         for node in readers:
@@ -181,7 +181,7 @@ class Relay:
             raise MavfiError(failures[0])
 
     def _turn(self, node: str, graph: Graph) -> None:
-        """Connect a reader to us besides its publishers, then remove those: nothing is lost while it connects."""
+        """Connect a subscriber to mavfi in addition to its publishers, then remove those: no message is lost."""
         uri = self.master.node_uri(node)
         publishers = []
         for name in graph.publishers.get(self.topic, ()):
@@ -206,7 +206,7 @@ class Relay:
         raise MavfiError(f"node {node}: does not connect to mavfi within {TURN_PATIENCE_S:g} s; is it on this machine?")
 
     def _watch(self) -> None:
-        """Turn readers again that the master has informed of new publishers."""
+        """Redirect again subscribers that the master has notified of new publishers."""
         rounds = 0
         while not self._ended.wait(_WATCH_S):
             rounds += 1
@@ -218,7 +218,7 @@ class Relay:
                         self._turn_all(graph)
 
     def _read_new(self, graph: Graph) -> None:
-        """Read publishers that have joined."""
+        """Connect to publishers that have joined."""
         known = {source.uri for source in self._sources}
         for node in graph.publishers.get(self.topic, ()):
             uri = self.master.node_uri(node)

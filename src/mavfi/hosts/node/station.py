@@ -1,6 +1,6 @@
-"""Our end of the graph: the interface that every ROS node has, and topics that others can read from us.
+"""A ROS node implemented by mavfi: the XML-RPC interface of every ROS node, and topics that it publishes.
 
-The master is informed only by `advertise` and `subscribe`.
+Only `advertise` and `subscribe` register with the master.
 """
 
 import os
@@ -28,7 +28,7 @@ class _Server(ThreadingMixIn, SimpleXMLRPCServer):
 
 @dataclass(slots=True, eq=False)
 class Reader:
-    """A node that reads from us; only an active one is sent what is published."""
+    """A subscriber of this node; messages are sent only to active ones."""
 
     node: str
     connection: socket.socket
@@ -37,9 +37,9 @@ class Reader:
 
 @dataclass(slots=True, eq=False)
 class Outlet:
-    """A topic that others can read from us; `header` is sent to its readers, which are `active` at once or later.
+    """A published topic; `header` is sent to its subscribers, which are `active` at once or later.
 
-    A latched topic keeps its `last` message for new readers.
+    A latched topic keeps its `last` message for new subscribers.
     """
 
     topic: str
@@ -50,7 +50,7 @@ class Outlet:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def send(self, data: bytes) -> int:
-        """Send a message to all active readers; returns their number."""
+        """Send a message to all active subscribers; returns their number."""
         whole = frame(data)
         with self.lock:
             if self.header.get("latching") == "1":
@@ -72,21 +72,21 @@ class Outlet:
             return next((reader for reader in self.readers if reader.node == node), None)
 
     def join(self, reader: Reader) -> None:
-        """A node has connected."""
+        """Add a subscriber that has connected."""
         with self.lock:
             self.readers.append(reader)
             if reader.active and self.last is not None:
                 self._send(reader, frame(self.last))
 
     def leave(self, reader: Reader) -> None:
-        """A node has disconnected."""
+        """Remove a subscriber that has disconnected."""
         with self.lock, suppress(ValueError):
             self.readers.remove(reader)
         reader.connection.close()
 
 
 class Inlet:
-    """A topic that we read as node `caller`; `failures` are those of connections to publishers."""
+    """A topic subscribed to as node `caller`; `failures`: errors of connections to publishers."""
 
     def __init__(self, topic: str, arrived: Callable[[bytes], None], caller: str) -> None:
         self.topic, self._arrived, self._caller = topic, arrived, caller
@@ -95,7 +95,7 @@ class Inlet:
         self._lock = threading.Lock()
 
     def connect(self, uris: Sequence[str]) -> None:
-        """Read from these publishers, and from no others."""
+        """Connect to exactly these publishers."""
         with self._lock:
             for uri in [uri for uri in self.sources if uri not in uris]:
                 self.sources.pop(uri).close()
@@ -118,7 +118,7 @@ class Inlet:
 
 
 class Station:
-    """A participant of the graph, of this name."""
+    """A participant of the graph with a given name."""
 
     def __init__(self, master: Master, name: str) -> None:
         self.master, self.name = master, name
@@ -133,7 +133,7 @@ class Station:
         threading.Thread(target=self._accept, daemon=True).start()
 
     def close(self) -> None:
-        """Stop listening, and close every connection."""
+        """Stop listening, and close all connections."""
         self._server.shutdown()
         self._server.server_close()
         with suppress(OSError):
@@ -148,25 +148,25 @@ class Station:
                 outlet.leave(reader)
 
     def offer(self, topic: str, header: Mapping[str, str], active: bool = True) -> Outlet:
-        """Offer a topic to nodes that are informed of us, without the master; see `Outlet`."""
+        """Publish a topic to nodes that are notified directly, without the master; see `Outlet`."""
         kept = {name: header[name] for name in ("type", "md5sum", "message_definition", "latching") if name in header}
         self._outlets[topic] = Outlet(topic, {"callerid": self.name, **kept}, active)
         return self._outlets[topic]
 
     def advertise(self, topic: str, header: Mapping[str, str]) -> Outlet:
-        """Offer a topic to everybody."""
+        """Publish a topic and register it with the master."""
         outlet = self.offer(topic, header)
         self.master.call("registerPublisher", topic, header["type"], self.uri, caller=self.name)
         return outlet
 
     def subscribe(self, topic: str, arrived: Callable[[bytes], None]) -> Inlet:
-        """Read a topic as any node: `arrived` gets each message, in the thread of its publisher."""
+        """Subscribe to a topic: `arrived` receives each message, in the thread of its publisher."""
         self._inlets[topic] = Inlet(topic, arrived, self.name)
         publishers = self.master.call("registerSubscriber", topic, "*", self.uri, caller=self.name)
         self._inlets[topic].connect(publishers)
         return self._inlets[topic]
 
-    # ---- readers ----------------------------------------------------------------------------------------------------
+    # ---- subscribers ------------------------------------------------------------------------------------------------
     def _accept(self) -> None:
         while True:
             try:
@@ -176,7 +176,7 @@ class Station:
             threading.Thread(target=self._greet, args=(connection,), daemon=True).start()
 
     def _greet(self, connection: socket.socket) -> None:
-        """Answer the header of a reader, and wait until it leaves."""
+        """Answer a subscriber's connection header, and wait until it disconnects."""
         stream = connection.makefile("rb")
         try:
             told = decode_header(read_frame(stream, LARGEST_HEADER))
@@ -191,7 +191,7 @@ class Station:
             reader = Reader(told.get("callerid", ""), connection, outlet.active)
             outlet.join(reader)
             try:
-                while connection.recv(4096):  # readers say nothing more
+                while connection.recv(4096):  # subscribers send nothing after the header
                     pass
             finally:
                 outlet.leave(reader)
@@ -238,7 +238,7 @@ class Station:
 
 
 def _mismatch(told: Mapping[str, str], header: Mapping[str, str]) -> str:
-    """Why a reader's idea of the type does not fit; "" if it does."""
+    """Why a subscriber's message type does not match; "" if it does."""
     wanted = told.get("md5sum", "*")
     if wanted in ("*", header["md5sum"]) or header["md5sum"] == "*":
         return ""

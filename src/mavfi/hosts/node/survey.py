@@ -1,4 +1,4 @@
-"""The nodes of a ROS graph with their processes, and its topics with their types and rates."""
+"""Survey of a ROS graph: nodes with their processes, topics with their types and rates."""
 
 import os
 import threading
@@ -15,7 +15,7 @@ from mavfi.hosts.node.tcpros import Source
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A node; `pid` is None where only its registration is left, `executable` "" where it cannot be found."""
+    """A node; `pid` is None if only its registration is left, `executable` "" if unknown."""
 
     name: str
     uri: str
@@ -26,13 +26,13 @@ class Node:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it answers."""
+        """Whether it responds."""
         return self.pid is not None
 
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic; its type (`kind`) is "*" if not known, its rate (1/s) None if not measured."""
+    """A topic; its type (`kind`) is "*" if unknown, its rate (1/s) None if not measured."""
 
     name: str
     kind: str
@@ -50,12 +50,12 @@ class Survey:
     topics: tuple[Topic, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
+        """The survey as plain data."""
         return asdict(self)
 
 
 def survey(master: Master, seconds: float = 1.0) -> Survey:
-    """Look at the graph, and listen to every topic for so long (s); 0 = rates are not measured."""
+    """Survey the graph, and listen to every topic for a duration (s); 0 = rates are not measured."""
     graph = master.graph()
     nodes = tuple(_node(master, graph, name) for name in graph.nodes)
     rates = _rates(graph, {node.name: node.uri for node in nodes if node.is_alive}, seconds) if seconds > 0 else {}
@@ -84,7 +84,7 @@ def _node(master: Master, graph: Graph, name: str) -> Node:
 
 
 def _rates(graph: Graph, uris: dict[str, str], seconds: float) -> dict[str, float]:
-    """Messages per second of each topic with a living publisher; old latched messages do not count."""
+    """Messages per second of each topic with a live publisher, excluding earlier latched messages."""
     sources: list[Source] = []
     for topic, nodes in graph.publishers.items():
         for node in nodes:

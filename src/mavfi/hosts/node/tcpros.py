@@ -1,4 +1,4 @@
-"""TCPROS, the protocol of ROS 1 messages (http://wiki.ros.org/ROS/TCPROS): headers, frames, and the reading end."""
+"""TCPROS, the protocol of ROS 1 messages (http://wiki.ros.org/ROS/TCPROS): headers, frames, and the subscriber."""
 
 import socket
 import struct
@@ -15,7 +15,7 @@ LARGEST_HEADER = 1 << 24
 
 
 def encode_header(fields: Mapping[str, str]) -> bytes:
-    """A connection header."""
+    """Encode a connection header."""
     parts = [f"{name}={value}".encode() for name, value in fields.items()]
     body = b"".join(_LENGTH.pack(len(part)) + part for part in parts)
     return _LENGTH.pack(len(body)) + body
@@ -33,7 +33,7 @@ def decode_header(body: bytes) -> dict[str, str]:
 
 
 def read_frame(stream: Any, largest: int = 0) -> bytes:
-    """One frame without its length (at most `largest`, 0 = any); `EOFError` if the other side has closed."""
+    """Read one frame without its length (at most `largest` bytes, 0 = any); `EOFError` if the peer has closed."""
     head = stream.read(4)
     if len(head) < 4:
         raise EOFError
@@ -47,16 +47,16 @@ def read_frame(stream: Any, largest: int = 0) -> bytes:
 
 
 def frame(data: bytes) -> bytes:
-    """A message as it is sent."""
+    """A message with its length prefix."""
     return _LENGTH.pack(len(data)) + data
 
 
 class Source:
-    """A connection to one publisher of a topic, as node `caller`; nothing is registered anywhere.
+    """A connection to one publisher of a topic, as node `caller`; not registered with the master.
 
     Raises:
-        MavfiError: It does not answer, or does not publish the topic.
-        BadInputError: It sends no definition of its messages.
+        MavfiError: The publisher does not respond, or does not publish the topic.
+        BadInputError: It does not send its message definition.
     """
 
     def __init__(self, node: str, uri: str, topic: str, caller: str = CALLER) -> None:
@@ -88,15 +88,15 @@ class Source:
 
     @property
     def is_latched(self) -> bool:
-        """Whether new readers get the last message at once."""
+        """Whether new subscribers receive the last message immediately."""
         return self.header.get("latching") == "1"
 
     def definition(self) -> Definition:
-        """Definition of its messages."""
+        """Definition of the messages."""
         return Definition(self.header["type"], self.header["message_definition"])
 
     def messages(self) -> Iterator[bytes]:
-        """Every message from now on, until either side closes; then this end is closed, too."""
+        """Iterate over incoming messages until either side closes; then close this side."""
         try:
             while True:
                 yield read_frame(self._stream)
@@ -106,9 +106,9 @@ class Source:
             self.close()
 
     def close(self) -> None:
-        """End `messages`, in whichever thread it waits."""
+        """Close the connection; ends `messages` in the thread that iterates over it."""
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         with suppress(OSError):
-            self._stream.close()  # waits for the thread that reads, which has just been woken
+            self._stream.close()  # blocks until the reading thread, just woken, releases it
         self._socket.close()

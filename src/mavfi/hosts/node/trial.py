@@ -1,6 +1,6 @@
-"""One trial on a foreign node: start it, drive it, inject a register, and compare its outputs.
+"""One trial on a foreign node: start it, send inputs, inject a register fault, and compare its outputs.
 
-`run_trial` starts a process in a private network, which runs this module; nothing of a trial outlives it.
+`run_trial` runs this module as a process in a private network; no process of a trial outlives it.
 """
 
 import ctypes
@@ -33,9 +33,9 @@ from mavfi.outcomes import Effect
 _PARENT_DIED, _SUBREAPER = 1, 36  # PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER of <linux/prctl.h>
 _LONGEST_S = 300.0
 _PACE_S = 0.005
-"""Between two rounds of inputs while the injection is prepared: the tracer wants the processor, too (s)."""
+"""Pause between two rounds of inputs while the injection is prepared, as the tracer needs processor time (s)."""
 _DYING_S = 0.5
-"""How long a process takes from the end of its connections to its own (s)."""
+"""Time limit from the end of a process's connections to its own (s)."""
 _MOST_DIFFERENCES = 4
 _LONGEST_LIST = 16
 
@@ -46,11 +46,11 @@ class Trial:
 
     Attributes:
         effect: Label of an `Effect`: "masked" = no output differs, "sdc" = some do, "crash" = the process ended,
-            "hang" = it gave no output, "unknown" = it could not be judged; `reason` is for the last three.
+            "hang" = an output is missing, "unknown" = inconclusive; `reason` explains the last three.
         outputs: Hash of the output to each input, before the injection.
         asked: Number of inputs since the injection.
-        differing: Hashes of their outputs that differ.
-        differences: Some numbers that differ: path, before, after.
+        differing: Hashes of the outputs that differ.
+        differences: Sample of differing numbers: path, before, after.
         injection: The injection, as plain data.
     """
 
@@ -64,11 +64,11 @@ class Trial:
 
 
 def run_trial(node: NodeConfig, golden: tuple[str, ...] = (), fault: RegisterFault | None = None) -> Trial:
-    """Run a trial in a private network; `golden`: hash of the output to each input, empty = not known yet.
+    """Run a trial in a private network; `golden`: hash of the output to each input, empty = unknown.
 
     Raises:
-        BadInputError: ROS is not installed, no private network, a program or type is not known, ptrace is refused.
-        MavfiError: The node does not come up, or the trial's process ended without a result.
+        BadInputError: ROS is not installed, no private network, unknown program or type, ptrace refused.
+        MavfiError: The node does not start, or the trial's process ended without a result.
     """
     order = {"node": node.to_json(), "golden": golden, "fault": None if fault is None else fault.to_json()}
     command = [*private_network(), sys.executable, "-m", "mavfi.hosts.node.trial"]
@@ -90,7 +90,7 @@ def run_trial(node: NodeConfig, golden: tuple[str, ...] = (), fault: RegisterFau
 
 
 class _Session:
-    """A trial from the inside."""
+    """A trial, within its own process."""
 
     def __init__(self, node: NodeConfig, golden: tuple[str, ...], bench: Bench) -> None:
         self._node, self._known, self._trial = node, golden, Trial()
@@ -100,7 +100,7 @@ class _Session:
         self._golden: list[bytes] = []
 
     def run(self, fault: RegisterFault | None) -> Trial:
-        """Run the whole trial."""
+        """Run the complete trial."""
         trial = self._trial
         if not self._learn() or fault is None:
             return trial
@@ -121,13 +121,13 @@ class _Session:
         return trial if done[0].activated else self._unknown("the register was not injected")
 
     def _unknown(self, reason: str) -> Trial:
-        """It cannot be judged, unless an effect has been seen."""
+        """Mark the trial as inconclusive, unless an effect has been observed."""
         if self._trial.effect == Effect.MASKED.label:
             self._trial.effect, self._trial.reason = Effect.UNKNOWN.label, reason
         return self._trial
 
     def _learn(self) -> bool:
-        """Collect the golden outputs; False if they are not those of other trials."""
+        """Collect the golden outputs; False if they differ from those of earlier trials."""
         for number in range(len(self._node.inputs.messages)):
             output = self._drive.ask(number)
             if output is None:
@@ -145,11 +145,11 @@ class _Session:
     def _inject(self, fault: RegisterFault, done: list[Injection | Exception]) -> None:
         try:
             done.append(inject(self._process.pid, fault)[0])
-        except Exception as error:  # noqa: BLE001 - the other thread judges it
+        except Exception as error:  # noqa: BLE001 - evaluated by the main thread
             done.append(error)
 
     def _ask_all(self, is_held: Callable[[], bool] = bool) -> bool:
-        """Send every input once, and compare; False when the node has ended or hangs."""
+        """Send every input once and compare outputs; False if the node has terminated or hangs."""
         trial = self._trial
         for number, golden in enumerate(self._golden):
             output = self._drive.ask(number, is_held)
@@ -164,7 +164,7 @@ class _Session:
         return True
 
     def _gone(self) -> bool:
-        """No output came: the process ended, or it hangs."""
+        """Classify a missing output: the process terminated, or it hangs."""
         try:
             code: int | None = self._process.wait(_DYING_S)
         except subprocess.TimeoutExpired:
@@ -182,7 +182,7 @@ def _hash(output: bytes) -> str:
 
 
 def differences(definition: Definition, golden: bytes, output: bytes) -> list[dict[str, Any]]:
-    """Some numbers in which two messages of a type differ; empty if they differ otherwise, e.g. in length."""
+    """Sample of numeric differences between two messages; empty if they differ otherwise, e.g. in length."""
     found = []
     try:
         for path in definition.numbers(golden, _LONGEST_LIST):
@@ -195,7 +195,7 @@ def differences(definition: Definition, golden: bytes, output: bytes) -> list[di
 
 
 def main() -> None:
-    """Read the order from stdin, write the result to stdout."""
+    """Read the trial's specification from stdin, and write its result to stdout."""
     libc = ctypes.CDLL(None)
     libc.prctl(_PARENT_DIED, signal.SIGTERM)
     libc.prctl(_SUBREAPER, 1)
@@ -219,7 +219,7 @@ def main() -> None:
         end_all()
     sys.stdout.write(json.dumps(answer))
     sys.stdout.flush()
-    os._exit(0)  # threads that listen need not be waited for
+    os._exit(0)  # without waiting for listening threads
 
 
 if __name__ == "__main__":

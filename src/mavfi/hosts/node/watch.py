@@ -1,6 +1,6 @@
-"""Watches numbers of any application's topics with GAD or AAD, trained from a bag or from the first messages.
+"""Monitors numeric fields of any application's topics with GAD or AAD, trained from a bag or the first messages.
 
-The detectors are observers: they hold nothing back, and publish their alarms on a topic.
+The detectors are observers: they withhold no message, and publish their alarms on a topic.
 """
 
 import json
@@ -27,7 +27,7 @@ from mavfi.states import State, StateSpec
 
 ALARM_TYPE = "std_msgs/String"
 FIRST_PATIENCE_S = 10.0
-"""How long the first message of a topic may take (s); it shows what can be watched."""
+"""Time limit for the first message of a topic (s), which determines the available fields."""
 MOST_FIELDS = 64
 LONGEST_LIST = 16
 _POLL_S = 0.1
@@ -35,13 +35,13 @@ _POLL_S = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ForeignAlarm:
-    """An alarm about one message.
+    """An alarm on one message.
 
     Attributes:
-        time_s: When, by this machine's clock (s since 1970).
-        message: Its number among the judged ones of its topic, counted from 1.
-        score: How anomalous; > 1 is an alarm.
-        fields: The numbers that stand out; `values` as text.
+        time_s: Wall-clock time (s since 1970).
+        message: Sequence number among the checked messages of its topic, from 1.
+        score: Anomaly score, relative to the threshold; > 1 is an alarm.
+        fields: The anomalous fields; `values`: their values as text.
     """
 
     time_s: float
@@ -53,20 +53,20 @@ class ForeignAlarm:
     values: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
+        """The alarm as plain data."""
         return asdict(self)
 
 
 @dataclass(frozen=True)
 class Probe:
-    """Reads the watched numbers, as a state of `spec`, from messages of a topic."""
+    """Extracts the monitored fields of a topic's messages, as a state of `spec`."""
 
     topic: str
     definition: Layout
     spec: StateSpec
 
     def read(self, message: bytes) -> State | None:
-        """The numbers; None if this message does not hold all of them."""
+        """The field values; None if the message lacks any of them."""
         try:
             leaves = [self.definition.locate(message, field.name) for field in self.spec.header]
         except AbsentError:
@@ -78,11 +78,11 @@ def make_probes(first: Mapping[str, tuple[Layout, bytes]], wanted: Sequence[str]
     """The probe of each topic.
 
     Args:
-        first: Definition and a message by topic.
-        wanted: Paths, each for every topic that has it, or `topic:path` for one; none = all numbers there are.
+        first: Definition and one message, by topic.
+        wanted: Field paths, each for every topic that has it, or `topic:path` for one topic; empty = all numbers.
 
     Raises:
-        BadInputError: A field that no topic has, or that is no number; none at all; too many.
+        BadInputError: A field that no topic has or that is not numeric; no fields at all; too many.
     """
     fields: dict[str, list[str]] = {topic: [] for topic in first}
     for name in wanted:
@@ -98,7 +98,7 @@ def make_probes(first: Mapping[str, tuple[Layout, bytes]], wanted: Sequence[str]
 
 
 def _assign(name: str, first: Mapping[str, tuple[Layout, bytes]], fields: dict[str, list[str]]) -> None:
-    """Assign a wanted field to its topics."""
+    """Assign a requested field to its topics."""
     topic, colon, path = name.rpartition(":")
     if colon and absolute(topic) not in first:
         raise BadInputError(f"field {name}: topic {topic}: not watched; allowed: {allowed(first)}")
@@ -117,10 +117,10 @@ def _assign(name: str, first: Mapping[str, tuple[Layout, bytes]], fields: dict[s
 
 
 class Listener:
-    """Reads topics of a running graph into one queue, as a node of it, from `__enter__` to `__exit__`.
+    """Subscribes to topics of a running graph, as a node, from `__enter__` to `__exit__`; collects one queue.
 
     Raises:
-        BadInputError: A topic is not known, or nobody publishes it.
+        BadInputError: A topic is unknown or has no publisher.
     """
 
     def __init__(self, master: Master, topics: Sequence[str]) -> None:
@@ -151,13 +151,13 @@ class Listener:
         self._messages.put((topic, message))
 
     def speak(self, topic: str, kind: str) -> tuple[Outlet, Composer]:
-        """Publish on a topic, until the end."""
+        """Publish on a topic until `__exit__`."""
         composer = Composer(kind)
         self._guardian.remember(Registered(topic, self._station.name, self._station.uri))
         return self._station.advertise(topic, composer.header), composer
 
     def take(self, seconds: float) -> Iterator[tuple[str, bytes]]:
-        """Messages as they come, for a while."""
+        """Messages in order of arrival, for a duration (s)."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0:
             try:
@@ -166,7 +166,7 @@ class Listener:
                 continue
 
     def first(self) -> dict[str, tuple[Definition, bytes]]:
-        """Definition and a message of each topic; `MavfiError` if one of them is silent."""
+        """Definition and one message of each topic; `MavfiError` if a topic has no messages."""
         found: dict[str, tuple[Definition, bytes]] = {}
         for topic, message in self.take(FIRST_PATIENCE_S):
             found.setdefault(topic, (self.definitions[topic], message))
@@ -177,12 +177,12 @@ class Listener:
 
 
 class Watch:
-    """Judges messages of an open listener, and publishes alarms on a topic, as JSON in a `std_msgs/String`.
+    """Checks messages of an open listener, and publishes alarms on a topic, as JSON in a `std_msgs/String`.
 
     Attributes:
-        alarms: All so far.
-        judged: Number of messages by topic.
-        skipped: Number of messages without all of the watched numbers, by topic.
+        alarms: All alarms so far.
+        judged: Number of checked messages by topic.
+        skipped: Number of messages that lack a monitored field, by topic.
     """
 
     def __init__(self, listener: Listener, probes: dict[str, Probe], detector: Detector, alarm_topic: str) -> None:
@@ -191,12 +191,12 @@ class Watch:
         self.judged: Counter[str] = Counter()
         self.skipped: Counter[str] = Counter()
         self._detector.start()
-        for probe in probes.values():  # compiled now, not while messages wait
+        for probe in probes.values():  # compile in advance, as messages would queue up meanwhile
             self._detector.check(foreign_state(probe.spec, [0.0] * len(probe.spec.header)), 0)
         self._outlet, self._composer = listener.speak(absolute(alarm_topic), ALARM_TYPE)
 
     def judge(self, topic: str, message: bytes) -> ForeignAlarm | None:
-        """Judge a message; an alarm is published, kept and returned."""
+        """Check a message; an alarm is published, stored and returned."""
         state = self._probes[topic].read(message) if topic in self._probes else None
         if state is None:
             self.skipped[topic] += 1
@@ -221,7 +221,7 @@ def train(
     kind: str, profile: str, probes: dict[str, Probe], messages: Iterator[tuple[str, bytes]],
     told: Callable[[int], None] | None = None,
 ) -> Detector:  # fmt: skip
-    """A detector trained on normal messages (topic and bytes, in order); `told` is called with their number.
+    """Train a detector on normal messages (topic and bytes, in order); `told` is called with their number.
 
     Raises:
         BadInputError: See `learn`.

@@ -1,5 +1,5 @@
-"""The pipeline as real ROS 1 nodes: the same kernels, injector and detectors, one process each.
+"""The pipeline as ROS 1 nodes: the same kernels, injector and detectors, one process each.
 
-The only package that imports ROS, and only inside of functions or of modules that run as nodes: everything else
-works without it.
+The only package that imports ROS, and only inside functions or in modules that run as nodes: all other code works
+without it.
 """

@@ -1,4 +1,4 @@
-"""States to messages of our own types and back, bit by bit; pure functions on message objects."""
+"""Bit-exact conversion between states and ROS messages of this package; pure functions on message objects."""
 
 from typing import Any
 
@@ -8,9 +8,9 @@ from mavfi.hosts.ros1.definitions import element_slots, header_slots
 from mavfi.states import STATES, State, StateSpec
 
 MAP = "map"
-"""Frame of the world (REP-105), in which all states are."""
+"""World frame (REP-105), in which all states are expressed."""
 FIRST_STAMP_S = 1
-"""Stamp of the start of the mission (s): a stamp of 0 means "not set" in ROS."""
+"""Stamp of the mission's start (s): in ROS a stamp of 0 means "not set"."""
 _SLOTS = {spec.name: (header_slots(spec), element_slots(spec)) for spec in STATES.values()}
 
 
@@ -26,7 +26,7 @@ def from_stamp(stamp: Any) -> int:
 
 
 def to_msg(state: State, number: int, time_us: int, kind: Any) -> Any:
-    """A message (of a class of `generate.state_types`) with the same bits; `time_us`: when the value counts."""
+    """A message (of a class of `generate.state_types`) with the same bits; `time_us`: instant for its stamp."""
     message = kind()
     to_stamp(message.header.stamp, time_us)
     message.header.frame_id = MAP
@@ -40,7 +40,7 @@ def to_msg(state: State, number: int, time_us: int, kind: Any) -> Any:
 
 
 def from_msg(message: Any, spec: StateSpec) -> State:
-    """The state of a message; lists of unequal length, which no node of ours sends, are cut."""
+    """The state of a message; element lists of unequal length, which no mavfi node sends, are truncated."""
     header, slots = _SLOTS[spec.name]
     state_header = np.zeros(1, spec.header_dtype)
     state_header[0] = tuple(getattr(message, slot) for slot in header)

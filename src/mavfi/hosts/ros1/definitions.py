@@ -1,9 +1,8 @@
-"""ROS message definitions, derived from the table of states; text only, no ROS needed.
+"""ROS message definitions, derived from the state table; text only, requires no ROS.
 
-A state `planning.waypoint` becomes the type `mavfi_msgs/PlanningWaypoint`: a `Header` whose stamp is the instant at
-which the value counts, the `number` of the publication, then the fields of the state with their names and types as in
-the table.  Fields of elements are arrays of the same name; where a header field bears the name of an element's field,
-it becomes `header_<name>`.
+A state `planning.waypoint` becomes the type `mavfi_msgs/PlanningWaypoint`: a `Header` whose stamp is the publication
+instant, the sequence `number` of the publication, then the fields of the state with names and types as in the table.
+Element fields are arrays of the same name; a header field whose name is also an element field becomes `header_<name>`.
 """
 
 from mavfi.states import STATES, StateSpec
@@ -27,7 +26,7 @@ bool held
 uint8[] value
 """,
 }
-"""Text of every service of the package by its name."""
+"""Definition of each service of the package, by name."""
 _OTHERS = {
     "Operation": """# One operation of one kernel; state: of the number, where that matters;
 # publish_us: stamp of what is published at once, -1 = it is held.
@@ -80,22 +79,22 @@ string record
 
 
 def type_name(spec: StateSpec) -> str:
-    """Name of the message type of a state, without its package: `planning.waypoint` -> `PlanningWaypoint`."""
+    """Message type name of a state, without its package: `planning.waypoint` -> `PlanningWaypoint`."""
     return "".join(word.capitalize() for word in spec.name.replace(".", "_").split("_"))
 
 
 def header_slots(spec: StateSpec) -> tuple[str, ...]:
-    """Names of the header's fields in the message, in the order of the table."""
+    """Message field names of the state's header, in table order."""
     return tuple(f"header_{f.name}" if spec.in_elements(f.name) else f.name for f in spec.header)
 
 
 def element_slots(spec: StateSpec) -> tuple[str, ...]:
-    """Names of the elements' fields in the message, in the order of the table."""
+    """Message field names of the state's elements, in table order."""
     return tuple(f.name for f in spec.elements)
 
 
 def message_text(spec: StateSpec) -> str:
-    """Definition of the message of a state, as in a `.msg` file."""
+    """Message definition of a state, as in a `.msg` file."""
     lines = [f"# {spec.name}, published by {spec.writer}: {spec.rate}.", "std_msgs/Header header", "uint64 number"]
     lines += [f"{_TYPES[f.dtype]} {slot}  # {f.unit}" for slot, f in zip(header_slots(spec), spec.header, strict=True)]
     slots = zip(element_slots(spec), spec.elements, strict=True)
@@ -104,5 +103,5 @@ def message_text(spec: StateSpec) -> str:
 
 
 def messages() -> dict[str, str]:
-    """Text of every message of the package by its name."""
+    """Definition of each message of the package, by name."""
     return {type_name(spec): message_text(spec) for spec in STATES.values()} | _OTHERS

@@ -1,7 +1,7 @@
-"""Makes Debian's ROS modules importable, but no other Python packages of Debian.
+"""Import finder for Debian's ROS modules that excludes all other Python packages of Debian.
 
-`PYTHONPATH=/usr/lib/python3/dist-packages` would put Debian's numpy before this project's.  So an import finder stands
-at the end of `sys.meta_path`, after everything that is installed here, and knows only the names on its list.
+`PYTHONPATH=/usr/lib/python3/dist-packages` would put Debian's NumPy before this project's.  This import finder is at
+the end of `sys.meta_path`, after all packages installed in this environment, and finds only listed names.
 """
 
 import os
@@ -15,12 +15,12 @@ from types import ModuleType
 from mavfi.errors import BadInputError
 
 ROOT_VARIABLE = "MAVFI_ROS_ROOT"
-"""Environment variable: folder into which Debian's packages were unpacked; without it, they are installed."""
+"""Environment variable: folder of unpacked Debian packages, for systems on which they are not installed."""
 DIST_PACKAGES = Path("usr/lib/python3/dist-packages")
 WORKSPACE_MARK = Path("usr/.catkin")
-"""File by which catkin knows a folder in which packages are installed."""
+"""Marker file by which catkin recognizes an installation prefix."""
 GENERATED = ("mavfi_msgs", "nav_msgs")
-"""Packages that are generated for a flight: ours, and one whose Debian package would pull in 144 MB."""
+"""Packages generated for each flight: `mavfi_msgs`, and one whose Debian package would install 144 MB."""
 _ROS = (
     "rospy", "rosgraph", "rosgraph_msgs", "roslib", "rosmaster", "roslaunch", "rosnode", "rostopic", "rosparam",
     "rosservice", "rosbag", "rosmsg", "rosclean", "roslz4", "roscpp", "genpy", "genmsg", "catkin",
@@ -31,7 +31,7 @@ _MESSAGES = (
 )  # fmt: skip
 _HELPERS = ("rospkg", "catkin_pkg", "yaml", "defusedxml", "netifaces", "Cryptodome", "gnupg", "distro")
 ALLOWED = frozenset((*_ROS, *_MESSAGES, *_HELPERS))
-"""Top-level names that come from Debian where they are not installed here."""
+"""Top-level names imported from Debian unless installed in this environment."""
 NEEDED_MODULES = ("rospy", "genpy", "genmsg", "std_srvs", "sensor_msgs", "trajectory_msgs", "tf2_msgs", "yaml")
 NEEDED_FILES = ("usr/bin/roslaunch", "usr/bin/rosmaster", "usr/share/nav_msgs/msg/Odometry.msg")
 _SYSTEM = Path("/")
@@ -39,7 +39,7 @@ _LIBRARIES = ("usr/lib/x86_64-linux-gnu", "usr/lib", "lib/x86_64-linux-gnu")
 
 
 class Finder(MetaPathFinder):
-    """Finds the modules on the list in Debian's folders, and generated message packages in theirs."""
+    """Finds the listed modules in Debian's folders, and generated message packages in their own folder."""
 
     def __init__(self, dist_packages: Sequence[Path], generated: Path | None = None) -> None:
         self.dist_packages = [str(folder) for folder in dist_packages]
@@ -48,7 +48,7 @@ class Finder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """The module, if it is a top-level one on the list."""
+        """The spec of a listed top-level module, otherwise None."""
         if path is not None:
             return None
         if fullname in GENERATED and self.generated is not None:
@@ -59,25 +59,25 @@ class Finder(MetaPathFinder):
 
 
 def own_root() -> Path:
-    """Folder into which `make ros` unpacks packages where it may not install them."""
+    """Folder into which `make ros` unpacks packages if the user may not install them."""
     named = os.environ.get(ROOT_VARIABLE)
     cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(named) if named else Path(cache) / "mavfi" / "ros"
 
 
 def roots() -> list[Path]:
-    """Folders under which Debian's packages may lie, the preferred one first."""
+    """Installation prefixes of Debian's packages, in order of preference."""
     own = own_root()
     return [own, _SYSTEM] if (own / "usr").is_dir() else [_SYSTEM]
 
 
 def find_file(name: str) -> Path:
-    """A file of ROS, e.g. "usr/bin/roslaunch"; a missing one as if it were in the system."""
+    """Path of a ROS file, e.g. "usr/bin/roslaunch"; a missing file yields its path under the system prefix."""
     return next((path for root in roots() if (path := root / name).exists()), _SYSTEM / name)
 
 
 def enable(generated: Path | None = None) -> None:
-    """Make ROS importable in this process, with a folder of generated message packages."""
+    """Make ROS importable in this process, and optionally a folder of generated message packages."""
     here = [finder for finder in sys.meta_path if isinstance(finder, Finder)]
     if here:
         here[0].generated = generated or here[0].generated
@@ -87,7 +87,7 @@ def enable(generated: Path | None = None) -> None:
 
 
 def missing() -> list[str]:
-    """Missing parts of ROS; nothing is imported."""
+    """Missing parts of ROS, determined without importing."""
     finder = Finder([root / DIST_PACKAGES for root in roots()])
     modules = [name for name in NEEDED_MODULES if PathFinder.find_spec(name) is None and finder.find_spec(name) is None]
     return modules + [name for name in NEEDED_FILES if not find_file(name).is_file()]
@@ -97,7 +97,7 @@ def require() -> None:
     """Check that ROS is installed.
 
     Raises:
-        BadInputError: It is not; the line says what to do.
+        BadInputError: It is not; the message names the remedy.
     """
     absent = missing()
     if absent:
@@ -114,7 +114,7 @@ def environment() -> dict[str, str]:
     if len(folders) > 1:
         own = folders[0]
         variables["PYTHONPATH"] = str(own / DIST_PACKAGES)
-        # roslaunch runs rosversion
+        # for rosversion, which roslaunch executes
         variables["PATH"] = os.pathsep.join([str(own / "usr/bin"), os.environ.get("PATH", os.defpath)])
         variables["LD_LIBRARY_PATH"] = _path(own / name for name in _LIBRARIES)
         variables["CMAKE_PREFIX_PATH"] = _path(root / "usr" for root in folders)

@@ -1,4 +1,4 @@
-"""The folder of a flight: its files, its environment, and the script by which another terminal joins it."""
+"""The folder of a flight: files, environment, and the script `join` with which another terminal joins the ROS graph."""
 
 import json
 import os
@@ -9,7 +9,7 @@ from mavfi.flight_log import Injection
 from mavfi.hosts.ros1 import finder
 
 FOLDER_VARIABLE = "MAVFI_ROS_FLIGHT"
-"""Environment variable: folder of the flight that a node belongs to."""
+"""Environment variable: folder of the flight to which a node belongs."""
 MESSAGES, DEFINITIONS, LOG, JOIN, PID = "messages", "definitions", "log", "join", "pid"
 FLIGHT, PROFILE, FAILURE, TIMES = "flight.npz", "profile.npz", "failure.txt", "times.json"
 INJECTIONS = "injections.json"
@@ -20,7 +20,7 @@ _TOLD = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOME", "ROS_LOG_DIR", "ROS_PACKAGE_PAT
 
 
 def flight_folder() -> Path:
-    """Folder of the flight that this process belongs to."""
+    """Folder of the flight to which this process belongs."""
     return Path(os.environ[FOLDER_VARIABLE])
 
 
@@ -32,7 +32,7 @@ def write_file(name: str, content: bytes) -> None:
 
 
 def write_injections(injections: list[Injection]) -> None:
-    """Note the injections so far: the injector is a node that may die, and must not inject again."""
+    """Save the injections so far: the injector's node may be restarted, and must not inject again."""
     write_file(INJECTIONS, json.dumps([injection.to_json() for injection in injections]).encode())
 
 
@@ -48,14 +48,14 @@ def master_port() -> str:
 
 
 def free_port() -> dict[str, str]:
-    """A port for a flight without a network of its own, as a variable for its environment."""
+    """An unused port for a flight without a private network, as an environment variable."""
     with socket.socket() as any_socket:
         any_socket.bind(("127.0.0.1", 0))
         return {_PORT_VARIABLE: str(any_socket.getsockname()[1])}
 
 
 def own_path() -> str:
-    """PYTHONPATH of this process with absolute folders: nodes are started elsewhere."""
+    """PYTHONPATH of this process with absolute folders, as nodes have other working directories."""
     given = os.environ.get("PYTHONPATH", "")
     return os.pathsep.join(os.path.abspath(folder) for folder in given.split(os.pathsep) if folder)
 
@@ -76,7 +76,7 @@ def environment(folder: Path) -> dict[str, str]:
 
 
 def write_core(folder: Path) -> None:
-    """Write what roslaunch starts with every master; Debian's own file asks two programs for these names, for 1 s."""
+    """Write roslaunch's core file; Debian's version runs two programs to obtain these values, which takes 1 s."""
     (folder / _CORE).write_text(
         '<launch>\n  <param name="/rosdistro" value="Debian"/>\n'
         '  <node pkg="rosout" type="rosout" name="rosout" respawn="true"/>\n</launch>\n'
@@ -84,7 +84,7 @@ def write_core(folder: Path) -> None:
 
 
 def write_join(folder: Path, isolated: bool, own_users: bool) -> None:
-    """Write the script `join`, which enters the namespaces of network and users that the flight has of its own."""
+    """Write the script `join`, which enters the flight's network namespace and, if present, its user namespace."""
     enter = "--user --preserve-credentials --net" if own_users else "--net"
     prefix = f"nsenter --target \"$(cat '{folder / PID}')\" {enter} " if isolated else ""
     variables = environment(folder)

@@ -1,4 +1,4 @@
-"""The world in free-running mode: time passes as on the wall, and nobody waits for anybody."""
+"""The world node in free-running mode: simulated time follows the wall clock, without synchronization of nodes."""
 
 import os
 import queue
@@ -22,9 +22,9 @@ _POLL_US = 4_000
 
 
 class FreeWorld:
-    """Simulates in real time, obeys the commands that come, and keeps the record.
+    """Simulates in real time, executes incoming commands, and keeps the flight record.
 
-    It waits until every node is connected; its `loop` has no kernels, and publishes sensor values by a tap.
+    The constructor waits until every node is connected; `loop` has no kernels, and a tap publishes the sensor values.
     """
 
     spent = False
@@ -32,7 +32,7 @@ class FreeWorld:
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         self.loop = loop = new_loop(plan.scenario, make_kernels=lambda config: {})
-        loop.busy = dict.fromkeys(PERIODIC)  # they are stepped by their own nodes
+        loop.busy = dict.fromkeys(PERIODIC)  # stepped by their own nodes
         loop.taps.injector = self
         loop.actions.update(poll=self._poll, capture=self._capture)
         loop.before_tick.append(self._before_tick)
@@ -61,15 +61,15 @@ class FreeWorld:
         self._registers = RegisterInjector(plan.register_faults, lambda node: self._pids[node], hold=False)
         ports.wait_until_connected()
 
-    # ---- the first tap ----------------------------------------------------------------------------------------------
+    # ---- injector tap ------------------------------------------------------------------------------------------------
     def __call__(self, state: State, time_us: int) -> None:
-        """Publish sensor values; nobody waits for readers, and the injector is a node of its own."""
+        """Publish a sensor value without waiting for subscribers; injection takes place in a separate node."""
         self.loop.record.publications.note(state, time_us)
         self._number += 1
         self._sensors[state.spec.name].publish(state, self._number, time_us)
 
     def finish(self) -> list[Injection]:
-        """The injections into the state, as noted by its node, and into registers."""
+        """State injections, as recorded by the injector's node, and register injections."""
         return state_injections(self.plan) + self._registers.injections
 
     # ---- time -------------------------------------------------------------------------------------------------------
@@ -78,7 +78,7 @@ class FreeWorld:
         self.loop.capture(now)
 
     def _publish(self, state: State, now: int) -> None:
-        """Publish a value; a map and its check, which come on different topics, may arrive in either order."""
+        """Publish a value; a map and its collision check use separate topics and may arrive in either order."""
         loop, name = self.loop, state.spec.name
         if name == "perception.collision_status" and not loop.mapped:
             self._checked = True
@@ -88,7 +88,7 @@ class FreeWorld:
             loop.at(max(now, loop.captured_us + loop.scenario.camera.period_us), "capture")
 
     def _poll(self, now: int) -> None:
-        """Wait for the instant on the wall clock, and obey what comes meanwhile."""
+        """Wait for the instant on the wall clock, and process messages that arrive meanwhile."""
         self._wait(now)
         self.loop.at(now + _POLL_US, "poll")
 
@@ -123,9 +123,9 @@ class FreeWorld:
             )
         )  # fmt: skip
 
-    # ---- nodes that die ---------------------------------------------------------------------------------------------
+    # ---- node crashes and restarts -----------------------------------------------------------------------------------
     def _watch_nodes(self, now: int) -> None:
-        """Kill nodes as planned, and note who is back."""
+        """Execute scheduled kills, and record crashes and restarts."""
         while self._kills and self._kills[0][1] <= now:
             node = self._kills.pop(0)[0]
             self._note("node_lost", {"node": node, "pid": self._pids[node], "why": PLANNED})
@@ -142,7 +142,7 @@ class FreeWorld:
                     del self._gone[node]
 
     def _watch_foreign(self, now: int) -> None:
-        """Note the end of foreign nodes, which may come at any time, also because they hung."""
+        """Record terminations of foreign nodes, including those killed after a hang."""
         for node in self.plan.foreign:
             if node not in self._gone and not is_alive(self._pids[node]):
                 self._note("node_lost", {"node": node, "pid": self._pids[node], "why": cause(self._pids[node])})

@@ -1,4 +1,4 @@
-"""Generates the Python classes of our messages, and of `nav_msgs`, with genpy; catkin is not needed (about 50 ms)."""
+"""Generates the Python classes of `mavfi_msgs` and `nav_msgs` with genpy, without catkin (about 50 ms)."""
 
 import importlib
 import io
@@ -16,7 +16,7 @@ _SEARCHED = ("std_msgs", "geometry_msgs", "actionlib_msgs")
 
 
 def generate(folder: Path) -> None:
-    """Write definitions and classes of `mavfi_msgs` and `nav_msgs`, one folder for each package.
+    """Write definitions and classes of `mavfi_msgs` and `nav_msgs`, one folder per package.
 
     Raises:
         MavfiError: The generator fails.
@@ -34,7 +34,7 @@ def generate(folder: Path) -> None:
 
 
 def name_definitions(folder: Path) -> None:
-    """Link Debian's message packages, each with the `package.xml` by which rosmsg finds it (missing in Debian's)."""
+    """Link Debian's message packages, adding to each the `package.xml` that rosmsg requires and Debian omits."""
     for root in reversed(finder.roots()):
         for place in sorted((root / "usr/share").glob("*/msg")):
             if not (place.parent / "package.xml").exists():
@@ -47,7 +47,7 @@ def name_definitions(folder: Path) -> None:
 
 
 def package_xml(name: str) -> str:
-    """Description of a generated package."""
+    """The `package.xml` of a generated package."""
     return (
         f'<package format="2"><name>{name}</name><version>1.0.0</version><description>Generated.</description>'
         '<maintainer email="mavfi@localhost">mavfi</maintainer><license>Apache-2.0</license></package>\n'
@@ -69,14 +69,14 @@ def _generate(package: str, sources: Path, folder: Path, search: dict[str, list[
         if failed:
             raise MavfiError(f"ROS messages: {package}: {told.getvalue().strip()}")
         for path in target.glob("_*.py"):
-            # NumPy took the old name of tobytes away
+            # genpy generates a method name that NumPy has removed
             path.write_text(path.read_text().replace(".tostring()", ".tobytes()"))
     (folder / "__init__.py").touch()
 
 
 @cache
 def state_types() -> dict[str, Any]:
-    """Message class of each state, with NumPy arrays for lists."""
+    """Message class of each state, with list fields as NumPy arrays."""
     from rospy.numpy_msg import numpy_msg
 
     module = importlib.import_module(f"{definitions.PACKAGE}.msg")
@@ -85,5 +85,5 @@ def state_types() -> dict[str, Any]:
 
 @cache
 def message_type(name: str) -> Any:
-    """Another class of ours, e.g. "Verdict"."""
+    """Any other message class of `mavfi_msgs`, e.g. "Verdict"."""
     return getattr(importlib.import_module(f"{definitions.PACKAGE}.msg"), name)

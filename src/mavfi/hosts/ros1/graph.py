@@ -1,8 +1,8 @@
-"""The ROS graph of a flight: which node runs which kernels, and who publishes and reads which topics.
+"""The ROS graph of a flight: nodes with their kernels, topics with their publishers and subscribers.
 
-Derived from the kernels' own `reads` and `writes`.  A value goes from its kernel to its consumers over one topic,
-`/mavfi/<stage>/<state>`; with an injector or a detector as a gate in between, the kernel publishes on `.../raw`, the
-injector on `.../injected`, and the last one on the topic itself.
+Derived from the kernels' own `reads` and `writes`.  A value passes from its kernel to its consumers over one topic,
+`/mavfi/<stage>/<state>`; with an injector or a gating detector in between, the kernel publishes on `.../raw`, the
+injector on `.../injected`, and the last node of this chain on the topic itself.
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from mavfi.states import KERNELS, ODOMETRY, PERIODIC, STATES, Stage
 
 WORLD, INJECTOR, DETECTOR = "world", "injector", "detector"
 NODELET = "point_cloud_xyz"
-"""Debian's C++ node that computes the point cloud, where it is to; the node `point_cloud` then hands images to it."""
+"""Debian's C++ nodelet for the point cloud, if selected; the node `point_cloud` then sends it the images."""
 IMAGE, INFO, POINTS = (f"/{NODELET}/{name}" for name in ("image_rect", "camera_info", "points"))
 """Topics of the nodelet."""
 PREFIX = "/mavfi"
@@ -23,13 +23,12 @@ JUDGED_BY_WORLD = (
     "control.command", "planning.waypoint", "planning.path", "planning.trajectory", "perception.collision_status",
     ODOMETRY["estimator"],
 )  # fmt: skip
-"""What the world looks into beside what it publishes: it obeys commands, stamps images with the estimated pose, and
-writes down what happened."""
+"""States that the world subscribes to: it executes commands, adds the estimated pose to images, and records events."""
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """How the values of a state get from the node that publishes them first to those with kernels that read them."""
+    """Route of a state's values from the publishing node to the nodes whose kernels read them."""
 
     state: str
     writer: str
@@ -39,38 +38,38 @@ class Way:
 
     @property
     def final(self) -> str:
-        """Topic that consumers read."""
+        """Topic to which consumers subscribe."""
         return f"{PREFIX}/{self.state.replace('.', '/')}"
 
     @property
     def first(self) -> str:
-        """Topic on which the writer publishes."""
+        """Topic to which the writer publishes."""
         return f"{self.final}/raw" if self.injected or self.gated else self.final
 
     @property
     def after_injector(self) -> str:
-        """Topic on which the injector publishes."""
+        """Topic to which the injector publishes."""
         return f"{self.final}/injected" if self.gated else self.final
 
     @property
     def before_gate(self) -> str:
-        """Topic that a gate reads."""
+        """Topic to which a gating detector subscribes."""
         return self.after_injector if self.injected else self.first
 
     @property
     def rejected(self) -> str:
-        """Topic on which a gate publishes what it holds back."""
+        """Topic to which a gating detector publishes withheld values."""
         return f"{self.final}/rejected"
 
     @property
     def taps(self) -> tuple[str, ...]:
-        """Nodes in the way."""
+        """Nodes between writer and consumers, in order."""
         return (INJECTOR,) * self.injected + (DETECTOR,) * self.gated
 
 
 @dataclass(frozen=True, slots=True)
 class Face:
-    """What other nodes know of a kernel; attributes as of `Kernel`, and the inputs that may make a step due."""
+    """Interface of a kernel to other nodes: attributes as of `Kernel`, and the inputs that can make a step due."""
 
     name: str
     stage: Stage
@@ -80,14 +79,14 @@ class Face:
 
 
 def face_of(kernel: Kernel) -> Face:
-    """The face of a kernel; those that are stepped at the control period have no triggers."""
+    """The face of a kernel; kernels stepped at the control period have no triggers."""
     quiet = kernel.reads if kernel.name in PERIODIC else getattr(kernel, "quiet", ())
     triggers = tuple(state for state in kernel.reads if state not in quiet)
     return Face(kernel.name, kernel.stage, kernel.reads, kernel.writes, triggers)
 
 
 class Graph:
-    """Nodes and topics of a flight; `injected`: state of the injector (None = none), `gate`: the detector is a gate."""
+    """Nodes and topics of a flight; `injected`: state with an injector or None, `gate`: the detector is a gate."""
 
     def __init__(self, kernels: Mapping[str, Kernel], injected: str | None = None, gate: bool = False) -> None:
         self.faces = {name: face_of(kernel) for name, kernel in kernels.items()}
@@ -102,7 +101,7 @@ class Graph:
         }
 
     def node_of(self, kernel: str) -> str:
-        """Node that runs a kernel; sensors are the world's."""
+        """Node that runs a kernel; sensors belong to the world."""
         return next((node for node, kernels in self.nodes.items() if kernel in kernels), WORLD)
 
     def _readers(self, state: str) -> tuple[str, ...]:

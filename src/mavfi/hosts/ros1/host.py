@@ -1,4 +1,4 @@
-"""The host `ros1`: missions flown by ROS nodes in lock-step, bit for bit the flights of the host `local`."""
+"""The host `ros1`: missions flown by ROS nodes in lock-step, bit-identical to flights of the host `local`."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -13,12 +13,12 @@ from mavfi.hosts.ros1.session import configure, fly, isolation
 from mavfi.mission import MissionSpec, Scenario
 
 PATIENCE_S = 300.0
-"""Time limit for the answer of a node (s, wall clock); much longer than on an idle machine, since a node that is taken
-for hung is ended, and its flight becomes another one."""
+"""Time limit for a node's response (s, wall clock); generous, as a slow node mistaken for a hung one is killed, which
+changes its flight."""
 
 
 class Ros1Host:
-    """Every kernel, the world, injector and detector are ROS nodes of their own."""
+    """Runs every kernel, the world, injector and detector as separate ROS nodes."""
 
     name = "ros1"
     levels = frozenset({StateFault.level})
@@ -26,7 +26,7 @@ class Ros1Host:
     in_process = False
 
     def resolve(self, spec: MissionSpec) -> Scenario:
-        """See `Host.resolve`; raises `BadInputError` where ROS cannot do what is wanted."""
+        """See `Host.resolve`; raises `BadInputError` for options that ROS does not support."""
         check_supported(spec)
         return resolve(spec)
 
@@ -34,13 +34,13 @@ class Ros1Host:
         """See `Host.check`.
 
         Raises:
-            BadInputError: ROS is not installed, or there can be no private network.
+            BadInputError: ROS is not installed, or a private network cannot be created.
         """
         finder.require()
         isolation()
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "Ros1Flights":
-        """See `Host.mission`; every flight is flown from its beginning."""
+        """See `Host.mission`; every flight is flown in full."""
         return Ros1Flights(arms)
 
 
@@ -48,13 +48,13 @@ class Ros1Flights(ArmFlights):
     """The flights of one mission; see `MissionFlights`."""
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
-        """See `MissionFlights.injected`; flown in turn."""
+        """See `MissionFlights.injected`; flown sequentially."""
         for place, (arm, fault) in enumerate(runs):
             try:
                 if not isinstance(fault, StateFault):
                     raise BadInputError(f"host ros1: faults of level {fault.level!r}: allowed: state")
                 yield place, self._fly(arm, fault)
-            except Exception as error:  # noqa: BLE001 - it ends this flight, not the others
+            except Exception as error:  # noqa: BLE001 - ends this run only
                 yield place, error
 
     def _fly(self, arm: str, fault: StateFault | None, *, profile: bool = False) -> Flight:
@@ -66,5 +66,5 @@ class Ros1Flights(ArmFlights):
         if first:
             fly_begin(
                 plan.scenario, plan.detector, setup.recovery
-            )  # a node that compiles must not look like one that hangs
+            )  # compile in advance, so that no node is mistaken for hung
         return fly(plan).flight

@@ -1,4 +1,4 @@
-"""`make ros`: installs Debian's ROS packages, or unpacks them into a folder where rights are missing; checks them."""
+"""`make ros`: installs Debian's ROS packages, or unpacks them into a folder without root rights; verifies them."""
 
 import os
 import subprocess
@@ -19,11 +19,11 @@ _DEFINITIONS = (
     "rosgraph-msgs", "nav-msgs", "map-msgs", "actionlib-msgs", "robot-state-publisher",
 )  # fmt: skip
 PACKAGES = ("rosout", "topic-tools", *map("python3-{}".format, _PYTHON), *map("ros-{}".format, _DEFINITIONS))
-"""Without `python3-nav-msgs` (144 MB) and `python3-tf2-ros` (200 MB), which pull in development files."""
+"""Excludes `python3-nav-msgs` (144 MB) and `python3-tf2-ros` (200 MB), which depend on development files."""
 
 
 def main() -> int:
-    """Install missing packages, and report in one line."""
+    """Install missing packages, and report the result in one line."""
     try:
         before = finder.missing()
         if before:
@@ -38,7 +38,7 @@ def main() -> int:
 
 
 def install() -> None:
-    """Install with the rights of this user; `MavfiError`: there is no apt, or it fails."""
+    """Install with this user's rights; raises `MavfiError` if apt is missing or fails."""
     if os.geteuid() == 0:
         variables = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
         _run(["apt-get", "update", "-qq"], environment=variables)
@@ -48,9 +48,9 @@ def install() -> None:
 
 
 def unpack(folder: Path, status: Path = Path("/var/lib/dpkg/status")) -> int:
-    """Download missing packages, and unpack them into a folder, without rights; returns their number.
+    """Download missing packages and unpack them into a folder, without root rights; returns their number.
 
-    `status` lists the installed packages, in dpkg's form.
+    `status` lists the installed packages in dpkg's format.
     """
     state, cache = folder / "apt" / "state", folder / "apt" / "cache"
     for place in (state / "lists" / "partial", cache / "archives" / "partial"):
@@ -68,12 +68,12 @@ def unpack(folder: Path, status: Path = Path("/var/lib/dpkg/status")) -> int:
     for archive in sorted(archives.glob("*.deb")):
         _run(["dpkg", "-x", str(archive), str(folder)])
         archive.unlink()
-    (folder / finder.WORKSPACE_MARK).touch()  # without it roslaunch looks for executables under /usr alone
+    (folder / finder.WORKSPACE_MARK).touch()  # otherwise roslaunch searches executables only under /usr
     return len(wanted)
 
 
 def version() -> str:
-    """Version of rospy in Debian."""
+    """Version of Debian's rospy."""
     folders = [root / finder.DIST_PACKAGES for root in finder.roots()]
     found = [path.name.split("-")[1] for folder in folders for path in folder.glob("rospy-*.egg-info")]
     return found[0].removesuffix(".egg") if found else ""

@@ -1,4 +1,4 @@
-"""The generic kernel node: any kernels of the table behind ROS topics, in lock-step or free-running."""
+"""The generic kernel node: any set of kernels behind ROS topics, in lock-step or free-running."""
 
 import queue
 import threading
@@ -27,11 +27,11 @@ from mavfi.platforms.compute import latency
 from mavfi.states import PERIODIC, State
 
 _LOADING_FLIGHT_US = 3_000_000
-"""By then every kernel has worked."""
+"""Simulated time within which every kernel has been executed (us)."""
 
 
 class KernelNode:
-    """Builds the kernels of a node, and advertises their results."""
+    """Constructs the kernels of a node, and advertises their outputs."""
 
     def __init__(self, name: str, plan: Plan) -> None:
         self.ports = Ports(name, plan)
@@ -46,7 +46,7 @@ class KernelNode:
             offer_planning(lambda: self.kernels["planner"], plan.config, self.lock)
 
     def renew(self) -> None:
-        """Make the kernels; a nodelet's remains, which has no memory."""
+        """Construct the kernels; a stateless nodelet proxy is kept."""
         plan, cloud = self.ports.plan, self.kernels.get("point_cloud")
         built = build_pipeline(plan.config)
         if plan.foreign and "point_cloud" in plan.graph.nodes[self.ports.node]:
@@ -54,18 +54,18 @@ class KernelNode:
         self.kernels = {kernel: built[kernel] for kernel in plan.graph.nodes[self.ports.node]}
 
     def reading(self, state: str) -> list[Kernel]:
-        """The kernels of this node that read a state."""
+        """Kernels of this node that read a state."""
         return [kernel for kernel in self.kernels.values() if state in kernel.reads]
 
     def listen(self, arrived: Callable[[State, int, int], None]) -> None:
-        """Listen to all that the kernels read."""
+        """Subscribe to all inputs of the kernels."""
         for state, way in self.ports.ways.items():
             if self.reading(state):
                 self.ports.read(state, way.final, arrived)
 
 
 class LockStepNode(KernelNode):
-    """Executes the orders of the world in their sequence, on values that came over the topics."""
+    """Executes the world's operations in order, on values received over the topics."""
 
     def __init__(self, name: str, plan: Plan) -> None:
         super().__init__(name, plan)
@@ -93,7 +93,7 @@ class LockStepNode(KernelNode):
         self._giving = (operation.STEP, operation.STOP, operation.ABANDON)
 
     def run(self) -> None:
-        """Serve until the end."""
+        """Serve until shutdown."""
         import rospy
         from mavfi_msgs.srv import Drive
 
@@ -129,7 +129,7 @@ class LockStepNode(KernelNode):
     def _receive(self, kernel: Kernel, order: Any) -> bool:
         number = order.number
         if self._recalled.get(number, self) is None:
-            return False  # nobody had it
+            return False  # no peer holds it
         waiting, state = self._due.get(kernel.name, (-1, None))
         if waiting != number or state is None:
             state = self._take(number)
@@ -139,7 +139,7 @@ class LockStepNode(KernelNode):
         return due
 
     def _take(self, number: int) -> State:
-        """A value that came over a topic, for one of the kernels that read it."""
+        """A value received over a topic, for one of the kernels that read it."""
         recalled = self._recalled.get(number)
         if recalled is not None:
             return recalled
@@ -154,7 +154,7 @@ class LockStepNode(KernelNode):
 
     # ---- after a restart --------------------------------------------------------------------------------------------
     def _recall(self, kernel: Kernel, order: Any) -> None:
-        """Ask the peers for a value."""
+        """Request a value from the peers."""
         state = self.ports.recall(order.state, order.number)
         self._recalled[order.number] = state
         if state is not None:
@@ -165,7 +165,7 @@ class LockStepNode(KernelNode):
         return kernel.resume({state.spec.name: state for _, state in known}, order.time_us)
 
     def _reset(self, kernel: Kernel, order: Any) -> None:
-        """Initialize the memory; what was computed is published when it is due."""
+        """Initialize the memory; results already computed remain scheduled for publication."""
         self.renew()
         self._due.clear()
         self._recalled.clear()
@@ -176,7 +176,7 @@ class LockStepNode(KernelNode):
 
 
 class FreeNode(KernelNode):
-    """Computes as values arrive, and publishes when the latency of the modelled platform has passed."""
+    """Computes as values arrive, and publishes after the latency of the modelled platform."""
 
     def __init__(self, name: str, plan: Plan) -> None:
         super().__init__(name, plan)
@@ -187,7 +187,7 @@ class FreeNode(KernelNode):
         self._number = 0
 
     def run(self) -> None:
-        """Work until the end."""
+        """Run until shutdown."""
         if not self.ports.plan.forked:
             fly_begin(self.ports.plan.scenario)
         self.listen(lambda state, number, time_us: self._queue.put((state, time_us, None)))
@@ -207,13 +207,13 @@ class FreeNode(KernelNode):
     def _take(self, state: State, now: int) -> None:
         for kernel in self.reading(state.spec.name):
             if self._marks and kernel.name in SCANNING and state.spec.name in self._triggers[kernel.name]:
-                kernel.mark()  # its memory before a new scan is what a recomputation needs
+                kernel.mark()  # a recomputation starts from the memory before the new scan
             due = kernel.receive(state, now)
             if due if kernel.name not in PERIODIC else self._begins_period(state, now):
                 self._step(kernel, now)
 
     def _begins_period(self, state: State, now: int) -> bool:
-        """Whether a value begins a control period: a position known at its start, not in between."""
+        """Whether a value starts a control period: odometry stamped at a multiple of the period."""
         return state.spec.name == self.ports.plan.config.odometry and now % CONTROL_PERIOD_US == 0
 
     def _step(self, kernel: Kernel, now: int) -> None:
@@ -232,7 +232,7 @@ class FreeNode(KernelNode):
             self._outlets[state.spec.name].publish(state, self._number, now + latency_us)
 
     def _recompute(self, request: Any, now: int) -> None:
-        """A detector's request, as far as it concerns these kernels."""
+        """Execute a detector's request, as far as it concerns this node's kernels."""
         for name in request.restores:
             if name in self.kernels:
                 self.kernels[name].rollback()
@@ -246,7 +246,7 @@ class FreeNode(KernelNode):
 
 
 def fly_begin(scenario: Scenario, detector: Detector | None = None, recovery: Recovery = INLINE) -> None:
-    """Fly the first seconds in this process: functions are compiled and loaded at their first use."""
+    """Fly the first seconds in this process, so that all functions are compiled and loaded."""
     loop = new_loop(scenario)
     watch(loop, detector, recovery)
     loop.judge.limit_us = _LOADING_FLIGHT_US
@@ -254,9 +254,10 @@ def fly_begin(scenario: Scenario, detector: Detector | None = None, recovery: Re
 
 
 def find_path(planner: MotionPlanner, start: np.ndarray, goal: np.ndarray) -> np.ndarray:
-    """A path on the present map (m), shape (n, 3), empty = none; the flight is not affected: randomness is restored.
+    """A path on the current map (m), shape (n, 3), empty = none.
 
-    It is found with the planner's radius or, if that fails, the checker's.
+    It is planned with the planner's radius or, if that fails, the checker's.  The planner's random state is restored,
+    so that the flight is unaffected.
     """
     routes = planner.routes
     before = routes.search.random.copy()
@@ -271,9 +272,9 @@ def find_path(planner: MotionPlanner, start: np.ndarray, goal: np.ndarray) -> np
 
 
 def offer_planning(present: Callable[[], Kernel], config: PipelineConfig, lock: threading.Lock) -> None:
-    """Offer the service `/plan` of type `nav_msgs/GetPlan`, answered on the present map of the present planner.
+    """Offer the service `/plan` of type `nav_msgs/GetPlan` on the current planner and its map.
 
-    The goal of the mission replaces (0, 0, 0) in a request; `lock` is held while the planner computes.
+    A goal of (0, 0, 0) is replaced by the mission's goal; `lock` is held while the planner computes.
     """
     import rospy
     from nav_msgs.srv import GetPlan, GetPlanResponse

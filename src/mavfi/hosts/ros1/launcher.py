@@ -1,8 +1,8 @@
-"""roslaunch, whose nodes of ours are forked from a warm process instead of being new interpreters.
+"""roslaunch with nodes forked from a warm process instead of started as new interpreters.
 
-The process of roslaunch has one child that has not a single thread besides its own, the image.  It is asked for every
-node, forks twice, and so hands the node to roslaunch, which adopts it: for roslaunch it is a process as any other, with
-its own id, session, environment and log, which can be killed, and is restarted.
+The roslaunch process has one single-threaded child, the image.  For each node the image forks twice, and roslaunch
+adopts the grandchild.  To roslaunch this is an ordinary process with its own id, session, environment and log, which
+can be killed and is then restarted.
 """
 
 import json
@@ -30,7 +30,7 @@ _ADOPTION_S = 1e-3
 
 
 def main(folder: Path) -> NoReturn:
-    """Launch the nodes of a flight, and restart those that die, until all is ended."""
+    """Launch the nodes of a flight and restart those that die, until shutdown."""
     try:
         _launch(folder)
     except BaseException:
@@ -61,7 +61,7 @@ def _launch(folder: Path) -> None:
 
 
 def _fork_nodes(folder: Path) -> None:
-    """Make roslaunch ask for forks."""
+    """Redirect roslaunch's process creation to forks of the image."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     launcher = os.getpid()
     if os.fork() == 0:
@@ -82,7 +82,7 @@ def _fork_nodes(folder: Path) -> None:
 
 
 class Forked:
-    """What roslaunch needs of `subprocess.Popen`."""
+    """The subset of `subprocess.Popen` that roslaunch uses."""
 
     def __init__(
         self, channel: socket.socket, args: list[str], *, cwd: str, env: Mapping[str, str], stdout: Any, stderr: Any,
@@ -91,14 +91,14 @@ class Forked:
         del options
         request = json.dumps([args, cwd, dict(env)]).encode()
         socket.send_fds(channel, [request], [1 if stdout is None else stdout.fileno(), 2])
-        del stderr  # roslaunch lets it go to its own
+        del stderr  # roslaunch inherits its own
         self.pid = int(channel.recv(_LONGEST) or b"0")
         if not self.pid:
             raise OSError("the process that forks nodes has ended")
         self.returncode: int | None = None
 
     def poll(self) -> int | None:
-        """Its exit code, None = it runs."""
+        """Exit code; None = running."""
         if self.returncode is None:
             with suppress(ChildProcessError):
                 pid, status = os.waitpid(self.pid, os.WNOHANG)
@@ -109,7 +109,7 @@ class Forked:
 
 # ---- the image ------------------------------------------------------------------------------------------------------
 def _serve(channel: socket.socket, launcher: int) -> NoReturn:
-    """Fork what is asked for, first of all the master, until roslaunch has ended."""
+    """Fork the requested processes, the master first, until roslaunch exits."""
     end_with_parent()
     plan = None
     while True:
@@ -130,14 +130,14 @@ def _serve(channel: socket.socket, launcher: int) -> NoReturn:
 
 
 def _prepare() -> Any:  # noqa: ANN401
-    """Load what the nodes of this flight have in common; its plan."""
+    """Load the code that all nodes of this flight share; returns its plan."""
     finder.enable(files.flight_folder() / files.MESSAGES)
     from mavfi.hosts.ros1.generate import state_types
     from mavfi.hosts.ros1.kernels import fly_begin
 
     plan = load_plan()
     state_types()
-    with suppress(Exception):  # a node will say what is wrong
+    with suppress(Exception):  # the node concerned reports the error
         fly_begin(plan.scenario)
     return plan
 
@@ -146,7 +146,7 @@ def _become(
     channel: socket.socket, launcher: int, descriptors: list[int], args: list[str], cwd: str,
     variables: dict[str, str], plan: Any,
 ) -> NoReturn:  # fmt: skip
-    """Become a node, once roslaunch has adopted this process."""
+    """Become a node after adoption by roslaunch."""
     while os.getppid() != launcher:
         time.sleep(_ADOPTION_S)
     end_with_parent()
@@ -176,7 +176,7 @@ def _become(
 
 
 def _program(args: list[str], plan: Any) -> tuple[str, Callable[[], None]]:
-    """Name and function of a program."""
+    """Name and entry function of a program."""
     if args[0] == _MASTER:
         import rosmaster
 
@@ -187,5 +187,5 @@ def _program(args: list[str], plan: Any) -> tuple[str, Callable[[], None]]:
 
 
 def _shown(args: list[str]) -> list[str]:
-    """The command line that a new interpreter would show."""
+    """The command line that an unforked process would show."""
     return args if args[0] == _MASTER else [sys.executable, "-m", "mavfi.hosts.ros1.node", *args[1:]]

@@ -1,7 +1,7 @@
-"""The values of the loop in ROS standard types, for rviz, bags, and other people's nodes.
+"""Mirrors of the loop's states in standard ROS message types, for rviz, bags and third-party nodes.
 
-Frames after REP-103 and REP-105: `map` is the world (ENU, z up), `base_link` the vehicle (x forward, y left, z up),
-`camera_optical` the camera (z forward, x right, y down).  A mirror costs nothing while nobody listens to it.
+Frames follow REP-103 and REP-105: `map` is the world (ENU, z up), `base_link` the vehicle (x forward, y left, z up),
+`camera_optical` the camera (z forward, x right, y down).  A mirror without subscribers costs nothing.
 """
 
 import math
@@ -28,14 +28,14 @@ _FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
 
 
 def ros_type(name: str) -> Any:
-    """Message class by its ROS name, e.g. "sensor_msgs/Image"."""
+    """Message class by ROS name, e.g. "sensor_msgs/Image"."""
     package, kind = name.split("/")
     return getattr(import_module(f"{package}.msg"), kind)
 
 
 @dataclass(frozen=True, slots=True)
 class Standard:
-    """One mirror of a state: topic, ROS type, frame of the header, and what fills a message from state and camera."""
+    """One mirror of a state: topic, ROS type, frame, and function that fills a message from state and camera."""
 
     state: str
     topic: str
@@ -44,7 +44,7 @@ class Standard:
     fill: Callable[[Any, State, CameraConfig], None]
 
     def message(self, state: State, time_us: int, camera: CameraConfig) -> Any:
-        """The message of one publication."""
+        """The message of one value."""
         message = ros_type(self.kind)()
         stamped = message if hasattr(message, "header") else _first(message)
         to_stamp(stamped.header.stamp, time_us)
@@ -54,7 +54,7 @@ class Standard:
 
 
 def _first(transforms: Any) -> Any:
-    """The transform of a TFMessage, which has the header."""
+    """The transform of a TFMessage, which carries the header."""
     transform = ros_type("geometry_msgs/TransformStamped")()
     transform.child_frame_id = VEHICLE
     transforms.transforms = [transform]
@@ -62,24 +62,24 @@ def _first(transforms: Any) -> Any:
 
 
 class Mirror:
-    """Publishes one standard message for each value, while somebody listens."""
+    """Publishes one standard message per value while it has subscribers."""
 
     def __init__(self, standard: Standard, camera: CameraConfig) -> None:
         self._standard, self._camera = standard, camera
         self._publisher = _publisher(standard.topic, standard.kind)
 
     def publish(self, state: State, time_us: int) -> None:
-        """Publish a value, if somebody listens."""
+        """Publish a value if there are subscribers."""
         if self._publisher.get_num_connections() > 0:
             self._publisher.publish(self._standard.message(state, time_us, self._camera))
 
 
 def mirrors_of(state: str, plan: Plan) -> list[Mirror]:
-    """The mirrors of one state, advertised."""
+    """Advertise and return the mirrors of one state."""
     return [Mirror(standard, plan.scenario.camera) for standard in STANDARDS if standard.state == state]
 
 
-# ---- how states become standard messages ----------------------------------------------------------------------------
+# ---- conversion of states to standard messages -------------------------------------------------------------------
 def _xyz(target: Any, values: np.ndarray) -> None:
     target.x, target.y, target.z = (float(value) for value in values)
 
@@ -107,7 +107,7 @@ def _transform(message: Any, state: State, camera: CameraConfig) -> None:
 
 
 def _image(message: Any, state: State, camera: CameraConfig) -> None:
-    """Depth along the optical axis, as rectified depth images have it (the state holds distances along the rays)."""
+    """Depth along the optical axis, as in rectified depth images (the state holds distances along the rays)."""
     height, width = camera.height, camera.width
     depth = np.zeros(height * width, np.float32)
     ranges = state.elements["range"][: height * width]
@@ -117,7 +117,7 @@ def _image(message: Any, state: State, camera: CameraConfig) -> None:
 
 
 def cosines(camera: CameraConfig) -> np.ndarray:
-    """Ratio of depth along the optical axis to distance along the ray, of each pixel. Shape (height * width,)."""
+    """Ratio of depth along the optical axis to distance along the ray, per pixel. Shape (height * width,)."""
     focal = focal_length(camera)
     across = (np.arange(camera.width) + 0.5 - 0.5 * camera.width) / focal
     down = (np.arange(camera.height) + 0.5 - 0.5 * camera.height) / focal
@@ -126,12 +126,12 @@ def cosines(camera: CameraConfig) -> np.ndarray:
 
 
 def focal_length(camera: CameraConfig) -> float:
-    """Of the depth camera, in pixels."""
+    """Focal length of the depth camera (pixels)."""
     return 0.5 * camera.width / tan(0.5 * camera.field_of_view)
 
 
 def fill_camera_info(message: Any, camera: CameraConfig) -> None:
-    """Fill in a `sensor_msgs/CameraInfo`, except its header: a pinhole without distortion."""
+    """Fill in a `sensor_msgs/CameraInfo`, except its header: pinhole model without distortion."""
     focal, cx, cy = focal_length(camera), 0.5 * camera.width - 0.5, 0.5 * camera.height - 0.5
     message.height, message.width, message.distortion_model = camera.height, camera.width, "plumb_bob"
     message.D = [0.0] * 5
@@ -188,7 +188,7 @@ def _point(values: np.ndarray, start: float) -> Any:
 
 
 def to_duration(duration: Any, seconds: float) -> None:
-    """Set a `genpy.Duration`; seconds that it cannot hold become 0."""
+    """Set a `genpy.Duration`; out-of-range values become 0."""
     if abs(seconds) < 2**31:
         duration.secs = math.floor(seconds)
         duration.nsecs = min(999_999_999, int(1e9 * (seconds - duration.secs)))
@@ -227,7 +227,7 @@ STANDARDS = (
     Standard("planning.waypoint", "/reference", "trajectory_msgs/MultiDOFJointTrajectory", MAP, _waypoint),
     Standard("control.command", "/command", "geometry_msgs/TwistStamped", MAP, _command),
 )  # fmt: skip
-"""Every mirror of a state; the world publishes `/clock`, `/tf_static` and, unless it is a state, `/imu/data`."""
+"""All mirrors of states; the world also publishes `/clock`, `/tf_static` and, unless it is a state, `/imu/data`."""
 
 
 def camera_transform() -> Any:
@@ -250,10 +250,10 @@ def imu_message(values: np.ndarray, time_us: int) -> Any:
 
 
 class Senses:
-    """Publishes the clock, the IMU, and the pose of the camera on the vehicle, at each control period.
+    """Publishes clock, IMU and camera transform: the transform once (latched), the others at each control period.
 
-    With an estimator (`estimating`) the IMU is one of the loop's sensors: its samples are drawn by the loop alone, and
-    published as the mirror of `sensor.imu`.
+    With an estimator (`estimating`), the IMU is a sensor of the loop: only the loop samples it, and the mirror of
+    `sensor.imu` publishes the samples.
     """
 
     def __init__(self, plant: Plant, estimating: bool) -> None:
@@ -264,7 +264,7 @@ class Senses:
         self._static.publish(camera_transform())
 
     def publish(self, time_us: int) -> None:
-        """Publish for one instant; the IMU is sampled only while somebody listens."""
+        """Publish for one instant; the IMU is sampled only while it has subscribers."""
         clock = ros_type("rosgraph_msgs/Clock")()
         to_stamp(clock.clock, time_us)
         self._clock.publish(clock)

@@ -1,4 +1,4 @@
-"""The program of a node: `python -m mavfi.hosts.ros1.node NAME`, started by roslaunch."""
+"""Entry point of a node: `python -m mavfi.hosts.ros1.node NAME`, started by roslaunch."""
 
 import signal
 import sys
@@ -14,14 +14,14 @@ from mavfi.hosts.ros1.processes import end_with_parent
 
 
 def main(plan: Plan | None = None) -> None:
-    """Run the node that the command line names, of a plan that is known or read, until it is killed or all is over."""
+    """Run the node named on the command line, with the given plan or the saved one, until shutdown."""
     end_with_parent()  # no node outlives its roslaunch
     finder.enable(flight_folder() / MESSAGES)
     import rospy
 
     name = rospy.myargv(sys.argv)[1]
     plan = plan or load_plan()
-    warnings.filterwarnings("ignore", "The publisher should be created", SyntaxWarning)  # without a queue, on purpose
+    warnings.filterwarnings("ignore", "The publisher should be created", SyntaxWarning)  # intentionally unqueued
     rospy.init_node(name, disable_signals=True, disable_rostime=True, disable_rosout=True)
     try:
         run(name, plan)
@@ -29,11 +29,11 @@ def main(plan: Plan | None = None) -> None:
         if name != WORLD:
             die()
         (flight_folder() / FAILURE).write_text(traceback.format_exc())
-    signal.pause()  # the supervisor takes everything down at once
+    signal.pause()  # the supervisor terminates all nodes together
 
 
 def run(name: str, plan: Plan) -> None:
-    """Run the node of that name."""
+    """Run a node by name."""
     if name == WORLD:
         from mavfi.hosts.ros1.world import fly
 

@@ -1,7 +1,7 @@
-"""The kernel `point_cloud` by Debian's C++ nodelet: our depth image goes out in standard types, and points come back.
+"""Kernel `point_cloud` by Debian's C++ nodelet: sends the depth image in standard types, and receives the points.
 
-The nodelet reads images only while somebody reads its points, and roslaunch restarts it after its death: so a tiny
-image is sent to find out whether it is there.  Every wait has an end; a scan that does not come back is lost.
+The nodelet subscribes to images only while its points have subscribers, and roslaunch restarts it after a crash:
+therefore a one-pixel image probes whether it is available.  Every wait has a timeout; an unanswered scan is lost.
 """
 
 import os
@@ -26,18 +26,18 @@ from mavfi.pipeline.perception import PointCloud
 from mavfi.states import State
 
 _ANSWER_S, _ASKS = 2.0, 2
-"""How long an answer may take (s), and how often the same image is sent."""
+"""Timeout of a response (s), and number of transmissions of the same image."""
 _LOOK_S, _PROBE_S = 0.05, 0.1
 _FLOAT32_POINT = 12
 _STAMPS = 1000
 
 
 class NoCloudError(Exception):
-    """The nodelet gave no points."""
+    """The nodelet returned no points."""
 
 
 class NodeletCloud(PointCloud):
-    """Kernel `point_cloud`, whose points a nodelet computes; it has no memory."""
+    """Kernel `point_cloud` whose points a nodelet computes; stateless."""
 
     def __init__(self, plan: Plan, ports: Ports) -> None:
         self.exchange = Exchange(plan.scenario.camera, plan.patience_s)
@@ -47,7 +47,7 @@ class NodeletCloud(PointCloud):
         super().__init__(replace(plan.config, functions=functions))
 
     def step(self, time_us: int) -> list[State]:
-        """Have the image back-projected; without points from the nodelet the scan is lost."""
+        """Back-project the image in the nodelet; without a response the scan is lost."""
         self.exchange.time_us = time_us
         try:
             return super().step(time_us)
@@ -57,16 +57,16 @@ class NodeletCloud(PointCloud):
 
 
 class Exchange:
-    """Depth images to the nodelet, clouds back; `time_us`: instant of the flight, for stamps.
+    """Exchange of depth images for point clouds with the nodelet; `time_us`: instant of the flight, for stamps.
 
-    A tracer may hold the nodelet at one image for `patience_s` in total.
+    A tracer may stop the nodelet for at most `patience_s` in total per image.
     """
 
     def __init__(self, camera: CameraConfig, patience_s: float) -> None:
         import rospy
 
         self.time_us = 0
-        self._patience_s = patience_s / (2 * _ASKS)  # the world, which waits for this node, has more
+        self._patience_s = patience_s / (2 * _ASKS)  # below the patience of the world, which waits for this node
         self._pid, self._number = 0, 0
         self._inbox = Inbox()
         self._image, self._info = ros_type("sensor_msgs/Image"), ros_type("sensor_msgs/CameraInfo")
@@ -80,9 +80,9 @@ class Exchange:
         )
 
     def ask(self, depth: np.ndarray) -> np.ndarray:
-        """Have the points of an image computed (see `pinhole.Projection`).
+        """Compute the points of an image (see `pinhole.Projection`).
 
-        `NoCloudError`: the nodelet is away or dies, or it does not answer and is ended.
+        `NoCloudError`: the nodelet is unavailable, crashes, or hangs and is killed.
         """
         if not is_alive(self._pid) and not self.probe():
             raise NoCloudError(f"{NODELET} is away")
@@ -94,11 +94,11 @@ class Exchange:
                 return points_of(cloud, depth.size)
         note_hung(self._pid)
         with suppress(ProcessLookupError):
-            os.kill(self._pid, signal.SIGKILL)  # a hung node is ended, and started anew
+            os.kill(self._pid, signal.SIGKILL)  # roslaunch restarts it
         raise NoCloudError(f"{NODELET} does not answer (pid {self._pid})")
 
     def _await(self, key: int) -> Any:
-        """The cloud of an image; None = not in time.  A nodelet that a tracer holds does not hang."""
+        """The cloud of an image; None = timeout.  A nodelet stopped by a tracer does not count as hung."""
         end = time.monotonic() + _ANSWER_S
         longest = end + self._patience_s
         while time.monotonic() < end:
@@ -111,7 +111,7 @@ class Exchange:
         return None
 
     def probe(self) -> bool:
-        """Whether the nodelet answers an image of one pixel."""
+        """Whether the nodelet responds to a one-pixel image."""
         if min(each.get_num_connections() for each in (self._images, self._infos, self._points)) < 1:
             return False
         key = self._next()
@@ -124,14 +124,14 @@ class Exchange:
         return self._pid != 0
 
     def _next(self) -> int:
-        """A key that distinguishes images of the same instant: the nanoseconds of the stamp."""
+        """A key that distinguishes images of the same instant, stored in the nanoseconds of the stamp."""
         self._number = (self._number + 1) % _STAMPS
         with suppress(TimeoutError):
-            self._inbox.take(self._number, 0.0)  # a late answer to an image of long ago
+            self._inbox.take(self._number, 0.0)  # discard a late response to an earlier image with this key
         return self._number
 
     def _send(self, key: int, depth: np.ndarray) -> None:
-        """Publish an image and its camera; the nodelet pairs them by their stamps."""
+        """Publish an image and its camera info, which the nodelet pairs by stamp."""
         image, info = self._image(), self._camera_info
         to_stamp(image.header.stamp, self.time_us)
         image.header.stamp.nsecs += key
@@ -147,10 +147,10 @@ class Exchange:
 
 
 def points_of(cloud: Any, count: int) -> np.ndarray:
-    """The points of a `sensor_msgs/PointCloud2`, whatever an injected node has put into it.
+    """The points of a `sensor_msgs/PointCloud2`, robust against malformed messages of an injected node.
 
     Returns:
-        `count` coordinates (m), NaN where there are none. Shape (count, 3), float32.
+        `count` coordinates (m), NaN where missing. Shape (count, 3), float32.
     """
     points = np.full((count, 3), np.nan, np.float32)
     step = int(cloud.point_step)

@@ -1,4 +1,4 @@
-"""How the world sends a value on its way through the topics, and gets it back: the taps of the loop."""
+"""Taps of the loop in lock-step: the world sends each value through the topics and receives the result."""
 
 import time
 from collections.abc import Callable
@@ -20,7 +20,7 @@ _LOOK_S = 0.5
 
 
 class Passage:
-    """The first tap: every published value passes the topics, and comes back as the injector left it."""
+    """The injector tap: every published value passes the topics, and returns as the injector published it."""
 
     spent = False
 
@@ -48,7 +48,7 @@ class Passage:
         self._judging = self._plan.detector is not None
 
     def __call__(self, state: State, time_us: int) -> State | None:
-        """Publish a value; returns the output of the injector, None if it got lost on its way."""
+        """Publish a value; returns the output of the injector, None if the value was lost in transit."""
         if self._is_lost(state):
             return None
         try:
@@ -57,7 +57,7 @@ class Passage:
             return None
 
     def _is_lost(self, state: State) -> bool:
-        """Whether a value died with its node, or comes to one that is away."""
+        """Whether a value died with its node, or its route contains a node that is down."""
         if isinstance(state, Publication) and state.is_lost:
             return True
         name = state.spec.name
@@ -79,14 +79,14 @@ class Passage:
         return Publication(seen.spec, seen.header, seen.elements, number)
 
     def finish(self) -> list[Injection]:
-        """The injections into the state, and into registers."""
+        """State injections and register injections."""
         return state_injections(self._plan) + self._registers.injections
 
     def _judges(self) -> bool:
         return self._judging and not self._links[DETECTOR].lost
 
     def _await(self, key: Any, state: State) -> Any:
-        """Wait for what a node publishes; `NodeLostError` if a node in the way has died."""
+        """Wait for a node's publication; `NodeLostError` if a node on the route has died."""
         end = time.monotonic() + self._plan.patience_s
         way = self._ways[state.spec.name]
         judge = (DETECTOR,) * self._judging
@@ -95,7 +95,7 @@ class Passage:
                 return self._inbox.take(key, _LOOK_S)
             except TimeoutError:
                 late = time.monotonic() > end
-            # the writer has answered that it has published: whoever is last in the way keeps it
+            # the writer has confirmed its publication: a timeout is attributed to the last node on the route
             slow = (*way.taps, *judge)[-1:] or (way.writer,)
             for node in dict.fromkeys((way.writer, *way.taps, *judge)):
                 link = self._links.get(node)
@@ -117,24 +117,24 @@ class Passage:
 
 
 def state_injections(plan: Plan) -> list[Injection]:
-    """The injections of the injector's node, as it has noted; or that the publication never came."""
+    """State injections, as recorded by the injector's node; a missed activation if its publication never occurred."""
     if plan.fault is None:
         return []
     return read_injections() or StateInjector(plan.fault).finish()
 
 
 class LockStepDetector:
-    """The detector of the loop: returns the verdict of the detector's node on the last published value."""
+    """The loop's detector: returns the verdict of the detector's node on the last published value."""
 
     def __init__(self, passage: Passage) -> None:
         self._passage = passage
 
     def start(self) -> None:
-        """The node begins each flight anew."""
+        """No operation: the node initializes its detector itself."""
 
     def check(self, state: State, time_us: int) -> Alarm | None:
         """The verdict of the node."""
         return self._passage.verdict
 
     def accept(self, state: State, time_us: int) -> None:
-        """The node has taken note itself."""
+        """No operation: the node has processed the value."""

@@ -1,7 +1,7 @@
-"""The point cloud by a pinhole camera: depth image along the optical axis, points in its frame, then the map.
+"""Point cloud by a pinhole camera: depth along the optical axis, to points in the camera frame, to the map frame.
 
-That is how ROS does it (`depth_image_proc`, `tf`), so that a foreign node can take its place.  The pipeline's own
-kernel goes from ranges to the map at once in double precision; the two differ by rounding alone.
+ROS uses these steps (`depth_image_proc`, `tf`), so that a foreign node can replace this kernel.  The pipeline's own
+kernel transforms ranges to the map frame directly in double precision; the results differ by rounding alone.
 """
 
 from collections.abc import Callable
@@ -21,7 +21,7 @@ Projection = Callable[[np.ndarray], np.ndarray]
 
 
 def projection(camera: CameraConfig) -> Projection:
-    """The computation of `depth_image_proc/point_cloud_xyz`, operation by operation in single precision.
+    """The computation of `depth_image_proc/point_cloud_xyz`, replicated operation by operation in single precision.
 
     Source: `depth_image_proc/depth_conversions.h`, version 1.17.
     """
@@ -39,7 +39,7 @@ def projection(camera: CameraConfig) -> Projection:
 
 
 class Pinhole:
-    """Replaces the function `back_project` of the kernel `point_cloud`; `project` computes the points."""
+    """Replacement for the function `back_project` of the kernel `point_cloud`; `project` computes the points."""
 
     def __init__(self, camera: CameraConfig, project: Projection) -> None:
         self._shape = camera.height, camera.width
@@ -50,19 +50,19 @@ class Pinhole:
         self, ranges: np.ndarray, directions: np.ndarray, rotation: np.ndarray, origin: np.ndarray, max_range: float,
         points: np.ndarray,
     ) -> None:  # fmt: skip
-        """Depth image -> points in the map; arguments as of `mavfi.kernels.perception.point_cloud.back_project`."""
+        """Depth image -> points in frame `map`; arguments: see `mavfi.kernels.perception.point_cloud.back_project`."""
         count = len(ranges)
         depth = np.full(self._cosines.size, np.nan, np.float32)
         depth[:count] = np.where(ranges > max_range, max_range * BEYOND_RANGE, ranges) * self._cosines[:count]
         found = self._project(depth.reshape(self._shape))[:count].astype(float)
-        # camera_optical looks along z, x to the right, y down; the body looks along x, y to the left, z up
+        # from camera_optical (z forward, x right, y down) to the body frame (x forward, y left, z up)
         x, y, z = found[:, 2], -found[:, 0], -found[:, 1]
         for axis in range(3):
             points[:, axis] = origin[axis] + rotation[axis, 0] * x + rotation[axis, 1] * y + rotation[axis, 2] * z
 
 
 def functions_of(plan: Plan) -> KernelFunctions:
-    """What the kernels call where a flight on ROS is flown in one process, with the same digest."""
+    """Kernel functions with which an in-process flight has the same digest as this flight on ROS."""
     if not plan.foreign:
         return PLAIN
     camera = plan.scenario.camera

@@ -1,4 +1,4 @@
-"""A flight on ROS, as plain data that every node reads from the flight's folder."""
+"""Specification of a flight on ROS, as plain data that every node loads from the flight's folder."""
 
 import pickle
 from dataclasses import dataclass, field
@@ -20,10 +20,10 @@ CloudNode = Literal["mavfi", "depth_image_proc"]
 
 
 def check_supported(spec: MissionSpec) -> None:
-    """Check that nodes of ROS can fly a mission as it is wanted.
+    """Check that ROS nodes can fly a mission.
 
     Raises:
-        BadInputError: The step of a node that dies is to be repeated, a message to be sent again, or there is to be a
+        BadInputError: The mission requires retransmission of messages, recomputation of a dead node's step, or a
             degraded mode.
     """
     if spec.grain == "message":
@@ -42,22 +42,23 @@ class Plan:
     """A flight on ROS.
 
     Attributes:
-        scenario: The mission; `config` of its kernels.
-        fault: What to inject into a state.
-        detector: What watches, as it is before the flight.
-        recovery: How its alarms are answered.
-        free_running: Whether time passes as on the wall, instead of waiting for every node.
-        kills: Nodes that are killed, and when (us).
-        restart_us: For how long a lost node is away, in simulated time.
-        patience_s: How long to wait for a node (s, wall clock).
-        cloud_node: Who computes the point cloud: the project's kernel, or Debian's nodelet.
-        register_faults: Bits flipped in registers of nodes.
+        scenario: The mission; `config`: configuration of its kernels.
+        fault: State fault; None = none.
+        detector: The detector in its initial state; None = none.
+        recovery: The recovery policy for its alarms.
+        free_running: Whether simulated time follows the wall clock instead of waiting for every node.
+        kills: Scheduled kills: node and instant (us).
+        restart_us: Down time of a lost node, in simulated time (us).
+        patience_s: Timeout for a node's response (s, wall clock).
+        cloud_node: Implementation of the point cloud: the project's kernel, or Debian's nodelet.
+        register_faults: Bit flips in registers of nodes.
         forked: Whether nodes are forked from a warm process; otherwise roslaunch starts an interpreter for each.
-        profile: Whether to note when which state was published; the world then listens to all of them.
+        profile: Whether to record publication times; the world then subscribes to all states.
         nodes: All nodes of the project except the world.
 
     Raises:
-        BadInputError: The fault lasts: the injector's node changes one publication.
+        BadInputError: The fault is not transient (the injector's node changes one publication), the detector acts on
+            unpublished values, or a policy is not available in free-running mode.
     """
 
     scenario: Scenario
@@ -90,7 +91,7 @@ class Plan:
             self._check_free_running()
 
     def _check_free_running(self) -> None:
-        """Refuse what needs the world to know when nodes compute."""
+        """Refuse policies that require the world to know when nodes compute."""
         wanted = {"dead_node": (self.scenario.dead_node, "fresh")}
         wanted |= {
             key: (getattr(self.recovery, key), getattr(INLINE, key)) for key in ("grain", "same_twice", "answer_s")
@@ -101,12 +102,12 @@ class Plan:
 
     @property
     def foreign(self) -> tuple[str, ...]:
-        """Nodes that nobody here wrote."""
+        """Third-party nodes."""
         return () if self.cloud_node == "mavfi" else (NODELET,)
 
     @property
     def gated(self) -> bool:
-        """Whether the detector stands in the way of what it watches."""
+        """Whether the detector is a gate between publishers and consumers."""
         return self.detector is not None and self.recovery.coupling == "inline"
 
     @property
@@ -115,21 +116,21 @@ class Plan:
         return self.detector is not None and self.recovery.coupling == "observer"
 
     def published_at_once(self) -> frozenset[str]:
-        """States whose values a node publishes as soon as it has them, in lock-step, which saves a call for each.
+        """States whose values a node publishes immediately in lock-step, which saves one call each.
 
-        Their stamps say when they count, and no consumer takes them before.  Where a detector may request a
-        recomputation, or an injector counts publications, the order of sending matters.
+        Their stamps carry the publication instant, and no consumer takes them before.  Excluded where the order of
+        transmission matters: with a detector, which may request recomputation, or an injector, which counts values.
         """
         if self.detector is not None:
             return frozenset()
         return frozenset(name for name, way in self.graph.ways.items() if not way.taps)
 
     def save(self, folder: Path) -> None:
-        """Write it into the flight's folder, which belongs to the user alone."""
+        """Save the plan to the flight's folder, which only this user can access."""
         (folder / _PLAN).write_bytes(pickle.dumps(self))
 
 
 def load_plan() -> Plan:
-    """The plan of the flight that this process belongs to."""
+    """The plan of the flight to which this process belongs."""
     plan: Plan = pickle.loads((flight_folder() / _PLAN).read_bytes())
     return plan

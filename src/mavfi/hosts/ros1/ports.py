@@ -1,4 +1,4 @@
-"""Publishers and subscribers of the loop's topics, and the service by which a node reports that it is connected."""
+"""Publishers and subscribers of the loop's topics, and the service with which a node reports that it is connected."""
 
 import os
 import sys
@@ -26,13 +26,13 @@ _KEPT = 2
 _Given = TypeVar("_Given")
 _Answer = TypeVar("_Answer")
 Arrived = Callable[[State, int, int], None]
-"""Takes a value, its number, and its instant (microseconds)."""
+"""Receives a value, its sequence number, and its instant (us)."""
 
 
 def die() -> NoReturn:
-    """End this process, with the exception that is being handled in the log: roslaunch restarts it at once.
+    """Terminate this process and log the current exception; roslaunch restarts it immediately.
 
-    rospy by itself catches exceptions of callbacks and services, writes a line, and continues without the value.
+    rospy itself would log exceptions of callbacks and services, and continue without the value.
     """
     traceback.print_exc()
     sys.stdout.flush()
@@ -41,19 +41,19 @@ def die() -> NoReturn:
 
 
 def fatal(callback: Callable[[_Given], _Answer]) -> Callable[[_Given], _Answer]:
-    """The same callback, but an exception ends the process."""
+    """Wrap a callback so that an exception terminates the process."""
 
     def guarded(given: _Given) -> _Answer:
         try:
             return callback(given)
-        except Exception:  # whatever it is
+        except Exception:  # any exception type
             die()
 
     return guarded
 
 
 class Inbox:
-    """Hands values from callbacks to the thread that waits for them, by key."""
+    """Passes values from callbacks to a waiting thread, by key."""
 
     def __init__(self) -> None:
         self._things: dict[Hashable, Any] = {}
@@ -66,7 +66,7 @@ class Inbox:
             self._changed.notify_all()
 
     def take(self, key: Hashable, patience_s: float) -> Any:
-        """Wait for a value, and take it out; `TimeoutError` if it does not come in time."""
+        """Wait for a value and remove it; `TimeoutError` if it does not arrive in time."""
         end = time.monotonic() + patience_s
         with self._changed:
             while key not in self._things:
@@ -76,10 +76,10 @@ class Inbox:
 
 
 class Kept:
-    """The last values that a node has published or consumed, for nodes that begin again without memory.
+    """The latest values that a node has published or consumed, for restarted nodes.
 
-    Of each state the two of the highest numbers, since one may not have come to its instant yet, and the last one that
-    consumers act upon; all changes of a map.
+    For each state the two values of highest sequence number, as the latest may precede its publication instant, and
+    the last one that consumers act upon; all changes of a map.
     """
 
     def __init__(self) -> None:
@@ -88,26 +88,26 @@ class Kept:
         self._alarms: dict[tuple[str, int], State] = {}
 
     def put(self, state: State, number: int) -> None:
-        """Keep a value; values of one state come in order."""
+        """Store a value; values of one state arrive in order."""
         name = state.spec.name
         self.put_late(state, number)
         if name in self._acted_on and self._acted_on[name](state):
             self._alarms = {key: kept for key, kept in self._alarms.items() if key[0] != name} | {(name, number): state}
 
     def put_late(self, state: State, number: int) -> None:
-        """Keep a value that comes out of order."""
+        """Store a value that arrives out of order."""
         values = self._values.setdefault(state.spec.name, {})
         values[number] = state
         if state.spec.name != CHANGES and len(values) > _KEPT:
             del values[min(values)]
 
     def find(self, name: str, number: int) -> State | None:
-        """A value, None = it is not kept."""
+        """A stored value; None = not stored."""
         return self._values.get(name, {}).get(number) or self._alarms.get((name, number))
 
 
 class Outlet:
-    """Publishes the values of one state to `listeners` nodes of the flight, and mirrors in standard types."""
+    """Publishes the values of one state to `listeners` nodes of the flight, and to mirrors in standard types."""
 
     def __init__(self, state: str, topic: str, listeners: int, mirrors: list[Mirror], kept: Kept | None) -> None:
         import rospy
@@ -127,7 +127,7 @@ class Outlet:
             mirror.publish(state, time_us)
 
     def connected(self) -> bool:
-        """Whether all of the flight's listeners are there."""
+        """Whether all of the flight's subscribers are connected."""
         return bool(self._publisher.get_num_connections() >= self._listeners)
 
 
@@ -146,7 +146,7 @@ class Ports:
         self._peers: dict[str, Any] = {}
 
     def outlet(self, way: Way, topic: str) -> Outlet:
-        """Publish values of a state on one of the topics of its way."""
+        """Advertise one of the topics on the route of a state."""
         mirrors = mirrors_of(way.state, self.plan) if topic == way.final else []
         kept = self.kept if topic == way.final and not self.plan.free_running else None
         outlet = Outlet(way.state, topic, listeners(way, topic, self.plan), mirrors, kept)
@@ -154,7 +154,7 @@ class Ports:
         return outlet
 
     def read(self, state: str, topic: str, arrived: Arrived) -> None:
-        """Listen to values of a state."""
+        """Subscribe to values of a state."""
         import rospy
 
         spec = STATES[state]
@@ -169,7 +169,7 @@ class Ports:
         )
 
     def publisher(self, topic: str, kind: str, awaited: int = 0) -> Any:
-        """Publish messages that are no states; `awaited` of the flight's nodes listen."""
+        """Advertise a topic of non-state messages, with `awaited` subscribers among the flight's nodes."""
         import rospy
 
         publisher = rospy.Publisher(topic, message_type(kind), queue_size=None, tcp_nodelay=True)
@@ -177,7 +177,7 @@ class Ports:
         return publisher
 
     def listen(self, topic: str, kind: str, callback: Callable[[Any], None]) -> None:
-        """Listen to messages that are no states."""
+        """Subscribe to non-state messages."""
         import rospy
 
         self._subscribers.append(
@@ -185,11 +185,11 @@ class Ports:
         )
 
     def also(self, condition: Callable[[], bool]) -> None:
-        """Add a condition for this node to be connected."""
+        """Add a condition under which this node counts as connected."""
         self._conditions.append(condition)
 
     def wait_until_connected(self) -> None:
-        """Wait for every publisher and listener of the flight to be connected with this node, or raise `MavfiError`."""
+        """Wait until this node is connected to every publisher and subscriber of the flight, or raise `MavfiError`."""
         end = time.monotonic() + self.plan.patience_s
         while not self._connected():
             if time.monotonic() > end:
@@ -205,7 +205,7 @@ class Ports:
         )
 
     def offer_ready(self) -> None:
-        """Offer the service `/<node>/ready`: it answers with the process id when all connections stand."""
+        """Offer the service `/<node>/ready`, which returns the process id once all connections are established."""
         import rospy
         from std_srvs.srv import Trigger, TriggerResponse
 
@@ -216,9 +216,9 @@ class Ports:
         self.offer_recall()
         rospy.Service(f"/{self.node}/ready", Trigger, answer)
 
-    # ---- values of the past -----------------------------------------------------------------------------------------
+    # ---- recall of earlier values ------------------------------------------------------------------------------------
     def offer_recall(self) -> None:
-        """Offer the service `/<node>/recall`: it answers with a value that is kept here."""
+        """Offer the service `/<node>/recall`, which returns a stored value."""
         import rospy
         from mavfi_msgs.srv import Recall, RecallResponse
 
@@ -233,7 +233,7 @@ class Ports:
         rospy.Service(f"/{self.node}/recall", Recall, answer)
 
     def recall(self, name: str, number: int) -> State | None:
-        """Ask living peers for a value of a state that was published before this node began; None = nobody has it."""
+        """Request from live peers a value that was published before this node started; None = no peer stores it."""
         import rospy
 
         for peer in peers(self.ways[name], self.node):
@@ -246,7 +246,7 @@ class Ports:
         return None
 
     def _asking(self, peer: str) -> Any:
-        """The connection to the service of a peer."""
+        """The persistent connection to a peer's recall service."""
         import rospy
         from mavfi_msgs.srv import Recall
 
@@ -256,13 +256,13 @@ class Ports:
 
 
 def peers(way: Way, node: str) -> tuple[str, ...]:
-    """Nodes that keep what came out on the topic of a way: those that read it, and the last in the way."""
+    """Nodes that store a route's final values: its subscribers, and the last node that publishes them."""
     last = (way.writer, *way.taps)[-1]
     return tuple(peer for peer in dict.fromkeys((*way.readers, last)) if peer != node)
 
 
 def listeners(way: Way, topic: str, plan: Plan) -> int:
-    """Number of the flight's nodes that listen to one of the topics of a way."""
+    """Number of the flight's nodes that subscribe to one of the topics of a route."""
     if topic == way.rejected:
         return 0 if plan.free_running else 1  # the world
     if topic != way.final:
@@ -271,10 +271,10 @@ def listeners(way: Way, topic: str, plan: Plan) -> int:
 
 
 def world_listens(plan: Plan, state: str) -> bool:
-    """Whether the world listens to the values of a state.
+    """Whether the world subscribes to the values of a state.
 
-    In lock-step it knows by itself when a map was updated, but waits for every value that a gate may hold back, and for
-    all if their profile is wanted.
+    In lock-step the world derives map updates itself, but waits for every value that a gate may withhold, and for all
+    values if a profile is requested.
     """
     if plan.free_running:
         return state in JUDGED_BY_WORLD or state == "perception.map_update"

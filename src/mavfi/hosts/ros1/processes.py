@@ -1,4 +1,4 @@
-"""What processes of a flight ask of Linux: to end with their parent, to adopt orphans, a network and a name."""
+"""Linux process control for a flight: parent-death signal, adoption of orphans, private network, process name."""
 
 import ctypes
 import os
@@ -17,24 +17,24 @@ def _libc() -> ctypes.CDLL:
 
 
 def end_with_parent(number: signal.Signals = signal.SIGKILL) -> None:
-    """Have a signal sent to this process when the thread that began it ends."""
+    """Have the kernel send a signal to this process when its parent thread exits."""
     _libc().prctl(_PDEATHSIG, number)
 
 
 def adopt_orphans() -> None:
-    """Become the parent of descendants whose parent ends."""
+    """Become the parent of orphaned descendants (subreaper)."""
     _libc().prctl(_SUBREAPER, 1)
 
 
 def usual_signals() -> None:
-    """Let signals do what they do in a new interpreter."""
+    """Restore the signal handlers of a new interpreter."""
     for number in _SIGNALS:
         signal.signal(number, signal.SIG_DFL if number != signal.SIGPIPE else signal.SIG_IGN)
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def write_to(path: Path) -> None:
-    """Send standard output and errors to a file, which is begun anew; nothing comes in."""
+    """Redirect standard output and error to a truncated file, and standard input to /dev/null."""
     log, nothing = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644), os.open(os.devnull, os.O_RDONLY)
     for here, there in ((nothing, 0), (log, 1), (log, 2)):
         os.dup2(here, there)
@@ -49,10 +49,10 @@ def set_environment(variables: Mapping[str, str]) -> None:
 
 
 def isolate(command: list[str]) -> None:
-    """Do what a command of `private_network` does for a new program: leave networks, and users, of this process behind.
+    """Apply a command of `private_network` to this process: enter new network and, if requested, user namespaces.
 
     Raises:
-        OSError: It is not allowed.
+        OSError: Not permitted.
     """
     if not command:
         return
@@ -61,13 +61,13 @@ def isolate(command: list[str]) -> None:
     if _libc().unshare(_NEW_NETWORK | _NEW_USER * own_users):
         raise OSError(ctypes.get_errno(), "unshare")
     if own_users:
-        _libc().prctl(_DUMPABLE, 1)  # others of the same user may join, as after exec
+        _libc().prctl(_DUMPABLE, 1)  # lets processes of the same user join, as after exec
         for name, text in (("setgroups", "deny"), ("uid_map", f"0 {user} 1"), ("gid_map", f"0 {group} 1")):
             Path("/proc/self", name).write_text(text, encoding="ascii")
 
 
 def show_as(name: str, arguments: list[str]) -> None:
-    """Show another name and command line in /proc; what exceeds the room of the present command line is cut off."""
+    """Change name and command line in /proc; truncated to the length of the original command line."""
     _libc().prctl(_NAME, name.encode()[:15])
     start, end = (int(text) for text in Path("/proc/self/stat").read_text().rpartition(")")[2].split()[_ARGUMENTS])
     text = b"".join(argument.encode() + b"\0" for argument in arguments)[: end - start - 1]

@@ -1,4 +1,4 @@
-"""Faults in registers during a flight: the world starts the tracer, and continues until the bit is flipped."""
+"""Register faults during a flight: the world starts the tracer, and continues until the bit is flipped."""
 
 import os
 import subprocess
@@ -16,20 +16,20 @@ from mavfi.hosts.ros1.roll_call import HUNG, is_traced
 
 PLANNED = "killed as planned"
 SILENT = ("does not answer", HUNG)
-"""Why a node was lost, as events say it: killed by `--kill`; ended because it hung.  All else is a crash."""
+"""Causes of a lost node, as in events: killed by `--kill`; killed after a hang.  Any other cause is a crash."""
 _LAST_WORDS_S = 2.0
 _TIMEOUT_S = 30.0
 _POLL_S, _ARMING_S = 0.01, 0.05
 _SYMBOLS = {NODELET: "_ZN16depth_image_proc7convertIfEE"}
 """Part of the mangled name of the injected function: `depth_image_proc::convert<float>`, the back-projection."""
 _WALKS = {NODELET: 2_000}
-"""Instructions from its begin within which it is injected: what it sets up, and the first pixels.  It executes some
-50,000 for 64 x 48 pixels, but each that is walked takes 30 us, and a hundred times as much on a busy machine."""
+"""Number of instructions from function entry within which the fault is injected: set-up and the first pixels.  Of some
+50,000 for 64 x 48 pixels; but single-stepping takes 30 us per instruction, 100 times as much on a busy machine."""
 _WALK = 64
 
 
 def fault_in_node(node: str, time_us: int, registers: str = "all", seed: int = 0) -> RegisterFault:
-    """A fault in a register of a node, at the node's most interesting function if that is known."""
+    """A register fault in a node, in the node's characteristic function if one is known."""
     return RegisterFault(
         registers, symbol=_SYMBOLS.get(node, ""), walk=_WALKS.get(node, _WALK), timeout=_TIMEOUT_S, node=node,
         time_us=time_us, seed=seed,
@@ -37,13 +37,13 @@ def fault_in_node(node: str, time_us: int, registers: str = "all", seed: int = 0
 
 
 class RegisterInjector:
-    """The faults in registers of one flight, in order of time; `injections` are those so far, also the failed ones.
+    """Register faults of one flight, in order of time; `injections` are those so far, including failed ones.
 
     Args:
-        faults: All.
-        pid_of: Process of a node.
-        hold: Whether the flight may stand still until the tracer is ready, so that the injected call is the first one
-            after the instant, independent of wall-clock time.
+        faults: All faults of the flight.
+        pid_of: Returns the process id of a node.
+        hold: Whether the flight waits until the tracer is attached, so that the injected call is the first one after
+            the instant, independent of wall-clock time.
     """
 
     def __init__(self, faults: Sequence[RegisterFault], pid_of: Callable[[str], int], hold: bool) -> None:
@@ -53,7 +53,7 @@ class RegisterInjector:
         self._begun: list[tuple[threading.Thread, RegisterFault, list[Injection | Exception]]] = []
 
     def __call__(self, now: int) -> None:
-        """Start those that are due, and record those that are done."""
+        """Start the faults that are due, and record the completed ones."""
         while self._planned and self._planned[0].time_us <= now:
             self._begin(self._planned.pop(0))
         for thread, fault, done in list(self._begun):
@@ -62,7 +62,7 @@ class RegisterInjector:
                 self._note(fault, done, now)
 
     def finish(self, now: int) -> None:
-        """End of the flight: whatever still waits for its node will not come any more."""
+        """End of the flight: record pending faults as not injected."""
         for thread, fault, done in self._begun:
             thread.join(_LAST_WORDS_S)
             self._note(fault, done, now)
@@ -111,10 +111,10 @@ def is_armed(pid: int) -> bool:
 
 
 def end_of_nodes(injections: Sequence[Injection], events: Sequence[Event]) -> str | None:
-    """What happened to the injected nodes, given injections and events of the flight.
+    """Fate of the injected nodes, given injections and events of the flight.
 
     Returns:
-        "crash": one has ended; "hang": one was ended as it did not answer; "alive": neither; None: no injection.
+        "crash": a node terminated; "hang": a node was killed as unresponsive; "alive": neither; None: no injection.
     """
     nodes = {one.details["node"] for one in injections if one.level == RegisterFault.level and one.activated}
     if not nodes:

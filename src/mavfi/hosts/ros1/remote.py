@@ -1,9 +1,9 @@
-"""The world's side of lock-step: kernels in other processes, and the way of a value through the topics.
+"""The world's side of lock-step: proxies of kernels in other processes, and the passage of values through the topics.
 
-The world owns the event queue of the in-process host, and so the order of everything.  A kernel elsewhere has the
-interface of one that is here: an operation without an answer (an input that makes nothing due, a mark) is sent with
-the next call that has one.  The values themselves travel over the topics, from node to node; an operation names them
-by their numbers, and a node waits for a value that it is to receive.
+The world owns the event queue of the in-process host, and with it the order of all events.  A proxy has the interface
+of a kernel: an operation without a result (a non-triggering input, a mark) is sent with the next call that has one.
+Values travel over the topics from node to node; an operation refers to them by sequence number, and a node waits for a
+value that it has to receive.
 """
 
 import threading
@@ -21,23 +21,23 @@ from mavfi.platforms.compute import latency
 from mavfi.states import STATES, State
 
 RECEIVE, STEP, PUBLISH, MARK, ROLLBACK, STOP, ABANDON, AGAIN, RECALL, RESUME, RESET, FORGET = range(12)
-"""As in `mavfi_msgs/Operation`."""
+"""Constants of `mavfi_msgs/Operation`."""
 HELD = -1
 _WATCH_S = 0.1
 
 
 class NodeLostError(Exception):
-    """A node does not answer: it has died, or it hangs."""
+    """A node does not respond: it has crashed or hangs."""
 
 
 @dataclass(slots=True)
 class Publication(State):
-    """A value on its way through the topics, identified by its number.
+    """A value in transit through the topics, identified by its sequence number.
 
     Attributes:
-        link: Node that holds it until it is to be published, in its present `life`; None = the world has it.
+        link: Node that holds it until publication, in its incarnation `life`; None = the world holds it.
         kernel: Its writer.
-        sent: Whether it is on its topic already, stamped with the instant at which it counts.
+        sent: Whether it has already been sent to its topic, stamped with its publication instant.
     """
 
     number: int = 0
@@ -48,12 +48,12 @@ class Publication(State):
 
     @property
     def is_lost(self) -> bool:
-        """Whether it died with its node."""
+        """Whether it was lost with its node."""
         return self.link is not None and (self.link.lost or self.link.life != self.life)
 
 
 class Watchdog:
-    """Cuts the connection of a call that takes too long (s), which ends the call."""
+    """Shuts down the connection of a call that exceeds a time limit (s), which aborts the call."""
 
     def __init__(self, patience_s: float) -> None:
         self._patience_s = patience_s
@@ -62,12 +62,12 @@ class Watchdog:
         threading.Thread(target=self._watch, daemon=True).start()
 
     def begin(self, proxy: Any) -> None:
-        """A call begins."""
+        """Start the timer of a call."""
         with self._lock:
             self._call = time.monotonic() + self._patience_s, proxy
 
     def end(self) -> None:
-        """It is over."""
+        """Stop the timer."""
         with self._lock:
             self._call = None
 
@@ -82,12 +82,13 @@ class Watchdog:
 
 @dataclass(slots=True)
 class Link:
-    """The connection with one kernel node.
+    """The connection to one kernel node.
 
     Attributes:
-        lost: Whether it is away.
-        life: How often it was lost.
-        since: Number of the first publication that this life of the node can have seen; earlier ones it has to recall.
+        lost: Whether the node is down.
+        life: Number of losses so far.
+        since: Sequence number of the first publication that the current process can have received; the node must
+            recall earlier ones.
     """
 
     node: str
@@ -102,7 +103,7 @@ class Link:
     _proxy: Any = None
 
     def connect(self, pid: int, since: int) -> None:
-        """The node is there (again); earlier publications than `since` it has not seen."""
+        """Connect to a (re)started node, which has received no publications before `since`."""
         import rospy
         from mavfi_msgs.srv import Drive
 
@@ -111,13 +112,13 @@ class Link:
         self.pid, self.since, self.lost = pid, since, False
 
     def lose(self) -> None:
-        """The node is away, and its memory is lost."""
+        """Mark the node as down, its memory as lost."""
         self.lost = True
         self.life += 1
         self._begin_anew()
 
     def reset(self, kernel: str, since: int) -> None:
-        """Initialize the memory of the node of a kernel, whose process stays."""
+        """Initialize the memory of a kernel's node without restarting its process."""
         self.note(RESET, kernel, 0, 0)
         self.since = since
         self._recalled.clear()
@@ -129,23 +130,23 @@ class Link:
     def note(
         self, action: int, kernel: str, number: int, time_us: int, publish_us: int = HELD, state: str = ""
     ) -> None:  # fmt: skip
-        """Add an operation to the next call; arguments are the fields of `mavfi_msgs/Operation`."""
+        """Append an operation to the next call; arguments are the fields of `mavfi_msgs/Operation`."""
         if not self.lost:
             self._pending.append(message_type("Operation")(action, kernel, number, time_us, publish_us, state))
 
     def know(self, kernel: str, state: Publication) -> None:
-        """Have the node ask its peers for a value that was published before its present life."""
+        """Have the node recall a value from its peers if it was published before the current process started."""
         if state.number < self.since and state.number not in self._recalled:
             self._recalled.add(state.number)
             self.note(RECALL, kernel, state.number, 0, state=state.spec.name)
 
     def flush(self) -> None:
-        """Send what is noted."""
+        """Send all pending operations."""
         if self._pending:
             self._try_to_send()
 
     def call(self, action: int, kernel: str, number: int, time_us: int, publish_us: int = HELD) -> Any:
-        """Send all noted operations, then this one; returns the response, None = the node is away."""
+        """Send all pending operations, then this one; returns the response, None = the node is down."""
         if self.lost:
             return None
         self.note(action, kernel, number, time_us, publish_us)
@@ -174,28 +175,28 @@ class Link:
 
 @dataclass(slots=True)
 class ForeignLink(Link):
-    """The world's knowledge of a foreign node, which it does not drive."""
+    """Connection state of a foreign node, which the world does not drive."""
 
     def connect(self, pid: int, since: int) -> None:
-        """The node is there (again)."""
+        """Register a (re)started node."""
         self.pid, self.since, self.lost = pid, since, False
 
 
 class Counter:
-    """Numbers of publications."""
+    """Generator of sequence numbers of publications."""
 
     def __init__(self) -> None:
         self._next = 0
 
     def take(self, count: int = 1) -> int:
-        """The first of so many unused numbers."""
+        """Reserve `count` sequence numbers; returns the first."""
         first = self._next
         self._next += count
         return first
 
 
 class RemoteKernel:
-    """A kernel in another process, as the host sees it."""
+    """Proxy of a kernel in another process."""
 
     def __init__(self, face: Face, link: Link, counter: Counter, plan: Plan) -> None:
         self._latency_us = latency(plan.scenario.platform, face.name)
@@ -207,7 +208,7 @@ class RemoteKernel:
         self._counter = counter
 
     def receive(self, state: State, time_us: int) -> bool:
-        """Note an input; says whether a step is due now."""
+        """Forward an input; returns whether a step is due."""
         assert isinstance(state, Publication)
         self._link.know(self.name, state)
         if state.spec.name not in self._triggers:
@@ -217,31 +218,31 @@ class RemoteKernel:
         return response is not None and bool(response.due)
 
     def step(self, time_us: int) -> list[State]:
-        """Compute once; returns promises of the results."""
+        """Execute one step; returns placeholders for the results, whose payload stays in the node."""
         return self._give(STEP, time_us)
 
     def stop(self) -> list[State]:
-        """Setpoint generator only: give the trajectory up and hold."""
+        """Setpoint generator only: abandon the trajectory and hold position."""
         return self._give(STOP, 0)
 
     def abandon(self, time_us: int) -> list[State]:
-        """Setpoint generator only: drop the way-point in force for the next one."""
+        """Setpoint generator only: replace the way-point in force by the next one."""
         return self._give(ABANDON, time_us)
 
     def mark(self) -> None:
-        """Note the present memory, for `rollback`."""
+        """Mark the current memory for `rollback`."""
         self._link.note(MARK, self.name, 0, 0)
 
     def rollback(self) -> None:
-        """Put the memory back to the last mark; inputs stay."""
+        """Restore the memory of the last mark; inputs are unchanged."""
         self._link.note(ROLLBACK, self.name, 0, 0)
 
     def again(self) -> None:
-        """Prepare to take the last step again, see `pipeline.kernel.repeat`."""
+        """Prepare to repeat the last step, see `pipeline.kernel.repeat`."""
         self._link.note(AGAIN, self.name, 0, 0)
 
     def resume(self, last: Mapping[str, State], time_us: int) -> tuple[str, ...]:
-        """See `Kernel.resume`: the node asks its living peers for the values."""
+        """See `Kernel.resume`: the node recalls the values from its live peers."""
         for name in (*self.reads, *self.writes):
             state = last.get(name)
             if isinstance(state, Publication):
@@ -258,7 +259,7 @@ class RemoteKernel:
         return [self._promise(*given) for given in zip(response.states, response.numbers, strict=True)]
 
     def _promise(self, name: str, number: int) -> Publication:
-        """A value that the node has computed."""
+        """Placeholder for a value that the node has computed."""
         spec, link = STATES[name], self._link
         empty = np.zeros(1, spec.header_dtype), np.zeros(0, spec.element_dtype)
         return Publication(spec, *empty, number, link, link.life, self.name, name in self._at_once)

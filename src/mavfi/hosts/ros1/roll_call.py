@@ -1,7 +1,7 @@
-"""Finds out which nodes of a flight are there, connected, alive or traced.
+"""Queries which nodes of a flight are running, connected or traced.
 
-Foreign nodes, i.e. Debian's nodelet `depth_image_proc/point_cloud_xyz`, answer no roll call of ours: only the ROS
-master and `/proc` know about them.  They are expected to die: their registers can be injected.
+Foreign nodes, i.e. Debian's nodelet `depth_image_proc/point_cloud_xyz`, lack mavfi's `ready` service: they are queried
+through the ROS master and `/proc`.  They are expected to crash, as faults are injected into their registers.
 """
 
 import time
@@ -18,12 +18,12 @@ _POLL_S = 0.01
 
 
 def asks(plan: Plan) -> Mapping[str, Callable[[str], int | None]]:
-    """By node: how its process id is asked for; None = the node does not answer."""
+    """Query function of each node: returns its process id; None = no response."""
     return dict.fromkeys(plan.nodes, ask_ours) | dict.fromkeys(plan.foreign, ask_foreign)
 
 
 def ask_ours(node: str) -> int | None:
-    """Process id of a node of ours that is connected with all others; None = it does not answer."""
+    """Process id of a mavfi node that is connected to all others; None = no response."""
     import rospy
     from std_srvs.srv import Trigger
 
@@ -35,7 +35,7 @@ def ask_ours(node: str) -> int | None:
 
 
 def ask_foreign(node: str) -> int | None:
-    """Process id of a foreign node; None = it does not answer."""
+    """Process id of a foreign node; None = no response."""
     from mavfi.hosts.node.master import Master
 
     try:
@@ -45,7 +45,7 @@ def ask_foreign(node: str) -> int | None:
 
 
 def wait_for(node: str, patience_s: float, not_pid: int = 0, ask: Callable[[str], int | None] = ask_ours) -> int:
-    """Wait until a node answers, with another process than `not_pid`, or raise `MavfiError`; returns its process id."""
+    """Wait for a response of a node whose process is not `not_pid`, or raise `MavfiError`; returns its process id."""
     end = time.monotonic() + patience_s
     while True:
         answer = ask(node)
@@ -80,12 +80,12 @@ def is_traced(pid: int) -> bool:
 
 
 def cause(pid: int) -> str:
-    """Why a process is gone: it was ended because it hung, see `note_hung`, or it has ended by itself."""
+    """Why a process terminated: killed after a hang, see `note_hung`, or by itself."""
     return HUNG if _hung(pid).exists() else ENDED
 
 
 def note_hung(pid: int) -> None:
-    """Note that a process will be ended because it does not answer."""
+    """Record that a process is about to be killed as hung."""
     _hung(pid).touch()
 
 

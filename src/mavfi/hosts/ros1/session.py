@@ -1,4 +1,4 @@
-"""Flies a mission on ROS from the outside: a private folder, a private network, every process, and their end."""
+"""Runs a flight on ROS: creates its folder and private network, starts its processes, and terminates them."""
 
 import json
 import os
@@ -41,16 +41,16 @@ class RosFlight:
 
 
 def configure(scenario: Scenario) -> PipelineConfig:
-    """The configuration of the kernels of a mission."""
+    """The kernels' configuration for a mission."""
     world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
     return pipeline_config(scenario, world, pixel_directions(scenario.camera))
 
 
 def isolation(allow_bind_all: bool = False) -> list[str]:
-    """See `private_network`; without one, which is allowed on request, ROS's C++ nodes listen on all interfaces.
+    """See `private_network`; with `allow_bind_all` it may be missing, and ROS's C++ nodes listen on all interfaces.
 
     Raises:
-        BadInputError: There can be none.
+        BadInputError: A private network is required and cannot be created.
     """
     try:
         return private_network("as root, with user namespaces, or with --allow-bind-all")
@@ -66,11 +66,11 @@ def fly(plan: Plan, *, allow_bind_all: bool = False, tell: Callable[[Path], None
     Args:
         plan: The flight.
         allow_bind_all: See `isolation`.
-        tell: Called with the folder of the flight as soon as the script `join` in it can be run.
+        tell: Called with the flight's folder once its script `join` is usable.
 
     Raises:
-        BadInputError: ROS is not installed; no private network.
-        MavfiError: The flight failed; the text says how, and where the nodes' logs are.
+        BadInputError: ROS is not installed, or there is no private network.
+        MavfiError: The flight failed; the message gives the cause and the folder of the nodes' logs.
     """
     finder.require()
     if plan.foreign:
@@ -94,7 +94,7 @@ def fly(plan: Plan, *, allow_bind_all: bool = False, tell: Callable[[Path], None
 
 
 def _prepare(plan: Plan, folder: Path, command: list[str]) -> None:
-    """Write everything that the flight needs into its folder."""
+    """Write all files of the flight to its folder."""
     finder.enable(folder / files.MESSAGES)
     generate(folder / files.MESSAGES)
     name_definitions(folder / files.DEFINITIONS)
@@ -107,7 +107,7 @@ def _prepare(plan: Plan, folder: Path, command: list[str]) -> None:
 
 
 def launch_text(plan: Plan) -> str:
-    """The launch file: nodes are restarted when they die; the end of the world is that of the flight."""
+    """The launch file: nodes are restarted when they die; the flight ends with the world node."""
     ours = f'pkg="{files.PACKAGE}" type="{files.EXECUTABLE}"'
     lines = ["<launch>", '  <param name="/use_sim_time" value="true"/>']
     lines.append(f'  <node {ours} name="{WORLD}" args="{WORLD}" required="true"/>')
@@ -120,7 +120,7 @@ def launch_text(plan: Plan) -> str:
 
 
 def _write_package(plan: Plan, folder: Path) -> None:
-    """Write the launch file, and the package in which roslaunch finds the nodes, into a flight's folder."""
+    """Write the launch file, and the package in which roslaunch finds the nodes, to the flight's folder."""
     package = folder / files.PACKAGE
     package.mkdir()
     (package / "package.xml").write_text(package_xml(files.PACKAGE))
@@ -136,7 +136,7 @@ def _write_package(plan: Plan, folder: Path) -> None:
 
 
 def _write_foreign(executable: Path, folder: Path) -> None:
-    """Write the script that runs Debian's nodelet; roslaunch adds its name to the arguments."""
+    """Write the script that runs Debian's nodelet; roslaunch appends the node name to its arguments."""
     remappings = {"image_rect": IMAGE, "camera_info": INFO, "points": POINTS}
     command, variables = nodelets.point_cloud_xyz(folder / "nodelets", remappings)
     settings = [f"{name}={value}" for name, value in variables.items()]
@@ -145,7 +145,7 @@ def _write_foreign(executable: Path, folder: Path) -> None:
 
 
 def _run(folder: Path, command: list[str], tell: Callable[[Path], None] | None) -> None:
-    """Start the supervisor, and wait for the end of the flight and of all its processes."""
+    """Start the supervisor, and wait until the flight and all its processes have ended."""
     template = template_of_thread(folder / files.LOG / "template")
     supervision = template.begin(folder, command)
     try:
@@ -161,7 +161,7 @@ def _run(folder: Path, command: list[str], tell: Callable[[Path], None] | None) 
 
 
 def _result(folder: Path, plan: Plan) -> Flight:
-    """The record of the world; `MavfiError` if there is none."""
+    """The flight record of the world; `MavfiError` if there is none."""
     failure = folder / files.FAILURE
     if failure.exists():
         raise MavfiError(f"ROS: the flight failed: {failure.read_text().strip().splitlines()[-1]}")
@@ -174,7 +174,7 @@ def _result(folder: Path, plan: Plan) -> Flight:
 
 
 def _spent(folder: Path, began: float, prepared: float) -> dict[str, float]:
-    """Where the wall-clock time went (s)."""
+    """Wall-clock time by phase (s)."""
     told = json.loads((folder / files.TIMES).read_text())
     return {
         "prepare": prepared - began, "start": told["nodes_ready"] - prepared,

@@ -1,6 +1,6 @@
-"""Runs a flight in its private network: starts roslaunch, and leaves no process behind, however the flight ends.
+"""Supervises a flight in its private network: starts roslaunch, and terminates all processes however the flight ends.
 
-Orphans become its children, so that every process of the flight can be found and ended by its id.
+Orphans become its children, so that every process of the flight can be found and killed by its id.
 """
 
 import fcntl
@@ -25,7 +25,7 @@ _STOP = [False]
 
 
 def main() -> None:
-    """Run a flight until it is over, its parent dies, or a signal ends it."""
+    """Supervise a flight until it ends, the parent exits, or a signal arrives."""
     from mavfi.hosts.ros1 import launcher
 
     parent = os.getppid()
@@ -34,7 +34,7 @@ def main() -> None:
     adopt_orphans()
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, _stop)
-    with suppress(OSError):  # without a private network it is up already
+    with suppress(OSError):  # outside a private network it is already up
         loopback_up()
     try:
         if os.fork() == 0:
@@ -46,7 +46,7 @@ def main() -> None:
             time.sleep(_POLL_S)
     finally:
         end_all()
-        if os.getppid() != parent:  # nobody is left to read what is there
+        if os.getppid() != parent:  # no process is left to read the results
             shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -55,12 +55,12 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def private_network(allowed: str = "as root, or with user namespaces") -> list[str]:
-    """Command that runs a program in a network of its own, in which nothing outside can reach it.
+    """Command that runs a program in a private network namespace, unreachable from outside.
 
-    ROS needs one: roscpp listens on all interfaces, whatever its settings.
+    Required as roscpp listens on all interfaces regardless of its settings.
 
     Raises:
-        BadInputError: There can be none; the line says what is allowed instead.
+        BadInputError: None can be created; the message names the alternatives.
     """
     for way in (["unshare", "-n"], ["unshare", "-Urn"]):
         try:
@@ -75,7 +75,7 @@ def private_network(allowed: str = "as root, or with user namespaces") -> list[s
 
 
 def loopback_up() -> None:
-    """Switch the loopback interface of the private network on; `OSError` if that is not allowed here."""
+    """Bring up the loopback interface of the private network; `OSError` if not permitted."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
         request = struct.pack("16sh14x", b"lo", 0)
         flags = struct.unpack("16sh14x", fcntl.ioctl(any_socket, _GET_FLAGS, request))[1]
@@ -83,7 +83,7 @@ def loopback_up() -> None:
 
 
 def reap() -> bool:
-    """Collect children that have ended; whether there are any left."""
+    """Reap exited children; returns whether any children remain."""
     try:
         while os.waitpid(-1, os.WNOHANG)[0]:
             pass
@@ -104,7 +104,7 @@ def children(parent: int) -> list[int]:
 
 
 def end_all() -> None:
-    """Kill all children; orphans of theirs become children in turn."""
+    """Kill all children, including orphaned descendants as they are adopted."""
     while reap():
         for pid in children(os.getpid()):
             with suppress(ProcessLookupError):

@@ -1,4 +1,4 @@
-"""The nodes between kernels: the injector, and the detector as a gate or as an observer."""
+"""Nodes between kernels: the injector, and the detector as gate or observer."""
 
 import json
 import threading
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 
 class Injector:
-    """Injects the fault of a plan into the values of one state on their way."""
+    """Injects the fault of a plan into one state's values in transit."""
 
     def __init__(self, plan: Plan) -> None:
         assert plan.fault is not None
         self._inject = StateInjector(plan.fault)
-        self._spent = bool(read_injections())  # in a former life
+        self._spent = bool(read_injections())  # before a restart of this node
         self._ports = Ports(INJECTOR, plan)
         way = self._ports.ways[plan.fault.where.state]
         self._injections = self._ports.publisher(INJECTION, "Injection")
@@ -38,7 +38,7 @@ class Injector:
         self._ports.read(way.state, way.first, self._arrived)
 
     def run(self) -> None:
-        """Serve until the end."""
+        """Serve until shutdown."""
         import rospy
 
         self._ports.offer_ready()
@@ -61,11 +61,11 @@ class Injector:
 
 
 class Shadow:
-    """What `Watch` needs of a loop, where nothing is to be done: the world has the same, and answers.
+    """Stub of a loop for `Watch` in the detector's node: the world holds the real loop and executes the actions.
 
     Attributes:
         awaited, requests, busy: As of `Loop`.
-        record: With the alarms only; the world notes events.
+        record: Alarms only; the world records events.
     """
 
     def __init__(self) -> None:
@@ -75,21 +75,21 @@ class Shadow:
         self.record = SimpleNamespace(alarms=[], note=lambda *_: None)
 
     def charge(self, action: Action) -> int:
-        """Not charged here: the world charges it."""
+        """No operation: the world charges the latency."""
         return 0
 
     def recompute(self, action: Action, now: int) -> None:
-        """Not computed here: the world asks the node."""
+        """No operation: the world requests the step from the node."""
 
     def forget(self, kernel: str, now: int = 0, after_us: int = 0) -> None:
-        """The node of a kernel has died, or begins again: what it publishes next is judged."""
+        """Clear pending recomputations of a node that dies or restarts: its next publication is checked."""
         for name in set(self.awaited):
             if STATES[name].writer in in_node(kernel):
                 del self.awaited[name]
 
 
 class Watcher:
-    """Shows every value to the detector of a plan: as a gate before consumers see it, or as an observer."""
+    """Runs the detector of a plan on every value: as a gate before consumers receive it, or as an observer."""
 
     def __init__(self, plan: Plan) -> None:
         assert plan.detector is not None
@@ -111,7 +111,7 @@ class Watcher:
             ports.read(state, way.before_gate if plan.gated else way.final, self._arrived)
 
     def run(self) -> None:
-        """Serve until the end."""
+        """Serve until shutdown."""
         import rospy
         from mavfi_msgs.srv import Drive
 
@@ -120,7 +120,7 @@ class Watcher:
         rospy.spin()
 
     def _drive(self, request: Any) -> Any:
-        """The only operation of this node: a node of kernels has died."""
+        """The only operation of this node: a kernel node has died."""
         from mavfi_msgs.srv import DriveResponse
 
         with self._lock:
@@ -130,7 +130,7 @@ class Watcher:
 
     def _arrived(self, state: State, number: int, time_us: int) -> None:
         with self._lock, np.errstate(all="ignore"):
-            with suppress(BadInputError):  # an unknown stage, which the world reports
+            with suppress(BadInputError):  # an unknown stage: the world reports it
                 self._watch(state, time_us)
             alarm, action = self._watch.alarm, self._watch.action
             withheld = action is not None and action.withholds

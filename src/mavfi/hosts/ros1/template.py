@@ -1,7 +1,7 @@
-"""A warm process that flights are forked from: it has imported what nodes need, and loaded compiled kernels.
+"""A warm process from which flights are forked, with the nodes' modules imported and compiled kernels loaded.
 
-To start a dozen interpreters takes longer than most flights.  A thread of a program has one template, which waits for
-its flights, one at a time, and ends with it.  Whatever a flight does happens in processes of its own.
+Starting a dozen interpreters takes longer than most flights.  Each thread of a program has one template, which runs its
+flights one at a time and exits with it.  Every flight runs in processes of its own.
 """
 
 import atexit
@@ -26,15 +26,15 @@ from mavfi.hosts.ros1 import folder as files
 from mavfi.hosts.ros1.processes import end_with_parent, isolate, set_environment, write_to
 
 ROOM = 1 << 11
-"""Length of the command line of a template: nodes, which are forked from it, show their own there."""
+"""Length of the template's command line: forked nodes overwrite it with their own."""
 _LONGEST = 1 << 20
 _NODES = ("world", "kernels", "taps", "node", "free", "supervisor", "launcher", "nodelet_cloud")
 _ROS = ("rospy", "rosmaster", "roslaunch", "genpy", "std_srvs.srv", "geometry_msgs.msg", "sensor_msgs.msg")
 
 
-# ---- in the program that wants to fly -------------------------------------------------------------------------------
+# ---- in the calling program -----------------------------------------------------------------------------------------
 class Template:
-    """The template of one thread of this program; its own errors go to the log of the flight that begins it."""
+    """The template of one thread of this program; its errors are logged with the flight that starts it."""
 
     def __init__(self, log: Path) -> None:
         self._channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -47,18 +47,18 @@ class Template:
             )  # fmt: skip
 
     def usable(self) -> bool:
-        """Whether it is there, and would begin in the same way again."""
+        """Whether it runs, and was started under the present settings."""
         return not self.has_ended() and self._made_by == _maker()
 
     def has_ended(self) -> bool:
-        """Whether it is gone."""
+        """Whether it has exited."""
         return self._process.poll() is not None
 
     def begin(self, folder: Path, network: list[str]) -> "Supervision":
-        """Begin the flight of a folder in a network of its own, see `processes.isolate`; `MavfiError` if that fails."""
+        """Start the flight of a folder in a network, see `processes.isolate`; `MavfiError` on failure."""
         variables = {**os.environ, "PYTHONPATH": files.own_path(), files.FOLDER_VARIABLE: str(folder)}
         told = b""
-        with suppress(OSError):  # it has ended
+        with suppress(OSError):  # the template has exited
             try:
                 self._channel.send(json.dumps([variables, str(folder), network]).encode())
                 told = self._channel.recv(_LONGEST)
@@ -70,14 +70,14 @@ class Template:
         return Supervision(self._channel, int(told))
 
     def end(self) -> None:
-        """End it; flights that are under way end as well."""
+        """Terminate it together with its flights."""
         self._channel.close()
         self._process.kill()
         self._process.wait()
 
 
 class Supervision:
-    """A flight under way; `pid` is its supervisor."""
+    """A flight in progress; `pid` is its supervisor."""
 
     def __init__(self, channel: socket.socket, pid: int) -> None:
         self.pid = pid
@@ -85,14 +85,14 @@ class Supervision:
         self._ended = False
 
     def wait(self, seconds: float) -> bool:
-        """Wait for its end; whether it has come."""
+        """Wait for the end of the flight; returns whether it has ended."""
         if not self._ended and select.select([self._channel], [], [], seconds)[0]:
             self._channel.recv(_LONGEST)
             self._ended = True
         return self._ended
 
     def stop(self) -> None:
-        """Ask it to end everything."""
+        """Request termination of all its processes."""
         with suppress(ProcessLookupError):
             os.kill(self.pid, signal.SIGTERM)
 
@@ -103,16 +103,16 @@ _templates: dict[tuple[int, int], Template] = {}
 
 
 def _maker() -> tuple[object, ...]:
-    """What a template takes from its maker for good: the interpreter, and where that finds modules and their code."""
+    """Settings that a template inherits permanently: interpreter, module search path, and cache folders."""
     lasting = [(name, value) for name, value in os.environ.items() if name.startswith(_LASTING)]
     return sys.executable, files.own_path(), os.environ.get(finder.ROOT_VARIABLE), *sorted(lasting)
 
 
 def template_of_thread(log: Path) -> Template:
-    """The template of this thread, made if there is none yet."""
+    """The template of this thread, started on first use."""
     key = os.getpid(), threading.get_ident()
     for other in [each for each, template in _templates.items() if each[0] == key[0] and template.has_ended()]:
-        _templates.pop(other).end()  # their threads have ended
+        _templates.pop(other).end()  # its thread has exited
     if key in _templates and not _templates[key].usable():
         _templates.pop(key).end()
     if key not in _templates:
@@ -122,14 +122,14 @@ def template_of_thread(log: Path) -> Template:
 
 @atexit.register
 def end_templates() -> None:
-    """End the templates of this process; its next flight makes another one."""
+    """Terminate the templates of this process; a later flight starts a new one."""
     for key in [key for key in _templates if key[0] == os.getpid()]:
         _templates.pop(key).end()
 
 
 # ---- in the template ------------------------------------------------------------------------------------------------
 def main() -> None:
-    """Fork flights until the program that wants them has ended."""
+    """Fork flights until the calling program exits."""
     end_with_parent()
     channel = socket.socket(fileno=os.dup(0))
     warm()
@@ -144,14 +144,14 @@ def main() -> None:
 
 
 def warm() -> None:
-    """Import what any flight needs, and load the compiled functions of the usual one."""
+    """Import the modules that all flights need, and load the compiled functions of the default mission."""
     import warnings
 
     from mavfi.hosts.loop.compose import resolve
 
     finder.enable()
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # ROS's own modules
+        warnings.simplefilter("ignore")  # raised by ROS's own modules
         for name in (*_ROS, *(f"mavfi.hosts.ros1.{name}" for name in _NODES)):
             import_module(name)
     from mavfi.hosts.ros1.kernels import fly_begin

@@ -1,4 +1,4 @@
-"""The world as a node: the simulator with the clock, and in lock-step the event queue that decides all order."""
+"""The world node: simulator and clock, and in lock-step the event queue that determines the order of all events."""
 
 import json
 import os
@@ -23,11 +23,11 @@ from mavfi.hosts.ros1.roll_call import asks, cause, is_alive, wait_for, wait_for
 from mavfi.pipeline.kernel import Kernel, PipelineConfig
 
 CAMERA_PATIENCE_US = 2_000_000
-"""After a node was lost: time without an answer to an image after which the camera takes the next one."""
+"""After a node loss: time without a response to an image after which the camera takes the next one (us)."""
 
 
 def fly(plan: Plan) -> None:
-    """Fly the mission and leave its record in the flight's folder."""
+    """Fly the mission and write its record to the flight's folder."""
     started = time.time()
     if plan.free_running:
         from mavfi.hosts.ros1.free import FreeWorld
@@ -49,7 +49,7 @@ def fly(plan: Plan) -> None:
 class Conductor:
     """The loop with its kernels, injector and detector in other processes, in lock-step with them.
 
-    It waits until every node is connected; its `loop` has not begun.
+    The constructor waits until every node is connected; its `loop` has not started.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -74,7 +74,7 @@ class Conductor:
             link.connect(pids[node], self.counter.take(0))
 
     def _compose(self) -> Loop:
-        """The loop, with kernels, taps and listeners of this flight."""
+        """The loop with the proxies, taps and callbacks of this flight."""
         plan = self.plan
         loop = new_loop(plan.scenario, profile=plan.profile, make_kernels=self._proxies)
         self.ports = Ports(WORLD, plan)
@@ -95,7 +95,7 @@ class Conductor:
 
     # ---- the control period -----------------------------------------------------------------------------------------
     def _before_tick(self, now: int) -> None:
-        """Kill, inject and rejoin nodes; publish the clock."""
+        """Kill, inject and reconnect nodes; publish the clock."""
         while self.kills and self.kills[0][1] <= now:
             self._lost(self.links[self.kills.pop(0)[0]], PLANNED)
         self._watch_foreign()
@@ -114,15 +114,15 @@ class Conductor:
         self.registers.finish(self.loop.now)
         self._watch_foreign()
 
-    # ---- nodes that die ---------------------------------------------------------------------------------------------
+    # ---- node crashes and restarts -----------------------------------------------------------------------------------
     def _watch_foreign(self) -> None:
-        """Note the end of foreign nodes, which may come at any time, also because they hung."""
+        """Detect terminations of foreign nodes, including those killed after a hang."""
         for link in self.foreign.values():
             if not link.lost and not is_alive(link.pid):
                 self._lost(link, cause(link.pid))
 
     def _lost(self, link: Link, why: str) -> None:
-        """A node does not answer, or is to be killed: make sure that it is dead, and expect it back later."""
+        """A node does not respond or is to be killed: kill its process, and schedule its return."""
         if link.lost:
             return
         self._note("node_lost", {"node": link.node, "pid": link.pid, "why": why})
@@ -139,7 +139,7 @@ class Conductor:
             self.links[DETECTOR].call(FORGET, kernels[0], 0, 0)
 
     def _renew(self, kernel: str) -> Mapping[str, Kernel]:
-        """Take back a node, or initialize the memory of one that lives; its peers then have all that was published."""
+        """Reconnect a restarted node, or reset a live one; pending operations are flushed to its peers first."""
         link = self.links[self.plan.graph.node_of(kernel)]
         for other in self.links.values():
             other.flush()
@@ -150,14 +150,14 @@ class Conductor:
         return {} if link.lost else self._proxies(self.plan.config)
 
     def _rejoin(self, node: str) -> None:
-        """Take back a node that roslaunch has restarted, with fresh memory."""
+        """Reconnect a node that roslaunch has restarted, with initialized memory."""
         link = self.links[node]
         try:
             pid = wait_for(node, self.plan.patience_s, link.pid, asks(self.plan)[node])
             if node in self.foreign:
-                wait_for("point_cloud", self.plan.patience_s)  # it is connected when the nodelet answers it
+                wait_for("point_cloud", self.plan.patience_s)  # ready once the nodelet responds to its probe
             self.ports.wait_until_connected()
-        except Exception as error:  # noqa: BLE001 (whatever it is, the flight goes on without the node)
+        except Exception as error:  # noqa: BLE001 (any cause: the flight continues without the node)
             self._note("node_absent", {"node": node, "why": str(error)})
             return
         link.connect(pid, self.counter.take(0))
