@@ -94,7 +94,7 @@ def align(nominal: np.ndarray, covariance: np.ndarray, fix: np.ndarray, noise: N
 
     Args:
         nominal: Filled in but for the velocity. Shape (16,).
-        covariance: Filled in. Shape (15, 15).
+        covariance: Output. Shape (15, 15).
         fix: Position (m) and heading (rad). Shape (4,).
         noise: Of the fix.
         spread: Of everything else.
