@@ -128,6 +128,7 @@ def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float 
     """Call a kernel with a fault in a forked child, and compare with the fault-free call; arguments are not modified.
 
     The wall-clock limit `timeout` (s) covers hangs outside budgeted instructions.
+
     Raises:
         MismatchError: The fault belongs to other machine code.
     """
