@@ -14,7 +14,7 @@ def rotation_matrix(quaternion: np.ndarray, matrix: np.ndarray) -> None:
 
     Args:
         quaternion: Unit quaternion w x y z, body to world. Shape (4,).
-        matrix: Result. Shape (3, 3).
+        matrix: Output. Shape (3, 3).
     """
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     matrix[0, 0] = 1.0 - 2.0 * (y * y + z * z)

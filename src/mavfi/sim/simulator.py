@@ -210,7 +210,7 @@ class Simulator:
         """Continue from a snapshot of this simulator, or of another one of the same world and scenario.
 
         Args:
-            snapshot: Result of `snapshot`.
+            snapshot: Output of `snapshot`.
         """
         mujoco.mj_setState(self._model, self._data, snapshot.physics, mujoco.mjtState.mjSTATE_INTEGRATION)
         self._data.sensordata[:] = snapshot.sensors
