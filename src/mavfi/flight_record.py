@@ -18,9 +18,9 @@ from mavfi.config import checked
 from mavfi.flight_log import AlarmRecord, FlightLog, Injection, KernelEffect
 
 MOST_ALARMS = 20
-"""Stored alarms of a flight with a fault, in addition to those in the `AFTERMATH`; all alarms are counted."""
+"""Alarms stored for a flight with a fault, in addition to those in the `AFTERMATH`; all alarms are counted."""
 MOST_GOLDEN_ALARMS = 1000
-"""Stored alarms of an error-free flight, for comparison with those of injected runs."""
+"""Alarms stored for an error-free flight, for comparison with those of injected runs."""
 INSTANT = 0.5e-6
 """Times that differ by less are equal: times are whole microseconds (s)."""
 AFTERMATH = 1.0

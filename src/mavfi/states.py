@@ -118,7 +118,7 @@ STAGE_KERNELS: dict[Stage, tuple[str, ...]] = {
 
 
 def in_node(kernel: str) -> tuple[str, ...]:
-    """The kernels that share a node: its memory, and its death."""
+    """The kernels in the same node, which share its memory and crash together."""
     return tuple(spec.name for spec in _KERNEL_TABLE if spec.node == KERNELS[kernel].node)
 
 

@@ -159,7 +159,7 @@ class AcceptanceTest:
         """Check a publication; the alarm names the field that violates its rule."""
         name = state.spec.name
         judge = self._at_ticks.get(name)
-        if judge is not None:  # most publications: without the detour of the table
+        if judge is not None:  # most publications: skip the table look-up
             self.candidate = state
             place = judge(state.header, self.record)
         else:

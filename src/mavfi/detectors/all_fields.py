@@ -102,7 +102,7 @@ class HoldingScorer(CodeScorer):
         return vector
 
     def learn(self, slot: int, verdict: Verdict | None) -> None:
-        """Store codes that are normal; 0 for anomalous ones."""
+        """Hold the codes of a normal publication; 0 for an anomalous one."""
         own = slice(*self.everything.range_of(slot))
         self._held[own] = self._codes[own] if verdict is not None and verdict.score <= 1.0 else 0
 
@@ -143,7 +143,7 @@ class AllFieldsDetector(ScoringDetector):
     @classmethod
     @abstractmethod
     def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
-        """Parameters of a model, from error-free flights and the figures of configs/detectors."""
+        """Parameters of a model, from error-free flights and the settings in configs/detectors."""
 
 
 class LimitsDetector(AllFieldsDetector):

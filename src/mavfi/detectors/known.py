@@ -27,9 +27,9 @@ WAYPOINT, COMMAND, TRACKING = (
 _NONE, OF_WAYPOINT, OF_COMMAND, OF_TRACKING = range(4)
 _WAYPOINT_SIZE, _COMMAND_SIZE, _TRACKING_SIZE = WAYPOINT.itemsize, COMMAND.itemsize, TRACKING.itemsize
 _SHARE_OF_LATENCY = 0.7
-"""Share of the planner's latency that has passed at least since it started."""
+"""Least planning time before a path is published / the planner's latency."""
 _JITTER_US = 300_000
-"""Largest excess of the planning time."""
+"""Largest planning time in excess of that."""
 _LONG_AGO = -(1 << 62)
 
 _LIMITS = [(name, NUMBERS[name]) for name in NUMBERS.names or ()]

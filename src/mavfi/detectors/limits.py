@@ -11,8 +11,8 @@ Corner = tuple[float, ...]
 BOX_MARGIN = 2.0
 """Distance beyond the flight box at which a plan may start: a mission's start, or a vehicle pushed out (m)."""
 NEAR = 4.0
-"""Smallest allowed distance between vehicle and start of a plan, or goal and its end: the planner searches for free
-space within 3 m (m)."""
+"""Smallest bound on the distance between vehicle and start of a plan, or goal and its end (m): the planner searches for
+free space within 3 m."""
 _ROUNDING = 1.001
 _CURVE_ERROR = 0.1
 """Position error of a trajectory point at constant velocity, since curves are sampled (m)."""
@@ -51,11 +51,11 @@ class MissionLimits:
         held: Whether way-points are points of the trajectory, each in force for its duration; if not, they are
             interpolated in every control period.
         every_map: Whether plans are checked and made for every map; if not, on each newly predicted collision.
-        point_period: Between trajectory points (s).
-        control_period: Between commands (s).
+        point_period: Time between trajectory points (s).
+        control_period: Time between commands (s).
         look_ahead: Look-ahead of a point's velocity (s).
-        planner_latency: From request to path (s).
-        plan_latency: From request to trajectory (s).
+        planner_latency: Time from request to path (s).
+        plan_latency: Time from request to trajectory (s).
         velocity_lag: Time constant of the vehicle's velocity loop (s).
         command_limit: Largest command / v_max.
         command_step: Largest change of the command between periods under the same way-point (m/s).

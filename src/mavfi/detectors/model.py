@@ -15,7 +15,7 @@ from mavfi.files import LARGEST_TEXT, read_file
 
 FORMAT = 1
 SMALLEST_LIMIT = 1e-30
-"""Smallest limit of a score that a model may have."""
+"""Smallest score limit allowed in a model."""
 _TEXTS = ("kind", "profile", "monitored", "prediction")
 _LARGEST = 1e18
 """Largest magnitude of a parameter."""

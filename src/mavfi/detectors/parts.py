@@ -129,7 +129,7 @@ def largest_ratio(reading: Reading, limit: np.ndarray, ratios: np.ndarray) -> fl
     publication until it is updated.
 
     Args:
-        reading: Of a publication.
+        reading: Reading of a publication.
         limit: Largest distance without an alarm, by field and regime, in units of the reading. Shape (n, regimes).
         ratios: Output, for the updated fields. Shape (n,).
     """

@@ -69,7 +69,7 @@ class DetectorConfig(Config):
 
 
 class NoDetector(Chain):
-    """Watches nothing."""
+    """Never raises an alarm."""
 
 
 def detector_names() -> list[str]:

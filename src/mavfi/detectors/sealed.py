@@ -71,7 +71,7 @@ class Sealed(ABC):
         return Alarm(self.source, state.spec.stage.value, score=score, fields=(state.spec.name,), hard=True)
 
     def accept(self, state: State, time_us: int) -> None:  # noqa: B027 - there is nothing to remember
-        """Nothing is learned."""
+        """No effect: nothing is learned."""
 
     def memory(self) -> tuple[()]:
         """Memory between publications, see `Detector`."""

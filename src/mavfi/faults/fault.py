@@ -151,7 +151,7 @@ class MemoryFault(_Planned):
         field: Name of the word, e.g. "decisions.acted_seq" (see `pipeline.words`).
         index: Index of the word if several share the name.
         dtype: Type of the word: "f8", "f4", "i8", "i4", "i2", "u8", "u1" or "?".
-        time_us: Injected before the steps of this instant; `NO_SITE` = the golden run had no such word at the draw.
+        time_us: Injected before the steps of this instant; `NO_SITE` = the golden run had no such word.
         bit: Bit to flip; None = null fault: the whole path through the injector with an empty mask.
         stratum: Stratum of the draw, e.g. "sign_exponent" (see faults/strata.py), "" = whole words.
         weight: Probability that a bit drawn from the whole words of its target falls in the stratum.
@@ -246,7 +246,7 @@ class InstructionFault(_Planned):
 
     @property
     def has_site(self) -> bool:
-        """Whether the golden run executed such an instruction at the draw."""
+        """Whether the golden run executed such an instruction."""
         return self.call != NO_SITE
 
     @property
@@ -320,7 +320,6 @@ class RegisterFault(_Planned):
     """One bit of a register that an instruction of a live process reads or writes, once.
 
     Attributes:
-        registers: "general" (with the flags), "fp" (XMM and YMM), or "all".
         registers: "general" (including flags), "fp" (XMM and YMM), or "all".
         access: "read": a register that the next instruction reads, injected before it; "write": one that it writes,
             injected after it; or "either".

@@ -44,7 +44,7 @@ class Target:
 
 
 def live_fields(spec: StateSpec, stack: str) -> tuple[str, ...]:
-    """Names of the fields that some consumer reads, without duplicates; a user's own stack has those of all stacks."""
+    """Unique names of the fields that some consumer reads; for a user's own stack, those read in any shipped stack."""
     stacks = (stack,) if stack in STACKS else STACKS
     live = (field.name for field in spec.fields if not all(field.dead_in(name) for name in stacks))
     return tuple(dict.fromkeys(live))

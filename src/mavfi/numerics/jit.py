@@ -5,8 +5,8 @@ infinity, and `parallel` would reorder sums: none of them is available here (see
 
 Numba's cache checks the file of a function, but not those of its callees: after a change in one module, callers in
 others would keep the old code.  Therefore the name of the cache folder is a digest of the text of all compiled modules.
-The cache has no index of signatures per function either: when two processes compile at the same time, one would
-overwrite the other's entry.
+The cache has no index of signatures per function either, in which two processes that compile at the same time would
+overwrite each other's entries.
 """
 
 import contextlib

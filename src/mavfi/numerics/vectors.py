@@ -1,4 +1,4 @@
-"""Lengths and products without BLAS, whose rounding depends on the CPU generation; flights must not."""
+"""Lengths and products without BLAS, whose rounding depends on the CPU: flights must be the same on every machine."""
 
 import math
 

@@ -152,7 +152,7 @@ def offsets_within(radius: float, resolution: float, between_boxes: bool) -> np.
     """Voxel offsets blocked by a radius around an occupied voxel.
 
     Args:
-        radius: m.
+        radius: Radius (m).
         resolution: Edge of a voxel (m).
         between_boxes: Measure between voxel boxes (free cells then keep that distance) instead of voxel centres.
 

@@ -1,4 +1,4 @@
-"""MuJoCo's library: its step as a function callable from compiled code, with warnings suppressed on the screen."""
+"""MuJoCo's library: its step as a function callable from compiled code, with its warnings suppressed."""
 
 import ctypes
 from pathlib import Path

@@ -29,7 +29,7 @@ class RigidBody:
     """Mass properties of a model.
 
     Attributes:
-        mass: kg.
+        mass: Mass (kg).
         inertia: About the centre of mass, diagonal in the axes of its free body (kg m^2).
         centre: Centre of mass in these axes, from the body's origin (m). Shape (3,).
         reach: Radius around the centre of mass that encloses all geoms (m).

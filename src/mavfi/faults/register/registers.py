@@ -83,7 +83,7 @@ _SYSCALL, _SYSENTER, _INT = b"\x0f\x05", b"\x0f\x34", b"\xcd"
 
 @lru_cache(maxsize=4096)
 def enters_kernel(code: bytes) -> bool:
-    """`Instruction.enters_kernel` of the first of these instructions, without decoding (Intel SDM, vol. 2)."""
+    """`Instruction.enters_kernel` of the instruction at the start of `code`, without decoding (Intel SDM, vol. 2)."""
     return code.lstrip(_PREFIXES).startswith((_SYSCALL, _SYSENTER, _INT))
 
 

@@ -18,10 +18,10 @@ class Gains(NamedTuple):
     """Gains and limits of the tracker.
 
     Attributes:
-        p: 1/s. Shape (3,).
-        i: 1/s^2. Shape (3,).
-        d: -. Shape (3,).
-        integral_limit: m s.
+        p: Proportional gain (1/s). Shape (3,).
+        i: Integral gain (1/s^2). Shape (3,).
+        d: Derivative gain (-). Shape (3,).
+        integral_limit: Limit of the integral (m s).
         velocity: Feed-forward gain of the reference velocity.
         acceleration: Feed-forward gain of the reference acceleration (s).
         limit: Largest commanded speed (m/s).

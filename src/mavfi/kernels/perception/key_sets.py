@@ -284,7 +284,7 @@ def collect(
         points: World frame (m); beyond `max_range` only the ray up to it is freed; unusable points are skipped.
             Shape (n, 3), float32.
         origin: Sensor, world frame (m); an unusable one skips the scan. Shape (3,).
-        max_range: m.
+        max_range: Range of the sensor (m).
         frame: Grid.
         stamp: Last scan that updated a voxel; changed. Shape (nx * ny * nz,), int32.
         scan: Number of this scan, larger than all previous ones; beyond `LAST_SCAN` the scan is skipped.

@@ -39,7 +39,7 @@ def insert_scan(
     Args:
         points: As for `key_sets.collect`. Shape (n, 3), float32.
         origin: As for `key_sets.collect`. Shape (3,).
-        max_range: m.
+        max_range: Range of the sensor (m).
         frame: Grid.
         rule: Increments and clamps.
         log_odds: The map; changed. Shape (nx * ny * nz,), float32.

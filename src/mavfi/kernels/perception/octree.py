@@ -18,7 +18,7 @@ from mavfi.numerics.jit import kernel_jit
 
 DEPTH = 16
 NEEDED = 8 * DEPTH
-"""Most nodes that one update allocates: an expansion on each level."""
+"""Largest number of nodes allocated by one update: an expansion on each level."""
 USED, FREE_HEAD, FREE_COUNT, NODES = range(4)
 """`Octree.counters`: first index never used, first free node (0 = none), number of free nodes, nodes in the tree."""
 _ORIGIN = 1 << (DEPTH - 1)

@@ -212,7 +212,7 @@ def fit(
 
     Args:
         narrow: > 0 = blocked. Shape (grid.size,).
-        wide: > 0 = too near to an obstacle for full speed. Shape (grid.size,).
+        wide: > 0 = too close to an obstacle for full speed. Shape (grid.size,).
         grid: Geometry.
         path: Vertices without consecutive duplicates (m). Shape (>= count, 3).
         count: Number of vertices, at least 2.

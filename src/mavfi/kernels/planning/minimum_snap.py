@@ -224,7 +224,7 @@ def coefficients(ends: np.ndarray, k: int, time: float, result: np.ndarray) -> N
     """Polynomial of segment k in u = time since its start / its duration, relative to the start position.
 
     Args:
-        ends: As from `solve`.
+        ends: A curve from `solve`.
         k: Segment.
         time: Duration of the segment (s).
         result: Coefficients of 1, u .. u^7 per axis. Shape (8, 3).

@@ -202,7 +202,7 @@ def scan_ball(nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, 
         nodes: World frame (m). Shape (>= count, 3).
         count: Number of nodes.
         centre: World frame (m). Shape (3,).
-        radius: m.
+        radius: Radius (m).
         found: Output: their indices. Shape (>= count,), int32.
 
     Returns:

@@ -40,7 +40,7 @@ def new_trees() -> Trees:
 
 @kernel_jit
 def _search(trees: Trees, which: int, target: np.ndarray) -> int:
-    """Index of the nearest node of a large tree to a point."""
+    """Index of the node of a large tree nearest to a point."""
     if which == 0:
         return search(trees.near_start, trees.nodes[0], trees.counts[0], target)
     return search(trees.near_goal, trees.nodes[1], trees.counts[1], target)

@@ -116,7 +116,7 @@ def first_stations(path: np.ndarray, count: int, law: Law, work: Work) -> int:
         path: Vertices without consecutive duplicates (m). Shape (>= count, 3).
         count: Number of vertices, 2 to `VERTEX_LIMIT`.
         law: Reach of corners and spacing.
-        work: Sets `corners` and `stations`.
+        work: Output: `corners` and `stations`.
 
     Returns:
         Number of knots; 0 if they do not fit or a vertex is corrupted.

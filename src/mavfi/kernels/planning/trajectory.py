@@ -31,7 +31,7 @@ class Limits(NamedTuple):
     """Limits of the vehicle along the curve.
 
     Attributes:
-        speed: m/s.
+        speed: Speed limit (m/s).
         tight_speed: Speed where the wide counter is blocked (m/s).
         lateral: Acceleration across the curve (m/s^2).
         tangential: Acceleration along the curve (m/s^2).
@@ -171,7 +171,7 @@ def speed_profile(
         grid: Geometry.
         curve: Samples (m). Shape (>= count, 3).
         count: Number of samples.
-        entry_speed: m/s.
+        entry_speed: Speed at the start (m/s).
         limits: Limits of the vehicle.
         arc: Output: arc length of each sample (m). Shape (>= count,).
         speed: Output: speed at each sample (m/s). Shape (>= count,).

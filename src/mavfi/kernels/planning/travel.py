@@ -29,7 +29,7 @@ class Pace(NamedTuple):
     """Limits of the vehicle for the estimate.
 
     Attributes:
-        speed: m/s.
+        speed: Speed limit (m/s).
         tight_speed: Speed where the wide counter is blocked (m/s).
         tangential: Acceleration along the path (m/s^2).
         lateral: Acceleration across the path (m/s^2).
@@ -106,7 +106,7 @@ def travel_time(wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, velo
         pace: Limits of the vehicle.
 
     Returns:
-        s.
+        Time (s).
     """
     time = 0.0
     for i in range(count - 1):

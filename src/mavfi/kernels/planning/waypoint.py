@@ -62,7 +62,7 @@ def advance_clock(
     """Advance the reference clock by one control period.
 
     The rate falls so that the reference can stop before the first blocked or unknown sample.  In front of unknown space
-    it never falls below `creep`, since a voxel that the camera never observes would stop the vehicle for ever.
+    the speed never falls below `creep`, or a voxel that the camera never observes would stop the vehicle for ever.
 
     Args:
         clock: Memory, see `CLOCK_WIDTH`; changed. Shape (3,).

@@ -10,7 +10,7 @@ _FREE = 3.0
 
 
 def clutter(seed: int, boxes: int = 200) -> World:
-    """Boxes of 1 to 6 m and 2 m to the ceiling anywhere between start and goal, both of which keep 3 m of free space.
+    """Boxes 1 to 6 m wide and at least 2 m high, anywhere between start and goal; 3 m around both ends stay free.
 
     Args:
         seed: Seed of the mission.

@@ -62,7 +62,7 @@ def octomap_file(
         path: File, `.bt` or `.ot`.
         start: Start (m); required.
         goal: Goal (m); required.
-        band: Largest height of planned paths above and below start and goal (m).
+        band: Vertical margin of planned paths above and below start and goal (m).
 
     Raises:
         BadInputError: The file is absent, foreign, truncated or too large, start or goal are missing, or there is no
