@@ -1,6 +1,6 @@
 """Fault injection, anomaly detection and recovery for autonomous UAVs, measured on whole missions.
 
-The public names below are imported when they are first used, so that `import mavfi` is quick; see `mavfi.api`.
+The public names below are imported at first use, so that `import mavfi` is fast; see `mavfi.api`.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""`python -m mavfi` is the program `mavfi`."""
+"""Makes `python -m mavfi` equivalent to the program `mavfi`."""
 
 from mavfi.cli import main
 

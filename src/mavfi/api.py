@@ -1,4 +1,4 @@
-"""What `import mavfi` offers: fly missions, inject faults, run campaigns, ask views; the command line uses the same.
+"""Public Python API: fly missions, inject faults, run campaigns, query views; the command line uses the same.
 
     import mavfi
 
@@ -45,22 +45,22 @@ def fly(
     mission: MissionSpec | None = None, *, fault: Fault | str | None = None, fault_seed: int = 0,
     detector: Detector | str | None = None, profile: str = "paper", models: Path | str | None = None, **options: Any,
 ) -> FlightResult:  # fmt: skip
-    """Fly one mission; with a fault, its golden run too; with a detector as well, the same fault without it.
+    """Fly one mission; with a fault, also its golden run; with a detector, also the same fault without it.
 
     Args:
-        mission: What to fly; None = what the options say.
-        fault: A fault, or its text as of `mavfi fly --fault`; what the text does not name is drawn.
-        fault_seed: Draws it.
-        detector: A detector, or the name of one; None = nothing watches.
-        profile: Of a named detector.
+        mission: The mission; None = as given by the options.
+        fault: A fault, or its text as for `mavfi fly --fault`; anything that the text omits is drawn.
+        fault_seed: Seed of that draw.
+        detector: A detector, or the name of one; None = no detector.
+        profile: Profile of a named detector.
         models: Folder of trained models; None = the shipped ones.
-        options: Keys of `MissionSpec`, e.g. environment, seed, wind; they come before those of `mission`.
+        options: Keys of `MissionSpec`, e.g. environment, seed, wind; they override those of `mission`.
 
     Returns:
-        Status, record, quality, effect, log, and the frame of the flight; the same arguments give the same bytes.
+        Status, record, quality, effect, log, and the frame of the flight; equal arguments give equal bytes.
 
     Raises:
-        BadInputError: Something is not known, or does not fit together.
+        BadInputError: Unknown or inconsistent arguments.
     """
     asked = _spec(mission, options)
     spec = with_keys_of(asked, detector) if isinstance(detector, str) else asked
@@ -73,16 +73,16 @@ def fly(
 
 
 def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **options: Any) -> Fault:
-    """Draw what a fault's text does not name, from the golden run of a mission.
+    """Draw whatever a fault's text omits, from the golden run of a mission.
 
     Args:
-        fault: As of `mavfi fly --fault`.
-        mission: The mission; None = what the options say.
-        seed: Of the draw.
-        options: As of `fly`.
+        fault: As for `mavfi fly --fault`.
+        mission: The mission; None = as given by the options.
+        seed: Seed of the draw.
+        options: As for `fly`.
 
     Raises:
-        BadInputError: The text is not understood, or the mission has no such site.
+        BadInputError: Invalid text, or the mission has no such site.
     """
     spec = _spec(mission, options)
     return draw_request(resolve(spec), parse(fault, spec.localization), seed)[0]
@@ -92,14 +92,14 @@ def run(
     campaign: Campaign | str | Path, directory: Path | str, *, workers: int = 2, models: Path | str | None = None,
     executor: Executor | None = None, progress: Callable[[Progress], None] | None = None,
 ) -> Runs:  # fmt: skip
-    """Fly a campaign, or what is left of it, and load its ledger.
+    """Fly a campaign, or its remaining runs, and load its ledger.
 
     Args:
         campaign: A campaign, the name of a shipped one, or a path.
-        directory: Where its ledger is, or will be.
+        directory: Folder of its existing or new ledger.
         workers: Number of processes; the ledger does not depend on it.
         models: Folder of trained models; None = that of the ledger, or the shipped ones.
-        executor: Flies the missions instead, e.g. a `campaign.executors.dask.DaskExecutor`.
+        executor: Alternative executor, e.g. a `campaign.executors.dask.DaskExecutor`.
         progress: Called after every run.
 
     Raises:
@@ -127,10 +127,10 @@ def table(runs: Runs, view: str) -> "Table":
 
     Args:
         runs: See `load`.
-        view: Its name; `mavfi report DIR --view x` lists them.
+        view: Name of the view; `mavfi report DIR --view x` lists them.
 
     Raises:
-        BadInputError: There is no such view.
+        BadInputError: Unknown view.
     """
     from mavfi.campaign.analysis.views import table as table_of
 
@@ -145,7 +145,7 @@ def figure(runs: Runs, name: str) -> "Figure":
         name: "success", "flight_time" or "sites".
 
     Raises:
-        BadInputError: There is no such figure, or nothing to show in it.
+        BadInputError: Unknown figure, or no data for it.
     """
     from mavfi.reports.figures import figure as figure_of
 
@@ -156,11 +156,11 @@ def fly_request(setup: ArmSetup, request: Request | None, seed: int, label: str,
     """Fly the golden run, draw the requested fault (None = only the golden run) from it, and fly that.
 
     Args:
-        setup: What is flown.
+        setup: Mission, detector and recovery.
         request: The fault.
-        seed: Of the draw.
+        seed: Seed of the draw.
         label: Name of the detector; "" = none.
-        bare: The mission as it is without the detector and the keys that go with it; the fault is flown there too.
+        bare: The mission without the detector and its mission keys; the fault is flown there as well.
 
     Raises:
         BadInputError: The mission has no such site.
@@ -175,19 +175,19 @@ def fly_request(setup: ArmSetup, request: Request | None, seed: int, label: str,
 def _fly_fault(
     setup: ArmSetup, fault: Fault | None, label: str, bare: Scenario, golden: Flight | None = None
 ) -> FlightResult:
-    """Fly the golden run and the fault; `golden`: the golden run without a detector, where it is known."""
+    """Fly the golden run and the fault; `golden`: the golden run without a detector, if known."""
     if setup.make_detector is None:
         flight, own = _flown(setup, fault, golden)
         return FlightResult(setup.scenario, flight, own, fault)
     flight, own = _flown(setup, fault)
     known = golden if bare == setup.scenario else None
-    of_detector = getattr(fault, "kernel", "") in DETECTORS  # without it there is nothing to inject into
+    of_detector = getattr(fault, "kernel", "") in DETECTORS  # injectable only with the detector
     alone = None if fault is None or of_detector else _flown(ArmSetup(bare), fault, known)[0]
     return FlightResult(setup.scenario, flight, own, fault, label, alone)
 
 
 def _flown(setup: ArmSetup, fault: Fault | None, golden: Flight | None = None) -> tuple[Flight, Flight | None]:
-    """The flight, and the golden run that it is compared with; without a fault the golden run alone."""
+    """The flight and its golden run; without a fault the golden run only."""
     flights = LocalHost().mission({"": setup}, fast_forward=False)
     if golden is not None:
         flights.know("", golden)
@@ -201,7 +201,7 @@ def _flown(setup: ArmSetup, fault: Fault | None, golden: Flight | None = None) -
 
 
 def _spec(mission: MissionSpec | None, options: dict[str, Any]) -> MissionSpec:
-    """A mission in which some options are replaced."""
+    """The mission with the options replaced."""
     allow_typed(options.values())
     return parse_config(MissionSpec, {**({} if mission is None else mission.model_dump()), **options}, "mission")
 

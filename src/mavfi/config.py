@@ -31,7 +31,7 @@ Checked = TypeVar("Checked")
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """Reads plain data; the compiled one where there is one: every mission of a campaign reads its configuration."""
+    """Reads plain data; compiled if available, since every mission of a campaign reads its configuration."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         """Keys and values; duplicate keys are an error."""
@@ -44,7 +44,7 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
         return mapping
 
     def get_single_data(self) -> Any:
-        """The document; one that its aliases make too large, or endless, is an error."""
+        """The document; an error if its aliases make it too large or endless."""
         node = self.get_single_node()
         if node is None:
             return None
@@ -54,7 +54,7 @@ class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[mi
 
 
 def _integer(loader: _Loader, node: yaml.ScalarNode) -> int:
-    """An integer; Python cannot print those that are much larger than any float."""
+    """An integer; rejects integers much larger than any float, which Python cannot print."""
     value: int = loader.construct_yaml_int(node)
     if value.bit_length() > _MOST_BITS:
         raise yaml.YAMLError(f"integer of {value.bit_length()} bits in line {node.start_mark.line + 1}")
@@ -65,7 +65,7 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _integer)
 
 
 def _size(node: yaml.Node, known: dict[int, float]) -> float:
-    """Number of values in a node once its aliases are written out; infinite if it holds itself."""
+    """Number of values in a node with aliases expanded; infinite if it contains itself."""
     if isinstance(node, yaml.ScalarNode):
         return 1
     if id(node) not in known:
@@ -110,7 +110,7 @@ class VehicleConfig(Config):
 
 
 class CameraConfig(Config):
-    """Depth camera, looking forward."""
+    """Forward-looking depth camera."""
 
     width: int = Field(64, ge=2, le=4096, description="pixels")
     height: int = Field(48, ge=2, le=4096, description="pixels")
@@ -121,7 +121,7 @@ class CameraConfig(Config):
 
 
 class WindConfig(Config):
-    """Wind: a constant mean, and gusts with calm between them; calm throughout by default."""
+    """Wind: a constant mean, and gusts separated by calm; none by default."""
 
     gust: float = Field(0.0, ge=0, le=STRONGEST_WIND, description="m/s, amplitude of every gust; 0 = none")
     mean: Vector = Field((0.0, 0.0, 0.0), description="m/s, world frame")
@@ -137,9 +137,9 @@ class WindConfig(Config):
 
 
 class LocalizationConfig(Config):
-    """Source of the vehicle's position in the pipeline: the true state, or an estimator from noisy sensors.
+    """Source of the vehicle's position in the pipeline: the true state, or an estimator with noisy sensors.
 
-    The IMU is sampled at every step of physics (250 Hz).
+    The IMU is sampled at every physics step (250 Hz).
     """
 
     kind: Literal["truth", "estimator"] = "truth"
@@ -161,7 +161,7 @@ class MapConfig(Config):
 
 
 class PlannerConfig(Config):
-    """Sampling planner and path improvement.  What suits each shipped planner is in configs/planners."""
+    """Sampling planner and path improvement.  Settings for each shipped planner are in configs/planners."""
 
     name: str = "rrt_connect"
     range: float = Field(4.0, gt=0, le=1e3, description="m, longest extension; of RRT* the largest near set, too")
@@ -174,7 +174,7 @@ class PlannerConfig(Config):
 
 
 class PlatformConfig(Config):
-    """A computer: what each kernel's result costs in simulated time (modelled, not measured on that hardware)."""
+    """A computer: latency of each kernel in simulated time (modelled, not measured on that hardware)."""
 
     name: str
     latency_us: dict[str, Annotated[int, Field(ge=0, le=60_000_000)]] = Field(description="by kernel")
@@ -183,7 +183,7 @@ class PlatformConfig(Config):
 
 
 class StackConfig(Config):
-    """The rules of one autopilot profile.  Two are shipped: that of the paper, and that of a good team today."""
+    """The rules of one autopilot profile.  Two are shipped: the paper's, and one of current good practice."""
 
     name: str
     sampling: Literal["held", "interpolated"] = Field(description="trajectory points: every 0.5 s and held, or dense")
@@ -250,7 +250,7 @@ def config_root() -> Path:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """The mapping that a YAML file holds.
+    """The mapping in a YAML file.
 
     Raises:
         BadInputError: The file is absent, not YAML, or not a mapping.
@@ -262,7 +262,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
         data = yaml.load(text, _Loader)
     except RecursionError:
         raise BadInputError(f"{path}: not a YAML file (too many lists and mappings within each other)") from None
-    except (yaml.YAMLError, LookupError, TypeError, ValueError) as error:  # of tags that do not suit their value, too
+    except (yaml.YAMLError, LookupError, TypeError, ValueError) as error:  # includes tags that do not fit their value
         raise BadInputError(f"{path}: not a YAML file ({_first_line(error)})") from None
     if not isinstance(data, dict):
         raise BadInputError(f"{path}: must hold keys and values, holds {type(data).__name__}")
@@ -274,7 +274,7 @@ def _first_line(error: Exception) -> str:
 
 
 def parse(model: type[ConfigType], data: dict[str, Any], source: str) -> ConfigType:
-    """Validate data from a source (a name for messages) into a model.
+    """Validate data from a source (named in messages) as a model.
 
     Raises:
         BadInputError: One line that names source, key, value and what is allowed.
@@ -286,7 +286,7 @@ def parse(model: type[ConfigType], data: dict[str, Any], source: str) -> ConfigT
 
 
 def checked(kind: type[Checked], data: object, source: str) -> Checked:
-    """Validate data from a source (a name for messages) into a dataclass.
+    """Validate data from a source (named in messages) as a dataclass.
 
     Raises:
         BadInputError: One line that names source, key, value and what is allowed.
@@ -304,19 +304,19 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:  # noqa: ANN401 - a dataclass
 
 
 def finding(error: ValidationError) -> str:
-    """The first of pydantic's findings: key, value and what is allowed."""
+    """The first of pydantic's errors: key, value and what is allowed."""
     first = error.errors()[0]
     key, value = ".".join(map(str, first["loc"])), first["input"]
     return f"key {key!r}: {_shown(value)}: {first['msg']}"
 
 
 def _shown(value: object) -> str:
-    """The value, or its type where it is long."""
+    """The value, or its type if it is long."""
     return type(value).__name__ if isinstance(value, (dict, list, tuple)) else repr(value)
 
 
 def _told(model: type[BaseModel], error: dict[str, Any]) -> str:
-    """One of pydantic's findings in our words; checks of a whole model name their keys themselves."""
+    """A pydantic error in mavfi's wording; checks of a whole model name their keys themselves."""
     location, kind = error["loc"], error["type"]
     key = ".".join(str(part) for part in location)
     message: str = error["msg"].removeprefix("Value error, ")
@@ -337,7 +337,7 @@ def _told(model: type[BaseModel], error: dict[str, Any]) -> str:
 
 
 def _owner(model: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel]:
-    """The model that holds the key; as deep as models are nested in each other without a collection between."""
+    """The model that has the key; follows models nested directly, without a collection in between."""
     for part in location[:-1]:
         annotation = model.model_fields[str(part)].annotation if str(part) in model.model_fields else None
         if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
@@ -347,7 +347,7 @@ def _owner(model: type[BaseModel], location: tuple[int | str, ...]) -> type[Base
 
 
 def load(model: type[ConfigType], path: Path) -> ConfigType:
-    """Read a YAML file into a model.
+    """Read a YAML file as a model.
 
     Raises:
         BadInputError: See `read_yaml` and `parse`.
@@ -356,10 +356,10 @@ def load(model: type[ConfigType], path: Path) -> ConfigType:
 
 
 def shipped(kind: str, model: type[ConfigType], name: str) -> ConfigType:
-    """A shipped configuration by its name in the folder `kind`, e.g. "stacks", or one of the user's by path.
+    """A shipped configuration by its name in the folder `kind`, e.g. "stacks", or a user's file by path.
 
     Raises:
-        BadInputError: There is no such file.
+        BadInputError: Unknown name or invalid file.
     """
     if name.endswith((".yaml", ".yml")):
         return load(model, Path(name))

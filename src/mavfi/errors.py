@@ -1,4 +1,4 @@
-"""Errors that a user of mavfi can meet.  The command line turns each into one line and an exit code."""
+"""Errors reported to users of mavfi.  The command line turns each into one line and an exit code."""
 
 import errno
 import os
@@ -14,10 +14,10 @@ _MACHINE = {
 }  # fmt: skip
 _MACHINE_OF_SQLITE = {
     sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_NOMEM,
-    sqlite3.SQLITE_PROTOCOL, sqlite3.SQLITE_CORRUPT,  # EIO where a ledger is read, which was sound when it was opened
+    sqlite3.SQLITE_PROTOCOL, sqlite3.SQLITE_CORRUPT,  # EIO while reading a ledger that was sound when opened
 }  # fmt: skip
 _NO_MEMORY = "could not allocate"
-"""Of MuJoCo, which raises no MemoryError."""
+"""MuJoCo's message; it raises no MemoryError."""
 
 FROM_OUTSIDE = frozenset({"SIGKILL", "SIGTERM", "SIGHUP", "SIGINT", "SIGQUIT"})
 """Signals sent by an operator or the OOM killer, never raised by a fault."""
@@ -28,11 +28,11 @@ class MavfiError(Exception):
 
 
 class BadInputError(MavfiError):
-    """Something the user gave is wrong: the text names what, where, its value and what is allowed (exit code 2)."""
+    """User input is wrong: the text names item, place, value and what is allowed (exit code 2)."""
 
 
 class SpecMismatchError(BadInputError):
-    """Two things that must belong together do not, e.g. a trained model and the stack that it should watch."""
+    """Two items do not match, e.g. a trained model and the stack that it should monitor."""
 
 
 class MachineError(MavfiError):
@@ -43,7 +43,7 @@ class MachineError(MavfiError):
 
 
 def machine_failure(error: BaseException | None) -> str:
-    """The machine failure behind an exception, its causes and contexts included; "" = none."""
+    """The machine failure behind an exception, including its causes and contexts; "" = none."""
     while error is not None:
         if isinstance(error, MachineError):
             return str(error)
@@ -58,7 +58,7 @@ def machine_failure(error: BaseException | None) -> str:
 
 
 def allowed(names: Collection[str], wanted: str = "") -> str:
-    """The names that there are, for a message: the likeliest first, not more than a line holds."""
+    """The allowed names for a message: the likeliest first, at most one line."""
     likely = get_close_matches(wanted, names, 3, 0.5)
     ordered = [*likely, *sorted(set(names) - set(likely))]
     more = f", and {len(ordered) - _MOST_SHOWN} more" if len(ordered) > _MOST_SHOWN else ""
@@ -67,7 +67,7 @@ def allowed(names: Collection[str], wanted: str = "") -> str:
 
 @contextmanager
 def writing(path: Path | str) -> Iterator[None]:
-    """Turn an error of the operating system while a file or folder is written into a `BadInputError` that names it."""
+    """Convert an operating-system error while writing a file or folder to a `BadInputError` that names it."""
     try:
         yield
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Reads files that others may have written: regular ones, of a bounded size."""
+"""Safe reading of files from other sources: regular files of bounded size."""
 
 import stat
 from pathlib import Path
@@ -6,14 +6,14 @@ from pathlib import Path
 from mavfi.errors import BadInputError
 
 LARGEST_TEXT = 1 << 22
-"""Most bytes of a file of text."""
+"""Largest size of a text file (bytes)."""
 
 
 def read_file(path: Path, most: int) -> bytes:
-    """Content of a file of at most so many bytes.
+    """Content of a file of at most `most` bytes.
 
     Raises:
-        BadInputError: It cannot be read, is larger, or is a device or a pipe, which may have no end.
+        BadInputError: It cannot be read, is larger, or is a device or a pipe, which may be endless.
     """
     check_regular(path)
     try:
@@ -27,7 +27,7 @@ def read_file(path: Path, most: int) -> bytes:
 
 
 def check_regular(path: Path) -> None:
-    """Raise a `BadInputError` where there is a device or a pipe, or nothing; folders pass."""
+    """Raise a `BadInputError` for a device, a pipe or a missing file; folders pass."""
     try:
         mode = path.stat().st_mode
     except OSError as error:

@@ -30,7 +30,7 @@ _DIGESTED = len(COLUMNS) - 3
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened at an instant: a plan, an alarm of the collision check, a warning of the simulator."""
+    """An event at an instant: a plan, an alarm of the collision check, a warning of the simulator."""
 
     time_us: int
     kind: str
@@ -39,20 +39,20 @@ class Event:
 
 @dataclass(frozen=True, slots=True)
 class Injection:
-    """What an injector did, at any level.
+    """Record of one injection, at any level.
 
     Attributes:
         level: "state", "memory", "instruction", "message" or "register".
-        site: Where, as text: "planning.waypoint.x", "memory:planner.decisions.acted_seq", "octomap.insert_scan",
+        site: Site as text: "planning.waypoint.x", "memory:planner.decisions.acted_seq", "octomap.insert_scan",
             "joint_states.position[0]", "xmm0".
-        time_s: When: of the flight (s); of messages and registers outside of a flight, since the tool's start (s).
-        bit: Which bit; None for a null fault, or where a whole value was replaced.
-        before: Value before; None = not activated, or no number.
+        time_s: Time in the flight (s); for messages and registers outside a flight, since the tool's start (s).
+        bit: Index of the bit; None for a null fault, or if a whole value was replaced.
+        before: Value before; None = not activated, or not a number.
         after: Value after.
-        activated: Whether the site was reached and changed as planned (a null fault: left as it was).
+        activated: Whether the site was reached and changed as planned (a null fault: left unchanged).
         file: Source file of the instruction, relative to the folder from which it was imported; "" = none.
         line: Source line; 0 = none.
-        details: What else this level knows (opcode, value class, variable, register, library, readers ...): plain data.
+        details: Further data of the level (opcode, value class, variable, register, library, readers ...): plain data.
     """
 
     level: str
@@ -72,24 +72,24 @@ class Injection:
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> "Injection":
-        """Inverse of `to_json`, a BadInputError if it is none; values that JSON cannot hold stay text."""
+        """Inverse of `to_json`, a BadInputError for invalid data; values that JSON cannot represent stay text."""
         return checked(Injection, data, "injection")
 
 
 @dataclass(frozen=True, slots=True)
 class AlarmRecord:
-    """An alarm of a flight, and what was done about it.
+    """An alarm of a flight, and the recovery from it.
 
     Attributes:
-        time_s: When (s).
-        source: Which detector or rule raised it.
-        state: The publication that it is about.
-        stage: Stage that it asks to recompute.
-        score: How anomalous, in units of the threshold.
-        fields: Fields that stand out, "state.field".
-        action: What the host did: "recompute", "abandon", "stop", "restart" or "resend".
-        outcome: What came of it: "replaced", "repaired", "accepted" (the same value again), "rejected" (it broke
-            a rule again), or "restarted" (the node).
+        time_s: Time in the flight (s).
+        source: Detector or rule that raised it.
+        state: The publication concerned.
+        stage: Stage whose recomputation it requests.
+        score: Anomaly score in units of the threshold.
+        fields: The anomalous fields, "state.field".
+        action: Action of the host: "recompute", "abandon", "stop", "restart" or "resend".
+        outcome: Result: "replaced", "repaired", "accepted" (same value again), "rejected" (violated a rule again), or
+            "restarted" (the node).
     """
 
     time_s: float
@@ -107,19 +107,19 @@ class AlarmRecord:
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> "AlarmRecord":
-        """Inverse of `to_json`; a BadInputError if it is none."""
+        """Inverse of `to_json`; a BadInputError for invalid data."""
         return checked(AlarmRecord, data, "alarm")
 
 
 @dataclass(frozen=True, slots=True)
 class KernelEffect:
-    """What one injected call did to its kernel, compared in flight with the golden output of that step.
+    """Effect of one injected call on its kernel, by comparison in flight with the golden output of that step.
 
     Attributes:
         effect: Label of an `outcomes.Effect`: "masked", "sdc", "crash", "hang", "exception" or "not_activated".
         detail: Signal, budget or exception; "" = none.
         first_difference: The first published field that differs, as plain data (see `hosts.instruction.output`); None =
-            nothing published differs.
+            all published fields are equal.
     """
 
     effect: str
@@ -133,13 +133,13 @@ def _plain(value: float | int | bool | str | None) -> float | int | bool | str |
 
 @dataclass(slots=True)
 class Profile:
-    """When which state was published in a golden flight: what faults are drawn from.
+    """Publication times of each state in a golden run, from which faults are drawn.
 
     Only publications that consumers act on are listed (see `StateSpec.acted_on`).
 
     Attributes:
-        times_us: By state, the instants of its publications. Shape (n,), int64, ascending.
-        counts: By state, how many elements each carried (0 where the state has none). Shape (n,), int32.
+        times_us: By state, the times of its publications. Shape (n,), int64, ascending.
+        counts: By state, number of elements in each (0 if the state has none). Shape (n,), int32.
     """
 
     times_us: dict[str, np.ndarray] = field(default_factory=dict)
@@ -170,12 +170,12 @@ class FlightLog:
 
     Attributes:
         rows: One row per control tick, columns as in `COLUMNS`. Shape (n, 21), float64.
-        status: How it ended.
-        events: In the order in which they happened.
-        injections: What injectors did.
-        alarms: What detectors said, and what recomputing gave.
+        status: Mission status at the end.
+        events: Events in order of time.
+        injections: Injection records.
+        alarms: Detector alarms, and the outcome of their recovery.
         meta: Scenario, start, goal, obstacles' digest, versions: plain data.
-        kernel: What the injected call did to its kernel, of a flight with an instruction fault; None otherwise.
+        kernel: Effect of the injected call on its kernel, for a flight with an instruction fault; None otherwise.
     """
 
     rows: np.ndarray
@@ -195,22 +195,22 @@ class FlightLog:
         return self.rows[:, [COLUMNS.index(name) for name in names]]
 
     def digest(self) -> str:
-        """SHA-256 over vehicle state, commands and mission status; injections, alarms and clocks are not in it."""
+        """SHA-256 over vehicle state, commands and mission status; excludes injections, alarms and clocks."""
         content = np.ascontiguousarray(self.rows[:, :_DIGESTED]).tobytes()
         return hashlib.sha256(content + self.status.label.encode()).hexdigest()
 
     def count(self, kind: str) -> int:
-        """How many events of a kind."""
+        """Number of events of a kind."""
         return sum(event.kind == kind for event in self.events)
 
     def save(self, path: Path | str) -> None:
-        """Write an .npz file: one array for each of `COLUMNS`, by its name, and `record`, all else as JSON text.
+        """Write an .npz file: one array for each of `COLUMNS`, by its name, and `record`, all other data as JSON text.
 
-        `np.load(path)["x"]` is thus the x coordinate at each control tick, and `json.loads(str(file["record"]))` has
+        So `np.load(path)["x"]` is the x coordinate at each control tick, and `json.loads(str(file["record"]))` has
         status, events, injections, alarms and meta.
 
         Raises:
-            BadInputError: The place cannot be written.
+            BadInputError: The file cannot be written.
         """
         data = {
             "status": self.status.name,
@@ -227,10 +227,10 @@ class FlightLog:
 
     @staticmethod
     def load(path: Path | str) -> "FlightLog":
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Raises:
-            BadInputError: The file is absent or is no flight log.
+            BadInputError: The file is absent or not a flight log.
         """
         try:
             arrays = read_arrays(Path(path))
@@ -248,7 +248,7 @@ class FlightLog:
 
 @dataclass(frozen=True, slots=True)
 class _Told:
-    """What `FlightLog.save` writes beside the columns."""
+    """Content of `record` in the file written by `FlightLog.save`."""
 
     status: str
     events: list[tuple[int, str, dict[str, Any]]]
@@ -259,7 +259,7 @@ class _Told:
 
 
 def _table(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The columns as one table; a ValueError if they are none."""
+    """The columns as one table; a ValueError if they are invalid."""
     columns = [arrays[name] for name in COLUMNS]
     if any(column.ndim != 1 or column.dtype.kind not in "fiu" for column in columns) or not len(columns[0]):
         raise ValueError("columns: allowed: one number per control tick, one tick or more")
@@ -270,7 +270,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """Arrays of an .npz file; objects are not unpickled.
 
     Raises:
-        BadInputError: The file cannot be read, is no such file, or is too large when decompressed.
+        BadInputError: The file cannot be read, is not such a file, or is too large when decompressed.
     """
     content = read_file(path, _LARGEST_FILE)
     try:

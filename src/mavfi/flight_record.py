@@ -1,4 +1,4 @@
-"""`FlightRecord`: what one flight leaves in a ledger.  It holds what judging needs, and no verdicts.
+"""`FlightRecord`: the entry of one flight in a ledger.  It has the data for evaluation, but no verdicts.
 
 Success, quality of flight and effects are computed from records (`mavfi.qof`, `mavfi.outcomes`, `campaign.analysis`),
 so a changed definition needs no new flight.
@@ -18,17 +18,17 @@ from mavfi.config import checked
 from mavfi.flight_log import AlarmRecord, FlightLog, Injection, KernelEffect
 
 MOST_ALARMS = 20
-"""Alarms of a flight with a fault that are kept one by one, beside those in the `AFTERMATH`; all are counted."""
+"""Alarms stored for a flight with a fault, in addition to those in the `AFTERMATH`; all alarms are counted."""
 MOST_GOLDEN_ALARMS = 1000
-"""Alarms that are kept of an error-free flight: those of injected runs are compared with them."""
+"""Alarms stored for an error-free flight, for comparison with those of injected runs."""
 INSTANT = 0.5e-6
-"""Instants that differ by less are the same: times are whole microseconds (s)."""
+"""Times that differ by less are equal: times are whole microseconds (s)."""
 AFTERMATH = 1.0
-"""Time from the injection within which every alarm is kept (s)."""
+"""Time from the injection within which every alarm is stored (s)."""
 
 
 class End(StrEnum):
-    """How a run ended, as a piece of computation: with a log; by dying each time; or by a defect of ours."""
+    """How a run ended as a computation: with a log, with a crash on every attempt, or with a defect of mavfi."""
 
     FLOWN = "flown"
     DUE = "due"
@@ -39,10 +39,10 @@ class End(StrEnum):
 class EnergyTerms:
     """Integrals over the flight from which the energy is computed (see `mavfi.qof`).
 
-    Speeds are means of two rows, accelerations their differences by time; world frame.
+    Speeds are means of two rows, accelerations are difference quotients; world frame.
 
     Attributes:
-        duration_s: Of the finite part of the log (s).
+        duration_s: Duration of the finite part of the log (s).
         speed_xy: Integral of |v_xy| (m).
         acceleration_xy: Integral of |a_xy| (m/s).
         product_xy: Integral of |v_xy| |a_xy| (m^2/s^2).
@@ -70,23 +70,23 @@ class FlightRecord:
         digest: SHA-256 of vehicle states, commands and status; "" = none.
         flight_time_s: From the first to the last finite row of the log (s).
         distance_m: Length of the flown path (m).
-        energy: What the energy is computed from.
+        energy: Integrals for the energy.
         course_m: Straight distance from start to goal (m).
-        time_limit_s: After which the flight would have been a time-out (s).
-        injections: What was injected.
+        time_limit_s: Time limit of the flight (s).
+        injections: Injection records.
         alarms: The first alarms, and those in the `AFTERMATH` of an activated injection, in order of time.
         alarms_total: All alarms.
         alarm_counts: All alarms by "source/action/outcome".
         events: Number of events by kind.
-        compute_us: Modelled compute time by kernel (us), recomputations included.
+        compute_us: Modelled compute time by kernel (us), including recomputations.
         recompute_us: Modelled recomputation time by stage (us).
         publications: Number of publications by state.
-        acted_on: Of a golden run without a detector: publications by state that consumers act upon.
-        rejected_commands: Commands that the flight controller did not accept.
-        kernel: What the injected call did (level instruction); None at other levels.
-        counts: Of a golden run at instruction level: by kernel, dynamic `instructions`, `calls`, and `lines`.
-        extra: What a host adds, e.g. outputs of a foreign node; plain data.
-        error: Why there is no flight; "" = there is one.
+        acted_on: For a golden run without a detector: publications by state that consumers act on.
+        rejected_commands: Commands rejected by the flight controller.
+        kernel: Effect of the injected call (level instruction); None at other levels.
+        counts: For a golden run at instruction level: by kernel, dynamic `instructions`, `calls`, and `lines`.
+        extra: Additional data of a host, e.g. outputs of a foreign node; plain data.
+        error: Reason if there is no flight; "" = there is one.
     """
 
     end: End
@@ -123,7 +123,7 @@ class FlightRecord:
         return max(0, self.events.get("plan", 0) - 1)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; fields that have their default are left out."""
+        """Plain data; fields with default values are omitted."""
         every = {f.name: getattr(self, f.name) for f in fields(self)}
         data = {name: value for name, value in every.items() if name == "end" or value != _DEFAULTS[name]}
         for name in ("energy", "kernel"):
@@ -137,7 +137,7 @@ class FlightRecord:
 
     @staticmethod
     def from_json(data: Mapping[str, Any]) -> "FlightRecord":
-        """Inverse of `to_json`; a BadInputError if it is none."""
+        """Inverse of `to_json`; a BadInputError for invalid data."""
         return checked(FlightRecord, data, "record")
 
 
@@ -145,7 +145,7 @@ _DEFAULTS: dict[str, Any] = {f.name: getattr(FlightRecord(End.FLOWN), f.name) fo
 
 
 def record_of(log: FlightLog) -> FlightRecord:
-    """The record of a flight; course, time limit, latencies, publications and rejected commands are in its `meta`."""
+    """The record of a flight; course, time limit, latencies, publications and rejected commands come from `meta`."""
     duration, distance, energy = _motion(log)
     meta = log.meta
     return FlightRecord(
@@ -159,7 +159,7 @@ def record_of(log: FlightLog) -> FlightRecord:
 
 
 def kept_alarms(injections: Sequence[Injection], alarms: Sequence[AlarmRecord]) -> list[AlarmRecord]:
-    """The first alarms of a flight, and all within `AFTERMATH` of an activated injection; in order of time."""
+    """The first alarms of a flight, and all within `AFTERMATH` of an activated injection, in order of time."""
     instants = [injection.time_s for injection in injections if injection.activated]
     most = MOST_ALARMS if injections else MOST_GOLDEN_ALARMS
     return [
@@ -170,7 +170,7 @@ def kept_alarms(injections: Sequence[Injection], alarms: Sequence[AlarmRecord]) 
 
 
 def _motion(log: FlightLog) -> tuple[float, float, EnergyTerms]:
-    """Flight time (s), distance (m) and energy terms; rows from the first one that is not finite on do not count."""
+    """Flight time (s), distance (m) and energy terms, from the rows before the first one that is not finite."""
     rows = log.columns("time", "x", "y", "z", "vx", "vy", "vz")
     finite = np.isfinite(rows).all(axis=1)
     rows = rows if finite.all() else rows[: int(np.argmin(finite))]
@@ -191,12 +191,12 @@ def _motion(log: FlightLog) -> tuple[float, float, EnergyTerms]:
 
 
 def canonical(data: Any) -> str:
-    """The one JSON text of plain data."""
+    """Canonical JSON text of plain data."""
     return json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 def plain(value: Any) -> Any:
-    """Make data fit for JSON: NumPy numbers and arrays become Python's; infinities and NaN become text."""
+    """Convert data for JSON: NumPy numbers and arrays to Python's; infinities and NaN to text."""
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):

@@ -1,4 +1,4 @@
-"""A mission: what a user asks for: `MissionSpec`; everything that decides its golden flight: `Scenario`."""
+"""A mission: the user's request (`MissionSpec`), and everything that determines its golden run (`Scenario`)."""
 
 import hashlib
 import json
@@ -25,13 +25,13 @@ from mavfi.config import (
 ARRIVAL_RADIUS = 2.0
 """Distance from the goal that counts as arrival (m)."""
 FLY_AWAY_MARGIN = 30.0
-"""Distance outside of the arena that ends a flight (m)."""
+"""Distance outside the arena that ends a flight (m)."""
 LARGEST_SEED = 2**63 - 1
 TIME_LIMIT_FACTOR = 4.5
 """Time limit / (course / v_max)."""
 
 DeadNode = Literal["end", "fresh", "latched", "readback", "recompute"]
-"""What becomes of a node that dies, see `hosts.loop.restarts`."""
+"""Restart policy of a node that dies, see `hosts.loop.restarts`."""
 
 
 class MissionStatus(Enum):
@@ -52,10 +52,10 @@ class MissionStatus(Enum):
 
 
 class MissionSpec(Config):
-    """What a user asks for: every option of a mission, by name.  `hosts.loop.compose.resolve` makes a `Scenario` of it.
+    """The user's request: every option of a mission, by name.  `hosts.loop.compose.resolve` turns it into a `Scenario`.
 
-    The command line, campaign files, arms of campaigns, training, ROS and the Python API all read this model, so an
-    option exists once, and exists everywhere.  The description of a field is its help text.
+    The command line, campaign files, arms of campaigns, training, ROS and the Python API all read this model, so each
+    option is defined once and available everywhere.  The description of a field is its help text.
     """
 
     model_config = ConfigDict(populate_by_name=True)
@@ -117,13 +117,13 @@ class MissionSpec(Config):
 
 
 RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded")
-"""Keys of a mission that define the answer to a detector's alarms."""
+"""Mission keys that define the recovery from a detector's alarms."""
 _OPTIONS = ("wind", "localization", "dead_node")
 _STACK_OPTIONS = ("alarm",)
 
 
 class Scenario(Config):
-    """Everything that decides a golden flight; a flight is a pure function of it (and of a fault and a detector)."""
+    """Everything that determines a golden run; a flight is a pure function of it (and of a fault and a detector)."""
 
     environment: EnvironmentConfig
     seed: int
@@ -142,7 +142,7 @@ class Scenario(Config):
     dead_node: DeadNode = "fresh"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; options that are off are left out, so that a mission without them keeps its key."""
+        """Plain data; options at their defaults are omitted, so that a mission without them keeps its key."""
         data = self.model_dump(mode="json")
         for name in _OPTIONS:
             if getattr(self, name) == Scenario.model_fields[name].default:
@@ -158,5 +158,5 @@ class Scenario(Config):
 
 
 def time_limit(course: float, v_max: float, platform: PlatformConfig) -> float:
-    """Longest flight before it counts as `timeout` (s), for a straight course (m), a speed limit (m/s), a computer."""
+    """Time limit of the flight (s), for a straight course (m), a speed limit (m/s), a computer."""
     return TIME_LIMIT_FACTOR * course / v_max * platform.time_limit_factor

@@ -1,4 +1,4 @@
-"""What a fault did to the computation: `effect_of` compares an injected run with its golden run."""
+"""Effect of a fault on the computation: `effect_of` compares an injected run with its golden run."""
 
 from enum import Enum
 
@@ -31,7 +31,7 @@ def effect_of(golden: FlightRecord | None, injected: FlightRecord) -> Effect:
 
     Args:
         golden: The golden run of the same arm; None = there is none.
-        injected: The run with the fault. One that died each time has crashed, unless its host knows better.
+        injected: The run with the fault. If it died on every attempt, it is a crash unless its host knows better.
     """
     if injected.end is End.DUE:
         return Effect.CRASH if injected.kernel is None else Effect[injected.kernel.effect.upper()]

@@ -1,7 +1,7 @@
-"""Things by name: shipped ones, entry points of other packages, and `package:object` of a user's own.
+"""Objects by name: shipped ones, entry points of other packages, and a user's own `package:object`.
 
-Code is run only if the user asked for it: by installing a package with entry points, by typing `package:object` or
-passing it to the Python API, or by allowing all plug-ins.  A name in a file that somebody else wrote does not suffice.
+Code is run only at the user's request: by installing a package with entry points, by typing `package:object` or
+passing it to the Python API, or by allowing all plug-ins.  A name in a file from another source is not sufficient.
 """
 
 import importlib
@@ -17,28 +17,28 @@ from typing import Any
 from mavfi.errors import BadInputError, MavfiError
 
 _VARIABLE = "MAVFI_ALLOW_PLUGINS"
-"""Allowed names, separated by spaces; a variable, for the processes that a command starts."""
+"""Allowed names, separated by spaces; an environment variable, inherited by child processes."""
 _ALL = "all"
 _ADDRESS = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 def allow_plugins() -> None:
-    """Run code and programs that files (configurations, ledgers) name, here and in processes started from here."""
+    """Run code and programs named in files (configurations, ledgers), in this process and its children."""
     _allow([_ALL])
 
 
 def allowed_names() -> list[str]:
-    """What was allowed here, for processes on other machines that work for this one."""
+    """Names allowed here, for worker processes on other machines."""
     return os.environ.get(_VARIABLE, "").split()
 
 
 def allow_names(names: Iterable[str]) -> None:
-    """Allow what was allowed in the process that this one works for."""
+    """Allow the names allowed in the process for which this one works."""
     _allow(names)
 
 
 def allow_typed(words: Iterable[object]) -> None:
-    """Allow the plug-ins among the words of a command or the arguments of a call: who types them wants them."""
+    """Allow the plug-ins among the words of a command or the arguments of a call, since the user typed them."""
     _allow(word for word in words if isinstance(word, str) and _ADDRESS.fullmatch(word))
 
 
@@ -56,24 +56,24 @@ def require_allowed(what: str, name: str) -> None:
 
 
 def known(group: str, shipped: Mapping[str, str]) -> dict[str, str]:
-    """Every name of a group of entry points and its place, "module:object"; shipped names cannot be taken."""
+    """Every name of a group of entry points with its location, "module:object"; shipped names take precedence."""
     return {point.name: point.value for point in entry_points(group=group)} | dict(shipped)
 
 
 def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) -> Any:  # noqa: ANN401 - a user's own
-    """What a name stands for.
+    """The object that a name refers to.
 
     Args:
-        what: Kind of thing, for messages: "detector", "planner", "generator".
+        what: Kind of object, for messages: "detector", "planner", "generator".
         name: A known name, or "package.module:object".
         group: Group of entry points.
-        shipped: As of `known`.
+        shipped: As for `known`.
 
     Raises:
-        BadInputError: The name is not known or not allowed (`allow_plugins`), or what it names cannot be imported or
-            called; the message says why.
+        BadInputError: Unknown name, not allowed (`allow_plugins`), or the object cannot be imported or called; the
+            message says why.
     """
-    # entry points cannot take these names, and to look for them takes milliseconds
+    # entry points cannot take these names, and searching them takes milliseconds
     place = shipped.get(name, name if ":" in name else "")
     if not place:
         names = known(group, shipped)
@@ -83,7 +83,7 @@ def load_object(what: str, name: str, group: str, shipped: Mapping[str, str]) ->
     module, _, attribute = place.partition(":")
     if place == name:
         require_allowed(what, name)
-        # A console script does not look into the working directory, where a user's own module usually is.
+        # A console script does not search the working directory, where a user's own module usually is.
         if str(Path.cwd()) not in sys.path:
             sys.path.append(str(Path.cwd()))
     try:
@@ -101,7 +101,7 @@ def parameters_of(what: str, name: str, factory: Any) -> list[str]:  # noqa: ANN
     """Names of the parameters of a user's own class or function; kind (`what`) and name are for messages.
 
     Raises:
-        BadInputError: It does not say them, as some of Python's own do not.
+        BadInputError: It does not expose them, like some of Python's built-ins.
     """
     try:
         return list(inspect.signature(factory).parameters)
@@ -130,5 +130,5 @@ def build(
 
 
 def reason(error: BaseException) -> str:
-    """What a user's code raised, on one line."""
+    """An exception of user code, on one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"

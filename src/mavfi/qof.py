@@ -1,8 +1,8 @@
-"""Quality of flight: flight time, energy and distance of a flight, judged from its record alone.
+"""Quality of flight: flight time, energy and distance of a flight, computed from its record alone.
 
-The power model is MAVBench's (its fork of AirSim, MultiRotor.hpp and Battery.hpp), which has the structure of Tseng et
-al. 2017 (arXiv:1703.10049): a regression on speeds and accelerations, for a quadrotor of the class of the 3DR Solo.  It
-does not know payload or compute power, and its constant is high for such a vehicle: it serves to compare flights.
+The power model is MAVBench's (its fork of AirSim, MultiRotor.hpp and Battery.hpp), with the structure of Tseng et al.
+2017 (arXiv:1703.10049): a regression on speeds and accelerations, for a quadrotor of the class of the 3DR Solo.  It
+ignores payload and compute power, and its constant is high for such a vehicle: it is meant for comparing flights.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from mavfi.flight_log import FlightLog
 from mavfi.flight_record import EnergyTerms, FlightRecord, record_of
 
 BATTERY_ENERGY = 11.1 * 5.5 * 3600.0
-"""Of a battery of 11.1 V, constant over the discharge, and 5.5 Ah (J)."""
+"""Energy of a battery of 11.1 V, constant over the discharge, and 5.5 Ah (J)."""
 
 _KMH = 3.6
 _CONSTANT = 443.9
@@ -25,9 +25,9 @@ class QoF:
 
     Attributes:
         flight_time_s: From the first to the last row of the log.
-        energy_j: Of the rotors.
+        energy_j: Energy of the rotors.
         distance_m: Length of the flown path.
-        battery_used: Share of a full battery; above 1 the flight would not have come so far.
+        battery_used: Share of a full battery; above 1 it would have been depleted in flight.
     """
 
     flight_time_s: float

@@ -2,7 +2,7 @@
 
 A published state is a `State`: a header of scalar fields and, for some, a list of elements (points, vertices,
 voxels).  Both are packed NumPy structured arrays, so that a field is a byte range in which a fault can flip a bit.
-The leading float64 fields of a header can be read as one plain vector with `floats`.
+The leading float64 fields of a header can be read as a plain vector with `floats`.
 """
 
 from dataclasses import dataclass, field
@@ -16,11 +16,11 @@ from mavfi.errors import BadInputError
 _BYTE = np.dtype(np.uint8)
 STACKS = ("published", "hardened")
 ODOMETRY = {"truth": "sensor.odometry", "estimator": "perception.odometry"}
-"""By localization, the state that tells consumers where the vehicle is; both begin with the same 13 fields."""
+"""By localization, the state that carries the vehicle's odometry; both begin with the same 13 fields."""
 
 
 class Stage(StrEnum):
-    """The paper's three stages, and the sensors in front of them."""
+    """The paper's three stages, and the sensors before them."""
 
     SENSOR = "sensor"
     PERCEPTION = "perception"
@@ -38,12 +38,12 @@ class KernelSpec:
     Attributes:
         name: As in the latency table of a platform.
         stage: The stage that is recomputed on an alarm about its states.
-        node: The process that it runs in, and dies with; also the name of its ROS node.
-        trigger: "periodic" = stepped at every control period; "input" = by what it receives.
+        node: Process in which it runs and dies; also the name of its ROS node.
+        trigger: "periodic" = stepped in every control period; "input" = stepped by its inputs.
         counts: Whether its latency is part of the stage's.
-        on_flight_controller: Whether it runs there (some 10 us a step), and costs the modelled computer nothing.
+        on_flight_controller: Whether it runs there (some 10 us per step), at no cost on the modelled computer.
         functions: Attributes of `pipeline.functions.KernelFunctions` whose instructions can be injected.
-        only_with: Localization with which alone the kernel exists; "" = always.
+        only_with: The only localization with which the kernel exists; "" = any.
     """
 
     name: str
@@ -76,8 +76,8 @@ _KERNEL_TABLE = (
 KERNELS: dict[str, KernelSpec] = {spec.name: spec for spec in _KERNEL_TABLE}
 """Every kernel of the pipeline by name, in the order of the data flow.
 
-`octomap` calls the first of its functions on a dense map, the two others on an octree.  `collision_check` keeps its own
-map of clearances, and `apply_updates` is the part of it that stores updates there; the planner's copy is not injected.
+`octomap` calls the first of its functions on a dense map, the others on an octree.  `collision_check` maintains its own
+clearance map, whose updates are stored by `apply_updates`; the planner's copy is not injected.
 """
 
 _SHORTEN = ("shortcut_greedy", "shortcut_random")
@@ -86,12 +86,12 @@ PLANNERS: dict[str, tuple[str, ...]] = {
     "rrt_connect": ("plan_rrt_connect", *_SHORTEN),
     "rrt_star": ("plan_rrt_star", *_SHORTEN),
 }
-"""What the kernel `planner` calls, by the planner of the mission: finding and shortening paths."""
+"""Functions called by the kernel `planner`, by the mission's planner: path search and shortening."""
 
 INJECTABLE: dict[str, tuple[str, ...]] = {}
-"""Functions by the name under which instruction faults name a kernel, as in the paper's Fig. 3; planners by theirs."""
+"""Functions by the kernel names of instruction faults, as in the paper's Fig. 3; for the planner, planner names."""
 INJECTED_KERNEL: dict[str, str] = {}
-"""Row of `KERNELS` by that name."""
+"""Row of `KERNELS` by the same name."""
 for _spec in _KERNEL_TABLE:
     for _name, _functions in PLANNERS.items() if _spec.name == "planner" else ((_spec.name, _spec.functions),):
         if _functions:
@@ -105,20 +105,20 @@ DETECTORS: dict[str, tuple[str, ...]] = {
     "gaussian": ("judge",),
     "autoencoder": ("judge",),
 }  # fmt: skip
-"""Functions of detectors whose instructions can be injected in flights that they watch, by their source of alarms."""
+"""Injectable functions of detectors, in flights with that detector, by their alarm source."""
 
 KERNEL_STAGES: dict[str, Stage] = {name: KERNELS[row].stage for name, row in INJECTED_KERNEL.items()}
 """Stage by the same name."""
 PERIODIC = tuple(spec.name for spec in _KERNEL_TABLE if spec.trigger == "periodic")
-"""Kernels that are stepped at the control period, in this order; the others by what they receive."""
+"""Kernels stepped at the control period, in this order; all others are stepped by their inputs."""
 STAGE_KERNELS: dict[Stage, tuple[str, ...]] = {
     stage: tuple(spec.name for spec in _KERNEL_TABLE if spec.stage is stage and spec.counts) for stage in PPC_STAGES
 }
-"""Kernels whose latencies make up a stage's."""
+"""Kernels whose latencies add up to a stage's."""
 
 
 def in_node(kernel: str) -> tuple[str, ...]:
-    """The kernels that share a node, and so its memory and its death."""
+    """The kernels in the same node, which share its memory and crash together."""
     return tuple(spec.name for spec in _KERNEL_TABLE if spec.node == KERNELS[kernel].node)
 
 
@@ -127,10 +127,10 @@ class Field:
     """One number of a state.
 
     Attributes:
-        name: Name, as in the paper where it has one.
+        name: Name, as in the paper if it has one.
         dtype: NumPy type string: "f8", "f4", "i4" or "?".
         unit: SI unit, "-" for counters and flags.
-        read_in: Stacks in which some consumer reads the field; elsewhere it is dead: a fault in it cannot matter.
+        read_in: Stacks in which some consumer reads the field; elsewhere it is dead: a fault in it has no effect.
     """
 
     name: str
@@ -151,13 +151,13 @@ class StateSpec:
         name: `<stage>.<state>`.
         writer: Kernel that publishes it.
         stage: Stage of the writer.
-        rate: When it is published, in words.
+        rate: Publication rate, in words.
         header: Scalar fields, float64 first.
-        elements: Fields of each element of the list that the state carries; empty = no list.
-        element: What one element is called.
-        acted_on: Integer header field whose increment makes consumers act on a publication; "" = every publication
-            is acted upon.
-        only_with: Localization with which alone the state exists; "" = always.
+        elements: Fields of each list element; empty = no list.
+        element: Name of one element.
+        acted_on: Integer header field whose increment makes consumers act on a publication; "" = they act on every
+            publication.
+        only_with: The only localization with which the state exists; "" = any.
     """
 
     name: str
@@ -179,23 +179,23 @@ class StateSpec:
         object.__setattr__(self, "no_elements", np.zeros(0, self.element_dtype))
 
     def exists_with(self, localization: str) -> bool:
-        """Whether the state is published at all in flights with that localization."""
+        """Whether the state is published in flights with that localization."""
         return self.only_with in ("", localization)
 
     @property
     def fields(self) -> tuple[Field, ...]:
-        """All fields: those of the elements first where there are any, then the header's."""
+        """All fields: those of the elements first, if any, then the header's."""
         return self.elements + self.header
 
     def in_elements(self, name: str) -> bool:
-        """Whether the named field belongs to the elements (where a name is in both, the element's is meant)."""
+        """Whether the named field belongs to the elements (which take precedence if a name is in both)."""
         return any(f.name == name for f in self.elements)
 
     def find(self, name: str) -> Field:
         """The named field.
 
         Raises:
-            BadInputError: There is no such field.
+            BadInputError: Unknown field.
         """
         for candidate in self.fields:
             if candidate.name == name:
@@ -211,7 +211,7 @@ class State:
     Attributes:
         spec: Its row in the table.
         header: Scalar fields. Shape (1,), structured.
-        elements: List of elements. Shape (n,), structured; (0,) where the state has none.
+        elements: List of elements. Shape (n,), structured; (0,) if the state has none.
     """
 
     spec: StateSpec
@@ -223,7 +223,7 @@ class State:
         return State(self.spec, self.header.copy(), self.elements.copy())
 
     def same_bits(self, other: "State") -> bool:
-        """Whether both carry the same bits (NaNs compare as bit patterns)."""
+        """Whether both have the same bits (NaNs compare as bit patterns)."""
         return self.header.tobytes() == other.header.tobytes() and self.elements.tobytes() == other.elements.tobytes()
 
 
@@ -233,7 +233,7 @@ def floats(header: np.ndarray, count: int) -> np.ndarray:
     Returns:
         Shape (count,) for one record, (n, count) for more, float64.
     """
-    # built upon the same buffer: several times as fast as `view`, which asks about the fields of a structured array
+    # built on the same buffer: several times as fast as `view`, which inspects the fields of a structured array
     if len(header) == 1:
         return np.ndarray(count, np.float64, header)
     return np.ndarray((len(header), count), np.float64, header, 0, (header.dtype.itemsize, 8))
@@ -243,14 +243,14 @@ def bytes_of(header: np.ndarray) -> np.ndarray:
     """The bytes of a header, as an array that shares its memory. Shape (size,), uint8."""
     base: Any = header.base
     if type(base) is np.ndarray and base.dtype is _BYTE and base.size == header.nbytes:
-        return base  # as of `new_state`: a view takes several times as long
+        return base  # as in `new_state`: a view takes several times as long
     return header.view(np.uint8)
 
 
 def new_state(name: str, count: int = 0) -> State:
     """A zeroed state with `count` elements."""
     spec = STATES[name]
-    # upon plain bytes: NumPy takes several times as long to make a structured array of zeros
+    # on plain bytes: NumPy takes several times as long to create a structured array of zeros
     header: np.ndarray = np.ndarray(1, spec.header_dtype, np.zeros(spec.header_dtype.itemsize, np.uint8))
     return State(spec, header, np.zeros(count, spec.element_dtype) if count else spec.no_elements)
 
@@ -270,7 +270,7 @@ _POINT = (
     Field("az", "f8", "m/s^2", _HARDENED),
     Field("duration", "f8", "s"),
 )
-"""One "MultiDOF" point of the paper: position, yaw, velocity, acceleration, and how long it is held."""
+"""One "MultiDOF" point of the paper: position, yaw, velocity, acceleration, and its duration."""
 
 _TABLE = (
     StateSpec(
@@ -355,7 +355,7 @@ STATES: dict[str, StateSpec] = {spec.name: spec for spec in _TABLE}
 
 
 def states_with(localization: str) -> dict[str, StateSpec]:
-    """The states that are published in flights with that localization, by name, in the order of the data flow."""
+    """The states published in flights with that localization, by name, in the order of the data flow."""
     return {name: spec for name, spec in STATES.items() if spec.exists_with(localization)}
 
 
@@ -374,14 +374,14 @@ MONITORED_SETS: dict[str, tuple[tuple[str, str], ...]] = {
         *(("control.command", name) for name in ("vx", "vy", "vz", "yaw_rate")),
     ),
 }
-"""Fields that detectors watch, by the name of the set: (state, field), in the order of the input vector."""
+"""Fields monitored by detectors, by the name of the set: (state, field), in the order of the input vector."""
 
 
 def find_state(name: str) -> StateSpec:
     """The named state.
 
     Raises:
-        BadInputError: There is no such state.
+        BadInputError: Unknown state.
     """
     if name not in STATES:
         raise BadInputError(f"no state {name!r}; allowed: {', '.join(STATES)}")

@@ -1,4 +1,4 @@
-"""Detectors: they watch published states and ask for recomputation; they know no faults."""
+"""Detectors: they check published states and request recomputation; they have no access to faults."""
 
 from mavfi.detectors.detector import Alarm, Detector
 from mavfi.detectors.limits import MissionLimits

@@ -1,7 +1,7 @@
-"""Acceptance test: what physics and protocol allow of every consumed field.  Nothing is trained.
+"""Acceptance test: physics and protocol rules for every consumed field.  Nothing is trained.
 
-Clouds and map updates have no rules: no mission depends on one of their values, since neighbours and the next scan
-repair them.
+Clouds and map updates have no rules: no mission depends on a single value of theirs, since neighbouring values and the
+next scan repair it.
 """
 
 from collections.abc import Callable, Mapping
@@ -38,7 +38,7 @@ def judge_status(header: np.ndarray, record: np.ndarray) -> int:
 def judge_path(
     header: np.ndarray, vertices: np.ndarray, now: int, odometry: np.ndarray, record: np.ndarray, blocks: np.ndarray
 ) -> int:
-    """See `rules.path`; now in us, `odometry` begins with position and velocity."""
+    """See `rules.path`; `now` in us, `odometry` starts with position and velocity."""
     epochs, vehicle = known.answerable(now, record), odometry.view(np.float64)
     return rules.path(header, vertices, epochs, vehicle, known.newest(record, blocks), record)
 
@@ -53,7 +53,7 @@ def judge_trajectory(header: np.ndarray, points: np.ndarray, odometry: np.ndarra
 
 @kernel_jit
 def judge_waypoint(header: np.ndarray, odometry: np.ndarray, record: np.ndarray, blocks: np.ndarray) -> int:
-    """See `following.waypoint`; the way-point is the candidate then."""
+    """See `following.waypoint`; makes the way-point the candidate."""
     known.settle(record)
     known.propose(header, known.OF_WAYPOINT, record)
     before, newest = (
@@ -67,7 +67,7 @@ def judge_waypoint(header: np.ndarray, odometry: np.ndarray, record: np.ndarray,
 
 @kernel_jit
 def judge_command(header: np.ndarray, record: np.ndarray) -> int:
-    """See `following.command`; the command is the candidate then."""
+    """See `following.command`; makes the command the candidate."""
     known.settle(record)
     known.propose(header, known.OF_COMMAND, record)
     return following.command(header, record[0]["last_command"].view(known.COMMAND), record[0]["switched"], record)
@@ -75,7 +75,7 @@ def judge_command(header: np.ndarray, record: np.ndarray) -> int:
 
 @kernel_jit
 def judge_tracking(header: np.ndarray, record: np.ndarray) -> int:
-    """See `following.tracking`; the report is the candidate then."""
+    """See `following.tracking`; makes the report the candidate."""
     known.settle(record)
     known.propose(header, known.OF_TRACKING, record)
     duration = record[0]["last_waypoint"].view(known.WAYPOINT)[0]["duration"] if record[0]["fresh"] else 0.0
@@ -84,7 +84,7 @@ def judge_tracking(header: np.ndarray, record: np.ndarray) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Functions:
-    """Entry points from Python into compiled code; a host may hand in instrumented ones."""
+    """Entry points from Python into compiled code; a host may supply instrumented ones."""
 
     judge_status: Compiled = judge_status
     judge_path: Compiled = judge_path
@@ -98,23 +98,23 @@ class Functions:
 
 
 PLAIN = Functions()
-"""The functions themselves."""
+"""The functions without instrumentation."""
 
 
 class AcceptanceTest:
-    """Judges publications by `RULES`: what breaks one is a hard alarm for the stage of its writer.
+    """Checks publications against `RULES`: a violation is a hard alarm for the stage of the publishing kernel.
 
     Args:
-        limits: Of the mission.
-        functions: Its compiled code.
+        limits: Limits of the mission.
+        functions: Compiled code.
 
     Attributes:
-        states: Names of the states that it is to be shown.
-        limits: As given.
-        functions: As given.
+        states: Names of the states that it reads.
+        limits: Limits of the mission.
+        functions: Compiled code in use.
         record: Limits and memory, see `known.KNOWN`. Shape (1,).
         blocks: Points of trajectories, see `known`. Shape (KEPT, capacity, 11).
-        odometry: Header that says where the vehicle is; zeros before the first.
+        odometry: Header of the latest odometry; zeros before the first.
     """
 
     source, needs_limits = SOURCE, True
@@ -141,25 +141,25 @@ class AcceptanceTest:
 
     @property
     def compiled(self) -> dict[str, Compiled]:
-        """Its compiled functions, by name."""
+        """The compiled functions, by name."""
         return {field.name: getattr(PLAIN, field.name) for field in fields(Functions)}
 
     def instrument(self, made: Mapping[str, Compiled]) -> None:
-        """Call others in the place of the compiled functions with these names; of the rest, themselves."""
+        """Replace compiled functions by those of the same name; restore all others."""
         self._use(replace(PLAIN, **made))
 
     def start(self) -> None:
-        """Forget the last flight."""
+        """Reset the memory at the start of a flight."""
         known.forget(self.record)
         self.blocks = np.zeros((known.KEPT, known.CAPACITY, rules.POINT_WIDTH))
         self.odometry = new_state(ODOMETRY["truth"]).header
         self.candidate: State | None = None
 
     def check(self, state: State, time_us: int) -> Alarm | None:
-        """Judge a publication."""
+        """Check a publication; the alarm names the field that violates its rule."""
         name = state.spec.name
         judge = self._at_ticks.get(name)
-        if judge is not None:  # most publications: without the detour of the table
+        if judge is not None:  # most publications: skip the table look-up
             self.candidate = state
             place = judge(state.header, self.record)
         else:
@@ -170,13 +170,13 @@ class AcceptanceTest:
         return None if place < 0 else _alarm(state, place)
 
     def score(self, state: State, time_us: int) -> float | None:
-        """2 of what breaks a rule, else 0; None if there is no rule."""
+        """2 for a violation, else 0; None for states without a rule."""
         if state.spec.name not in RULES:
             return None
         return 0.0 if self.check(state, time_us) is None else IMPLAUSIBLE
 
     def accept(self, state: State, time_us: int) -> None:
-        """Take note of a value that was published."""
+        """Record a published value."""
         if state is self.candidate:
             self._accepted[0] = True
             return
@@ -187,7 +187,7 @@ class AcceptanceTest:
             RULES[name].note(self, state, time_us)
 
     def make_room(self, count: int) -> None:
-        """Make room for trajectories of so many points."""
+        """Grow the blocks to hold trajectories of `count` points."""
         capacity = self.blocks.shape[1]
         if count > capacity:
             blocks = np.zeros((known.KEPT, max(count, 2 * capacity), rules.POINT_WIDTH))
@@ -195,7 +195,7 @@ class AcceptanceTest:
             self.blocks = blocks
 
     def memory(self) -> tuple[Any, ...]:
-        """What is remembered, see `Detector`."""
+        """Memory between publications, see `Detector`."""
         known.settle(self.record)
         own = self.record[0]
         stored = zip(own["blocks"][: own["stored"]], own["counts"], strict=False)
@@ -215,19 +215,19 @@ class AcceptanceTest:
             self.blocks[place, : len(found)] = found
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Machine code stays in its process."""
+        """Pickle without machine code, which is valid in one process only."""
         return AcceptanceTest, (self.limits,), self.memory()
 
     __setstate__ = restore
 
 
 class Rule(NamedTuple):
-    """What a state must be, given what was published before.
+    """Rule for a state, given earlier publications.
 
     Attributes:
-        judge: Place of the field that breaks it among those of header and element, or -1; None = `check` calls the
-            compiled function itself, where the state is read at all.
-        note: Take note of a value that was published.
+        judge: Index of the violating field among those of header and element, or -1; None = `check` calls the compiled
+            function itself, provided that the state is read at all.
+        note: Records a published value.
     """
 
     judge: Callable[[AcceptanceTest, State, int], int] | None
@@ -270,7 +270,7 @@ def _judge_waypoint(test: AcceptanceTest, state: State, now: int) -> int:
 
 
 def _note_candidate(test: AcceptanceTest, state: State, now: int) -> None:
-    """Of a header that was not judged last: judging makes it the candidate."""
+    """Record a header other than the one checked last: checking it makes it the candidate."""
     test.check(state, now)
     if state is test.candidate:
         test.accept(state, now)
@@ -284,7 +284,7 @@ RULES: dict[str, Rule] = {
     _COMMAND: Rule(None, _note_candidate),
     _TRACKING: Rule(None, _note_candidate),
 }
-"""The rule of each state, by its name in `STATES`; a state without one is not judged."""
+"""Rules by the name of their state in `STATES`; states without a rule are not checked."""
 
 
 def _rows(elements: np.ndarray, width: int) -> np.ndarray:

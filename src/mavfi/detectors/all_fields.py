@@ -1,4 +1,4 @@
-"""Detectors of all fields (`everything`): limits of each residual, and an autoencoder; learned from golden flights."""
+"""Detectors of all fields (`everything`): limits per residual, and an autoencoder; both learned from golden runs."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -20,7 +20,7 @@ class CodeScorer(Scorer):
     """A scorer of the codes of all fields.
 
     Args:
-        everything: The codes.
+        everything: Computes the codes.
     """
 
     def __init__(self, everything: Everything) -> None:
@@ -32,10 +32,10 @@ class CodeScorer(Scorer):
 
     @abstractmethod
     def measure(self, slot: int, regime: int) -> None:
-        """Fill in `_distance` of a publication of a state, whose `_codes` are new."""
+        """Fill in `_distance` for a publication of a state, whose `_codes` are up to date."""
 
     def span(self, slot: int) -> tuple[int, int]:
-        """First and one past the last distance that a publication of a state renews."""
+        """First and one past the last index of the distances that a publication of a state updates."""
         return self.everything.range_of(slot)
 
     def read(self, state: State) -> Reading | None:
@@ -49,7 +49,7 @@ class CodeScorer(Scorer):
         return Reading(self._distance, self._unit, *self.span(slot), regime)
 
     def accept(self, state: State, verdict: Verdict | None) -> None:
-        """Take note of a value that was published."""
+        """Record a published value."""
         slot = self.everything.slots.get(state.spec.name)
         if slot is None:
             self.everything.note(state)
@@ -58,7 +58,7 @@ class CodeScorer(Scorer):
         self.learn(slot, verdict)
 
     def learn(self, slot: int, verdict: Verdict | None) -> None:  # noqa: B027 - few learn
-        """Adapt to a publication, whose `_codes` are new."""
+        """Adapt to a publication, whose `_codes` are up to date."""
 
     def not_finite(self, state: State) -> np.ndarray:
         """Indices of the watched fields of a publication that are not finite."""
@@ -67,7 +67,7 @@ class CodeScorer(Scorer):
 
 @kernel_jit
 def from_centre(codes: np.ndarray, centre: np.ndarray, regime: int, distance: np.ndarray) -> None:
-    """Distances of codes, shape (n,), from the centre of their regime, shape (n, regimes)."""
+    """Distances of codes, shape (n,), from the centre for their regime, shape (n, regimes)."""
     for index in range(len(codes)):
         distance[index] = abs(codes[index] - centre[index, regime])
 
@@ -86,7 +86,7 @@ class LimitScorer(CodeScorer):
 
 
 class HoldingScorer(CodeScorer):
-    """A scorer of the normal codes published last, of all states; anomalous codes are replaced by 0."""
+    """A scorer of the latest normal codes of all states; anomalous codes are replaced by 0."""
 
     adapts = True
 
@@ -96,19 +96,19 @@ class HoldingScorer(CodeScorer):
         self.kept += (self._held,)
 
     def vector(self, slot: int) -> np.ndarray:
-        """Codes of all states, with the new ones of a state. Shape (n,)."""
+        """Codes of all states, with the current ones of one state. Shape (n,)."""
         own, vector = slice(*self.everything.range_of(slot)), self._held.copy()
         vector[own] = self._codes[own]
         return vector
 
     def learn(self, slot: int, verdict: Verdict | None) -> None:
-        """Hold normal codes."""
+        """Hold the codes of a normal publication; 0 for an anomalous one."""
         own = slice(*self.everything.range_of(slot))
         self._held[own] = self._codes[own] if verdict is not None and verdict.score <= 1.0 else 0
 
 
 class ReconstructionScorer(HoldingScorer):
-    """Reconstruction errors of the codes published last; each is judged once, see `AutoencoderScorer`."""
+    """Reconstruction errors of the latest codes; each code is judged once, see `AutoencoderScorer`."""
 
     def __init__(self, everything: Everything, network: Network) -> None:
         super().__init__(everything)
@@ -120,7 +120,7 @@ class ReconstructionScorer(HoldingScorer):
 
 
 class AllFieldsDetector(ScoringDetector):
-    """A learned detector of all fields, with a limit for each distance of its scorer and each regime.
+    """A learned detector of all fields, with a limit for each distance and regime.
 
     Args:
         model: A model of the detector's kind.
@@ -143,7 +143,7 @@ class AllFieldsDetector(ScoringDetector):
     @classmethod
     @abstractmethod
     def fit(cls, sample: Sample, everything: Everything, figures: Mapping[str, Any]) -> dict[str, Any]:
-        """Parameters of a model, from error-free flights and the figures of configs/detectors."""
+        """Parameters of a model, from error-free flights and the settings in configs/detectors."""
 
 
 class LimitsDetector(AllFieldsDetector):
@@ -153,7 +153,7 @@ class LimitsDetector(AllFieldsDetector):
 
     @classmethod
     def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
-        """Distances from the centres."""
+        """Scorer of distances from the centres."""
         return LimitScorer(everything, model.numbers("centre", len(everything.fields), REGIMES))
 
     @classmethod
@@ -169,7 +169,7 @@ class AutoencoderAllDetector(AllFieldsDetector):
 
     @classmethod
     def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
-        """Reconstruction errors."""
+        """Scorer of reconstruction errors."""
         return ReconstructionScorer(everything, network_of(model, len(everything.fields)))
 
     @classmethod
@@ -179,13 +179,13 @@ class AutoencoderAllDetector(AllFieldsDetector):
 
 
 def fit_limits(sample: Sample, everything: Everything, margin: float, smallest_regime: int) -> dict[str, Any]:
-    """Centre and limit of each field and regime; a distance of one code is always allowed.
+    """Centre and limit of each field and regime; a distance of one code never raises an alarm.
 
     Args:
         sample: Error-free flights.
-        everything: What it was made with.
+        everything: Codes from which the sample was made.
         margin: Limit / largest distance in training.
-        smallest_regime: Samples below which a regime takes the largest limit of its field's regimes.
+        smallest_regime: A regime with fewer samples takes the largest limit among the regimes of its field.
     """
     centre, peaks, counts = centre_and_peaks(sample, everything)
     return {"centre": centre.tolist(), "limit": regime_limits(peaks, counts, margin, smallest_regime)}

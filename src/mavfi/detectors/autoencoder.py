@@ -1,4 +1,4 @@
-"""AAD: one autoencoder for all stages (MAVFI section IV-D).  Only its training needs scikit-learn."""
+"""AAD: one autoencoder for all stages (MAVFI section IV-D).  Only training needs scikit-learn."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 SOURCE = "autoencoder"
 INPUT_LIMIT = 10.0
-"""Inputs are clamped to this many training peaks: a huge one would spill through the decoder into all outputs."""
+"""Inputs are clamped to this many training peaks: otherwise one huge input would disturb all outputs."""
 WEIGHT_DIGITS = 8
-"""Significant digits of weights that are kept; those after them depend on the linear algebra of the machine."""
+"""Significant digits of the stored weights; further digits depend on the linear algebra library of the machine."""
 _TRAINING_STREAM = 4
 _WIDEST = 10_000
 
@@ -33,9 +33,9 @@ class Network(NamedTuple):
 
     Attributes:
         scale: Training peak of each delta. Shape (n,).
-        sizes: Neurons per layer, the input counted; n, ..., n. Shape (layers,), int64.
-        weights: Of each layer in turn the coefficients, (neurons before, neurons) in C order, then the intercepts.
-        work: Room for two layers and the scaled inputs. Shape (3, largest layer).
+        sizes: Neurons per layer, including the input; n, ..., n. Shape (layers,), int64.
+        weights: For each layer, the coefficients, (neurons before, neurons) in C order, then the intercepts.
+        work: Buffers for two layers and the scaled inputs. Shape (3, largest layer).
     """
 
     scale: np.ndarray
@@ -46,7 +46,7 @@ class Network(NamedTuple):
 
 @kernel_jit
 def reconstruct(inputs: np.ndarray, network: Network) -> None:
-    """Run the network on inputs of shape (n,); its output is then in the first row of `work`."""
+    """Run the network on inputs of shape (n,); leaves the output in the first row of `work`."""
     sizes, weights = network.sizes, network.weights
     now, after = network.work[0], network.work[1]
     now[: sizes[0]] = inputs
@@ -71,7 +71,7 @@ def residuals(vector: np.ndarray, network: Network, errors: np.ndarray) -> None:
     Args:
         vector: Deltas. Shape (n,), int16.
         network: A trained network.
-        errors: Filled in, in units of the network's scale. Shape (n,).
+        errors: Output, in units of the network's scale. Shape (n,).
     """
     inputs = network.work[2, : len(vector)]
     for index in range(len(vector)):
@@ -85,7 +85,7 @@ def residuals(vector: np.ndarray, network: Network, errors: np.ndarray) -> None:
 def read_residuals(
     content: np.ndarray, slot: int, watch: Watch, network: Network, vector: np.ndarray, errors: np.ndarray
 ) -> int:
-    """Residuals of all last deltas, after `features.measure` has filled in those of this publication."""
+    """Residuals of the latest deltas of all fields, after `features.measure` has updated those of this publication."""
     regime = features.measure(content, slot, watch, vector)
     residuals(vector, network, errors)
     return regime
@@ -95,7 +95,7 @@ def read_residuals(
 def settle_network(
     watch: Watch, scratch: Scratch, limit: np.ndarray, network: Network, held: np.ndarray
 ) -> None:  # fmt: skip
-    """What was judged last was published: hold its deltas if they are normal."""
+    """Commit the publication judged last as published; hold its deltas if they are normal."""
     place = watch.places[scratch.place[features.SLOT]]
     for index in range(place[features.FIRST], place[features.LAST]):
         held[index] = scratch.deltas[index] if scratch.score[0] <= 1.0 else 0
@@ -107,7 +107,7 @@ def judge_network(
     content: np.ndarray, slot: int, watch: Watch, scratch: Scratch, limit: np.ndarray, network: Network,
     held: np.ndarray,
 ) -> float:  # fmt: skip
-    """Score of a publication, see `preprocess.DeltaScorer`: of all last deltas; those held have shape (n,)."""
+    """Score of a publication, see `preprocess.DeltaScorer`, from all latest deltas; `held` has shape (n,)."""
     if scratch.place[features.ACCEPTED] != 0:
         settle_network(watch, scratch, limit, network, held)
     features.propose(content, slot, scratch)
@@ -117,9 +117,9 @@ def judge_network(
 
 
 class AutoencoderScorer(DeltaScorer):
-    """Reconstruction errors of all last deltas.
+    """Reconstruction errors of the latest deltas of all fields.
 
-    Every delta is judged once: one that is published in spite of an alarm is not held for the vectors that follow.
+    Every delta is judged once: a delta published in spite of an alarm is not held for later vectors.
     """
 
     judge, settle = staticmethod(judge_network), staticmethod(settle_network)
@@ -133,16 +133,16 @@ class AutoencoderScorer(DeltaScorer):
 class AutoencoderDetector(ScoringDetector):
     """AAD in either profile.
 
-    `paper`: mean squared error against its upper bound on error-free flights.  `tuned`: each output's residual against
-    its largest in training, per regime.
+    `paper`: mean squared error against its upper bound on error-free flights.  `tuned`: residual of each output against
+    its training maximum, per regime.
 
     Args:
         model: A model of kind "autoencoder".
         policy: "paper" or "keyed", see `parts.POLICIES`.
-        preprocessor: Of the fields that the model was trained on, if they are no monitored set.
+        preprocessor: For the fields that the model was trained on, unless these are a monitored set.
 
     Raises:
-        BadInputError: The policy is not known.
+        BadInputError: Unknown policy.
     """
 
     model_kind = SOURCE
@@ -163,14 +163,14 @@ class AutoencoderDetector(ScoringDetector):
 
 
 def network_of(model: Model, fields: int) -> Network:
-    """The network of a model for so many fields; `BadInputError` if it has none."""
+    """The network of a model with this number of fields; `BadInputError` if the model has none."""
     sizes = _layers(model, fields)
     weights = model.numbers("weights", int((sizes[:-1] * sizes[1:] + sizes[1:]).sum()))
     return Network(model.numbers("scale", fields, least=1.0), sizes, weights, np.zeros((3, int(sizes.max()))))
 
 
 def _layers(model: Model, fields: int) -> np.ndarray:
-    """Neurons per layer of a model for so many fields."""
+    """Neurons per layer of a model with this number of fields."""
     given = model.parameters.get("sizes")
     sizes = model.numbers("sizes", len(given) if isinstance(given, list) else 0, least=1.0)
     if len(sizes) < 2 or (sizes > _WIDEST).any() or (sizes % 1 != 0).any() or not sizes[0] == sizes[-1] == fields:
@@ -186,13 +186,13 @@ def fit_autoencoder(  # noqa: PLR0913 - the figures of a YAML file
 
     Args:
         sample: Error-free flights.
-        hidden_layers: Neurons of each.
-        epochs: Of training.
-        learning_rate: Of Adam.
-        largest_class: Vectors of one state and regime that the network is trained on; rarer ones are all taken.
+        hidden_layers: Neurons per hidden layer.
+        epochs: Training epochs.
+        learning_rate: Learning rate of Adam.
+        largest_class: Training vectors per state and regime; rarer classes are used completely.
         margin: Limit / largest error in training, by output and regime; None = one limit, the largest mean squared
             error, without a margin.
-        smallest_regime: Samples below which a regime takes the largest limit of its field's regimes.
+        smallest_regime: A regime with fewer samples takes the largest limit among the regimes of its field.
     """
     scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
     inputs = sample.vectors[representative(sample, largest_class)] / scale
@@ -210,7 +210,7 @@ def fit_autoencoder(  # noqa: PLR0913 - the figures of a YAML file
 
 
 def _regime_peaks(errors: np.ndarray, regimes: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Largest residual of each output and regime, and of how many; the residual of one code is always allowed."""
+    """Largest residual and number of samples by output and regime; the residual of one code never raises an alarm."""
     peaks = np.repeat((1.0 / scale)[:, None], features.REGIMES, axis=1)
     counts = np.bincount(regimes, minlength=features.REGIMES)
     for regime in np.flatnonzero(counts):
@@ -219,7 +219,7 @@ def _regime_peaks(errors: np.ndarray, regimes: np.ndarray, scale: np.ndarray) ->
 
 
 def representative(sample: Sample, largest_class: int) -> np.ndarray:
-    """Rows to train the network on: of each state and regime all, or so many drawn ones. Ascending, int64."""
+    """Training rows: all rows of each state and regime, or `largest_class` drawn ones. Ascending, int64."""
     generator = np.random.Generator(np.random.PCG64(np.random.SeedSequence(0, spawn_key=(_TRAINING_STREAM,))))
     classes = sample.slots * features.REGIMES + sample.regimes
     rows = []
@@ -232,7 +232,7 @@ def representative(sample: Sample, largest_class: int) -> np.ndarray:
 def train_network(
     inputs: np.ndarray, hidden_layers: Sequence[int], epochs: int, learning_rate: float
 ) -> "MLPRegressor":  # fmt: skip
-    """A network that reproduces its inputs, shape (m, n): Adam, mean squared error, fixed epochs on one thread.
+    """A network that reproduces its inputs, shape (m, n): Adam, mean squared error, fixed epochs, one thread.
 
     The paper's encoder "of size 13, 6 and 3" counts the input as a layer, and the decoder mirrors it.
     """
@@ -251,9 +251,9 @@ def train_network(
 
 
 def export(network: "MLPRegressor", scale: np.ndarray) -> Network:
-    """A trained network as detectors fly it; its inputs are deltas / `scale`.
+    """A trained network in the form used in flight; its inputs are deltas / `scale`.
 
-    Weights are rounded, so that training on another machine gives the same file (2e-14 lay between two of them).
+    Weights are rounded so that training on another machine gives the same file (two machines differed by 2e-14).
     """
     sizes = [network.coefs_[0].shape[0], *(len(intercepts) for intercepts in network.intercepts_)]
     layers = zip(network.coefs_, network.intercepts_, strict=True)
@@ -264,7 +264,7 @@ def export(network: "MLPRegressor", scale: np.ndarray) -> Network:
 
 @kernel_jit
 def all_residuals(vectors: np.ndarray, network: Network) -> np.ndarray:
-    """Residuals of many vectors of int16, shape (m, n). Shape (m, n), float64."""
+    """Residuals of the rows of int16 vectors, shape (m, n). Shape (m, n), float64."""
     errors = np.zeros(vectors.shape)
     for row in range(len(vectors)):
         residuals(vectors[row], network, errors[row])

@@ -1,7 +1,7 @@
 """Split-conformal limits (Vovk, Gammerman and Shafer 2005; Lei et al., JASA 113, 2018) for each state and regime.
 
-Of error-free flights like those of training, at most a share `alpha` of the publications of a state in a regime is
-above its limit, whatever the distribution of the scores.  One half of the flights gives the scores, the other the
+For error-free flights drawn like those of training, at most a share `alpha` of a state's publications in a regime
+exceeds its limit, whatever the distribution of the scores.  One half of the flights fits the scores, the other the
 limits.
 """
 
@@ -21,14 +21,14 @@ from mavfi.numerics.jit import kernel_jit
 
 
 def conformal_limit(scores: np.ndarray, alpha: float) -> float:
-    """Limit that an exchangeable further score exceeds with a probability of at most `alpha`.
+    """Limit that a further exchangeable score exceeds with a probability of at most `alpha`.
 
     Args:
-        scores: Of calibration. Shape (n,).
+        scores: Calibration scores. Shape (n,).
         alpha: In (0, 1).
 
     Returns:
-        The ceil((1 - alpha) (n + 1))-th smallest score; infinity if there are too few for `alpha`.
+        The ceil((1 - alpha) (n + 1))-th smallest score; infinity if n is too small for `alpha`.
     """
     rank = math.ceil((1.0 - alpha) * (len(scores) + 1))
     return float(np.partition(scores, rank - 1)[rank - 1]) if rank <= len(scores) else math.inf
@@ -44,7 +44,7 @@ def largest_of(codes: np.ndarray, centre: np.ndarray, scale: np.ndarray, regime:
 
 
 class LargestScorer(StateScorer):
-    """The largest scaled distance of a publication's fields; centre and scale have shape (n, regimes)."""
+    """The largest scaled distance among a publication's fields; centre and scale have shape (n, regimes)."""
 
     def __init__(self, everything: Everything, centre: np.ndarray, scale: np.ndarray) -> None:
         super().__init__(everything)
@@ -63,7 +63,7 @@ class ConformalDetector(AllFieldsDetector):
 
     @classmethod
     def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
-        """Largest scaled distances."""
+        """Scorer of the largest scaled distances."""
         shape = len(everything.fields), REGIMES
         return LargestScorer(everything, model.numbers("centre", *shape), model.numbers("scale", *shape, least=1.0))
 
@@ -78,9 +78,9 @@ def fit_conformal(sample: Sample, everything: Everything, alpha: float) -> dict[
 
     Args:
         sample: Error-free flights.
-        everything: What it was made with.
-        alpha: Share of false alarms among publications; where a state and regime has too few for it, its limit is the
-            largest score, and the share 1 / (number + 1).
+        everything: Codes from which the sample was made.
+        alpha: Share of false alarms among publications; a state and regime with too few publications for it takes the
+            largest score as its limit, and the share 1 / (number + 1).
     """
     flights = np.cumsum(_begins(sample))
     even = flights % 2 == 0
@@ -94,13 +94,13 @@ def fit_conformal(sample: Sample, everything: Everything, alpha: float) -> dict[
             if len(vectors):
                 scores = (np.abs(vectors - centre[own, regime]) / scale[own, regime]).max(axis=1)
                 least = 1.0 / (len(scores) + 1)
-                # a distance of one code is always allowed: codes are rounded
+                # a distance of one code never raises an alarm: codes are rounded
                 limit[slot, regime] = max(conformal_limit(scores, max(alpha, least)), float((1.0 / scale[own]).max()))
     return {"centre": centre.tolist(), "scale": scale.tolist(), "limit": limit.tolist()}
 
 
 def _begins(sample: Sample) -> np.ndarray:
-    """Which publications are the first of a flight. Shape (m,), bool."""
+    """Whether each publication is the first of a flight. Shape (m,), bool."""
     lead = sample.slots[0]
     found: np.ndarray = sample.first & (sample.slots == lead)
     return found

@@ -1,4 +1,4 @@
-"""CUSUM (Page, Biometrika 41, 1954): small deviations that last add up, in both directions, for each field."""
+"""CUSUM (Page, Biometrika 41, 1954): accumulates small persistent deviations, two-sided, for each field."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -15,7 +15,7 @@ from mavfi.detectors.samples import Sample, regime_limits
 from mavfi.numerics.jit import kernel_jit
 
 _FLOOR = 0.5
-"""Smallest standard deviation, in codes: they are integers, and some never change in training."""
+"""Smallest standard deviation, in codes: codes are integers, and some are constant in training."""
 
 
 @kernel_jit
@@ -23,16 +23,16 @@ def add(
     codes: np.ndarray, centre: np.ndarray, deviation: np.ndarray, regime: int, slack: float, sums: np.ndarray,
     after: np.ndarray,
 ) -> None:  # fmt: skip
-    """Sums of deviations after a publication.
+    """Cumulative sums after a publication.
 
     Args:
-        codes: Of the published fields. Shape (n,), int16.
+        codes: Codes of the published fields. Shape (n,), int16.
         centre: Mean of each code and regime. Shape (n, regimes).
         deviation: Standard deviation. Shape (n, regimes).
-        regime: Column of these.
+        regime: Column of `centre` and `deviation`.
         slack: Deviation that adds nothing, in standard deviations (Page's k).
-        sums: Of deviations upwards and downwards before it. Shape (n, 2).
-        after: Filled in: the same after it. Shape (n, 2).
+        sums: Upper and lower sums before the publication. Shape (n, 2).
+        after: Output: upper and lower sums after it. Shape (n, 2).
     """
     for index in range(len(codes)):
         scaled = (codes[index] - centre[index, regime]) / deviation[index, regime]
@@ -48,10 +48,10 @@ def largest_sums(
     """Largest sum of each field and regime in recorded flights.
 
     Args:
-        vectors: As of `Sample`, and so slots, regimes and first.
+        vectors: See `Sample`, also for slots, regimes and first.
         slots: State of each publication. Shape (m,).
         regimes: Shape (m,).
-        first: Whether it was the first one of its state in a flight. Shape (m,).
+        first: Whether it is the first of its state in a flight. Shape (m,).
         spans: First and one past the last field of each state. Shape (slots, 2), int64.
         centre: See `add`.
         deviation: See `add`.
@@ -73,7 +73,7 @@ def largest_sums(
 
 
 class SumScorer(CodeScorer):
-    """Sums of deviations; an alarm resets those of its state."""
+    """Cumulative sums; an alarm resets those of its state."""
 
     adapts = True
 
@@ -93,7 +93,7 @@ class SumScorer(CodeScorer):
         self._distance[own] = self._after[own].max(axis=1)
 
     def learn(self, slot: int, verdict: Verdict | None) -> None:
-        """Keep the sums; the value that was judged last is the published one."""
+        """Store the sums of the publication judged last, which is the published one."""
         own = slice(*self.everything.range_of(slot))
         self._sums[own] = 0.0 if alarmed(verdict) else self._after[own]
 
@@ -105,7 +105,7 @@ class CusumDetector(AllFieldsDetector):
 
     @classmethod
     def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
-        """Sums of deviations."""
+        """Scorer of cumulative sums."""
         shape = len(everything.fields), REGIMES
         deviation = model.numbers("deviation", *shape, least=_FLOOR)
         slack = float(model.numbers("slack", least=0.0))
@@ -124,10 +124,10 @@ def fit_cusum(
 
     Args:
         sample: Error-free flights.
-        everything: What it was made with.
+        everything: Codes from which the sample was made.
         slack: See `add`.
         margin: Limit / largest sum in training.
-        smallest_regime: Samples below which a regime takes the largest limit of its field's regimes.
+        smallest_regime: A regime with fewer samples takes the largest limit among the regimes of its field.
     """
     centre, _, counts = centre_and_peaks(sample, everything)
     deviation = np.full(centre.shape, _FLOOR)

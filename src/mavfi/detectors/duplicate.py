@@ -1,4 +1,4 @@
-"""Steps that are computed twice: a request to the host, which compares and votes (`hosts.loop.duplicate`)."""
+"""Kernel steps computed twice: a request to the host, which compares and votes (`hosts.loop.duplicate`)."""
 
 from collections.abc import Sequence
 
@@ -8,13 +8,13 @@ from mavfi.states import KERNELS
 
 
 class Duplicate(Chain):
-    """Judges nothing itself.
+    """Requests duplication; checks nothing itself.
 
     Args:
         kernels: The kernels whose steps are computed twice.
 
     Raises:
-        BadInputError: There is no such kernel.
+        BadInputError: Unknown kernel.
     """
 
     def __init__(self, kernels: Sequence[str] = ("collision_check", "trajectory", "waypoint")) -> None:

@@ -1,7 +1,7 @@
-"""The monitored set `all`: the residuals of every field that a consumer reads, as 16-bit codes.
+"""The monitored set `all`: the residuals of every consumed field, as 16-bit codes.
 
-One code is a quantum of the field's unit, less than what matters to a flight: 1 cm, 1 cm/s, 1 ms; a tenth of a step of
-a counter, which must not pass as rounding.
+One code is a quantum in the field's unit, too small to matter to a flight: 1 cm, 1 cm/s, 1 ms; for counters a tenth of
+a step, so that a step is not lost in rounding.
 """
 
 from collections.abc import Callable
@@ -18,12 +18,12 @@ from mavfi.states import ODOMETRY, STACKS, STATES, State, floats
 MONITORED = "all"
 """Name of the set, in models."""
 QUANTA = {"m": 0.01, "m/s": 0.01, "m/s^2": 0.1, "rad": 0.01, "rad/s": 0.01, "s": 0.001, "-": 0.1, "octave": 0.01}
-"""One code, by unit."""
+"""Quantum by unit."""
 _MOTION = 6
 
 
 class _Watched(NamedTuple):
-    """A state: its residuals, and how many leading numbers of the header or of an element they read.
+    """A state: its residuals, and the number of leading columns of the header or of an element that they read.
 
     `names` are (name, field of the table, unit; "" = the field's).
     """
@@ -76,19 +76,19 @@ _WATCHED = {
 
 
 class Everything:
-    """Codes of the residuals of all states, one flight long.
+    """Codes of the residuals of all states during one flight.
 
-    Fields that nobody reads under an autopilot profile are not watched: their code is 0.
+    Fields that no consumer reads under an autopilot profile are not watched: their code is 0.
 
     Args:
         stack: The autopilot profile.
 
     Attributes:
-        fields: Names of the residuals, "state.field"; lists have some for all elements together.
+        fields: Names of the residuals, "state.field"; lists have residuals over all elements.
         stages: Stage of each.
-        slots: Number of each state, by name.
-        quanta: Of each residual, in its unit; 0 = not watched. Shape (n,).
-        known: What is remembered, see `residuals`.
+        slots: Index of each state, by name.
+        quanta: Quantum of each residual, in its unit; 0 = not watched. Shape (n,).
+        known: Memory between publications, see `residuals`.
     """
 
     def __init__(self, stack: str) -> None:
@@ -106,7 +106,7 @@ class Everything:
         self.known = np.zeros(residuals.SIZE)
 
     def start(self) -> None:
-        """Forget the last flight."""
+        """Reset the memory at the start of a flight."""
         self.known[:] = 0.0
 
     def range_of(self, slot: int) -> tuple[int, int]:
@@ -114,17 +114,17 @@ class Everything:
         return self._ranges[slot]
 
     def slot_of(self, index: int) -> int:
-        """Number of the state of the residual at an index."""
+        """Index of the state of a residual."""
         return next(slot for slot, (_, last) in enumerate(self._ranges) if index < last)
 
     def measure(self, state: State, slot: int, codes: np.ndarray, keep: bool = False) -> int:
-        """Fill in the codes of a publication.
+        """Compute the codes of a publication.
 
         Args:
             state: The publication.
-            slot: Its number.
-            codes: Filled in from first to last of `range_of`. Shape (n,), int16.
-            keep: Whether to take note of it.
+            slot: Index of its state.
+            codes: Output, in the range `range_of(slot)`. Shape (n,), int16.
+            keep: Whether to store the publication as the reference for the next one.
 
         Returns:
             The regime, or -1 - regime if a watched number is not finite.
@@ -141,17 +141,17 @@ class Everything:
         return regime if residuals.quantize(values, self.quanta[first:last], codes[first:last]) else -1 - regime
 
     def note(self, state: State) -> None:
-        """Remember where the vehicle is, if this state says so."""
+        """Store position and velocity of the vehicle, if this state is odometry."""
         if state.spec.name in _POSITIONS:
             residuals.note_vehicle(floats(state.header, _MOTION), self.known)
 
     def not_finite(self, state: State) -> np.ndarray:
-        """Indices of the residuals of a publication whose number of quanta is not finite."""
+        """Indices of the residuals of a publication that, divided by their quanta, are not finite."""
         first, last = self._ranges[self.slots[state.spec.name]]
         codes = np.zeros(len(self.fields), np.int16)
         self.measure(state, self.slots[state.spec.name], codes)
         values, quanta = self._values[first:last], self.quanta[first:last]
-        with np.errstate(over="ignore"):  # a residual of 1e307 m is finite, and no number of centimetres
+        with np.errstate(over="ignore"):  # a residual of 1e307 m is finite, but overflows in centimetres
             wrong = (quanta > 0.0) & ~np.isfinite(values / np.where(quanta > 0.0, quanta, 1.0))
         return first + np.flatnonzero(wrong)
 
@@ -181,16 +181,16 @@ class CodeRecorder:
         self._regimes: list[int] = []
 
     def start(self) -> None:
-        """Forget the last flight."""
+        """Reset the memory at the start of a flight."""
         self._everything.start()
         self._own, self._slots, self._regimes = [], [], []
 
     def check(self, state: State, time_us: int) -> Alarm | None:
-        """No alarm."""
+        """Never an alarm."""
         return None
 
     def accept(self, state: State, time_us: int) -> None:
-        """Keep the codes of a value that was published."""
+        """Store the codes of a published value."""
         slot = self._everything.slots.get(state.spec.name)
         if slot is None:
             self._everything.note(state)
@@ -201,7 +201,7 @@ class CodeRecorder:
         self._own.append(self._codes[first:last].tobytes())
 
     def codes(self) -> "Codes":
-        """What was published since `start`."""
+        """Codes of all publications since `start`."""
         own = np.frombuffer(b"".join(self._own), np.int16)
         return Codes(np.array(self._slots, np.int8), np.array(self._regimes, np.int8), own)
 
@@ -212,7 +212,7 @@ class Codes(NamedTuple):
     Attributes:
         slots: State of each publication. Shape (m,), int8.
         regimes: Regime of each, see `Everything.measure`. Shape (m,), int8.
-        own: Codes of the published states, one publication after the other. Shape (total,), int16.
+        own: Codes of the published states, concatenated. Shape (total,), int16.
     """
 
     slots: np.ndarray
@@ -221,7 +221,7 @@ class Codes(NamedTuple):
 
 
 def codes_are_whole(flight: Codes) -> bool:
-    """Whether the parts fit together."""
+    """Whether slots, regimes and codes are consistent."""
     slots = flight.slots
     if len(slots) != len(flight.regimes) or ((slots < 0) | (slots >= residuals.SLOTS)).any():
         return False
@@ -229,7 +229,7 @@ def codes_are_whole(flight: Codes) -> bool:
 
 
 def sample_of(flight: Codes, everything: Everything) -> Sample:
-    """What a detector of all fields sees in one flight."""
+    """Sample of one flight, as a detector of all fields sees it."""
     count = len(flight.slots)
     vectors = np.zeros((count, len(everything.fields)), np.int16)
     ends = np.cumsum(_SIZES[flight.slots])
@@ -237,7 +237,7 @@ def sample_of(flight: Codes, everything: Everything) -> Sample:
         first, last = everything.range_of(int(slot))
         rows = np.flatnonzero(flight.slots == slot)
         codes = flight.own[ends[rows, None] - (last - first) + np.arange(last - first)]
-        # a code holds until its state is published again
+        # a code holds until the next publication of its state
         newest = np.searchsorted(rows, np.arange(count), side="right") - 1
         vectors[:, first:last] = np.where((newest >= 0)[:, None], codes[np.maximum(newest, 0)], 0)
     first_ones = np.zeros(count, bool)

@@ -1,8 +1,8 @@
-"""From published bytes to deltas: the arithmetic that detectors and their training share.
+"""From published bytes to deltas: arithmetic shared by detectors and their training.
 
-A detector remembers, per watched state, the bytes that were published last; a delta is a function of those bytes, of
-the new ones and of a little context (when, which regime, where the vehicle is).  Flying and training run the same
-functions, so a model is always judged on the features that it was trained on.
+A detector stores the bytes of the last publication of each watched state; a delta is a function of those bytes, the new
+ones and some context (timing, regime, vehicle).  Flight and training call the same functions, so a model is always
+evaluated on the features it was trained on.
 """
 
 import math
@@ -15,39 +15,39 @@ from mavfi.numerics.elementary import atan2, cos, sin
 from mavfi.numerics.jit import kernel_jit
 
 DELTA_OF_CODES, INTEGER, CODE_OF_DELTA, CODE_OF_ANGLE, CODE_OF_INTERVAL, CODE_OF_TRAPEZOID = range(6)
-"""How a field becomes a delta; see `measure`."""
+"""Delta rule of a field; see `measure`."""
 
 OFFSET, RULE, THRESHOLD, VELOCITY, AXIS = range(5)
-"""Columns of a field table: byte offset, rule, exponent threshold of the code, for a position the byte offset of its
-velocity and the axis (0, 1, 2)."""
+"""Columns of a field table: byte offset, rule, exponent threshold of the code; for a position also the byte offset of
+its velocity and the axis (0, 1, 2)."""
 
 FIRST, LAST, TRAJECTORY, DURATION = range(4)
 """Columns of a place table, one row per watched state: range of its fields in the vector [FIRST, LAST), byte offsets of
-trajectory_seq and duration (-1: it is not the way-point)."""
+trajectory_seq and duration (-1: not the way-point)."""
 
 SEEN, REGIME = range(2)
-"""Columns of a memory, one row per watched state: whether it was published yet, and the largest regime that a way-point
-has caused since then."""
+"""Columns of a memory, one row per watched state: whether it was published yet, and the largest regime caused by a
+way-point since then."""
 
 PLAIN, SWITCH, NEW_TRAJECTORY = range(3)
 REGIMES = 3
-"""Regimes: no change of plan / another way-point / the first way-point of a trajectory since the last publication."""
+"""Regimes since the last publication: no new way-point / a new way-point / the first way-point of a trajectory."""
 
 KNOWN = 6
-"""Where `Watch.vehicle` says whether the vehicle is known."""
+"""Index in `Watch.vehicle` of the flag for known position and velocity."""
 ODOMETRY = -1
-"""Kind of a recorded event that is not a watched state but the vehicle's odometry."""
+"""Kind of recorded events that carry the vehicle's odometry instead of a watched state."""
 _LARGEST_WRAPPED = 20.0
 
 
 class Watch(NamedTuple):
-    """What is watched, and what is remembered of it.
+    """Watched fields, and the memory between publications.
 
     Attributes:
         places: Place table. Shape (slots, 4), int64.
         table: Field table. Shape (n, 5), int64.
         memory: Shape (slots, 2), float64.
-        last: Bytes that were published last. Shape (slots, largest size), uint8.
+        last: Bytes of the last publications. Shape (slots, largest size), uint8.
         vehicle: x, y, z (m), vx, vy, vz (m/s), and whether they are known. Shape (7,), float64.
     """
 
@@ -59,13 +59,13 @@ class Watch(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What was judged last.
+    """The publication judged last.
 
     Attributes:
         content: Its bytes. Shape (largest size,), uint8.
-        place: Its slot, number of bytes, and regime; and whether it was accepted, and is to be taken note of with the
-            next call: one call for each publication. Shape (4,), int64.
-        score: Of it. Shape (1,).
+        place: Slot, number of bytes, regime, and whether it was accepted; an accepted publication is committed by the
+            next call, so that each publication costs one call. Shape (4,), int64.
+        score: Its score. Shape (1,).
         deltas: Shape (n,), int16.
         distance: See `parts.Reading`. Shape (n,).
         unit: See `parts.Reading`. Shape (n,).
@@ -82,7 +82,7 @@ class Scratch(NamedTuple):
 
 
 SLOT, SIZE, JUDGED_REGIME, ACCEPTED = range(4)
-"""Places in `Scratch.place`."""
+"""Indices in `Scratch.place`."""
 
 
 class Events(NamedTuple):
@@ -90,7 +90,7 @@ class Events(NamedTuple):
 
     Attributes:
         slots: Watched state of each event, ODOMETRY for the vehicle. Shape (m,), int64.
-        ends: Where the bytes of each event end in `content`. Shape (m,), int64.
+        ends: End of each event's bytes in `content`. Shape (m,), int64.
         content: Bytes of all events. Shape (total,), uint8.
     """
 
@@ -125,14 +125,14 @@ def _regime(content: np.ndarray, place: np.ndarray, memory_row: np.ndarray, last
 def _innovation(
     content: np.ndarray, last: np.ndarray, field: np.ndarray, duration: float, vehicle: np.ndarray
 ) -> float:
-    """Position minus its prediction from the velocity, per axis (m).
+    """Position minus its prediction from the velocity, on one axis (m).
 
     Args:
         content: New bytes.
-        last: Bytes published last.
+        last: Bytes of the last publication.
         field: Row of the field table.
         duration: How long the new way-point is held (s).
-        vehicle: Where the motion starts if not at the last way-point, as `Watch.vehicle`; or shape (0,).
+        vehicle: Start of the motion, as `Watch.vehicle`; shape (0,) = the last way-point.
     """
     velocity = real_at(content, field[VELOCITY])
     if len(vehicle) > 0:
@@ -152,7 +152,7 @@ def _wrapped(angle: float) -> float:
 
 @kernel_jit
 def _difference(content: np.ndarray, last: np.ndarray, field: np.ndarray) -> int:
-    """Delta of a field whose rule needs nothing but the two values."""
+    """Delta of a field whose rule needs only the two values."""
     offset, rule, threshold = field[OFFSET], field[RULE], field[THRESHOLD]
     if rule == INTEGER:
         return saturated_int16(integer_at(content, offset) - integer_at(last, offset))
@@ -167,17 +167,17 @@ def _difference(content: np.ndarray, last: np.ndarray, field: np.ndarray) -> int
 def measure(content: np.ndarray, slot: int, watch: Watch, deltas: np.ndarray) -> int:
     """Deltas of a publication; changes nothing but `deltas`.
 
-    The rules: DELTA_OF_CODES, the paper's: code first, then difference.  INTEGER: difference, saturated to 16 bits.
-    CODE_OF_DELTA: difference in float64 first, then its code.  CODE_OF_ANGLE: the same of an angle, wrapped to ±pi.
-    CODE_OF_INTERVAL: code of a position minus where the last way-point gets with this one's velocity in this one's
-    duration.  CODE_OF_TRAPEZOID: the same with the mean of both way-points' velocities.  The first way-point of a
-    trajectory is predicted from the vehicle instead of the last way-point.  A first publication has no delta: 0.
+    Rules: DELTA_OF_CODES, the paper's: difference of the two codes.  INTEGER: difference, saturated to 16 bits.
+    CODE_OF_DELTA: code of the float64 difference.  CODE_OF_ANGLE: code of the difference, wrapped to ±pi.
+    CODE_OF_INTERVAL: code of a position's deviation from the last way-point advanced at the new way-point's velocity
+    over its duration.  CODE_OF_TRAPEZOID: as before, at the mean velocity of both way-points.  The first way-point of a
+    trajectory is predicted from the vehicle instead of the last way-point.  A first publication has delta 0.
 
     Args:
         content: Bytes of the published header. Shape (size,), uint8.
-        slot: Which watched state.
-        watch: What is remembered.
-        deltas: Filled in from places[slot, FIRST] to places[slot, LAST]. Shape (n,), int16.
+        slot: Index of the watched state.
+        watch: Tables and memory.
+        deltas: Output, from places[slot, FIRST] to places[slot, LAST]. Shape (n,), int16.
 
     Returns:
         The regime, or -1 - regime if a watched float64 is not finite.
@@ -204,13 +204,13 @@ def measure(content: np.ndarray, slot: int, watch: Watch, deltas: np.ndarray) ->
 
 
 def not_finite(content: np.ndarray, table: np.ndarray) -> np.ndarray:
-    """Which fields of a publication are not finite; arguments as of `measure`. Shape (n,), bool."""
+    """Whether each field of a publication is infinite or NaN; arguments as for `measure`. Shape (n,), bool."""
     return np.array([row[RULE] != INTEGER and not math.isfinite(real_at(content, row[OFFSET])) for row in table])
 
 
 @kernel_jit
 def commit(content: np.ndarray, slot: int, watch: Watch) -> None:
-    """Remember a publication; arguments as of `measure`."""
+    """Store a publication as the last one of its state; arguments as for `measure`."""
     own = watch.memory[slot]
     if watch.places[slot, TRAJECTORY] >= 0:
         regime = _regime(content, watch.places[slot], own, watch.last[slot])
@@ -222,25 +222,25 @@ def commit(content: np.ndarray, slot: int, watch: Watch) -> None:
 
 @kernel_jit
 def propose(content: np.ndarray, slot: int, scratch: Scratch) -> None:
-    """Keep a publication of a state (`slot`) that is judged; see `Scratch`."""
+    """Store a publication that is being judged, and its `slot`; see `Scratch`."""
     scratch.content[: len(content)] = content
     scratch.place[SLOT], scratch.place[SIZE] = slot, len(content)
 
 
 @kernel_jit
 def settle(scratch: Scratch, watch: Watch) -> None:
-    """What was judged last is what was published last of its state."""
+    """Commit the publication judged last as the last one of its state."""
     commit(scratch.content[: scratch.place[SIZE]], scratch.place[SLOT], watch)
     scratch.place[ACCEPTED] = 0
 
 
 @kernel_jit
 def note_vehicle(content: np.ndarray, vehicle: np.ndarray) -> bool:
-    """Remember where the vehicle is, and say whether; odometry that is not finite is not taken.
+    """Store position and velocity of the vehicle if they are finite; returns whether they are.
 
     Args:
-        content: Bytes of its odometry, led by x, y, z, vx, vy, vz.
-        vehicle: Filled in, see `Watch`.
+        content: Bytes of its odometry, starting with x, y, z, vx, vy, vz.
+        vehicle: Output, see `Watch`.
     """
     for index in range(KNOWN):
         if not math.isfinite(real_at(content, 8 * index)):
@@ -253,13 +253,13 @@ def note_vehicle(content: np.ndarray, vehicle: np.ndarray) -> bool:
 
 @kernel_jit
 def replay(events: Events, watch: Watch, vectors: np.ndarray, regimes: np.ndarray) -> None:
-    """The vectors that a detector sees in a recorded flight.
+    """Vectors of deltas that a detector sees in a recorded flight.
 
     Args:
         events: The flight.
-        watch: As at the start of a flight.
-        vectors: Filled in: at each event the last delta of every field. Shape (m, n), int16.
-        regimes: Filled in: what `measure` returns at each event. Shape (m,), int64.
+        watch: In the state at the start of a flight.
+        vectors: Output: latest delta of every field at each event. Shape (m, n), int16.
+        regimes: Output: return value of `measure` at each event. Shape (m,), int64.
     """
     held = np.zeros(len(watch.table), np.int16)
     start = 0

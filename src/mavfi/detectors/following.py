@@ -1,4 +1,4 @@
-"""Rules of what is followed: way-point in force, command, report of the tracker.  Results and limits as of `rules`."""
+"""Rules for way-point in force, command and tracking report.  Return values and limits as in `rules`."""
 
 import math
 
@@ -9,9 +9,9 @@ from mavfi.numerics.jit import kernel_jit
 
 _LARGEST_YAW_RATE = 1.5708
 _LARGEST_HELD_YAW = 4.0
-"""Yaw of a vehicle that stands, plus what it turns to look around (rad)."""
+"""Largest yaw of a stationary vehicle, including its turns to look around (rad)."""
 _WINDOW = 50
-"""Points of a new trajectory among which an interpolated reference may begin."""
+"""Number of leading points of a new trajectory among which an interpolated reference may start."""
 _FOLLOWED, _FOLLOWED_EPOCH, _INDEX = places("planning.waypoint", "trajectory_seq", "future_collision_seq", "index")
 _YAW_RATE, _COMMAND_DURATION = places("control.command", "yaw_rate", "duration")
 (_REMAINING,) = places("control.tracking", "remaining")
@@ -22,14 +22,14 @@ def waypoint(
     values: np.ndarray, header: np.ndarray, before: np.ndarray, newest: np.ndarray, points: np.ndarray,
     vehicle: np.ndarray, limits: np.ndarray,
 ) -> int:  # fmt: skip
-    """Way-point: the next point of a trajectory that was published, or a hold where the vehicle comes to rest (m).
+    """Way-point: the next point of a published trajectory, or a hold where the vehicle comes to rest (m).
 
     Args:
         values: Position, yaw, velocity, acceleration, duration. Shape (11,).
-        header: Of the way-point. Shape (1,).
-        before: Of the way-point published last. Shape (1,).
-        newest: Header of the trajectory published last. Shape (1,).
-        points: Of the trajectory that it names. Shape (n, 11), or (0, 11) if none has that number.
+        header: Header of the way-point. Shape (1,).
+        before: Header of the last published way-point. Shape (1,).
+        newest: Header of the last published trajectory. Shape (1,).
+        points: Points of the trajectory that it names. Shape (n, 11), or (0, 11) if that number is unknown.
         vehicle: Position (m) and velocity (m/s). Shape (6,).
         limits: See `rules`.
     """
@@ -56,7 +56,7 @@ def waypoint(
 
 @kernel_jit
 def hold(values: np.ndarray, vehicle: np.ndarray, limits: np.ndarray) -> int:
-    """Column of a hold that is not at rest (m/s, m/s^2) where the vehicle stops (m), or -1. Shapes (11,), (6,)."""
+    """Column in which a hold is not at rest (m/s, m/s^2) at the stopping point (m), or -1. Shapes (11,), (6,)."""
     limit = limits[0]
     for axis in range(3):
         if not abs(values[axis] - vehicle[axis] - limit["lag"] * vehicle[3 + axis]) <= limit["hold"]:
@@ -80,9 +80,10 @@ def copied(values: np.ndarray, other: np.ndarray) -> int:
 
 @kernel_jit
 def between(values: np.ndarray, start: np.ndarray, end: np.ndarray, limits: np.ndarray) -> int:
-    """Column of an interpolated way-point that does not lie between two points on a clock that may be slow, or -1.
+    """Column in which an interpolated way-point does not lie between two points, or -1.
 
-    Yaw and duration are those of the first. The clock's change adds to the acceleration (m/s^2). Shapes (11,).
+    The reference clock may be slowed.  Yaw and duration are those of the first point; changes of the clock rate add
+    acceleration (m/s^2). Shapes (11,).
     """
     for axis in range(3):
         low, high = min(start[axis], end[axis]), max(start[axis], end[axis])
@@ -107,9 +108,9 @@ def command(header: np.ndarray, before: np.ndarray, switched: bool, limits: np.n
     While a held way-point stays in force, the velocity changes little.
 
     Args:
-        header: Of the command; no plain vector, which would cost as much as the rule. Shape (1,).
-        before: Of the command published last. Shape (1,).
-        switched: Whether a way-point was published since.
+        header: Header of the command; extracting a plain vector would cost as much as the rule. Shape (1,).
+        before: Header of the last published command. Shape (1,).
+        switched: Whether a way-point has been published since.
         limits: See `rules`.
     """
     new, old, limit = header[0], before[0], limits[0]
@@ -128,7 +129,7 @@ def command(header: np.ndarray, before: np.ndarray, switched: bool, limits: np.n
 
 @kernel_jit
 def _largest(x: float, y: float, z: float) -> int:
-    """Which of three numbers is the largest, or else no number at all."""
+    """Axis of the first NaN among three numbers, else of the largest magnitude."""
     values = (x, y, z)
     largest = 0
     for axis in range(3):
@@ -141,20 +142,20 @@ def _largest(x: float, y: float, z: float) -> int:
 
 @kernel_jit
 def tracking(header: np.ndarray, before: np.ndarray, duration: float, limits: np.ndarray) -> int:
-    """Time that the way-point in force has left (s): it falls by at most a period, or begins with the duration.
+    """Remaining time of the way-point in force (s): falls by at most a period, or starts from the duration.
 
     Args:
-        header: Of the report. Shape (1,).
-        before: Of the report published last. Shape (1,).
-        duration: Of a way-point published since the last report (s); 0 = there is none.
+        header: Header of the report. Shape (1,).
+        before: Header of the last published report. Shape (1,).
+        duration: Duration of a way-point published since the last report (s); 0 = none.
         limits: See `rules`.
     """
     limit = limits[0]
     remaining, most = header[0]["remaining"], before[0]["remaining"]
     least = most - limit["fastest"]
     if remaining == most:
-        return FINE  # a step that was computed again, for its command; or no way-point yet
-    if duration != 0.0:  # the overrun of the last point, of a period at most, is subtracted
+        return FINE  # recomputed for the command of the same step, or no way-point yet
+    if duration != 0.0:  # the overrun of the last point, at most one period, is subtracted
         most = duration
         least = most - limit["control_period"] - limit["fastest"]
     return FINE if least - EXACT <= remaining <= most - limit["slowest"] + EXACT else _REMAINING

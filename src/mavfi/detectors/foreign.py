@@ -1,8 +1,8 @@
-"""GAD and AAD for the numbers of any program: the same classes and arithmetic, with scales learned from the numbers.
+"""GAD and AAD for the numbers of any program: same classes and arithmetic, with scales learned from the data.
 
-Nothing is known of such a number's unit.  So what counts as zero is learned as well: of the profile `paper`, which
-subtracts codes of values, an eighth of the largest magnitude; of `tuned`, which codes differences, half of the largest
-difference.
+Units of such numbers are unknown, so the zero threshold of the code is learned as well: for the profile `paper`, which
+subtracts codes of values, an eighth of the largest magnitude; for `tuned`, which codes differences, half of the
+largest difference.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,14 +19,14 @@ from mavfi.errors import BadInputError
 from mavfi.states import Field, Stage, State, StateSpec
 
 SMALLEST_SAMPLE = 50
-"""Messages of each source without which nothing can be learned."""
+"""Messages required of each source."""
 _SMALLEST_EXPONENT, _LARGEST_EXPONENT = -1000, 1000
 _BELOW = {"paper": 3, "tuned": 1}
-"""How many octaves below the largest magnitude, or difference, the threshold of a code lies."""
+"""Octaves between the code threshold and the largest magnitude or difference."""
 
 
 def foreign_spec(name: str, fields: Sequence[str]) -> StateSpec:
-    """Numbers that a source publishes together, as a state."""
+    """State specification for numbers that a source publishes together."""
     return StateSpec(name, "", Stage.SENSOR, "", tuple(Field(field, "f8", "-") for field in fields))
 
 
@@ -37,12 +37,10 @@ def foreign_state(spec: StateSpec, values: Sequence[float]) -> State:
 
 
 def learn(kind: str, profile: str, states: Sequence[State], specs: Mapping[str, StateSpec]) -> Detector:
-    """A detector of a kind in `of_monitored_fields()`, fitted to normal publications of states with these specs.
-
-    The publications are given in their order.
+    """A detector of a kind in `of_monitored_fields()`, fitted to normal publications, in order, of these states.
 
     Raises:
-        BadInputError: The kind is not known, a source published too little, or a number is not finite.
+        BadInputError: Unknown kind, too few publications of a source, or a number that is not finite.
     """
     known = of_monitored_fields()
     if kind not in known:

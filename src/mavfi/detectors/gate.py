@@ -1,4 +1,4 @@
-"""The physics gate: what no vehicle of this kind can do, known without training.  It is its own source of alarms."""
+"""Physics gate: checks against what a vehicle of this kind can do, without training; a separate alarm source."""
 
 import math
 from typing import Any
@@ -12,17 +12,17 @@ from mavfi.states import STATES, State, bytes_of, new_state
 
 SOURCE = "physics_gate"
 SPEED_MARGIN = 1.5
-"""Largest plausible speed / v_max: planned trajectories may exceed v_max by less."""
+"""Largest plausible speed / v_max: planned trajectories exceed v_max by less."""
 STEP_MARGIN = 1.0
-"""Largest step between way-points of a trajectory beyond what the plausible speed covers (m)."""
+"""Allowance added to the step that the plausible speed covers between way-points of a trajectory (m)."""
 LONGEST_TIME_TO_COLLISION = 100.0
-"""Largest plausible time to collision (s); published as 30 s when there is none."""
+"""Largest plausible time to collision (s); 30 s is published if there is none."""
 LARGEST_YAW = 2.0 * math.pi
 """Largest plausible yaw (rad)."""
 UNKNOWN_ARENA = ((-1e4, -1e4, -1e4), (1e4, 1e4, 1e4))
-"""Bounds of positions where the arena is not known (m)."""
+"""Bounds of positions if the arena is unknown (m)."""
 IMPLAUSIBLE = 2.0
-"""Score of what cannot be."""
+"""Score of an implausible publication."""
 _FINE = -1
 _WAYPOINT_FLOATS, _COMMAND_FLOATS = 11, 5
 _SPEED, _LOWER, _UPPER = 0, 1, 4
@@ -34,7 +34,7 @@ _ACCEPTED = 7
 
 
 def _places(slot: int, *names: str) -> list[int]:
-    """Byte offsets of fields of a header, and then their places."""
+    """Byte offsets of header fields, followed by their indices."""
     dtype = STATES[STATES_JUDGED[slot]].header_dtype
     known = list(dtype.names or ())
     return [
@@ -58,10 +58,10 @@ def first_not_finite(values: np.ndarray) -> int:
 
 @kernel_jit
 def too_fast(velocity: np.ndarray, limit: float) -> int:
-    """Index of the largest component of a velocity that is too large, or -1.
+    """Index of the largest component of a velocity above the limit, or -1.
 
     Args:
-        velocity: Finite (m/s); scaled, so that squares cannot overflow. Shape (3,).
+        velocity: Finite (m/s); scaled internally, so that squares cannot overflow. Shape (3,).
         limit: Largest speed (m/s).
     """
     largest = 0
@@ -79,10 +79,10 @@ def too_fast(velocity: np.ndarray, limit: float) -> int:
 
 @kernel_jit
 def implausible_command(values: np.ndarray, limits: np.ndarray) -> int:
-    """Index of a field that cannot be right, or -1.
+    """Index of an implausible field, or -1.
 
     Args:
-        values: vx, vy, vz (m/s), then others. Shape (>= 3,).
+        values: vx, vy, vz (m/s), then further fields. Shape (>= 3,).
         limits: Largest speed (m/s), lower and upper corner of the arena (m). Shape (7,).
     """
     found = first_not_finite(values)
@@ -91,12 +91,12 @@ def implausible_command(values: np.ndarray, limits: np.ndarray) -> int:
 
 @kernel_jit
 def implausible_waypoint(values: np.ndarray, before: np.ndarray, limits: np.ndarray) -> int:
-    """Index of a field that cannot be right, or -1.
+    """Index of an implausible field, or -1.
 
     Args:
         values: x, y, z (m), yaw (rad), velocity (m/s), acceleration (m/s^2), duration (s). Shape (11,).
-        before: Position of the way-point before it on the same trajectory (m). Shape (3,), or (0,) if there is none.
-        limits: As of `implausible_command`.
+        before: Position of the previous way-point of the same trajectory (m). Shape (3,), or (0,) if there is none.
+        limits: As for `implausible_command`.
     """
     found = first_not_finite(values)
     if found >= 0:
@@ -115,16 +115,16 @@ def implausible_waypoint(values: np.ndarray, before: np.ndarray, limits: np.ndar
 
 @kernel_jit
 def judge(content: np.ndarray, slot: int, limits: np.ndarray, kept: np.ndarray, then: np.ndarray) -> int:
-    """Index of a field of a header that cannot be right, or -1.
+    """Index of an implausible header field, or -1.
 
     Args:
         content: Bytes of the header. Shape (size,), uint8.
-        slot: Place of its state in `STATES_JUDGED`.
-        limits: As of `implausible_command`.
-        kept: What is remembered: collision counter and whether it is known, the same of the number of the last
-            way-point's trajectory, and that way-point's position (m). Shape (7,).
-        then: What will be remembered if this is accepted, and whether it was: then it is with the next call, so that
-            there is one call for each publication. Shape (8,).
+        slot: Index of its state in `STATES_JUDGED`.
+        limits: As for `implausible_command`.
+        kept: Memory between publications: collision counter, whether it is known, trajectory number of the last
+            way-point, whether that is known, position of that way-point (m). Shape (7,).
+        then: Memory if this publication is accepted, then the accepted flag. The next call commits it, so that each
+            publication costs one call. Shape (8,).
     """
     settle(kept, then)
     if slot == _STATUS:
@@ -144,23 +144,23 @@ def judge(content: np.ndarray, slot: int, limits: np.ndarray, kept: np.ndarray, 
 
 @kernel_jit
 def settle(kept: np.ndarray, then: np.ndarray) -> None:
-    """Remember what was judged last, if it was accepted; arguments as of `judge`."""
+    """Commit the publication judged last if it was accepted; arguments as for `judge`."""
     if then[_ACCEPTED] != 0.0:
         kept[:] = then[:_ACCEPTED]
     then[:_ACCEPTED], then[_ACCEPTED] = kept, 0.0
 
 
 class PhysicsGate:
-    """Finite numbers, the arena, speeds, steps of way-points, a collision counter that goes up by 0 or 1.
+    """Checks for finite numbers, the arena, speeds, way-point steps, and a collision counter that grows by 0 or 1.
 
-    What cannot be is an alarm for its own stage.
+    An implausible field is an alarm for the stage that publishes it.
 
     Args:
         v_max: Speed limit of the mission (m/s).
-        arena: Lower and upper corner that way-points must stay within (m).
+        arena: Lower and upper corner of the volume for way-points (m).
 
     Attributes:
-        states: Names of the states that it is to be shown.
+        states: Names of the states that it reads.
     """
 
     states = frozenset(STATES_JUDGED)
@@ -174,12 +174,12 @@ class PhysicsGate:
         self._judge = entry(judge, content, _WAYPOINT, self._limits, self._kept, self._then)
 
     def start(self) -> None:
-        """Forget the last flight."""
+        """Reset the memory at the start of a flight."""
         self._candidate = None
         self._kept[:], self._then[:] = 0.0, 0.0
 
     def check(self, state: State, time_us: int) -> Alarm | None:
-        """Judge a publication."""
+        """Check a publication."""
         slot = _SLOTS.get(state.spec.name)
         if slot is None:
             return None
@@ -191,13 +191,13 @@ class PhysicsGate:
         return Alarm(SOURCE, spec.stage.value, score=IMPLAUSIBLE, fields=(f"{spec.name}.{spec.header[place].name}",))
 
     def score(self, state: State, time_us: int) -> float | None:
-        """2 of what cannot be, else 0; None of states that are not judged."""
+        """2 for an implausible publication, else 0; None for states that are not checked."""
         if state.spec.name not in _SLOTS:
             return None
         return 0.0 if self.check(state, time_us) is None else IMPLAUSIBLE
 
     def accept(self, state: State, time_us: int) -> None:
-        """Take note of a value that was published."""
+        """Record a published value."""
         if state is not self._candidate:
             if state.spec.name not in _SLOTS:
                 return
@@ -205,7 +205,7 @@ class PhysicsGate:
         self._then[_ACCEPTED] = 1.0
 
     def memory(self) -> bytes:
-        """What is remembered, see `Detector`."""
+        """Memory between publications, see `Detector`."""
         settle(self._kept, self._then)
         self._candidate = None
         return self._kept.tobytes()
@@ -216,7 +216,7 @@ class PhysicsGate:
         self._kept[:] = np.frombuffer(memory)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Machine code stays in its process."""
+        """Pickle without machine code, which is valid in one process only."""
         return PhysicsGate, self._given, self.memory()
 
     __setstate__ = restore

@@ -1,4 +1,4 @@
-"""GAD: one Gaussian detector per watched field, an alarm for the field's stage (MAVFI section IV-C)."""
+"""GAD: one Gaussian detector per watched field, with alarms for the field's stage (MAVFI section IV-C)."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,7 +16,7 @@ from mavfi.numerics.jit import kernel_jit
 
 SOURCE = "gaussian"
 SIGMA_FLOOR = 0.5
-"""Smallest standard deviation, in codes: deltas are integers, and some never change in training."""
+"""Smallest standard deviation, in codes: deltas are integers, and some are constant in training."""
 
 
 @kernel_jit
@@ -26,7 +26,7 @@ def deviations(
 ) -> int:  # fmt: skip
     """`features.measure`, then the distance of each delta from its running mean, and its standard deviation.
 
-    `statistics` are k, M, S of each field, shape (n, 3); with fewer than `min_count` samples `unit` is 0.
+    `statistics`: k, M, S of each field, shape (n, 3); `unit` is 0 for fields with fewer than `min_count` samples.
     """
     regime = features.measure(content, slot, watch, deltas)
     for index in range(watch.places[slot, features.FIRST], watch.places[slot, features.LAST]):
@@ -38,7 +38,7 @@ def deviations(
 
 @kernel_jit
 def update(statistics: np.ndarray, deltas: np.ndarray, ratios: np.ndarray, first: int, last: int) -> None:
-    """Update the statistics of the fields [first, last) with their deltas, except those beyond their limits."""
+    """Update the statistics of the fields [first, last) with their deltas, skipping deltas beyond their limits."""
     for index in range(first, last):
         if ratios[index] <= 1.0:
             count, mean, squares = statistics[index]
@@ -49,7 +49,7 @@ def update(statistics: np.ndarray, deltas: np.ndarray, ratios: np.ndarray, first
 def distances(
     content: np.ndarray, slot: int, watch: Watch, centre: np.ndarray, deltas: np.ndarray, distance: np.ndarray
 ) -> int:
-    """Distance of each delta from the centre of its regime, shape (n, regimes); else as `deviations`."""
+    """Distance of each delta from the centre of its regime, shape (n, regimes); otherwise as `deviations`."""
     regime = features.measure(content, slot, watch, deltas)
     if regime >= 0:
         for index in range(watch.places[slot, features.FIRST], watch.places[slot, features.LAST]):
@@ -61,7 +61,7 @@ def distances(
 def settle_online(
     watch: Watch, scratch: Scratch, limit: np.ndarray, statistics: np.ndarray, min_count: float
 ) -> None:  # fmt: skip
-    """What was judged last was published: learn its deltas if they are normal; a first publication has none."""
+    """Commit the publication judged last; learn its deltas if normal and not those of a first publication."""
     slot = scratch.place[features.SLOT]
     if scratch.score[0] < NOT_FINITE and watch.memory[slot, features.SEEN] != 0.0:
         first, last = watch.places[slot, features.FIRST], watch.places[slot, features.LAST]
@@ -74,7 +74,7 @@ def judge_online(
     content: np.ndarray, slot: int, watch: Watch, scratch: Scratch, limit: np.ndarray, statistics: np.ndarray,
     min_count: float,
 ) -> float:  # fmt: skip
-    """Score of a publication, see `preprocess.DeltaScorer`; statistics and count as of `deviations`."""
+    """Score of a publication, see `preprocess.DeltaScorer`; statistics and count as for `deviations`."""
     if scratch.place[features.ACCEPTED] != 0:
         settle_online(watch, scratch, limit, statistics, min_count)
     features.propose(content, slot, scratch)
@@ -86,7 +86,7 @@ def judge_online(
 
 @kernel_jit
 def settle_frozen(watch: Watch, scratch: Scratch, limit: np.ndarray, centre: np.ndarray) -> None:
-    """What was judged last was published."""
+    """Commit the publication judged last."""
     features.settle(scratch, watch)
 
 
@@ -94,7 +94,7 @@ def settle_frozen(watch: Watch, scratch: Scratch, limit: np.ndarray, centre: np.
 def judge_frozen(
     content: np.ndarray, slot: int, watch: Watch, scratch: Scratch, limit: np.ndarray, centre: np.ndarray
 ) -> float:
-    """Score of a publication, see `preprocess.DeltaScorer`; centre as of `distances`."""
+    """Score of a publication, see `preprocess.DeltaScorer`; centre as for `distances`."""
     if scratch.place[features.ACCEPTED] != 0:
         features.settle(scratch, watch)
     features.propose(content, slot, scratch)
@@ -103,12 +103,12 @@ def judge_frozen(
 
 
 class OnlineScorer(DeltaScorer):
-    """Distances from running means that start at the trained ones; a value is judged before it is learned.
+    """Distances from running means that start from the trained ones; a value is judged before it is learned.
 
     Args:
-        preprocessor: Of the fields.
-        statistics: As trained, see `deviations`.
-        min_count: Samples before a field is judged.
+        preprocessor: Deltas of the watched fields.
+        statistics: Trained statistics, see `deviations`.
+        min_count: Samples required before a field is judged.
     """
 
     judge, settle = staticmethod(judge_online), staticmethod(settle_online)
@@ -119,24 +119,24 @@ class OnlineScorer(DeltaScorer):
         self.kept += (self._statistics,)
 
     def start(self) -> None:
-        """Forget the last flight."""
+        """Reset the memory at the start of a flight."""
         super().start()
         self._statistics[:] = self._trained
 
 
 class FrozenScorer(DeltaScorer):
-    """Distances from a trained centre of each field and regime, shape (n, regimes): the table of its functions."""
+    """Distances from a trained centre of each field and regime, shape (n, regimes), passed as its table."""
 
     judge, settle = staticmethod(judge_frozen), staticmethod(settle_frozen)
 
 
 class GaussianDetector(ScoringDetector):
-    """GAD in either profile: `paper` learns online with one n for all fields, `tuned` has frozen limits.
+    """GAD in either profile: `paper` learns online with one n for all fields; `tuned` has fixed limits.
 
     Args:
         model: A model of kind "gaussian".
-        sigmas: The paper's n instead of the model's; `paper` only.
-        preprocessor: Of the fields that the model was trained on, if they are no monitored set.
+        sigmas: Overrides the paper's n of the model; `paper` only.
+        preprocessor: For the fields that the model was trained on, unless these are a monitored set.
     """
 
     model_kind = SOURCE
@@ -156,15 +156,15 @@ class GaussianDetector(ScoringDetector):
 
     @staticmethod
     def fit(sample: Sample, preprocessor: Preprocessor, figures: Mapping[str, Any]) -> dict[str, Any]:
-        """Parameters of a model, online where the figures hold `sigmas`; see `fit_online` and `fit_frozen`."""
+        """Parameters of a model, online if the figures contain `sigmas`; see `fit_online` and `fit_frozen`."""
         found: dict[str, Any] = (fit_online if "sigmas" in figures else fit_frozen)(sample, preprocessor, **figures)
         return found
 
 
 def fit_online(sample: Sample, preprocessor: Preprocessor, sigmas: float, min_count: float) -> dict[str, Any]:
-    """Statistics with which the `paper` GAD starts: k, M, S of each field of error-free flights.
+    """Initial statistics of the `paper` GAD: k, M, S of each field in error-free flights.
 
-    `sigmas` is the paper's n, `min_count` the number of samples before a field is judged.
+    `sigmas` is the paper's n, `min_count` the number of samples required before a field is judged.
     """
     statistics = []
     for index in range(len(preprocessor.fields)):
@@ -176,9 +176,9 @@ def fit_online(sample: Sample, preprocessor: Preprocessor, sigmas: float, min_co
 def fit_frozen(
     sample: Sample, preprocessor: Preprocessor, margin: float, smallest_regime: int
 ) -> dict[str, Any]:  # fmt: skip
-    """Centre and limit of the `tuned` GAD, of each field and regime; a distance of one code is always allowed.
+    """Centre and limit of the `tuned` GAD by field and regime; a distance of one code never raises an alarm.
 
-    `margin` and `smallest_regime` are those of `regime_limits`.
+    `margin` and `smallest_regime` as for `regime_limits`.
     """
     shape = len(preprocessor.fields), features.REGIMES
     centre, limit, counts = np.zeros(shape), np.ones(shape), np.zeros(shape, np.int64)

@@ -1,10 +1,10 @@
-"""What the acceptance test remembers of what was published: one record, and how it takes note, compiled.
+"""Memory of the acceptance test: one record of earlier publications, updated by compiled functions.
 
-The record begins with the numbers of `MissionLimits`: rules find limits and memory in one argument, since each costs a
-call from Python some 60 ns.  A header that is judged is kept as the candidate, and becomes the one published last with
-the next call after it was accepted: one call per publication.
+The record starts with the numbers of `MissionLimits`, so that rules receive limits and memory in one argument: each
+argument costs some 60 ns per call from Python.  A checked header is stored as the candidate; after acceptance the next
+call commits it as the last publication, so that each publication costs one call.
 
-Points of trajectories are in blocks, shape (KEPT, capacity, 11), of which the record says what they hold.
+Trajectory points are stored in blocks, shape (KEPT, capacity, 11); the record holds their numbers and lengths.
 """
 
 import numpy as np
@@ -14,10 +14,10 @@ from mavfi.numerics.jit import kernel_jit
 from mavfi.states import STATES
 
 KEPT = 3
-"""Trajectories that a way-point may name: the one in force, the one that waits, and one to spare."""
+"""Trajectories that a way-point may refer to: the one in force, the pending one, and one spare."""
 COUNTERS = 4
 CAPACITY = 256
-"""Points of a trajectory for which there is room at first; what is longer makes more."""
+"""Initial capacity of a block, in trajectory points; grows if needed."""
 STATUS, PATH, TRAJECTORY = (
     STATES[name].header_dtype for name in ("perception.collision_status", "planning.path", "planning.trajectory")
 )
@@ -27,9 +27,9 @@ WAYPOINT, COMMAND, TRACKING = (
 _NONE, OF_WAYPOINT, OF_COMMAND, OF_TRACKING = range(4)
 _WAYPOINT_SIZE, _COMMAND_SIZE, _TRACKING_SIZE = WAYPOINT.itemsize, COMMAND.itemsize, TRACKING.itemsize
 _SHARE_OF_LATENCY = 0.7
-"""Of the planner's latency: it has begun before that."""
+"""Least planning time before a path is published / the planner's latency."""
 _JITTER_US = 300_000
-"""How much longer it can have taken."""
+"""Largest planning time in excess of that."""
 _LONG_AGO = -(1 << 62)
 
 _LIMITS = [(name, NUMBERS[name]) for name in NUMBERS.names or ()]
@@ -51,20 +51,20 @@ _WORK = [
 KNOWN = np.dtype([*_LIMITS, *_REMEMBERED, *_WORK])
 """The record.
 
-- Limits: as of `MissionLimits.numbers`.
-- Headers published last, as bytes: `last_status` and so on; 0 before the first.
+- Limits: see `MissionLimits.numbers`.
+- Last published headers, as bytes: `last_status` and so on; 0 before the first.
 - `end`: last vertex of the path (m), if it has one (`ended`).
-- `counters`, `times`: the last values of the collision counter, oldest first, and when it took them (us); `changes` is
-  how many there are.
-- `numbers`, `counts`: of the last trajectories that have points, oldest first; `stored` is how many there are.
-- `switched`, `fresh`: whether a way-point was published since the last command, and since the last report of the
-  tracker.
-- Work: `planning_us`, by which the planner has begun before its path at least (us); in which block the points of a
-  stored trajectory are; the candidate, of which state it is, and whether it was accepted.
+- `counters`, `times`: the latest values of the collision counter, oldest first, and the times of the changes (us);
+  `changes` is their number.
+- `numbers`, `counts`: number and length of the latest trajectories with points, oldest first; `stored` is how many.
+- `switched`, `fresh`: whether a way-point has been published since the last command, and since the last tracking
+  report.
+- Work: `planning_us`, the least time from the planner's start to its path (us); block index of each stored trajectory;
+  the candidate, its state, and whether it was accepted.
 """
 _FIRST, _END = len(_LIMITS), len(_LIMITS) + len(_REMEMBERED)
 MEMORY = slice(KNOWN.fields[KNOWN.names[_FIRST]][1], KNOWN.fields[KNOWN.names[_END]][1])  # type: ignore[index]
-"""Bytes of the record that are remembered."""
+"""Bytes of the record that form the memory."""
 
 
 def new_record(limits: MissionLimits) -> np.ndarray:
@@ -78,7 +78,7 @@ def new_record(limits: MissionLimits) -> np.ndarray:
 
 
 def forget(known: np.ndarray) -> None:
-    """Forget the last flight."""
+    """Reset the memory at the start of a flight."""
     known.view(np.uint8)[MEMORY] = 0
     known["switched"] = known["fresh"] = True
     known["changes"], known["times"][0, 0] = 1, _LONG_AGO
@@ -87,7 +87,7 @@ def forget(known: np.ndarray) -> None:
 
 @kernel_jit
 def settle(known: np.ndarray) -> None:
-    """The candidate, if it was accepted, is what was published last of its state."""
+    """Commit the candidate, if accepted, as the last publication of its state."""
     own = known[0]
     if not own["accepted"]:
         return
@@ -105,7 +105,7 @@ def settle(known: np.ndarray) -> None:
 
 @kernel_jit
 def propose(header: np.ndarray, of: int, known: np.ndarray) -> None:
-    """Make a header the candidate; `of` says of which state it is."""
+    """Store a header as the candidate; `of` identifies its state."""
     own = known[0]
     content = header.view(np.uint8)
     own["candidate"][: len(content)] = content
@@ -114,7 +114,7 @@ def propose(header: np.ndarray, of: int, known: np.ndarray) -> None:
 
 @kernel_jit
 def note_status(header: np.ndarray, now: int, known: np.ndarray) -> None:
-    """Take note of a collision status that was published now (us)."""
+    """Record a collision status published at `now` (us)."""
     own = known[0]
     counter, count = int(header[0]["future_collision_seq"]), own["changes"]
     times, counters = own["times"], own["counters"]
@@ -129,7 +129,7 @@ def note_status(header: np.ndarray, now: int, known: np.ndarray) -> None:
 
 @kernel_jit
 def answerable(now: int, known: np.ndarray) -> np.ndarray:
-    """Collision counters that a path of now (us) can answer: the one known when the planner began, and later ones."""
+    """Collision counters that a path at `now` (us) can answer: the one known when the planner started, and later."""
     own = known[0]
     began = now - own["planning_us"]
     found, count = np.zeros(COUNTERS + 1, np.int64), 0
@@ -145,7 +145,7 @@ def answerable(now: int, known: np.ndarray) -> np.ndarray:
 
 @kernel_jit
 def note_path(header: np.ndarray, vertices: np.ndarray, known: np.ndarray) -> None:
-    """Take note of a path that was published; vertices (m) have shape (n, 3)."""
+    """Record a published path; vertices (m) have shape (n, 3)."""
     own = known[0]
     own["ended"], own["end"][:] = len(vertices) > 0, 0.0
     if len(vertices) > 0:
@@ -155,7 +155,7 @@ def note_path(header: np.ndarray, vertices: np.ndarray, known: np.ndarray) -> No
 
 @kernel_jit
 def note_trajectory(header: np.ndarray, points: np.ndarray, known: np.ndarray, blocks: np.ndarray) -> None:
-    """Take note of a trajectory that was published; points have shape (n, 11), and fit into a block."""
+    """Record a published trajectory; points have shape (n, 11) and fit into a block."""
     own = known[0]
     own["last_trajectory"][:] = header.view(np.uint8)
     if len(points) == 0:
@@ -176,7 +176,7 @@ def note_trajectory(header: np.ndarray, points: np.ndarray, known: np.ndarray, b
 
 @kernel_jit
 def points_of(number: int, known: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-    """Points of a stored trajectory. Shape (n, 11); (0, 11) if it is not known."""
+    """Points of a stored trajectory. Shape (n, 11); (0, 11) if unknown."""
     own = known[0]
     for index in range(own["stored"]):
         if own["numbers"][index] == number:
@@ -186,6 +186,6 @@ def points_of(number: int, known: np.ndarray, blocks: np.ndarray) -> np.ndarray:
 
 @kernel_jit
 def newest(known: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-    """Points of the trajectory stored last. Shape (n, 11); (0, 11) if there is none."""
+    """Points of the latest stored trajectory. Shape (n, 11); (0, 11) if there is none."""
     last = known[0]["stored"] - 1
     return blocks[0, :0] if last < 0 else blocks[known[0]["blocks"][last], : known[0]["counts"][last]]

@@ -1,4 +1,4 @@
-"""What a mission can ask for: the limits that rules of physics and protocol are made of."""
+"""Mission-dependent limits for the rules of physics and protocol."""
 
 from dataclasses import dataclass
 
@@ -9,21 +9,21 @@ from mavfi.detectors.gate import SPEED_MARGIN, UNKNOWN_ARENA
 Corner = tuple[float, ...]
 
 BOX_MARGIN = 2.0
-"""How far beyond the flight box a plan may begin: where a mission starts, or where the vehicle was pushed (m)."""
+"""Distance beyond the flight box at which a plan may start: a mission's start, or a vehicle pushed out (m)."""
 NEAR = 4.0
-"""Least distance between the vehicle and the start of a plan, or the goal and its end, that is far (m): the planner
-looks for room within 3 m."""
+"""Smallest bound on the distance between vehicle and start of a plan, or goal and its end (m): the planner searches for
+free space within 3 m."""
 _ROUNDING = 1.001
 _CURVE_ERROR = 0.1
-"""Position of a trajectory's point against that of its velocity, where velocity is constant: curves are sampled (m)."""
+"""Position error of a trajectory point at constant velocity, since curves are sampled (m)."""
 _ACCELERATION_MARGIN = 1.2
 _SHARPEST = 0.2
-"""Length within which an interpolated trajectory may turn round: a plan that begins at speed keeps the corner that it
-meets first as sharp as the room there makes it (m)."""
+"""Length within which an interpolated trajectory may reverse: a plan entered at speed leaves its first corner as sharp
+as the available space requires (m)."""
 _CLOCK_MARGIN = 1.5
-"""Acceleration by which the clock of an interpolated reference speeds up or brakes, at most / a_max."""
+"""Largest acceleration due to a change of the reference clock's rate / a_max."""
 _SHORTEST_ALARM = 30.0
-"""`time_to_collision` of no collision (s); others lie within what the camera sees, flown at a quarter of v_max."""
+"""`time_to_collision` without a collision (s); others lie within the camera range, flown at a quarter of v_max."""
 _SLOW = 0.25
 
 _SCALARS = (
@@ -35,33 +35,33 @@ _FLAGS = ("held", "every_map", "repeated")
 NUMBERS = np.dtype(
     [*((name, "f8") for name in _SCALARS), *((name, "f8", (3,)) for name in _PLACES), *((name, "?") for name in _FLAGS)]
 )
-"""Type of the record that compiled rules read."""
+"""Type of the record read by compiled rules."""
 
 
 @dataclass(frozen=True, slots=True)
 class MissionLimits:
-    """Limits of one mission, as its scenario and its world say.
+    """Limits of one mission, from its scenario and world.
 
     Attributes:
         v_max: Speed limit (m/s).
         a_max: Acceleration limit (m/s^2).
         arena: Lower and upper corner of the mapped volume (m).
-        flight: Lower and upper corner of the box in which paths may lie (m).
-        goal: Where the mission ends (m).
-        held: Whether way-points are points of the trajectory, in force until their duration is used up; if not, they
-            are interpolated at every control period.
-        every_map: Whether plans are checked and made on every map; if not, on each newly predicted collision.
-        point_period: Between trajectory points (s).
-        control_period: Between commands (s).
-        look_ahead: How far ahead of its point a velocity is taken (s).
-        planner_latency: From request to path (s).
-        plan_latency: From request to trajectory (s).
+        flight: Lower and upper corner of the box that bounds paths (m).
+        goal: Position of the goal (m).
+        held: Whether way-points are points of the trajectory, each in force for its duration; if not, they are
+            interpolated in every control period.
+        every_map: Whether plans are checked and made for every map; if not, on each newly predicted collision.
+        point_period: Time between trajectory points (s).
+        control_period: Time between commands (s).
+        look_ahead: Look-ahead of a point's velocity (s).
+        planner_latency: Time from request to path (s).
+        plan_latency: Time from request to trajectory (s).
         velocity_lag: Time constant of the vehicle's velocity loop (s).
         command_limit: Largest command / v_max.
-        command_step: Largest change of the command between periods while the way-point stays (m/s).
-        slowdown_cap: Largest slow-down of reference time where the command is saturated.
+        command_step: Largest change of the command between periods under the same way-point (m/s).
+        slowdown_cap: Largest slow-down of the reference time under a saturated command.
         tracker_slowdown: Loop time of the tracker / reference time that it advances.
-        camera_range: How far the camera sees (m).
+        camera_range: Range of the camera (m).
         repeated: Whether the collision check repeats alarms until they are answered.
     """
 
@@ -86,7 +86,7 @@ class MissionLimits:
     arena: tuple[Corner, Corner] = UNKNOWN_ARENA
 
     def numbers(self) -> np.ndarray:
-        """What compiled rules read: one record. Shape (1,)."""
+        """Limits as the record read by compiled rules. Shape (1,)."""
         record = np.zeros(1, NUMBERS)
         travel = 1.5 * self.v_max * (self.velocity_lag + 2.0 * self.plan_latency)
         change = _ACCELERATION_MARGIN * self.a_max * self.point_period

@@ -1,4 +1,4 @@
-"""Trained models: JSON files that carry where they come from, and are refused where they do not fit."""
+"""Trained models: JSON files that state their provenance and are rejected where they do not fit."""
 
 import hashlib
 import json
@@ -15,12 +15,12 @@ from mavfi.files import LARGEST_TEXT, read_file
 
 FORMAT = 1
 SMALLEST_LIMIT = 1e-30
-"""Smallest limit of a score that a model may have."""
+"""Smallest score limit allowed in a model."""
 _TEXTS = ("kind", "profile", "monitored", "prediction")
 _LARGEST = 1e18
 """Largest magnitude of a parameter."""
 FITTED_TO = ("stack", "platform", "v_max", "planner")
-"""What a model must have been trained for to be used: keys of its provenance, and of what it is checked against."""
+"""What a model must have been trained for to be used: keys of its provenance and of the mission."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Model:
         kind: "gaussian" or "autoencoder" (or a user's own).
         profile: "paper" or "tuned".
         monitored: Name of the monitored set.
-        prediction: How `tuned` predicts positions, see `preprocess.PREDICTIONS`.
-        parameters: What training found: numbers and lists of numbers.
+        prediction: Position prediction of `tuned`, see `preprocess.PREDICTIONS`.
+        parameters: Results of training: numbers and lists of numbers.
         provenance: FITTED_TO, seeds, number of flights, versions.
     """
 
@@ -54,7 +54,7 @@ class Model:
         return _hash(self._content())
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data, the hash included."""
+        """Plain data, including the hash."""
         return {**self._content(), "sha256": self.sha256}
 
     @staticmethod
@@ -62,7 +62,7 @@ class Model:
         """Inverse of `to_json`; `source` names the data in messages.
 
         Raises:
-            BadInputError: Another format, something is absent, or the content is not what was hashed.
+            BadInputError: Unknown format, missing key, or content that does not match its hash.
         """
         content = {key: value for key, value in data.items() if key != "sha256"}
         if content.get("format") != FORMAT:
@@ -87,7 +87,7 @@ class Model:
         """Numbers of a parameter, of this shape.
 
         Raises:
-            BadInputError: It is absent, has another shape, or holds something else than numbers from `least` on.
+            BadInputError: The parameter is absent, has another shape, or contains anything but numbers >= `least`.
         """
         try:
             found = np.array(self.parameters[key], np.float64)
@@ -102,10 +102,10 @@ class Model:
         return {"format": FORMAT, **asdict(self)}
 
     def save(self, folder: Path) -> Path:
-        """Write `<name>.json` into a folder, which is made if absent.
+        """Write `<name>.json` into a folder, creating it if absent.
 
         Raises:
-            BadInputError: The place cannot be written.
+            BadInputError: The file cannot be written.
         """
         path = folder / f"{self.name}.json"
         with writing(path):
@@ -115,10 +115,10 @@ class Model:
 
     @staticmethod
     def load(path: Path) -> "Model":
-        """Read a file that `save` wrote.
+        """Read a file written by `save`.
 
         Raises:
-            BadInputError: The file is absent, is no model, or was changed.
+            BadInputError: The file is absent, not a model, or modified.
         """
         try:
             data = json.loads(read_file(path, LARGEST_TEXT))
@@ -130,12 +130,12 @@ class Model:
 
 
 def model_name(stack: str, platform: str, kind: str, profile: str) -> str:
-    """Name of the file of a model, without ".json"."""
+    """File name of a model, without ".json"."""
     return f"{stack}-{platform}-{kind}-{profile}"
 
 
 def check_fits(model: Model, stack: str, platform: str, v_max: float, planner: str) -> None:
-    """Refuse a model that was trained for another stack, platform, speed limit (m/s) or planner.
+    """Reject a model that was trained for another stack, platform, speed limit (m/s) or planner.
 
     Raises:
         SpecMismatchError: One line that names what differs.

@@ -1,4 +1,4 @@
-"""Detectors with one score for a whole publication, not for each field: their fields are the states."""
+"""Detectors with one score per publication instead of one per field; their fields are the states."""
 
 from abc import abstractmethod
 
@@ -13,7 +13,7 @@ from mavfi.states import STATES, State
 
 
 class StateScorer(CodeScorer):
-    """One distance for each state: an alarm names the state that was published."""
+    """One distance per state: an alarm names the published state."""
 
     def __init__(self, everything: Everything) -> None:
         super().__init__(everything)
@@ -23,7 +23,7 @@ class StateScorer(CodeScorer):
 
     @abstractmethod
     def score_of(self, slot: int, regime: int) -> float:
-        """Distance of a publication of a state from what is normal, >= 0; its `_codes` are new."""
+        """Distance of a publication of a state from normal, >= 0; its `_codes` are up to date."""
 
     def measure(self, slot: int, regime: int) -> None:
         """See `CodeScorer.measure`."""
@@ -39,15 +39,15 @@ class StateScorer(CodeScorer):
 
 
 def alarmed(verdict: Verdict | None) -> bool:
-    """Whether a publication was an alarm."""
+    """Whether a publication raised an alarm."""
     return verdict is not None and not verdict.score <= 1.0
 
 
 def state_peaks(scores: np.ndarray, sample: Sample, slots: int) -> tuple[np.ndarray, np.ndarray]:
-    """Largest score of each state and regime in training, and of how many. Shapes (slots, regimes).
+    """Largest score in training and number of samples, by state and regime. Shapes (slots, regimes).
 
     Args:
-        scores: Of each publication of a sample, >= 0. Shape (m,).
+        scores: Score of each publication of a sample, >= 0. Shape (m,).
         sample: The publications.
         slots: Number of states.
     """

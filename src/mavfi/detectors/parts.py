@@ -1,6 +1,7 @@
-"""The parts of a detector: scorer, threshold and policy.
+"""Components of a detector: scorer, threshold and policy.
 
-A scorer says how far a publication is from normal, a threshold when that is an alarm, a policy what it asks for.
+A scorer measures the distance of a publication from normal, a threshold turns it into a score, a policy selects the
+recovery that an alarm requests.
 """
 
 from abc import ABC, abstractmethod
@@ -16,20 +17,20 @@ from mavfi.numerics.jit import kernel_jit
 from mavfi.states import State
 
 NOT_FINITE = 1e9
-"""Score of a publication with a value that is not finite: an alarm whatever was learned."""
+"""Score of a publication with a value that is not finite: always an alarm."""
 _WAYPOINT = "planning.waypoint"
 _NONE = np.zeros(0, np.int64)
 
 
 class Reading(NamedTuple):
-    """How far a publication is from normal, field by field.
+    """Distance of a publication from normal, by field.
 
     Attributes:
-        distance: Of each watched field from what is normal, >= 0. Shape (n,).
-        unit: What each distance is measured in, e.g. a standard deviation; 0 where nothing is judged yet. Shape (n,).
-        first: First field that the publication renews.
+        distance: Distance of each watched field from normal, >= 0. Shape (n,).
+        unit: Unit of each distance, e.g. a standard deviation; 0 for fields not yet judged. Shape (n,).
+        first: First field updated by the publication.
         last: One past the last.
-        regime: Which column of the limits holds; negative if a value is not finite.
+        regime: Column of the limits; negative if a value is not finite.
     """
 
     distance: np.ndarray
@@ -40,11 +41,11 @@ class Reading(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What a threshold says of a reading.
+    """Result of applying a threshold to a reading.
 
     Attributes:
         score: In units of the threshold; > 1 is an alarm.
-        ratios: Of each renewed field; > 1 is beyond its limit. Shape (n,).
+        ratios: Distance / limit of each updated field. Shape (n,).
     """
 
     score: float
@@ -52,15 +53,15 @@ class Verdict(NamedTuple):
 
 
 class Scorer(ABC):
-    """Measures publications; it knows what is normal, and neither thresholds nor alarms.
+    """Measures publications against its model of normal behaviour; independent of alarms and policies.
 
     Attributes:
         fields: Watched fields, "state.field".
         stages: Stage of each.
-        states: Names of the states that it is to be shown; None = all.
-        kept: All that is remembered of a flight; 0 before it.
-        adapts: Whether `accept` needs the verdict on what was published.
-        threshold: Makes scores of what it measures.
+        states: Names of the states that it reads; None = all.
+        kept: Memory of a flight, as arrays; 0 at its start.
+        adapts: Whether `accept` needs the verdict on the publication.
+        threshold: Converts readings to scores.
     """
 
     fields: tuple[str, ...]
@@ -72,18 +73,18 @@ class Scorer(ABC):
     _judged: "tuple[Reading, Verdict]"
 
     def use(self, threshold: "Threshold") -> None:
-        """Take the threshold; before the first flight."""
+        """Set the threshold; called before the first flight."""
         self.threshold = threshold
 
     @abstractmethod
     def read(self, state: State) -> Reading | None:
-        """Measure a publication, None if it is not watched; changes nothing that is remembered.
+        """Measure a publication without changing the memory; None if it is not watched.
 
-        The arrays hold until the next call.
+        The arrays are valid until the next call.
         """
 
     def score(self, state: State) -> float | None:
-        """Score of a publication, None if it is not watched; changes nothing that is remembered."""
+        """Score of a publication, None if it is not watched; does not change the memory."""
         reading = self.read(state)
         if reading is None:
             return None
@@ -91,14 +92,14 @@ class Scorer(ABC):
         return self._judged[1].score
 
     def judged(self) -> "tuple[Reading, Verdict]":
-        """Reading of the publication scored last, and verdict on it."""
+        """Reading and verdict of the publication scored last."""
         return self._judged
 
     @abstractmethod
     def accept(self, state: State, verdict: Verdict | None) -> None:
-        """Take note of a published value of any state.
+        """Record a published value of any state.
 
-        The verdict on it is given if it is watched and the scorer adapts; `read` was called with it last.
+        The verdict on it is given if it is watched and the scorer adapts; `read` was last called with it.
         """
 
     def not_finite(self, state: State) -> np.ndarray:
@@ -106,12 +107,12 @@ class Scorer(ABC):
         return _NONE
 
     def start(self) -> None:
-        """Forget the last flight."""
+        """Reset the memory at the start of a flight."""
         for part in self.kept:
             part[...] = 0
 
     def memory(self) -> tuple[bytes, ...]:
-        """What is remembered of the flight."""
+        """Memory between publications."""
         return tuple(part.tobytes() for part in self.kept)
 
     def restore(self, memory: tuple[bytes, ...]) -> None:
@@ -122,15 +123,15 @@ class Scorer(ABC):
 
 @kernel_jit
 def largest_ratio(reading: Reading, limit: np.ndarray, ratios: np.ndarray) -> float:
-    """Largest distance of the renewed fields in units of its limit.
+    """Largest distance of the updated fields in units of its limit.
 
-    Only renewed fields are judged: a delta that was let pass would otherwise raise the same alarm again with every
-    publication until it is renewed.
+    Other fields are not judged: an accepted anomalous delta would otherwise raise its alarm again with every
+    publication until it is updated.
 
     Args:
-        reading: Of a publication.
-        limit: Largest distance that is no alarm, by field and regime, in units of the reading. Shape (n, regimes).
-        ratios: Filled in for the renewed fields. Shape (n,).
+        reading: Reading of a publication.
+        limit: Largest distance without an alarm, by field and regime, in units of the reading. Shape (n, regimes).
+        ratios: Output, for the updated fields. Shape (n,).
     """
     worst = 0.0
     for index in range(reading.first, reading.last):
@@ -143,7 +144,7 @@ def largest_ratio(reading: Reading, limit: np.ndarray, ratios: np.ndarray) -> fl
 
 @kernel_jit
 def mean_square_ratio(reading: Reading, limit: np.ndarray, ratios: np.ndarray) -> float:
-    """Mean squared distance of all fields, renewed or not, in units of its limit, shape (1, 1); see `largest_ratio`."""
+    """Mean squared distance of all fields, updated or not, in units of its limit, shape (1, 1); see `largest_ratio`."""
     total = 0.0
     for value in reading.distance:
         total += value * value
@@ -154,7 +155,7 @@ def mean_square_ratio(reading: Reading, limit: np.ndarray, ratios: np.ndarray) -
 
 @kernel_jit
 def score_of(reading: Reading, limit: np.ndarray, ratios: np.ndarray) -> float:
-    """Score of a reading: of its mean square where there is one limit, else the largest ratio."""
+    """Score of a reading: mean square ratio for a single limit, else the largest ratio."""
     if reading.regime < 0:
         return NOT_FINITE
     if limit.shape == (1, 1):
@@ -163,17 +164,17 @@ def score_of(reading: Reading, limit: np.ndarray, ratios: np.ndarray) -> float:
 
 
 class Threshold:
-    """Makes scores of readings.
+    """Converts readings to scores.
 
     Attributes:
-        limit: As given.
-        ratios: Of the reading judged last, see `Verdict`.
+        limit: See `limit` below.
+        ratios: Ratios of the reading judged last, see `Verdict`.
 
     Args:
-        limit: By field and regime, shape (n, regimes); or of the mean squared distance, shape (1, 1).
+        limit: By field and regime, shape (n, regimes); or for the mean squared distance, shape (1, 1).
         size: Number of watched fields.
-        usual: Largest distance of each field in normal flights, shape (n,): the field that exceeds its own most stands
-            out, renewed or not.  None: all fields beyond their limits stand out.
+        usual: Largest distance of each field in normal flights, shape (n,): an alarm names the field with the largest
+            distance relative to it, updated or not.  None: an alarm names all fields beyond their limits.
     """
 
     def __init__(self, limit: np.ndarray, size: int, usual: np.ndarray | None = None) -> None:
@@ -188,9 +189,9 @@ class Threshold:
         """Indices of the fields that an alarm names.
 
         Args:
-            reading: Of a publication.
-            verdict: On it.
-            not_finite: Indices of fields that are not finite; where there are any, they stand out.
+            reading: Reading of a publication.
+            verdict: Verdict on it.
+            not_finite: Indices of fields that are not finite; if there are any, the alarm names these.
         """
         if self._usual is not None:
             return not_finite[:1] if len(not_finite) else np.array([np.argmax(reading.distance / self._usual)])
@@ -200,19 +201,19 @@ class Threshold:
 
 
 Policy = Callable[[Alarm, State, bool], Alarm]
-"""What an alarm asks for; made of an alarm for the stage of the field that stands out, the publication, and whether the
-way-point in force was anomalous as well."""
+"""Recovery that an alarm requests.  Arguments: an alarm for the stage of the anomalous field, the publication, and
+whether the way-point in force was anomalous as well."""
 
 
 def keyed(alarm: Alarm, state: State, persists: bool) -> Alarm:
-    """The stage of the field that stands out is recomputed."""
+    """Recompute the stage of the anomalous field."""
     return alarm
 
 
 def abandon_waypoint(alarm: Alarm, state: State, persists: bool) -> Alarm:
-    """The paper's policy of the AAD: control is recomputed, and an anomalous way-point is abandoned for the next one.
+    """The paper's policy for the AAD: recompute control, and abandon an anomalous way-point for the next one.
 
-    Where the way-point published last was anomalous as well, alarms persist: stop and plan anew.
+    If the last published way-point was anomalous as well, alarms persist: stop and replan.
     """
     waypoint = state.spec.name == _WAYPOINT
     return replace(alarm, stage="control", abandon_waypoint=waypoint, stop=waypoint and persists)
@@ -222,20 +223,20 @@ POLICIES: dict[str, Policy] = {"paper": abandon_waypoint, "keyed": keyed}
 
 
 def find_policy(name: str) -> Policy:
-    """A recovery policy by name; `BadInputError` if it is not known."""
+    """A recovery policy by name; `BadInputError` if unknown."""
     if name not in POLICIES:
         raise BadInputError(f"recovery policy {name!r}: not known; allowed: {', '.join(POLICIES)}")
     return POLICIES[name]
 
 
 class ScoringDetector:
-    """A detector made of its parts.
+    """A detector composed of scorer, threshold and policy.
 
     Args:
         source: Name in alarms.
         scorer: Measures publications.
-        threshold: Makes scores of what was measured.
-        policy: Says what an alarm asks for, see `POLICIES`.
+        threshold: Converts measurements to scores.
+        policy: Recovery that an alarm requests, see `POLICIES`.
     """
 
     def __init__(self, source: str, scorer: Scorer, threshold: Threshold, policy: Policy = keyed) -> None:
@@ -249,7 +250,7 @@ class ScoringDetector:
         self._score: float | None = None
 
     def start(self) -> None:
-        """Forget the last flight."""
+        """Reset the memory at the start of a flight."""
         self._scored, self._persists = None, False
         self.scorer.start()
 
@@ -260,7 +261,7 @@ class ScoringDetector:
         return self._score
 
     def check(self, state: State, time_us: int) -> Alarm | None:
-        """Judge a publication."""
+        """Check a publication."""
         if self._scored is not state:  # as `score`, without another call
             self._scored, self._score = state, self.scorer.score(state)
         score = self._score
@@ -274,7 +275,7 @@ class ScoringDetector:
         return self.policy(alarm, state, self._persists)
 
     def accept(self, state: State, time_us: int) -> None:
-        """Take note of a value that was published."""
+        """Record a published value."""
         if self._counts_waypoints and state.spec.name == _WAYPOINT:
             score = self.score(state, time_us)
             self._persists = self._persists if score is None else not score <= 1.0
@@ -290,12 +291,12 @@ class ScoringDetector:
         return {"judge": self.scorer.judge} if hasattr(self.scorer, "judge") else {}
 
     def instrument(self, made: Mapping[str, Callable[..., Any]]) -> None:
-        """Call others in their place, see `detector.part_of`."""
+        """Replace compiled functions, see `detector.part_of`."""
         if hasattr(self.scorer, "instrument"):
             self.scorer.instrument(made)
 
     def memory(self) -> tuple[tuple[bytes, ...], bool]:
-        """What is remembered, see `Detector`."""
+        """Memory between publications, see `Detector`."""
         return self.scorer.memory(), self._persists
 
     def restore(self, memory: tuple[tuple[bytes, ...], bool]) -> None:
@@ -306,7 +307,7 @@ class ScoringDetector:
 
 
 class Chain:
-    """Several detectors in a row: the first alarm counts."""
+    """Several detectors in sequence: the first alarm counts."""
 
     def __init__(self, *detectors: Any) -> None:  # noqa: ANN401 - `Detector`s; those of ours have memory and score
         self.parts = detectors
@@ -317,17 +318,17 @@ class Chain:
             self.memory = self.restore = None  # type: ignore[assignment, method-assign] # a host copies the whole
 
     def start(self) -> None:
-        """Forget the last flight."""
+        """Reset the memory at the start of a flight."""
         for detector in self.parts:
             detector.start()
 
     def score(self, state: State, time_us: int) -> float | None:
-        """The largest of their scores."""
+        """The largest score of all detectors."""
         scores = [detector.score(state, time_us) for detector in self.parts if hasattr(detector, "score")]
         return max((score for score in scores if score is not None), default=None)
 
     def check(self, state: State, time_us: int) -> Alarm | None:
-        """The first alarm that one of them raises."""
+        """The first alarm of any detector."""
         for detector in self.parts:
             alarm: Alarm | None = detector.check(state, time_us)
             if alarm is not None:
@@ -335,12 +336,12 @@ class Chain:
         return None
 
     def accept(self, state: State, time_us: int) -> None:
-        """Tell all of them."""
+        """Pass a published value to all detectors."""
         for detector in self.parts:
             detector.accept(state, time_us)
 
     def memory(self) -> tuple[Any, ...]:
-        """What they remember."""
+        """Memories of all detectors."""
         return tuple(detector.memory() for detector in self.parts)
 
     def restore(self, memory: tuple[Any, ...]) -> None:

@@ -1,7 +1,7 @@
 """Data preprocessing (MAVFI section IV-B) in two profiles: watched fields, their deltas, and the base of their scorers.
 
-`paper`: sign and exponent of a float64 as a 16-bit code, then the difference to the last code.  `tuned`: the difference
-to what was predicted first, in float64, then its code.  Integers: difference, saturated to 16 bits.
+`paper`: sign and exponent of a float64 as a 16-bit code, then the difference from the last code.  `tuned`: code of the
+float64 difference from the prediction.  Integers: difference, saturated to 16 bits.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -17,24 +17,24 @@ from mavfi.states import MONITORED_SETS, ODOMETRY, STATES, State, StateSpec, byt
 
 PROFILES = ("paper", "tuned")
 PREDICTIONS = {"interval": features.CODE_OF_INTERVAL, "trapezoid": features.CODE_OF_TRAPEZOID}
-"""How a way-point's position is predicted, see `features.measure`: "interval" where way-points carry the mean
-velocity on the way to them, "trapezoid" where they carry the velocity at their position."""
+"""Prediction of a way-point's position, see `features.measure`: "interval" if way-points carry the mean velocity of the
+leg that leads to them, "trapezoid" if they carry the velocity at their position."""
 
 _HALF_METRE, _QUARTER, _ONE_SECOND, _EIGHTH = -1, -2, 0, -3
 _POSITIONS = {"x": "vx", "y": "vy", "z": "vz"}
 _PLANNED = "planning.waypoint"
 _WAITING = 100
-"""Odometry that waits at most until one of it is remembered."""
+"""Largest number of odometry publications queued before the latest is stored."""
 
 
 class Preprocessor:
-    """Deltas of the watched fields, one flight long.
+    """Deltas of the watched fields during one flight.
 
     Attributes:
         fields: Names of the watched fields, "state.field", in the order of the vector.
         stages: Stage of each.
-        slots: Number of each watched state, by name.
-        states: States that it has to be shown: the watched ones and, for predictions, where the vehicle is.
+        slots: Index of each watched state, by name.
+        states: States that it reads: the watched ones and, for predictions, the vehicle's odometry.
         watch: Tables and memory.
     """
 
@@ -44,10 +44,10 @@ class Preprocessor:
         Args:
             monitored: Name of a monitored set.
             profile: "paper" or "tuned".
-            prediction: Key of PREDICTIONS; only `tuned` uses it.
+            prediction: Key of PREDICTIONS; used by `tuned` only.
 
         Raises:
-            BadInputError: One of the names is not known.
+            BadInputError: Unknown name.
         """
         watched = MONITORED_SETS[_known(monitored, MONITORED_SETS, "monitored set")]
         _known(profile, PROFILES, "profile")
@@ -57,7 +57,7 @@ class Preprocessor:
 
     @classmethod
     def of(cls, specs: Mapping[str, StateSpec], profile: str, thresholds: Sequence[int]) -> "Preprocessor":
-        """Deltas of every field of states that are in no table of ours; all of them are float64.
+        """Deltas of every field, all float64, of states that are not defined in `mavfi.states`.
 
         Args:
             specs: States by name.
@@ -94,27 +94,27 @@ class Preprocessor:
 
     @property
     def kept(self) -> tuple[np.ndarray, ...]:
-        """All that is remembered of a flight."""
+        """All arrays of the memory."""
         return self.watch.memory, self.watch.last, self.watch.vehicle
 
     def start(self) -> None:
-        """Forget the last flight."""
+        """Reset the memory at the start of a flight."""
         for part in self.kept:
             part[...] = 0
 
     def range_of(self, slot: int) -> tuple[int, int]:
-        """First and one past the last index in the vector of a watched state's fields."""
+        """First and one past the last index of a watched state's fields in the vector."""
         first, last = self.watch.places[slot, : features.LAST + 1]
         return int(first), int(last)
 
     def slot_of(self, index: int) -> int:
-        """Number of the state of the field at an index of the vector."""
+        """Index of the state of a vector element."""
         return int(np.searchsorted(self.watch.places[:, features.LAST], index, side="right"))
 
 
 @kernel_jit
 def conclude(regime: int, place: np.ndarray, scratch: features.Scratch, limit: np.ndarray) -> float:
-    """Score of the distances in `scratch`, which keeps it; `place` is a row of a place table."""
+    """Score of the distances in `scratch`, also stored there; `place` is a row of a place table."""
     scratch.place[features.JUDGED_REGIME] = regime
     reading = Reading(scratch.distance, scratch.unit, place[features.FIRST], place[features.LAST], regime)
     score = score_of(reading, limit, scratch.ratios)
@@ -123,20 +123,20 @@ def conclude(regime: int, place: np.ndarray, scratch: features.Scratch, limit: n
 
 
 class DeltaScorer(Scorer):
-    """A scorer of the deltas of a preprocessor, which has the fields that the model was trained on.
+    """A scorer of the deltas of a preprocessor that watches the fields of the model.
 
-    One compiled call scores a publication, and takes note of the one before it if that was accepted.
+    One compiled call scores a publication and commits the previous one if that was accepted.
 
     Args:
-        preprocessor: Of the fields.
-        tables: What else the compiled functions read or remember.
+        preprocessor: Deltas of the watched fields.
+        tables: Further tables and memory of the compiled functions.
 
     Attributes:
         judge: Compiled: bytes and slot of a publication, `features.Watch`, `features.Scratch`, limits of the threshold,
-            then the tables; gives the score.
-        settle: Compiled: takes note of what was judged last; the same arguments without bytes and slot.
+            then the tables; returns the score.
+        settle: Compiled: commits the publication judged last; same arguments without bytes and slot.
         features: The preprocessor.
-        scratch: What was judged last.
+        scratch: The publication judged last.
     """
 
     judge: ClassVar[Callable[..., float]]
@@ -151,7 +151,7 @@ class DeltaScorer(Scorer):
         self._vehicles: list[np.ndarray] = []
 
     def use(self, threshold: Threshold) -> None:
-        """Take the threshold; before the first flight."""
+        """Set the threshold; called before the first flight."""
         super().use(threshold)
         size = len(self.fields)
         self.scratch = features.Scratch(
@@ -163,11 +163,11 @@ class DeltaScorer(Scorer):
         self.instrument({})
 
     def instrument(self, made: Mapping[str, Callable[..., float]]) -> None:
-        """Call another function in the place of `judge`, if one is given by that name, or else that again."""
+        """Replace `judge` by the function of that name in `made`; restore it if there is none."""
         self._judge = made["judge"] if "judge" in made else entry(self.judge, self.scratch.content, 0, *self._tables)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Machine code stays in its process."""
+        """Pickle without machine code, which is valid in one process only."""
         return {name: value for name, value in self.__dict__.items() if name != "_judge"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -176,7 +176,7 @@ class DeltaScorer(Scorer):
         self.instrument({})
 
     def start(self) -> None:
-        """Forget the last flight."""
+        """Reset the memory at the start of a flight."""
         super().start()
         self._forget()
 
@@ -200,14 +200,14 @@ class DeltaScorer(Scorer):
         return self._judge(bytes_of(state.header), slot, *self._tables)
 
     def judged(self) -> tuple[Reading, Verdict]:
-        """Reading of the publication scored last, and verdict on it."""
+        """Reading and verdict of the publication scored last."""
         own, place = self.scratch, self.scratch.place
         first, last = self.features.range_of(int(place[features.SLOT]))
         reading = Reading(own.distance, own.unit, first, last, int(place[features.JUDGED_REGIME]))
         return reading, Verdict(float(own.score[0]), own.ratios)
 
     def accept(self, state: State, verdict: Verdict | None) -> None:
-        """Take note of a value that was published."""
+        """Record a published value."""
         if state is not self._candidate and self.score(state) is None:
             if state.spec.name in self.features.states:
                 self._vehicles.append(state.header)
@@ -217,7 +217,7 @@ class DeltaScorer(Scorer):
         self._place[features.ACCEPTED] = 1
 
     def _see(self) -> None:
-        """Remember where the vehicle is: only the last odometry that is finite counts."""
+        """Store position and velocity of the vehicle from the latest odometry that is finite."""
         vehicle = self.features.watch.vehicle
         for header in reversed(self._vehicles):
             if features.note_vehicle(bytes_of(header), vehicle):
@@ -225,7 +225,7 @@ class DeltaScorer(Scorer):
         self._vehicles.clear()
 
     def memory(self) -> tuple[bytes, ...]:
-        """What is remembered of the flight."""
+        """Memory between publications."""
         if self.scratch.place[features.ACCEPTED]:
             self.settle(*self._tables)
         self._see()

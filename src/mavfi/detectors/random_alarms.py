@@ -1,4 +1,4 @@
-"""Alarms at random: what a detector is worth that knows nothing.  A bound from below, and the cost of false alarms."""
+"""Random alarms: a baseline without any information.  Lower bound of detection, and the cost of false alarms."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -17,16 +17,16 @@ _HOUR_US = 3.6e9
 
 
 class RandomAlarms:
-    """A Poisson process of alarms for each small state; together they have the given rate.
+    """A Poisson process of alarms for each small state, with the given total rate.
 
-    An alarm is about the first publication of its state at or after its instant.
+    An alarm concerns the first publication of its state at or after its instant.
 
     Args:
-        seed: Of the mission: the same mission has the same alarms.
+        seed: Seed of the mission: the same mission has the same alarms.
         per_hour: Alarms per hour of flight.
 
     Raises:
-        BadInputError: The rate is none.
+        BadInputError: The rate is not in (0, 1e6].
     """
 
     needs_seed = True
@@ -41,32 +41,32 @@ class RandomAlarms:
         self.start()
 
     def start(self) -> None:
-        """Forget the last flight."""
+        """Reset the memory at the start of a flight."""
         self._passed = dict.fromkeys(self._order, 0)
         self._instants = {name: self._process(place) for name, place in self._order.items()}
         self._next = {name: next(instants) for name, instants in self._instants.items()}
 
     def check(self, state: State, time_us: int) -> Alarm | None:
-        """Whether an alarm is due."""
+        """Raise an alarm that is due."""
         name = state.spec.name
         if time_us < self._next.get(name, np.inf):
             return None
         return Alarm("random", state.spec.stage.value, score=_SCORE, fields=(name,))
 
     def score(self, state: State, time_us: int) -> float | None:
-        """2 of a value whose alarm is due, else 0; None if the state has no alarms."""
+        """2 if an alarm is due, else 0; None for states without alarms."""
         if state.spec.name not in self._order:
             return None
         return 0.0 if self.check(state, time_us) is None else _SCORE
 
     def accept(self, state: State, time_us: int) -> None:
-        """An alarm that was due is over, and so are others before this instant."""
+        """Consume all alarms of the state up to this instant."""
         name = state.spec.name
         while time_us >= self._next.get(name, np.inf):
             self._advance(name)
 
     def memory(self) -> dict[str, int]:
-        """Alarms that are over, by state."""
+        """Number of consumed alarms, by state."""
         return dict(self._passed)
 
     def restore(self, memory: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""What training needs of an error-free flight."""
+"""Recorder of error-free flights for training."""
 
 from dataclasses import dataclass, field
 
@@ -9,21 +9,21 @@ from mavfi.detectors.detector import Alarm
 from mavfi.states import MONITORED_SETS, ODOMETRY, STATES, State
 
 WATCHED = tuple(dict.fromkeys(state for fields in MONITORED_SETS.values() for state, _ in fields))
-"""The states of which some field is in a monitored set."""
+"""States with a field in a monitored set."""
 _WAYPOINT = "planning.waypoint"
 _ODOMETRY_SIZE = STATES[ODOMETRY["truth"]].header_dtype.itemsize
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """Every publication of a watched state in one flight, and where the vehicle was at each new trajectory.
+    """Every publication of a watched state in one flight, and the vehicle's odometry at each new trajectory.
 
     Attributes:
         kinds: Index in WATCHED, or features.ODOMETRY. Shape (m,), int8.
-        times_us: Instants (us). Shape (m,), int64.
-        content: The published headers, one after the other. Shape (total,), uint8.
-        slots, regimes, codes: As of `everything.Codes`, whose `own` is `codes`; without publications if nothing but
-            monitored states was recorded.
+        times_us: Publication times (us). Shape (m,), int64.
+        content: The published headers, concatenated. Shape (total,), uint8.
+        slots, regimes, codes: See `everything.Codes`, whose `own` is `codes`; empty if only monitored states were
+            recorded.
     """
 
     kinds: np.ndarray
@@ -35,12 +35,12 @@ class Recording:
 
     @property
     def ends(self) -> np.ndarray:
-        """Where each header ends in `content`. Shape (m,), int64."""
+        """End of each header in `content`. Shape (m,), int64."""
         sizes = [*(STATES[name].header_dtype.itemsize for name in WATCHED), _ODOMETRY_SIZE]
         return np.cumsum(np.array(sizes, np.int64)[self.kinds])
 
     def headers(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Publications of one watched state: instants (us), shape (k,), and headers, shape (k,), structured."""
+        """Publications of one watched state: times (us), shape (k,), and headers, shape (k,), structured."""
         spec = STATES[name]
         chosen = np.flatnonzero(self.kinds == WATCHED.index(name))
         size = spec.header_dtype.itemsize
@@ -49,13 +49,13 @@ class Recording:
 
 
 class Recorder:
-    """A detector that never raises an alarm, and keeps what was published."""
+    """A detector that never raises an alarm and records publications."""
 
     def __init__(self) -> None:
         self.start()
 
     def start(self) -> None:
-        """Forget the last flight."""
+        """Reset the memory at the start of a flight."""
         self._kinds: list[int] = []
         self._times: list[int] = []
         self._content: list[bytes] = []
@@ -63,11 +63,11 @@ class Recorder:
         self._trajectory: int | None = None
 
     def check(self, state: State, time_us: int) -> Alarm | None:
-        """No alarm."""
+        """Never an alarm."""
         return None
 
     def accept(self, state: State, time_us: int) -> None:
-        """Keep a value that was published."""
+        """Record a published value."""
         name = state.spec.name
         if name in ODOMETRY.values():
             self._odometry = state.header.tobytes()[:_ODOMETRY_SIZE]
@@ -77,7 +77,7 @@ class Recorder:
             self._append(_KINDS[name], time_us, state.header.tobytes())
 
     def recording(self) -> Recording:
-        """What was published since `start`."""
+        """All publications since `start`."""
         content = np.frombuffer(b"".join(self._content), np.uint8)
         return Recording(np.array(self._kinds, np.int8), np.array(self._times, np.int64), content)
 

@@ -18,14 +18,14 @@ from mavfi.errors import BadInputError, SpecMismatchError
 from mavfi.plugins import build, known, load_object, parameters_of
 
 GROUP = "mavfi.detectors"
-"""Entry points of this group are detectors: classes without arguments; or, where a class says its `model_kind`, with a
-trained model of that kind and profile.  `mavfi train` fits those that have `fit(sample, preprocessor, figures)`, which
-gives the model's parameters; with a true `watches_all` it is fitted to all fields, with an `Everything` in place of the
-preprocessor, and in one profile only.  One with an `extra` needs packages of that extra, for which `check_installed`
-looks.  The figures are those of configs/detectors/<name>.yaml.  A class with a true
-`needs_limits` is made with the `MissionLimits` of what is flown, with a true `needs_seed` with the mission's seed."""
+"""Entry points of this group are detectors: classes without arguments, or, if a class has a `model_kind`, with a model
+of that kind and profile.  `mavfi train` fits those with `fit(sample, preprocessor, figures)`, which returns the
+parameters of the model; a class with a true `watches_all` is fitted to all fields, with an `Everything` instead of the
+preprocessor, and in one profile only.  One with an `extra` needs packages of that extra; `check_installed` checks for
+them.  The figures are those of configs/detectors/<name>.yaml.  A class with a true `needs_limits` is constructed with
+the `MissionLimits` of the mission, one with a true `needs_seed` with its seed."""
 ONLY_PROFILE = "tuned"
-"""Of detectors of all fields."""
+"""The profile of detectors of all fields."""
 SHIPPED_MODELS = Path(__file__).parents[1] / "data" / "models"
 _SHIPPED = {
     "gaussian": "mavfi.detectors.gaussian:GaussianDetector",
@@ -69,27 +69,27 @@ class DetectorConfig(Config):
 
 
 class NoDetector(Chain):
-    """Watches nothing."""
+    """Never raises an alarm."""
 
 
 def detector_names() -> list[str]:
-    """Every name that `load_detector` knows."""
+    """Every name accepted by `load_detector`."""
     return sorted(known(GROUP, _SHIPPED))
 
 
 def trainable() -> dict[str, Any]:
-    """The detectors that learn, by name: those of mavfi, then those of other packages."""
+    """Detectors with training, by name: those of mavfi, then those of other packages."""
     every = {name: load_object("detector", name, GROUP, _SHIPPED) for name in _SHIPPED | known(GROUP, _SHIPPED)}
     return {name: found for name, found in every.items() if hasattr(found, "model_kind") and hasattr(found, "fit")}
 
 
 def of_monitored_fields() -> dict[str, Any]:
-    """Those that are fitted to a monitored set, in two profiles."""
+    """Detectors fitted to a monitored set, in two profiles."""
     return {name: found for name, found in trainable().items() if not _watches_all(found)}
 
 
 def of_all_fields(extras: Collection[str] = ()) -> dict[str, Any]:
-    """Those that are fitted to all fields, in one; of those that need an extra, those of the given ones."""
+    """Detectors fitted to all fields, in one profile; those that need an extra only for the given `extras`."""
     wanted = ("", *extras)
     every = trainable().items()
     return {name: found for name, found in every if _watches_all(found) and getattr(found, "extra", "") in wanted}
@@ -100,10 +100,10 @@ def _watches_all(factory: Any) -> bool:  # noqa: ANN401
 
 
 def settings_of(name: str, profile: str) -> ProfileSettings:
-    """What a profile says of a detector.
+    """Settings of a detector in a profile.
 
     Raises:
-        BadInputError: The profile is not known, or the detector's file cannot be read.
+        BadInputError: Unknown profile, or the detector's file cannot be read.
     """
     if profile not in PROFILES:
         raise BadInputError(f"detector profile {profile!r}: not known; allowed: {', '.join(PROFILES)}")
@@ -112,12 +112,12 @@ def settings_of(name: str, profile: str) -> ProfileSettings:
 
 
 def mission_keys(name: str) -> Mapping[str, Any]:
-    """Keys of a mission that go with a detector: how its alarms are answered, and how nodes come back."""
+    """Mission keys that a detector sets by default: recovery from its alarms, and the restart policy of nodes."""
     return _config_of(name).mission
 
 
 def detector_options(name: str) -> Mapping[str, Any]:
-    """Arguments with which a detector is made that learns nothing."""
+    """Constructor arguments of a detector without training."""
     return _config_of(name).options
 
 
@@ -136,19 +136,19 @@ def load_detector(
         name: One of `detector_names()`, or "package:Class".
         profile: "paper" or "tuned".
         models_dir: Folder of trained models; None = the shipped ones.
-        fits: What the model must have been trained for: stack, platform, v_max (m/s), planner; `limits`, if given, are
-            the `MissionLimits` that rules hold publications to; their arena is that of the physics gate; `seed` of the
-            mission, for what is drawn.
-        policy: Recovery policy instead of the profile's.
-        gate: Whether the physics gate stands in front; None = as the profile says.
-        sigmas: The paper's n instead of the model's.
+        fits: What the model must have been trained for: stack, platform, v_max (m/s), planner.  Optional: `limits`, the
+            `MissionLimits` for rules, whose arena is also used by the physics gate; `seed` of the mission, for random
+            draws.
+        policy: Recovery policy, overrides the profile's.
+        gate: Whether the physics gate checks first; None = as the profile says.
+        sigmas: Overrides the paper's n of the model.
 
     Returns:
-        The detector, and the sha256 of its trained model ("" where it has none).
+        The detector, and the sha256 of its trained model ("" if it has none).
 
     Raises:
-        BadInputError: No such detector, profile or model, or no limits for one that needs them.
-        SpecMismatchError: The model was trained for something else.
+        BadInputError: Unknown detector, profile or model, or limits are needed but absent.
+        SpecMismatchError: The model was trained for another configuration.
     """
     settings = settings_of(name, profile)
     if name == "none":

@@ -1,12 +1,12 @@
-"""Residuals of every small state: what a publication deviates from what the one before, or its writer, lets expect.
+"""Residuals of every small state: deviation of a publication from the prediction by earlier publications.
 
-They cover each field that a consumer reads, and the lists of paths and trajectories by their largest deviations.
-Nothing but what was published is needed: no limits of the mission.  Clouds and map updates have none, see `acceptance`.
+They cover each consumed field, and for paths and trajectories the largest deviations over their elements.  They depend
+on publications only, not on limits of the mission.  Clouds and map updates have none, see `acceptance`.
 
-A function here fills in the residuals of one state, in SI units, not finite where a number is not; and, if it is told
-to, takes note of the publication.  Its arguments: `header`, shape (1,); `elements`, shape (n, fields), float64;
-`known`, what was published before, shape (SIZE,), zeros at first; `values`, filled in, shape (residuals of the state,);
-`keep`, whether to take note.
+Each function computes the residuals of one state (SI units; NaN or infinity propagates) and, with `keep`, stores the
+publication as the reference for the next one.  Arguments: `header`, shape (1,); `elements`, shape (n, fields), float64;
+`known`, memory of earlier publications, shape (SIZE,), zeros at first; `values`, output, shape (residuals of the
+state,); `keep`.
 """
 
 import math
@@ -18,10 +18,10 @@ from mavfi.numerics.elementary import atan2, cos, log, sin
 from mavfi.numerics.jit import kernel_jit
 
 PLAIN, SWITCH, NEW_TRAJECTORY = range(3)
-"""Regimes, as of `features`: since the last publication of the state, or with this one, no other way-point came into
+"""Regimes, as in `features`: since the last publication of the state, or with this one, no other way-point came into
 force, another one, or the first one of a trajectory."""
 SLOTS = 6
-"""Number of the states."""
+"""Number of states."""
 _STATUS, _PATH, _TRAJECTORY, _WAYPOINT, _COMMAND, _TRACKING = range(SLOTS)
 
 (
@@ -29,7 +29,7 @@ _STATUS, _PATH, _TRAJECTORY, _WAYPOINT, _COMMAND, _TRACKING = range(SLOTS)
     _ANSWERS, _WAYPOINT_SEEN, _COMMAND_SEEN, _REMAINING, _FRESH, _VEHICLE_KNOWN,
 ) = range(17)  # fmt: skip
 _END, _GOAL, _VEHICLE, _POINT, _LAW, _REGIME = 17, 20, 23, 29, 40, 45
-"""Where lists begin in what is known: end of the path, of the last path that has one (m), vehicle (m, m/s), way-point,
+"""Start of lists in `known`: end of the path, end of the last path that has one (m), vehicle (m, m/s), way-point,
 command, and by state the largest regime since its last publication."""
 SIZE = _REGIME + SLOTS
 _YAW, _VELOCITY, _ACCELERATION, _DURATION = 3, 4, 7, 10
@@ -40,7 +40,7 @@ _LOG_2 = 0.6931471805599453
 
 @kernel_jit
 def octaves(value: float) -> float:
-    """Logarithm of a time (s) or distance (m), base 2, from 1/4 to 64; negative ones are far below. NaN stays."""
+    """Base-2 logarithm of a time (s) or distance (m) clamped to 1/4 to 64; negatives map far below; NaN propagates."""
     if math.isnan(value):
         return value
     size = log(min(max(abs(value), _NEAREST), _FARTHEST)) / _LOG_2
@@ -49,19 +49,19 @@ def octaves(value: float) -> float:
 
 @kernel_jit
 def wrapped(angle: float) -> float:
-    """An angle in ±pi (rad); large ones as they are."""
+    """An angle wrapped to ±pi (rad); large ones unchanged."""
     return atan2(sin(angle), cos(angle)) if abs(angle) < _LARGEST_WRAPPED else angle
 
 
 @kernel_jit
 def larger(worst: float, value: float) -> float:
-    """The larger one; NaN if one is."""
+    """The larger of two numbers; NaN if either is."""
     return value if not math.isnan(worst) and not value <= worst else worst
 
 
 @kernel_jit
 def farthest(place: np.ndarray, other: np.ndarray) -> float:
-    """Largest difference of two places along an axis (m). Shapes (3,)."""
+    """Largest distance of two points along an axis (m). Shapes (3,)."""
     worst = 0.0
     for axis in range(3):
         worst = larger(worst, abs(place[axis] - other[axis]))
@@ -118,7 +118,7 @@ def path(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: np
 
 @kernel_jit
 def detour(vertices: np.ndarray) -> float:
-    """How much longer a path is than the line from its start to its end (m). Shape (n, 3)."""
+    """Length of a path minus the distance from its start to its end (m). Shape (n, 3)."""
     flown = 0.0
     for index in range(1, len(vertices)):
         flown += _apart(vertices[index], vertices[index - 1])
@@ -151,7 +151,7 @@ def trajectory(header: np.ndarray, elements: np.ndarray, known: np.ndarray, valu
 
 @kernel_jit
 def _points(points: np.ndarray, values: np.ndarray) -> None:
-    """Largest step besides that of the velocity, change of velocity, speed, acceleration, duration, turn."""
+    """Largest deviation of a step from its velocity, change of velocity, speed, acceleration, duration, turn."""
     count = len(points)
     for index in range(count):
         point = points[index]
@@ -174,7 +174,7 @@ def _points(points: np.ndarray, values: np.ndarray) -> None:
 
 @kernel_jit
 def waypoint(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: np.ndarray, keep: bool) -> int:
-    """Way-point, whose one element repeats the leading fields of the header; see the module. Returns its regime."""
+    """Way-point, whose single element repeats the leading header fields; see the module. Returns its regime."""
     new, point, last = header[0], elements[0], known[_POINT : _POINT + 11]
     number, index = float(new["trajectory_seq"]), float(new["index"])
     epoch = float(new["future_collision_seq"])
@@ -196,7 +196,7 @@ def waypoint(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values
     if index != -1.0:
         values[13] = index - known[_INDEX] - 1.0 if same else index
     if known[_WAYPOINT_SEEN] == 0.0:
-        values[:] = 0.0 * values  # nothing is expected of the first one but numbers
+        values[:] = 0.0 * values  # nothing is predicted for the first one except finite numbers
     regime = SWITCH if same else NEW_TRAJECTORY
     if keep:
         known[_POINT : _POINT + 11] = point
@@ -209,7 +209,7 @@ def waypoint(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values
 
 @kernel_jit
 def command(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: np.ndarray, keep: bool) -> int:
-    """Command, whose one element repeats the header; see the module. Returns its regime."""
+    """Command, whose single element repeats the header; see the module. Returns its regime."""
     for index in range(5):
         value = elements[0, index]
         values[index] = value - (known[_LAW + index] if known[_COMMAND_SEEN] != 0.0 else value)
@@ -221,7 +221,7 @@ def command(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values:
 
 @kernel_jit
 def tracking(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values: np.ndarray, keep: bool) -> int:
-    """Time left of the way-point in force, the one element; see the module. Returns its regime."""
+    """Remaining time of the way-point in force, the single element; see the module. Returns its regime."""
     remaining = elements[0, 0]
     expected = known[_POINT + _DURATION] if known[_FRESH] != 0.0 else known[_REMAINING]
     values[0] = remaining - expected
@@ -232,7 +232,7 @@ def tracking(header: np.ndarray, elements: np.ndarray, known: np.ndarray, values
 
 @kernel_jit
 def since(known: np.ndarray, slot: int, keep: bool) -> int:
-    """Largest regime that a way-point has caused since the last publication of a state; that of `known` otherwise."""
+    """Largest regime caused by a way-point since the last publication of a state; reset with `keep`."""
     regime = int(known[_REGIME + slot])
     if keep:
         known[_REGIME + slot] = float(PLAIN)
@@ -241,7 +241,7 @@ def since(known: np.ndarray, slot: int, keep: bool) -> int:
 
 @kernel_jit
 def note_vehicle(motion: np.ndarray, known: np.ndarray) -> None:
-    """Remember where the vehicle is (m, m/s), shape (6,); what is not finite is not taken."""
+    """Store position and velocity of the vehicle (m, m/s), shape (6,), if all are finite."""
     for value in motion:
         if not math.isfinite(value):
             return
@@ -251,12 +251,12 @@ def note_vehicle(motion: np.ndarray, known: np.ndarray) -> None:
 
 @kernel_jit
 def quantize(values: np.ndarray, quanta: np.ndarray, codes: np.ndarray) -> bool:
-    """Residuals as multiples of a quantum, saturated to 16 bits; says whether all are finite.
+    """Residuals as multiples of a quantum, saturated to 16 bits; returns whether all are finite.
 
     Args:
         values: Residuals. Shape (n,).
-        quanta: Of each; 0 = it is not watched, and its code is 0. Shape (n,).
-        codes: Filled in. Shape (n,), int16.
+        quanta: Quantum of each; 0 = not watched, code 0. Shape (n,).
+        codes: Output. Shape (n,), int16.
     """
     finite = True
     for index in range(len(values)):

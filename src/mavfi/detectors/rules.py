@@ -1,9 +1,9 @@
-"""Rules of physics and protocol, compiled: each says which field of a publication breaks it.
+"""Rules of physics and protocol, compiled: each returns the field of a publication that violates it.
 
-Here those of what is predicted and planned; of what is followed, in `following`.
+This module covers prediction and planning; `following` covers way-point, command and tracking.
 
-A rule returns the place of the field among the header's and then the element's fields, or -1.  Comparisons are written
-so that a value that is no number breaks them.  `limits` is the record of `MissionLimits.numbers`.
+A rule returns the index of the field among the fields of the header and then of the element, or -1.  Comparisons are
+written so that NaN violates them.  `limits` is the record of `MissionLimits.numbers`.
 """
 
 import math
@@ -15,24 +15,24 @@ from mavfi.numerics.jit import kernel_jit
 from mavfi.states import STATES
 
 NO_COLLISION = 30.0
-"""`time_to_collision` where there is none (s)."""
+"""`time_to_collision` without a collision (s)."""
 POINT_WIDTH = 11
-"""Columns of a trajectory point, those of a way-point."""
+"""Columns of a trajectory point, equal to those of a way-point."""
 FINE = -1
-"""No field breaks the rule."""
+"""No violation."""
 EXACT = 1e-9
-"""Rounding."""
+"""Rounding tolerance."""
 _LARGEST_YAW = math.pi + 1e-6
 _END = 0.5
-"""Distance of a trajectory's end from its path's (m)."""
+"""Largest distance between the ends of a trajectory and its path (m)."""
 _WAY_BACK = 6.0
-"""Longest way back, where no way to the goal is found (m)."""
+"""Longest path back if no path to the goal is found (m)."""
 _SPLICE = 1e-3
-"""Between the start of a path and the point of a trajectory that it continues (m)."""
+"""Largest distance between the start of a path and the trajectory point that it continues (m)."""
 
 
 def places(state: str, *fields: str) -> tuple[int, ...]:
-    """Places of fields among those of a state's header and then of its elements."""
+    """Indices of fields among those of a state's header and then of its elements."""
     spec = STATES[state]
     names = [own.name for own in (*spec.header, *spec.elements)]
     return tuple(map(names.index, fields))
@@ -51,15 +51,15 @@ YAW, VELOCITY, ACCELERATION, DURATION = places("planning.waypoint", "yaw", "vx",
 
 @kernel_jit
 def status(header: np.ndarray, before: np.ndarray, trajectory: np.ndarray, limits: np.ndarray) -> int:
-    """Collision status: the counter grows by 0 or 1, and the flag says whether it has.
+    """Collision status: the counter grows by 0 or 1, and the flag says whether it has grown.
 
-    Repeated alarms have the flag and the counter of the first, which is above the epoch (-) of the last trajectory.
-    Time to collision (s) is that of no collision, or lies within what the camera sees.
+    Repeated alarms carry the flag and the counter of the first, which exceeds the counter of the last trajectory (-).
+    Time to collision (s) is that of no collision, or lies within the camera range.
 
     Args:
-        header: Of the status. Shape (1,).
-        before: Of the status published last. Shape (1,).
-        trajectory: Header of the trajectory published last. Shape (1,).
+        header: Header of the status. Shape (1,).
+        before: Header of the last published status. Shape (1,).
+        trajectory: Header of the last published trajectory. Shape (1,).
         limits: See the module.
     """
     new, limit = header[0], limits[0]
@@ -80,7 +80,7 @@ def status(header: np.ndarray, before: np.ndarray, trajectory: np.ndarray, limit
 
 @kernel_jit
 def known_space(header: np.ndarray, newest: int) -> int:
-    """Distances to blocked and to unknown space (m) along a trajectory with a number up to the newest, or none.
+    """Distances to blocked and to unknown space (m) along one of the two newest trajectories, or none.
 
     The collision flag is set if and only if space is blocked.
     """
@@ -97,7 +97,7 @@ def known_space(header: np.ndarray, newest: int) -> int:
 
 @kernel_jit
 def far_from(point: np.ndarray, other: np.ndarray, most: float) -> int:
-    """Axis along which two points are farther apart than `most` (m), or -1. Points have shape (3,)."""
+    """Axis along which the distance of two points exceeds `most` (m), or -1. Points have shape (3,)."""
     for axis in range(3):
         if not abs(point[axis] - other[axis]) <= most:
             return axis
@@ -106,7 +106,7 @@ def far_from(point: np.ndarray, other: np.ndarray, most: float) -> int:
 
 @kernel_jit
 def outside(point: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> int:
-    """Axis along which a point lies outside of a box (m), or -1. Shapes (3,)."""
+    """Axis along which a point lies outside a box (m), or -1. Shapes (3,)."""
     for axis in range(3):
         if not (lower[axis] <= point[axis] <= upper[axis]):
             return axis
@@ -118,16 +118,16 @@ def path(
     header: np.ndarray, vertices: np.ndarray, epochs: np.ndarray, vehicle: np.ndarray, flown: np.ndarray,
     limits: np.ndarray,
 ) -> int:  # fmt: skip
-    """Path: it answers a counter (-) that the planner can have known, and leads from the vehicle to the goal.
+    """Path: it answers a counter (-) that the planner can have read, and leads from the vehicle to the goal.
 
-    Vertices (m) lie in the flight box; the speed of entry (m/s) is 0 or about that of the vehicle.
+    Vertices (m) lie in the flight box; the entry speed (m/s) is 0 or close to that of the vehicle.
 
     Args:
-        header: Of the path. Shape (1,).
+        header: Header of the path. Shape (1,).
         vertices: Shape (n, 3).
         epochs: Counters that it can answer. Shape (m,).
         vehicle: Position (m) and velocity (m/s). Shape (6,).
-        flown: Points of the trajectory published last that has any. Shape (k, 11).
+        flown: Points of the last published trajectory that has any. Shape (k, 11).
         limits: See the module.
     """
     if not _contains(epochs, int(header[0]["future_collision_seq"])):
@@ -156,7 +156,7 @@ def _contains(epochs: np.ndarray, epoch: int) -> bool:
 
 @kernel_jit
 def _spliced(header: np.ndarray, limits: np.ndarray) -> bool:
-    """Whether a path continues the trajectory in force from a point of it."""
+    """Whether a path continues the trajectory in force from one of its points."""
     return bool(limits[0]["every_map"]) and int(header[0]["junction"]) != -1
 
 
@@ -179,7 +179,7 @@ def _start(
 
 @kernel_jit
 def _end(vertices: np.ndarray, header: np.ndarray, limits: np.ndarray) -> int:
-    """A path ends near the goal (m); a way back, not far from its start. `vertices` have shape (n, 3)."""
+    """A path ends near the goal (m); a path back ends near its start. `vertices` have shape (n, 3)."""
     last, limit = vertices[len(vertices) - 1], limits[0]
     axis = far_from(last, limit["goal"], limit["near"])
     if axis >= 0 and limit["every_map"] and not _spliced(header, limits) and header[0]["entry_speed"] == 0.0:
@@ -189,7 +189,7 @@ def _end(vertices: np.ndarray, header: np.ndarray, limits: np.ndarray) -> int:
 
 @kernel_jit
 def _junction(start: np.ndarray, flown: np.ndarray, said: int) -> int:
-    """Index of the point of a trajectory, shape (n, 11), at which a path starts (m), preferably the one said; or -1."""
+    """Index of the point of a trajectory, shape (n, 11), at which a path starts (m), `said` if that fits; or -1."""
     if 0 <= said < len(flown) and far_from(start, flown[said, :3], _SPLICE) < 0:
         return said
     for index in range(len(flown)):
@@ -203,13 +203,13 @@ def trajectory(
     header: np.ndarray, points: np.ndarray, before: np.ndarray, path_header: np.ndarray, end: np.ndarray,
     vehicle: np.ndarray, limits: np.ndarray,
 ) -> int:  # fmt: skip
-    """Trajectory: its number and epoch (-) follow, it leads from the vehicle to the end of the path (m).
+    """Trajectory: its number is the next, its counter (-) is the path's; it leads from the vehicle to the path's end.
 
     Args:
-        header: Of the trajectory. Shape (1,).
+        header: Header of the trajectory. Shape (1,).
         points: Shape (n, 11).
-        before: Header of the trajectory published last. Shape (1,).
-        path_header: Of the path published last. Shape (1,).
+        before: Header of the last published trajectory. Shape (1,).
+        path_header: Header of the last published path. Shape (1,).
         end: Last vertex of that path (m). Shape (3,), or (0,) if it has none.
         vehicle: Position (m) and velocity (m/s). Shape (6,).
         limits: See the module.
@@ -236,13 +236,13 @@ def trajectory(
 
 @kernel_jit
 def point(values: np.ndarray, last: bool, limits: np.ndarray) -> int:
-    """Column of a point that cannot be, or -1.
+    """Column of an implausible value of a point, or -1.
 
     It lies in the flight box (m), and its speed (m/s), yaw (rad), acceleration (m/s^2) and duration (s) are possible.
 
     Args:
         values: The point. Shape (11,).
-        last: Whether it is one of the last two, which may be shorter than the others.
+        last: Whether it is one of the last two, whose duration may be shorter.
         limits: See the module.
     """
     limit = limits[0]
@@ -258,7 +258,7 @@ def point(values: np.ndarray, last: bool, limits: np.ndarray) -> int:
     if found >= 0:
         return VELOCITY + found
     for axis in range(3):
-        # held points are tracked without it: whatever is finite will do
+        # held points are tracked without acceleration: any finite value is accepted
         if not (limit["held"] or abs(values[ACCELERATION + axis]) <= limit["acceleration"]):
             return ACCELERATION + axis
     duration, period = values[DURATION], limit["point_period"]
@@ -268,14 +268,14 @@ def point(values: np.ndarray, last: bool, limits: np.ndarray) -> int:
 
 @kernel_jit
 def step(values: np.ndarray, before: np.ndarray, last: bool, limits: np.ndarray) -> int:
-    """Column of a point that does not continue the one before it, or -1.
+    """Column in which a point does not continue the previous one, or -1.
 
-    Its position (m) is that of its velocity and duration; velocities (m/s) change as accelerations allow.
+    The position (m) follows from velocity and duration; velocities (m/s) change within the acceleration limit.
 
     Args:
         values: The point. Shape (11,).
-        before: The one before it. Shape (11,).
-        last: Whether the trajectory ends there, at rest.
+        before: The previous point. Shape (11,).
+        last: Whether it is the end of the trajectory, at rest.
         limits: See the module.
     """
     limit = limits[0]

@@ -1,4 +1,4 @@
-"""What detectors see in recorded flights, for training: by the functions that they fly with."""
+"""Training samples: detector features of recorded flights, computed by the functions used in flight."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from mavfi.errors import BadInputError
 
 @dataclass(frozen=True)
 class Sample:
-    """What a detector sees in all flights.
+    """Features of all flights.
 
     Attributes:
-        vectors: Last delta of every field at each publication. Shape (m, n), int16.
-        slots: State that was published. Shape (m,), int64.
+        vectors: Latest delta of every field at each publication. Shape (m, n), int16.
+        slots: Index of the published state. Shape (m,), int64.
         regimes: Shape (m,), int64.
-        first: Whether it was the first publication of its state in a flight: it has no delta. Shape (m,), bool.
+        first: Whether it is the first publication of its state in a flight, without a delta. Shape (m,), bool.
     """
 
     vectors: np.ndarray
@@ -29,7 +29,7 @@ class Sample:
 
 
 def sample_of(events: features.Events, preprocessor: Preprocessor) -> Sample:
-    """The vectors of one flight, odometry included; the preprocessor is reset before and after."""
+    """Sample of one flight, including odometry; the preprocessor is reset before and after."""
     count = len(events.slots)
     vectors, regimes = np.zeros((count, len(preprocessor.fields)), np.int16), np.zeros(count, np.int64)
     preprocessor.start()
@@ -41,7 +41,7 @@ def sample_of(events: features.Events, preprocessor: Preprocessor) -> Sample:
 
 
 def collect(recordings: Sequence[Recording], preprocessor: Preprocessor) -> Sample:
-    """The vectors of all flights.
+    """Sample of all flights.
 
     Raises:
         BadInputError: A watched state was never published, or a published number is not finite.
@@ -58,13 +58,13 @@ def collect(recordings: Sequence[Recording], preprocessor: Preprocessor) -> Samp
 
 
 def check_finite(sample: Sample) -> None:
-    """Refuse recordings with numbers that are not finite."""
+    """Reject recordings with numbers that are not finite."""
     if np.any(sample.regimes < 0):
         raise BadInputError("training: a recorded flight holds numbers that are not finite")
 
 
 def join(parts: Sequence[Sample]) -> Sample:
-    """All flights in one, in their order."""
+    """Concatenate the samples of all flights, in order."""
     return Sample(*(np.concatenate([getattr(part, name) for part in parts]) for name in Sample.__annotations__))
 
 
@@ -80,9 +80,9 @@ def regime_limits(peaks: np.ndarray, counts: np.ndarray, margin: float, smallest
 
     Args:
         peaks: Largest distance in training. Shape (n, regimes).
-        counts: Samples that it was found in. Shape (n, regimes).
+        counts: Number of samples. Shape (n, regimes).
         margin: Limit / largest distance.
-        smallest: Samples below which a regime takes the largest limit of its field's regimes.
+        smallest: A regime with fewer samples takes the largest limit among the regimes of its field.
     """
     limit = margin * peaks
     found: list[list[float]] = np.where(counts < smallest, limit.max(axis=1, keepdims=True), limit).tolist()

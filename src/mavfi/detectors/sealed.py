@@ -1,7 +1,7 @@
-"""Detectors that compare what arrives with what its producer sent: a checksum, and the bound that no detector exceeds.
+"""Detectors that compare the arriving value with the one sent: a checksum, and the upper bound for any detector.
 
-The host calls `seal` with each value as its producer hands it over, and then `check` with what came of it.  So they see
-what happens to a value on its way, and nothing that happens before: a wrong result has the right checksum.
+The host calls `seal` with each value as its producer sends it, and then `check` with the value that arrives.  They
+detect corruption in transit but no earlier errors: a wrong result has a valid checksum.
 """
 
 from abc import ABC, abstractmethod
@@ -13,13 +13,13 @@ from mavfi.numerics.crc import crc32c
 from mavfi.states import PPC_STAGES, STATES, State, StateSpec
 
 DIFFERENT = 2.0
-"""Score of a value that is not what was sent."""
+"""Score of a value that differs from the one sent."""
 ALL = frozenset(name for name, spec in STATES.items() if spec.stage in PPC_STAGES)
-"""What kernels publish."""
+"""States published by kernels."""
 
 
 def _is_large(spec: StateSpec) -> bool:
-    """Whether it holds what a camera sees: some 10 to 100 kB, the others some 100 bytes (a trajectory: 10 kB)."""
+    """Whether it carries camera data: some 10 to 100 kB, others some 100 bytes (a trajectory: 10 kB)."""
     return bool(spec.elements) and spec.stage == "perception"
 
 
@@ -27,10 +27,10 @@ SMALL = frozenset(name for name in ALL if not _is_large(STATES[name]))
 
 
 class Sealed(ABC):
-    """Base of both.  From one publication to the next nothing is remembered.
+    """Base of both, without memory between publications.
 
     Args:
-        states: Names of the states that are sealed.
+        states: Names of the sealed states.
     """
 
     source: str
@@ -41,40 +41,40 @@ class Sealed(ABC):
 
     @abstractmethod
     def intact(self, state: State) -> bool:
-        """Whether a value is what was sealed last."""
+        """Whether a value equals the one sealed last."""
 
     @abstractmethod
     def close(self, state: State) -> None:
         """Seal a value."""
 
     def start(self) -> None:
-        """Forget the last flight."""
+        """Reset the memory at the start of a flight."""
         self._sealed = ""
 
     def seal(self, state: State, time_us: int) -> None:
-        """Take a value as its producer hands it over."""
+        """Seal a value as its producer sends it."""
         self._sealed = state.spec.name if state.spec.name in self._states else ""
         if self._sealed:
             self.close(state)
 
     def score(self, state: State, time_us: int) -> float | None:
-        """2 of a value that is not what was sent, else 0; None if it was not sealed."""
+        """2 for a value that differs from the one sent, else 0; None if it was not sealed."""
         if state.spec.name != self._sealed:
             return None
         return 0.0 if self.intact(state) else DIFFERENT
 
     def check(self, state: State, time_us: int) -> Alarm | None:
-        """Judge a publication."""
+        """Check a publication."""
         score = self.score(state, time_us)
         if not score:
             return None
         return Alarm(self.source, state.spec.stage.value, score=score, fields=(state.spec.name,), hard=True)
 
     def accept(self, state: State, time_us: int) -> None:  # noqa: B027 - there is nothing to remember
-        """Nothing is learned."""
+        """No effect: nothing is learned."""
 
     def memory(self) -> tuple[()]:
-        """What is remembered, see `Detector`."""
+        """Memory between publications, see `Detector`."""
         return ()
 
     def restore(self, memory: tuple[()]) -> None:
@@ -86,7 +86,7 @@ class Checksum(Sealed):
     """CRC-32C of header and elements.
 
     Args:
-        large: Whether clouds and map updates have one, too.
+        large: Whether to include clouds and map updates.
     """
 
     source = "checksum"
@@ -96,16 +96,16 @@ class Checksum(Sealed):
         self._sum = 0
 
     def close(self, state: State) -> None:
-        """Note the checksum."""
+        """Store the checksum."""
         self._sum = checksum(state)
 
     def intact(self, state: State) -> bool:
-        """Whether a value has the checksum that was noted."""
+        """Whether a value has the stored checksum."""
         return checksum(state) == self._sum
 
 
 class Oracle(Sealed):
-    """An alarm at exactly the values that were changed on their way: a bound for detectors of faults in states."""
+    """An alarm for exactly the values corrupted in transit: upper bound for detectors of faults in states."""
 
     source = "oracle"
 
@@ -114,11 +114,11 @@ class Oracle(Sealed):
         self._sent: State | None = None
 
     def close(self, state: State) -> None:
-        """Keep it; published values never change."""
+        """Store the value; published values never change."""
         self._sent = state
 
     def intact(self, state: State) -> bool:
-        """Whether a value is the kept one, bit for bit."""
+        """Whether a value equals the stored one, bit for bit."""
         return self._sent is not None and (state is self._sent or state.same_bits(self._sent))
 
 

@@ -1,4 +1,4 @@
-"""Fits trained detectors to error-free flights.  The flights come from elsewhere; nothing here flies."""
+"""Fits trained detectors to recorded error-free flights."""
 
 from collections.abc import Collection, Mapping, Sequence
 from importlib.metadata import version
@@ -24,16 +24,16 @@ def fit(
     monitored: str = "paper-13",
     extras: Collection[str] = (),
 ) -> dict[str, Model]:
-    """Fit every detector that learns: those of monitored fields in both profiles, those of all fields in one.
+    """Fit all trainable detectors: those of monitored fields in both profiles, those of all fields in one.
 
     Args:
-        recordings: Error-free flights, 100 or more for thresholds that hold; with codes of all fields or without.
-        provenance: Where they come from: stack, platform, v_max, planner, and whatever else tells (seeds, flights).
+        recordings: Error-free flights, 100 or more for stable thresholds; with or without codes of all fields.
+        provenance: Origin of the flights: stack, platform, v_max, planner, and further keys (seeds, flights).
         monitored: Name of the set of monitored fields.
-        extras: Detectors that need packages of these are fitted, too: "bench".
+        extras: Include detectors that need packages of these extras: "bench".
 
     Returns:
-        Models by "<kind>-<profile>".  The same recordings give the same models.
+        Models by "<kind>-<profile>".  Identical recordings give identical models.
 
     Raises:
         BadInputError: The recordings lack publications, or hold numbers that are not finite.
@@ -58,7 +58,7 @@ def fit(
 def fit_all_fields(
     recordings: Sequence[Recording], origin: Mapping[str, Any], extras: Collection[str] = ()
 ) -> dict[str, Model]:  # fmt: skip
-    """Fit every detector of all fields; none if the recordings have no codes of these.  Arguments as of `fit`."""
+    """Fit all detectors of all fields; none if the recordings lack their codes.  Arguments as for `fit`."""
     found = [Codes(recording.slots, recording.regimes, recording.codes) for recording in recordings]
     if not all(len(codes.slots) for codes in found):
         return {}
@@ -83,7 +83,7 @@ def save(models: Mapping[str, Model], folder: Path) -> list[Path]:
 
 
 def innovations(recording: Recording) -> dict[str, np.ndarray]:
-    """By prediction, errors (m) of way-points predicted from the one before on the same trajectory. Shape (k, 3)."""
+    """By prediction, errors (m) of way-points predicted from the previous one of the same trajectory. Shape (k, 3)."""
     _, headers = recording.headers("planning.waypoint")
     position, velocity = (np.stack([headers[name] for name in names], 1) for names in (("x", "y", "z"), _VELOCITY))
     same = headers["trajectory_seq"][1:] == headers["trajectory_seq"][:-1]
@@ -94,7 +94,7 @@ def innovations(recording: Recording) -> dict[str, np.ndarray]:
 
 
 def best_prediction(recordings: Sequence[Recording]) -> tuple[str, dict[str, dict[str, float]]]:
-    """Key of `preprocess.PREDICTIONS` that fits best; by prediction, the 99 % quantile and the largest error (m)."""
+    """Best-fitting key of `preprocess.PREDICTIONS`; by prediction, the 99 % quantile and the largest error (m)."""
     found = [innovations(recording) for recording in recordings]
     told = {}
     for name in PREDICTIONS:

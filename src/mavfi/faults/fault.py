@@ -1,7 +1,7 @@
-"""Planned faults: one type for each level, all pure data.  The event that follows is a `flight_log.Injection`.
+"""Planned faults: one type for each level, all pure data.  The resulting event is a `flight_log.Injection`.
 
 Each has `level`, `site` (text), `stratum`, `weight`, `seed`, `bit`, `has_site` and `to_json`; `fault_from_json` reads
-any of them.
+all levels.
 """
 
 from collections.abc import Mapping
@@ -14,25 +14,25 @@ from mavfi.faults import strata
 from mavfi.states import KERNELS, STATES, find_state
 
 NO_SITE = -1
-"""`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden flight has no site."""
+"""`StateFault.time_us` or `InstructionFault.call` of a draw for which the golden run has no site."""
 Model = Literal["one_bit", "bits", "random", "zero"]
 MODELS: tuple[Model, ...] = get_args(Model)
 RESTART_S = 0.57
-"""Time until a node that died is there again: a ROS 1 node killed and started again by roslaunch, measured (s)."""
+"""Restart time of a node after a crash: measured for a ROS 1 node killed and respawned by roslaunch (s)."""
 REGISTERS = ("all", "general", "fp")
 ACCESSES = ("either", "read", "write")
 DEFAULT_WALK = 16
-"""Longer than the loops at whose few instructions stops come. From here on injections spread no further, and the target
-stands still for longer (docs/ros-attach.md)."""
+"""Longer than the loops at whose few instructions stops occur.  Longer walks spread injections no further, and stop the
+target for longer (docs/ros-attach.md)."""
 LIFETIME = {"lasts_s": 0.0, "share": 1.0, "width": 1, "times": 1}
-"""Defaults of the keys of a `StateFault` that say how long it lasts and how many bits it has."""
+"""Defaults of the duration and width of a `StateFault`."""
 LONGEST_WALK = 100_000
 LONGEST_TIMEOUT = 3600.0
 
 
 @dataclass(frozen=True, slots=True)
 class FaultSite:
-    """A field of an inter-kernel state, in one of its elements if it is in a list."""
+    """A field of an inter-kernel state, and the index of its element if it is in a list."""
 
     state: str
     field: str
@@ -45,18 +45,18 @@ class FaultSite:
 
 @dataclass(frozen=True, slots=True)
 class _Planned:
-    """What the levels have in common."""
+    """Common base of all levels."""
 
     level: ClassVar[str]
 
     @property
     def has_site(self) -> bool:
-        """Whether there is something to change, as far as is known before the run."""
+        """Whether there is a value to change, as far as known before the run."""
         return getattr(self, "time_us", 0) != NO_SITE
 
     @property
     def bit_class(self) -> str:
-        """What the bit means, e.g. "exponent"; "" where that is not known."""
+        """Meaning of the bit, e.g. "exponent"; "" if unknown."""
         return ""
 
     def to_json(self) -> dict[str, Any]:
@@ -65,26 +65,26 @@ class _Planned:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """Inverse of `to_json`, without the level; a BadInputError if it is none."""
+        """Inverse of `to_json`, without the level; invalid data is a BadInputError."""
         return checked(cls, data, f"fault of level {cls.level}")
 
 
 @dataclass(frozen=True, slots=True)
 class StateFault(_Planned):
-    """One bit of one field of one publication of an inter-kernel state, once, or of several publications.
+    """A bit of a field in one publication of an inter-kernel state, or in several publications.
 
     Attributes:
         where: State, field, element.
         time_us: The first publication at or after this instant is changed (of those that consumers act on); `NO_SITE`
-            = the golden flight has no site for what was drawn, which is reported and never redrawn.
-        bit: Bit that is flipped; None = null fault: the whole path through the injector with an empty mask.
-        stratum: Stratum of the draw, e.g. "sign_exponent" (see faults/strata.py), "" where named by hand.
+            = the golden run has no site for the drawn field, which is reported and never redrawn.
+        bit: Bit to flip; None = null fault: the whole path through the injector with an empty mask.
+        stratum: Stratum of the draw, e.g. "sign_exponent" (see faults/strata.py), "" if the bit was given.
         weight: Probability that a bit drawn from the whole word falls in the stratum, for whole-word rates.
         seed: Seed of the draw.
         lasts_s: Time for which the bit is stuck at its flipped value, in every publication (s); "inf" = for ever.
         share: Probability that a publication after the first one is changed, drawn by the seed; 1 = all.
-        width: Number of adjacent bits that are flipped, from `bit` on.
-        times: Number of publications, recomputed ones included, in which the bit is stuck at least.
+        width: Number of adjacent bits to flip, starting at `bit`.
+        times: Least number of publications, including recomputed ones, in which the bit is stuck.
 
     Raises:
         BadInputError: A number out of range.
@@ -127,14 +127,14 @@ class StateFault(_Planned):
         return "" if self.bit is None else strata.bit_class(field, self.bit)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; what is said only of faults that last or are wider than a bit is left out of the others."""
+        """Plain data; keys of `LIFETIME` with default values are omitted."""
         own = {name: value for name, value in LIFETIME.items() if getattr(self, name) == value}
         data = {name: value for name, value in _Planned.to_json(self).items() if name not in own}
         return data | ({"lasts_s": "inf"} if data.get("lasts_s") == float("inf") else {})
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """Inverse of `to_json`, without the level; a BadInputError if there is no such field or bit."""
+        """Inverse of `to_json`, without the level; an unknown field or bit is a BadInputError."""
         fault = checked(cls, data, "fault of level state")
         bits = strata.WORD_BITS[find_state(fault.where.state).find(fault.where.field).dtype]
         if fault.bit is not None and not 0 <= fault.bit <= bits - fault.width:
@@ -144,21 +144,21 @@ class StateFault(_Planned):
 
 @dataclass(frozen=True, slots=True)
 class MemoryFault(_Planned):
-    """One bit of a word that a kernel remembers, at an instant.
+    """One bit of a word in a kernel's memory, at an instant.
 
     Attributes:
         kernel: As in `states.KERNELS`.
-        field: Name of the word in its memory, e.g. "decisions.acted_seq" (see `pipeline.words`).
-        index: Of the word, where several have the name.
+        field: Name of the word, e.g. "decisions.acted_seq" (see `pipeline.words`).
+        index: Index of the word if several share the name.
         dtype: Type of the word: "f8", "f4", "i8", "i4", "i2", "u8", "u1" or "?".
-        time_us: Before the steps of this instant; `NO_SITE` = the golden flight had no such word when it was drawn.
-        bit: Bit that is flipped; None = null fault: the whole path through the injector with an empty mask.
+        time_us: Injected before the steps of this instant; `NO_SITE` = the golden run had no such word.
+        bit: Bit to flip; None = null fault: the whole path through the injector with an empty mask.
         stratum: Stratum of the draw, e.g. "sign_exponent" (see faults/strata.py), "" = whole words.
         weight: Probability that a bit drawn from the whole words of its target falls in the stratum.
         seed: Seed of the draw.
 
     Raises:
-        BadInputError: There is no such kernel, type or bit.
+        BadInputError: Unknown kernel, type or bit.
     """
 
     level: ClassVar[Literal["memory"]] = "memory"
@@ -194,25 +194,25 @@ class MemoryFault(_Planned):
 
 @dataclass(frozen=True, slots=True)
 class InstructionFault(_Planned):
-    """The result of one dynamic instruction of one call of a compiled function, once.
+    """The result of one dynamic instruction in one call of a compiled function, once.
 
     Attributes:
         function: Module and name of the compiled function.
-        ir_sha256: Digest of the IR in which the index counts; other machine code is refused.
-        index: Which of the values that the call writes, from 0.
-        call: Which call of the flight, from 0; `NO_SITE` = the kernel executes no such instruction.
-        bits: Bits that are flipped; empty: the whole value is replaced.
-        value: What replaces it, as an integer.
-        budget: Values that the call may write before it counts as hanging; 0 = three times as many as without a fault
-            and 10,000 more.
-        which: The class of instructions from which it was drawn.
-        model: What becomes of the value.
-        kernel: The kernel in whose name it was drawn, as in `states.KERNELS`; "" = a function of a user's own.
-        entry: Attribute of `pipeline.functions.KernelFunctions`; "" = a function of a user's own.
+        ir_sha256: Digest of the IR to which the index refers; other machine code is rejected.
+        index: Dynamic index among the values that the call writes, from 0.
+        call: Index of the call in the flight, from 0; `NO_SITE` = the kernel executes no such instruction.
+        bits: Bits to flip; empty: the whole value is replaced.
+        value: Replacement value, as an integer.
+        budget: Values that the call may write before it counts as a hang; 0 = three times the fault-free number plus
+            10,000.
+        which: Class of instructions from which it was drawn.
+        model: How the value is changed.
+        kernel: Kernel for which it was drawn, as in `states.KERNELS`; "" = a user's own function.
+        entry: Attribute of `pipeline.functions.KernelFunctions`; "" = a user's own function.
         value_class: "floating_point", "integer", "address" or "control".
-        restart_s: Time after which a dead node is back (s).
-        stratum: What the bit means: "sign", "exponent", "mantissa" or "other"; "" where not drawn.
-        weight: Probability of its value class and line in a uniform draw / in this one; 1 = the same.
+        restart_s: Time after which a crashed node has restarted (s).
+        stratum: Meaning of the bit: "sign", "exponent", "mantissa" or "other"; "" if not drawn.
+        weight: Probability of its value class and line in a uniform draw / in this draw; 1 = equal.
         seed: Seed of the draw.
     """
 
@@ -241,33 +241,33 @@ class InstructionFault(_Planned):
 
     @property
     def bit(self) -> int | None:
-        """The bit that is flipped, if it is one."""
+        """The flipped bit, if there is exactly one."""
         return self.bits[0] if len(self.bits) == 1 else None
 
     @property
     def has_site(self) -> bool:
-        """Whether the golden flight executed such an instruction when the fault was drawn."""
+        """Whether the golden run executed such an instruction."""
         return self.call != NO_SITE
 
     @property
     def bit_class(self) -> str:
-        """What the bit means in the value."""
+        """Meaning of the bit in the value."""
         return self.stratum
 
     @property
     def masks(self) -> tuple[int, int]:
-        """Keep and flip: the value becomes (value & keep) ^ flip."""
+        """Keep and flip masks: the value becomes (value & keep) ^ flip."""
         if self.bits:
             return -1, sum(1 << bit for bit in self.bits)
         return 0, self.value
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; the value as hexadecimal text, since it may have more bits than numbers in JSON."""
+        """Plain data; the value as hexadecimal text, since it may exceed the range of JSON numbers."""
         return {"level": self.level, **asdict(self), "bits": list(self.bits), "value": hex(self.value)}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Self:
-        """Inverse of `to_json`, without the level; a BadInputError if it is none."""
+        """Inverse of `to_json`, without the level; invalid data is a BadInputError."""
         try:
             value = int(data["value"], 16)
         except (KeyError, TypeError, ValueError):
@@ -280,14 +280,14 @@ class MessageFault(_Planned):
     """A number in messages of a ROS topic.
 
     Attributes:
-        topic: Its name.
+        topic: Name of the topic.
         field: Path of a number, e.g. `position[0]`.
         bit: 0 = least significant; None = drawn for each injection.
-        at: The first message that may be changed; they are counted from 1.
+        at: Number of the first message that may be changed, from 1.
         rate: Probability that a message is changed; None = one message, once.
-        stratum: "" = not drawn by stratum.
-        weight: 1.
-        seed: Draws messages and bits.
+        stratum: Always "": not drawn by stratum.
+        weight: Always 1.
+        seed: Seed of the choice of messages and bits.
 
     Raises:
         BadInputError: A number out of range.
@@ -320,21 +320,21 @@ class RegisterFault(_Planned):
     """One bit of a register that an instruction of a live process reads or writes, once.
 
     Attributes:
-        registers: "general" (with the flags), "fp" (XMM and YMM), or "all".
-        access: A register that the next instruction reads, before it; or one that it has written, after it; or
-            "either".
-        symbol: Function at whose next call the target is stopped: its exact name, or a part that no other name has.
-            "" = stop wherever the target is.
-        thread: Thread; 0 = the busiest, or with a symbol whichever gets there first.
-        walk: From the stop on, a random number of instructions below this is executed before the injection.  A stop
-            between system calls comes at few, always the same instructions (skid); the walk spreads them.  1 = none.
+        registers: "general" (including flags), "fp" (XMM and YMM), or "all".
+        access: "read": a register that the next instruction reads, injected before it; "write": one that it writes,
+            injected after it; or "either".
+        symbol: Function at whose next call the target is stopped: its exact name, or a unique part of it.  "" = stop
+            at the current instruction.
+        thread: Thread; 0 = the busiest, or with a symbol the first to call it.
+        walk: A random number of instructions below this is single-stepped between stop and injection.  Stops between
+            system calls occur at few instructions, always the same (skid); the walk spreads them.  1 = none.
         timeout: Longest wait (s).
         null: Do everything but flip the bit.
-        node: ROS node whose process it is; "" = the process is named by its pid.
-        time_us: From when on, of a flight (us).
-        stratum: "" = not drawn by stratum.
-        weight: 1.
-        seed: All choices come from it; the instant does not: a process that runs freely cannot be replayed.
+        node: ROS node that owns the process; "" = the process is given by its pid.
+        time_us: Earliest instant in the flight (us).
+        stratum: Always "": not drawn by stratum.
+        weight: Always 1.
+        seed: Determines all choices but the instant: a free-running process cannot be replayed.
 
     Raises:
         BadInputError: A value that is not allowed.
@@ -368,7 +368,7 @@ class RegisterFault(_Planned):
 
     @property
     def steps(self) -> bool:
-        """Whether instructions of the target are executed one by one."""
+        """Whether the target is single-stepped."""
         return self.walk > 1 or self.access != "read"
 
     @property
@@ -378,7 +378,7 @@ class RegisterFault(_Planned):
 
     @property
     def bit(self) -> None:
-        """Drawn when the process has been stopped."""
+        """None: the bit is drawn after the process has stopped."""
         return None
 
 
@@ -390,7 +390,7 @@ LEVELS: dict[str, type[Fault]] = {
 
 
 def fault_from_json(data: dict[str, Any]) -> Fault:
-    """Inverse of `to_json` of any fault; raises a BadInputError if there is no such level."""
+    """Inverse of `to_json` of any fault; an unknown level is a BadInputError."""
     given = dict(data) if isinstance(data, dict) else {}
     level = given.pop("level", None)
     if not isinstance(level, str) or level not in LEVELS:

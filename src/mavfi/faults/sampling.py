@@ -1,7 +1,7 @@
-"""The sampling scheme: a seed and a golden profile become a fault, before any injected flight.
+"""The sampling scheme: seed and golden profile determine a fault, before any injected flight.
 
 `stage_balanced` (the paper's equal number of injections per stage): state of the stage, uniform; field, uniform;
-publication, uniform; element, uniform; bit, uniform in a stratum.  The same draw serves any named group of fields.
+publication, uniform; element, uniform; bit, uniform within a stratum.  The same draw serves any named group of fields.
 """
 
 import zlib
@@ -17,7 +17,7 @@ from mavfi.flight_log import Profile
 from mavfi.states import MONITORED_SETS, PPC_STAGES, STACKS, STATES, StateSpec, find_state, states_with
 
 FAULT_PURPOSE = 3
-"""First part of the spawn key of every stream that faults are drawn from."""
+"""First part of the spawn key of every fault stream."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class Target:
     fields: dict[str, tuple[str, ...]]
 
     def within(self, stratum: str) -> "Target":
-        """The part whose words have bits of the stratum; raises a BadInputError if it is empty."""
+        """The fields with bits in the stratum; raises a BadInputError if there are none."""
         kept = {
             state: tuple(name for name in names if bits_of(STATES[state].find(name), stratum))
             for state, names in self.fields.items()
@@ -39,12 +39,12 @@ class Target:
         return Target(self.name, kept)
 
     def probability(self, state: str) -> float:
-        """Probability that any one field of the state is drawn."""
+        """Probability of drawing any given field of the state."""
         return 1 / len(self.fields) / len(self.fields[state])
 
 
 def live_fields(spec: StateSpec, stack: str) -> tuple[str, ...]:
-    """Names of the fields that some consumer reads, each name once; for a user's own stack, those of any stack."""
+    """Unique names of the fields that some consumer reads; for a user's own stack, those read in any shipped stack."""
     stacks = (stack,) if stack in STACKS else STACKS
     live = (field.name for field in spec.fields if not all(field.dead_in(name) for name in stacks))
     return tuple(dict.fromkeys(live))
@@ -55,8 +55,8 @@ def stage_target(
 ) -> Target:  # fmt: skip
     """All live fields of the states of a stage.
 
-    The autopilot profile (`stack`) decides which fields are dead, the localization which states there are; a monitored
-    set leaves only its own fields. Raises a BadInputError if there is no such stage or set.
+    The autopilot profile (`stack`) determines dead fields, the localization the existing states; a monitored set
+    restricts them to its own fields. Raises a BadInputError for an unknown stage or set.
     """
     if stage not in PPC_STAGES:
         raise BadInputError(f"stage {stage!r}: not known; allowed: {', '.join(PPC_STAGES)}")
@@ -72,7 +72,7 @@ def stage_target(
 def group_target(name: str, sites: Sequence[str], localization: str = "truth") -> Target:
     """The named fields, e.g. "planning.waypoint.x".
 
-    Raises a BadInputError if a site names no state or no field, or a state that this localization does not publish.
+    Raises a BadInputError if a site is not a known field, or its state is not published with this localization.
     """
     fields: dict[str, tuple[str, ...]] = {}
     for site in sites:
@@ -94,10 +94,10 @@ def stream(seed: int, *key: int | str) -> np.random.Generator:
 
 
 def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: int | str) -> StateFault:
-    """Draw one fault: a field of the target, a publication of the golden flight, and a bit of the stratum.
+    """Draw one fault: a field of the target, a publication of the golden run, and a bit of the stratum.
 
-    Its time is `NO_SITE` if the golden flight never published the field. The address is environment and number in the
-    mission: without it, environments that share seeds would be injected at the same sites.
+    Its time is `NO_SITE` if the golden run never published the field. The address is environment and number in the
+    mission: without it, environments with equal seeds would be injected at the same sites.
     """
     random = stream(seed, target.name, *address)
     part = target.within(stratum)
@@ -118,9 +118,9 @@ def draw(target: Target, stratum: str, profile: Profile, seed: int, *address: in
 
 
 def share_out(shares: Mapping[str, float], count: int, seed: int, *address: str) -> list[str]:
-    """Give each of `count` faults its stratum: exact shares (largest remainder), in an order that the seed draws.
+    """Assign a stratum to each of `count` faults: exact shares (largest remainder), in an order drawn by the seed.
 
-    Shares need not add up to 1. The address is environment and name of the target; each has an order of its own.
+    Shares need not add up to 1. The address is environment and name of the target; each has its own order.
     """
     total = sum(shares.values())
     exact = {stratum: count * share / total for stratum, share in shares.items()}
@@ -133,10 +133,10 @@ def share_out(shares: Mapping[str, float], count: int, seed: int, *address: str)
 
 
 def draw_publication(random: np.random.Generator, profile: Profile, site: FaultSite) -> tuple[int, int | None]:
-    """Draw a publication of the golden flight that carries the field, uniformly, and an element if none is named.
+    """Draw a publication of the golden run that contains the field, uniformly, and an element if none is given.
 
     Returns:
-        Instant (us), or `NO_SITE`, and the element, or None where the field is not in a list.
+        Instant (us), or `NO_SITE`, and the element, or None if the field is not in a list.
     """
     times = profile.times_us.get(site.state, np.zeros(0, np.int64))
     counts = profile.counts.get(site.state, np.zeros(0, np.int32))

@@ -31,9 +31,9 @@ _LONGEST = 1e9
 
 @dataclass(frozen=True, slots=True)
 class StateRequest:
-    """A fault in a state as a user names it: field, element of its list, bit, earliest instant; what is None is drawn.
+    """A fault in a state as requested by the user: field, list element, bit, earliest instant; None is drawn.
 
-    A null fault flips nothing; `lifetime` has the keys of `fault.LIFETIME` that were named.
+    A null fault flips nothing; `lifetime` has the given keys of `fault.LIFETIME`.
     """
 
     state: StateSpec
@@ -46,17 +46,17 @@ class StateRequest:
 
     @property
     def needs_profile(self) -> bool:
-        """Whether the golden flight must be flown first, to draw from its publications."""
+        """Whether the golden run is needed first, to draw from its publications."""
         some_element = bool(self.state.elements) and self.element is None
         return self.time_us is None or some_element
 
     def resolve(self, seed: int, stack: str, profile: Profile | None = None) -> StateFault:
-        """Draw what was not named; bits uniformly from the whole word.
+        """Draw what was not given; bits uniformly from the whole word.
 
         Args:
             seed: Seed of the fault.
-            stack: Name of the autopilot profile; a field that nothing reads is injected only if it was named.
-            profile: Publications of the golden flight, where `needs_profile`.
+            stack: Name of the autopilot profile; a field without consumers is injected only if requested.
+            profile: Publications of the golden run, if `needs_profile`.
         """
         random = stream(seed, "spec", self.state.name)
         field, width = self._field(random, stack), self.lifetime.get("width", 1)
@@ -81,7 +81,7 @@ class StateRequest:
         return fields[int(random.integers(len(fields)))]
 
     def _later(self, profile: Profile) -> Profile:
-        """The publications from which the element is drawn: only the first one from the named time on."""
+        """The publications from which the element is drawn: only the first one from the requested time on."""
         name = self.state.name
         if self.time_us is None or name not in profile.times_us:
             return profile
@@ -91,13 +91,13 @@ class StateRequest:
 
 @dataclass(frozen=True, slots=True)
 class MemoryRequest:
-    """A fault in the memory of a kernel as a user names it; what is not named is drawn by exposure.
+    """A fault in the memory of a kernel as requested by the user; anything not given is drawn by exposure.
 
     Attributes:
         kernel: As in `states.KERNELS`.
-        field: Name of words, or a part of it, with an index if wanted (see `pipeline.words.Words.named`); "" = all.
+        field: Name of words, or a part of it, with an optional index (see `pipeline.words.Words.named`); "" = all.
         bit: None = drawn from the whole word.
-        time_us: None = drawn from the golden flight.
+        time_us: None = drawn from the golden run.
     """
 
     kernel: str
@@ -111,10 +111,10 @@ class InstructionRequest:
     """Faults in instructions to be drawn from one mission.
 
     Attributes:
-        kernels: How many faults in each kernel, by the names of `states.INJECTABLE`.
+        kernels: Number of faults in each kernel, by the names of `states.INJECTABLE`.
         which: Class of instructions, see `mavfi.faults.instruction.selection`.
-        model: What becomes of the value.
-        restart_s: After which time a node that died is there again (s).
+        model: How the value is changed.
+        restart_s: Time after which a crashed node has restarted (s).
         sampling: "uniform" over dynamic instructions, or "stratified" by value class and source line, with weights.
     """
 
@@ -126,7 +126,7 @@ class InstructionRequest:
 
     @property
     def kernel(self) -> str:
-        """The first kernel: the only one of a request from the command line."""
+        """The first kernel: the only one of a command-line request."""
         return next(iter(self.kernels))
 
 
@@ -134,25 +134,25 @@ Request = StateRequest | MemoryRequest | InstructionRequest
 
 
 def parse(text: str, localization: str = "truth") -> Request:
-    """Read a fault from the command line.
+    """Parse a fault from the command line.
 
     Args:
-        text: `null` (the empty mask on the way-point in force), `state:` and a site, `memory:` and a kernel with a name
-            of what it remembers, or `instruction:` and a kernel.
-        localization: "truth" or "estimator", which decides what states there are.
+        text: `null` (the empty mask on the way-point in force), `state:` and a site, `memory:` and a kernel with an
+            optional name in its memory, or `instruction:` and a kernel.
+        localization: "truth" or "estimator", which determines the existing states.
 
     Raises:
-        BadInputError: It names no state, field, element or bit that exists; the message says what does.
+        BadInputError: Unknown state, field, element or bit; the message lists the existing ones.
     """
     level, _, rest = text.partition(":")
     return _PARSERS.get(level, _not_understood)(text, rest, localization)
 
 
 def parse_state(text: str, localization: str = "truth") -> StateRequest:
-    """Read a fault in a state, the only level that nodes of ROS take; see `parse`.
+    """Parse a fault in a state, the only level supported by ROS nodes; see `parse`.
 
     Raises:
-        BadInputError: It is of another level, or names nothing that exists.
+        BadInputError: Another level, or an unknown site.
     """
     level, _, rest = text.partition(":")
     return _STATE_PARSERS.get(level, _only_states)(text, rest, localization)
@@ -189,7 +189,7 @@ def _parse_memory(text: str, rest: str, localization: str) -> MemoryRequest:
 
 
 def _instant(text: str, seconds: str | None) -> int | None:
-    """An instant as text (s) in us."""
+    """An instant in text form (s), in us."""
     if seconds is None:
         return None
     if not float(seconds) < _LONGEST:
@@ -239,7 +239,7 @@ def _parse_state(text: str, rest: str, localization: str) -> StateRequest:
 
 
 def _lifetime(match: re.Match[str]) -> dict[str, Any]:
-    """The keys of `LIFETIME` that are named."""
+    """The given keys of `LIFETIME`."""
     found = {name: match[name.removesuffix("_s")] for name in LIFETIME}
     return {name: type(LIFETIME[name])(value) for name, value in found.items() if value is not None}
 

@@ -1,4 +1,4 @@
-"""State-level faults: one bit of one field of one published inter-kernel state, once, or for a time."""
+"""State-level faults: one bit of one field of a published inter-kernel state, once or for a limited time."""
 
 from copy import copy
 from dataclasses import replace
@@ -16,14 +16,14 @@ Number = float | int | bool
 
 
 def flip(state: State, site: FaultSite, bit: int | None, width: int = 1) -> tuple[State, Number, Number]:
-    """Flip one bit of one field in a copy of a state; gives the copy, and the field's value before and after.
+    """Flip one bit of one field in a copy of a state; returns the copy, and the field's value before and after.
 
     Args:
         state: A publication.
-        site: Field, and element where the field belongs to the elements (clamped to those that are there).
+        site: Field, and element if the field belongs to the elements (clamped to the existing ones).
         bit: 0 = least significant bit of the field (IEEE 754 binary32 or binary64, two's complement); a flag has
             bit 0 only; None = flip nothing.
-        width: Number of bits, from that one on.
+        width: Number of adjacent bits, starting at `bit`.
 
     Raises:
         BadInputError: The field has no such bit, or the state has no element.
@@ -36,14 +36,14 @@ def flip(state: State, site: FaultSite, bit: int | None, width: int = 1) -> tupl
 
 
 def mask_of(bit: int | None, width: int) -> int:
-    """Adjacent bits of a word, from one on; None = no bit."""
+    """Mask of adjacent bits, starting at `bit`; None = no bit."""
     return 0 if bit is None else ((1 << width) - 1) << bit
 
 
 def _with_bits(
     state: State, site: FaultSite, mask: int, stuck: int | None = None
 ) -> tuple[State, Number, Number, int]:  # fmt: skip
-    """A copy with some bits of a field flipped, or as those of the word `stuck`; its value before, after, its word."""
+    """A copy with masked bits of a field flipped, or set as in `stuck`; also value before and after, and new word."""
     changed = state.copy()
     in_elements = state.spec.in_elements(site.field)
     container = changed.elements if in_elements else changed.header
@@ -62,10 +62,10 @@ def _with_bits(
 
 
 class ActedOn:
-    """Tells which publications of one state consumers act upon: the same rule for drawing and for injecting.
+    """Selects the publications of one state that consumers act on: the same rule for drawing and injecting.
 
-    Where `StateSpec.acted_on` names a counter, these are the publications in which it grew beyond `last`, its value in
-    the publication before; elsewhere all.
+    If `StateSpec.acted_on` names a counter, these are the publications in which it exceeds `last`, its value in the
+    previous publication; otherwise all.
     """
 
     def __init__(self, spec: StateSpec) -> None:
@@ -73,7 +73,7 @@ class ActedOn:
         self.last = 0
 
     def __call__(self, state: State) -> bool:
-        """Whether consumers act on this publication, given those that were asked about before."""
+        """Whether consumers act on this publication, given the previous calls."""
         if not self._counter:
             return True
         value = int(state.header[self._counter][0])
@@ -83,7 +83,7 @@ class ActedOn:
 
 
 class CounterWatch:
-    """A tap in the injector's place that changes nothing, and keeps the counters that an injector has to know.
+    """A tap without effect, in place of the injector, that tracks the counters needed by a later injector.
 
     They are in `acted_on`, for the states of which consumers do not act on every publication.
     """
@@ -94,13 +94,13 @@ class CounterWatch:
         self.acted_on = {spec.name: ActedOn(spec) for spec in STATES.values() if spec.acted_on}
 
     def copy(self) -> "CounterWatch":
-        """One that has seen the same, and then sees other things."""
+        """An independent copy with the same counters."""
         other = CounterWatch()
         other.acted_on = {name: copy(acted_on) for name, acted_on in self.acted_on.items()}
         return other
 
     def same(self, other: object) -> bool:
-        """Whether both have seen the same counters last."""
+        """Whether both have the same latest counters."""
         return isinstance(other, CounterWatch) and all(
             acted_on.last == other.acted_on[name].last for name, acted_on in self.acted_on.items()
         )
@@ -114,15 +114,15 @@ class CounterWatch:
         return state
 
     def finish(self) -> list[Injection]:
-        """Nothing was done."""
+        """No injection."""
         return []
 
 
 class StateInjector:
-    """A tap that injects one fault, once or while it lasts; every other publication passes untouched."""
+    """A tap that injects one fault, once or while it lasts; all other publications pass unchanged."""
 
     def __init__(self, fault: StateFault, watch: CounterWatch | None = None) -> None:
-        """Arm the fault; `watch` has seen the publications before this injector is put in, None = there were none."""
+        """Arm the fault; `watch` has tracked all earlier publications, None = there were none."""
         self.injections: list[Injection] = []
         self._fault = fault
         self._spec = find_state(fault.where.state)
@@ -132,21 +132,21 @@ class StateInjector:
         self._spec.find(fault.where.field)
         self._armed = fault.has_site
         self._since_us, self._stuck = 0, 0
-        self._seen, self._changed = 0, 0  # publications since the fault began, and those that it changed
+        self._seen, self._changed = 0, 0  # publications since the fault began, and number of changed ones
 
     def copy(self) -> "StateInjector":
-        """One that has done the same, and then does other things."""
+        """An independent copy in the same state."""
         other = copy(self)
         other.injections, other._acted_on = list(self.injections), copy(self._acted_on)
         return other
 
     @property
     def spent(self) -> bool:
-        """Whether it will leave everything that comes untouched."""
+        """Whether all further publications will pass unchanged."""
         return not self._armed
 
     def __call__(self, state: State, time_us: int) -> State:
-        """The publication itself, or a copy with a bit flipped or stuck; `time_us` is now."""
+        """The publication itself, or a copy with a bit flipped or stuck; `time_us` is the current time."""
         if state.spec is not self._spec or not self._armed:
             return state
         acted_on, empty = self._acted_on(state), self._in_elements and len(state.elements) == 0
@@ -171,7 +171,7 @@ class StateInjector:
     def _inject(self, state: State, time_us: int) -> State:
         fault, site, first = self._fault, self._fault.where, not self._changed
         if self._in_elements:
-            # the list may be shorter than in the golden flight; the record names what was injected
+            # the list may be shorter than in the golden run; the record names the injected element
             site = replace(site, element=min(site.element or 0, len(state.elements) - 1))
         mask = mask_of(fault.bit, fault.width)
         injected, before, after, word = _with_bits(state, site, mask, None if first else self._stuck)
@@ -184,7 +184,7 @@ class StateInjector:
         return injected
 
     def finish(self) -> list[Injection]:
-        """The injection, where it lasts with the number of publications; one that says so if none ever came."""
+        """The injection; a lasting one with its number of publications; not activated if none was changed."""
         if self.injections and self._fault.lasting:
             return [replace(self.injections[0], details={"publications": self._changed})]
         if not self.injections:

@@ -1,7 +1,7 @@
 """Strata of a word's bits, from which faults are drawn.
 
-The paper finds that sign and exponent decide (section III-C); pooled over all bits of a float64 they are 12 of 64.
-So bits are drawn per stratum, and each draw keeps the weight that leads back to a whole word.
+The paper finds sign and exponent decisive (section III-C); among all bits of a float64 they are 12 of 64.  So bits are
+drawn per stratum, and each draw has the weight that restores the whole-word rate.
 """
 
 from typing import Protocol
@@ -37,14 +37,14 @@ STRATA: dict[str, tuple[str, ...]] = {
     "sign": ("sign", "flag"),
     "exponent": ("exponent",),
 }
-"""Bit classes of each stratum.  The first two part every word in two; the headline figures are of the first one.
-Integers count with sign and other bits, a flag's only bit with the headline; what has no sign has other bits only."""
+"""Bit classes of each stratum.  The first two partition every word; headline figures use the first.  Integers have sign
+and other bits, unsigned ones other bits only; a flag's single bit counts with the headline."""
 
 HEADLINE = "sign_exponent"
 
 
 def bits_of(field: Typed, stratum: str) -> range:
-    """Bits of a field in a stratum, empty where its type has none; a BadInputError if there is no such stratum."""
+    """Bits of a field in a stratum, empty if its type has none; a BadInputError for an unknown stratum."""
     if stratum not in STRATA:
         raise BadInputError(f"stratum {stratum!r}: not known; allowed: {', '.join(STRATA)}")
     parts = [bits for name, bits in _CLASSES[field.dtype].items() if name in STRATA[stratum]]
@@ -59,5 +59,5 @@ def bit_class(field: Typed, bit: int) -> str:
 
 
 def word_share(field: Typed, stratum: str) -> float:
-    """Share of the field's bits that belong to the stratum."""
+    """Share of the field's bits in the stratum."""
     return len(bits_of(field, stratum)) / WORD_BITS[field.dtype]

@@ -1,1 +1,1 @@
-"""Compiled helpers without domain words."""
+"""Compiled helpers independent of the application domain."""

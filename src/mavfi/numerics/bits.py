@@ -13,7 +13,7 @@ INT16_MAX = 32767
 
 @kernel_jit
 def sign_field(value: float) -> int:
-    """Sign bit (bit 63): 0 or 1; set for -0.0 as well."""
+    """Sign bit (bit 63): 0 or 1; also set for -0.0."""
     return 1 if np.float64(value).view(np.int64) < 0 else 0
 
 
@@ -33,10 +33,10 @@ def mantissa_field(value: float) -> int:
 def sign_exponent_code(value: float, threshold: int) -> int:
     """Sign and exponent of a number as a 16-bit integer (MAVFI section IV-B).
 
-    The paper gives no packing.  This one is monotone in the value and continuous at zero:
-    sign * max(0, E - (1023 + threshold) + 1).  Everything below 2**threshold (so ±0 and denormals) is 0, and each
-    octave above it is one more.  Infinities and NaN get the code one beyond the largest finite number's, with their
-    sign; whoever uses the code must treat them as an alarm by themselves.
+    The paper does not specify a packing.  This one is monotone in the value and continuous at zero:
+    sign * max(0, E - (1023 + threshold) + 1).  Everything below 2**threshold (including ±0 and denormals) is 0, and
+    each octave above adds one.  Infinities and NaN get the code one beyond the largest finite number's, with their
+    sign; callers must treat them as an alarm separately.
 
     Args:
         value: Any float64.

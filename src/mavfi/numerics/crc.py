@@ -1,7 +1,7 @@
-"""CRC-32C (Castagnoli et al., IEEE Trans. Communications 41(6), 1993), as of iSCSI (RFC 3720, appendix B.4).
+"""CRC-32C (Castagnoli et al., IEEE Trans. Communications 41(6), 1993), as in iSCSI (RFC 3720, appendix B.4).
 
-Polynomial 0x1EDC6F41, reflected; register and result are inverted.  Eight bytes a step by tables (Kounavis and Berry,
-ISCC 2005, "slicing by 8").
+Polynomial 0x1EDC6F41, reflected; register and result are inverted.  Table-driven, eight bytes per step (Kounavis and
+Berry, ISCC 2005, "slicing by 8").
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ _ALL_ONES = 0xFFFFFFFF
 
 
 def _tables() -> np.ndarray:
-    """Row k: the remainder of each byte that k zero bytes follow. Shape (8, 256), int64."""
+    """Row k: the remainder of each byte followed by k zero bytes. Shape (8, 256), int64."""
     table = np.zeros((8, 256), np.int64)
     first = np.arange(256)
     for _ in range(8):
@@ -29,11 +29,11 @@ _TABLES = _tables()
 
 @kernel_jit
 def crc32c(content: np.ndarray, before: int) -> int:
-    """Checksum of bytes that follow others.
+    """Checksum of bytes, continued from a previous checksum.
 
     Args:
         content: Shape (n,), uint8.
-        before: Checksum of the bytes before; 0 = there are none.
+        before: Checksum of the preceding bytes; 0 = none.
     """
     value = np.int64(before ^ _ALL_ONES)
     whole = len(content) - len(content) % 8

@@ -1,4 +1,4 @@
-"""Random numbers whose whole state is four unsigned integers in kernel memory (xoshiro256+, Blackman & Vigna 2021).
+"""Random numbers with four unsigned integers in kernel memory as complete state (xoshiro256+, Blackman & Vigna 2021).
 
 Normal deviates are drawn by inverse transform sampling (Wichura 1988, algorithm AS 241, PPND16): NumPy's generator
 calls libm's exp and log1p, whose rounding depends on the CPU.
@@ -39,7 +39,7 @@ def seed_generator(seed: int, *address: int) -> np.ndarray:
 
     Args:
         seed: Mission seed.
-        address: Spawn key: one stream per purpose, so that no stream shifts another.
+        address: Spawn key: one stream per purpose, so that streams are independent of each other.
 
     Returns:
         Shape (4,), uint64, not all zero.

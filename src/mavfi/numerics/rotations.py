@@ -10,11 +10,11 @@ from mavfi.numerics.jit import kernel_jit
 
 @kernel_jit
 def rotation_matrix(quaternion: np.ndarray, matrix: np.ndarray) -> None:
-    """Matrix that turns body coordinates into world coordinates.
+    """Rotation matrix from body to world coordinates.
 
     Args:
         quaternion: Unit quaternion w x y z, body to world. Shape (4,).
-        matrix: Result. Shape (3, 3).
+        matrix: Output. Shape (3, 3).
     """
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     matrix[0, 0] = 1.0 - 2.0 * (y * y + z * z)
@@ -44,7 +44,7 @@ def yaw_of(quaternion: np.ndarray) -> float:
 
 @kernel_jit
 def turn(quaternion: np.ndarray, x: float, y: float, z: float) -> None:
-    """Turn an attitude by a rotation vector in its own frame: q <- q * Exp(v), normalized.
+    """Rotate an attitude by a rotation vector in its own frame: q <- q * Exp(v), normalized.
 
     Args:
         quaternion: Unit quaternion w x y z, changed. Shape (4,).

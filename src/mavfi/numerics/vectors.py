@@ -1,4 +1,4 @@
-"""Lengths and products without BLAS: its libraries round differently on each generation of CPUs, flights must not."""
+"""Lengths and products without BLAS, whose rounding depends on the CPU: flights must be the same on every machine."""
 
 import math
 
@@ -9,7 +9,7 @@ from mavfi.numerics.jit import kernel_jit
 
 @kernel_jit
 def length(vector: np.ndarray) -> float:
-    """Euclidean length of a vector of any number of elements, summed in their order; NaN where one is NaN."""
+    """Euclidean length of a vector of any size, summed in element order; NaN if any element is NaN."""
     total = 0.0
     for value in vector:
         total += value * value

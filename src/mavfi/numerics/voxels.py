@@ -1,7 +1,7 @@
-"""Voxel grids: checked world <-> voxel conversion, and the exact walk of a segment through a grid.
+"""Voxel grids: checked world <-> voxel conversion, and the exact traversal of a grid by a segment.
 
 Coordinates may be corrupted: a value that is not finite or beyond `COORDINATE_LIMIT` never becomes an index, and every
-walk has a step cap.
+traversal has a step cap.
 """
 
 import math
@@ -14,9 +14,9 @@ from mavfi.numerics.jit import kernel_jit
 COORDINATE_LIMIT = 4000.0
 """Largest coordinate that is converted to an index (m); it only protects index arithmetic."""
 STEP_CAP = 200_000
-"""Longest walk (voxels)."""
+"""Longest traversal (voxels)."""
 FREE = 2.0
-"""What `first_blocked` returns for a free segment; blocked ones give a share of their length in [0, 1]."""
+"""Return value of `first_blocked` for a free segment; blocked ones give a share of their length in [0, 1]."""
 _NEVER = 1e300
 _STILL = 1e-300
 
@@ -55,13 +55,13 @@ class Grid(NamedTuple):
 
 @kernel_jit
 def usable(x: float, y: float, z: float) -> bool:
-    """Whether a point is finite and near enough to become an index."""
+    """Whether a point is finite and close enough to be converted to an index."""
     return abs(x) < COORDINATE_LIMIT and abs(y) < COORDINATE_LIMIT and abs(z) < COORDINATE_LIMIT
 
 
 @kernel_jit
 def voxel_of(grid: Grid, x: float, y: float, z: float) -> int:
-    """Flat index of the voxel that holds a point; -1 outside of the grid or for an unusable point.
+    """Flat index of the voxel that contains a point; -1 outside the grid or for an unusable point.
 
     Args:
         grid: Geometry.
@@ -93,7 +93,7 @@ def _axis(start: float, delta: float, cell: int) -> tuple[int, float, float]:
 
 @kernel_jit
 def first_blocked(counter: np.ndarray, grid: Grid, a: np.ndarray, b: np.ndarray, outside_blocked: bool) -> float:
-    """Where the segment a -> b first enters a blocked voxel (Amanatides & Woo 1987).
+    """First blocked voxel on the segment a -> b (Amanatides & Woo 1987).
 
     Args:
         counter: > 0 = blocked. Shape (grid.size,).
@@ -103,7 +103,7 @@ def first_blocked(counter: np.ndarray, grid: Grid, a: np.ndarray, b: np.ndarray,
         outside_blocked: Whether the outside of the grid, and unusable points, count as blocked.
 
     Returns:
-        Share of the segment before the block, 0..1, or `FREE`.
+        Share of the segment before the blocked voxel, 0..1, or `FREE`.
     """
     if not (usable(a[0], a[1], a[2]) and usable(b[0], b[1], b[2])):
         return 0.0 if outside_blocked else FREE
@@ -144,17 +144,17 @@ def first_blocked(counter: np.ndarray, grid: Grid, a: np.ndarray, b: np.ndarray,
 
 @kernel_jit
 def segment_free(counter: np.ndarray, grid: Grid, a: np.ndarray, b: np.ndarray) -> bool:
-    """Whether no voxel on a -> b is blocked; the outside of the grid is blocked. Arguments as in `first_blocked`."""
+    """Whether no voxel on a -> b is blocked; the outside of the grid is blocked. Arguments as for `first_blocked`."""
     return first_blocked(counter, grid, a, b, True) > 1.0
 
 
 def offsets_within(radius: float, resolution: float, between_boxes: bool) -> np.ndarray:
-    """Voxel offsets that a radius around an occupied voxel blocks.
+    """Voxel offsets blocked by a radius around an occupied voxel.
 
     Args:
-        radius: m.
+        radius: Radius (m).
         resolution: Edge of a voxel (m).
-        between_boxes: Measure between the boxes of the voxels (then free cells keep that distance), not their centres.
+        between_boxes: Measure between voxel boxes (free cells then keep that distance) instead of voxel centres.
 
     Returns:
         Shape (n, 3), int64.

@@ -15,7 +15,7 @@ def update(count: float, mean: float, squares: float, value: float) -> tuple[flo
     """One step of the recurrences M_k = M_(k-1) + (x_k - M_(k-1)) / k and S_k = S_(k-1) + (x_k - M_(k-1)) (x_k - M_k).
 
     Args:
-        count: Samples so far, k - 1; with 0 the paper's start M_1 = x_1, S_1 = 0 follows.
+        count: Samples so far, k - 1; 0 gives the paper's start M_1 = x_1, S_1 = 0.
         mean: M_(k-1).
         squares: S_(k-1).
         value: x_k, finite.

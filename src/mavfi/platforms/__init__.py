@@ -1,1 +1,1 @@
-"""Modelled computers: latencies that are charged as simulated time."""
+"""Modelled computers: latencies charged as simulated time."""

@@ -6,7 +6,7 @@ from mavfi.states import KERNELS, STAGE_KERNELS, Stage
 
 
 def latency(platform: PlatformConfig, kernel: str) -> int:
-    """Latency of a kernel (us); `BadInputError` if the platform does not say."""
+    """Latency of a kernel (us); `BadInputError` if the platform does not define it."""
     if KERNELS[kernel].on_flight_controller:
         return 0
     try:
@@ -18,10 +18,10 @@ def latency(platform: PlatformConfig, kernel: str) -> int:
 
 
 def redo_latency(platform: PlatformConfig, kernel: str, stage: Stage) -> int:
-    """Cost of recomputing after an alarm at a kernel's result (us): its stage's; nothing on the flight controller."""
+    """Cost of recomputing after an alarm on a kernel's result (us): its stage's; 0 on the flight controller."""
     return 0 if KERNELS[kernel].on_flight_controller else stage_latency(platform, stage)
 
 
 def stage_latency(platform: PlatformConfig, stage: Stage) -> int:
-    """What running a stage again costs (microseconds)."""
+    """Cost of rerunning a stage (us)."""
     return sum(latency(platform, kernel) for kernel in STAGE_KERNELS[stage])

@@ -1,1 +1,1 @@
-"""The simulated world: environments, vehicle, sensors.  Nothing else of mavfi imports MuJoCo."""
+"""The simulated world: environments, vehicle, sensors.  No other part of mavfi imports MuJoCo."""

@@ -1,7 +1,7 @@
-"""Depth camera: rays against boxes by a grid of columns, and against voxels by a walk.
+"""Depth camera: ray casting against boxes in a grid of columns, and against voxels by grid traversal.
 
-It uses additions, multiplications, divisions and square roots alone, in a fixed order, and so gives the same bits on
-every processor.  The walk through the columns is that of Amanatides and Woo (1987).
+It uses only additions, multiplications, divisions and square roots, in a fixed order, so the result is bit-identical
+on every processor.  The traversal of the columns is that of Amanatides and Woo (1987).
 """
 
 import math
@@ -20,7 +20,7 @@ _COLUMN = 3.0
 
 
 class Columns(NamedTuple):
-    """Boxes by the columns of ground that they stand on.
+    """Boxes, sorted by the ground columns that they touch.
 
     Attributes:
         first: Column (i, j) has the boxes first[i * ny + j] to first[i * ny + j + 1]. Shape (nx * ny + 1,), int32.
@@ -93,7 +93,7 @@ def _slab(low: float, high: float, inverse: float, near: float, far: float) -> t
 def _box_distance(
     boxes: np.ndarray, row: int, x: float, y: float, z: float, ix: float, iy: float, iz: float, limit: float
 ) -> float:
-    """Distance along a ray to a box, or the limit where it is not nearer."""
+    """Distance along a ray to a box, or the limit if it is not nearer."""
     near, far = _slab(boxes[row, 0] - x, boxes[row, 3] - x, ix, 0.0, limit)
     near, far = _slab(boxes[row, 1] - y, boxes[row, 4] - y, iy, near, far)
     near, far = _slab(boxes[row, 2] - z, boxes[row, 5] - z, iz, near, far)
@@ -102,14 +102,14 @@ def _box_distance(
 
 @kernel_jit
 def _to_next_border(position: float, index: int, edge: float, inverse: float) -> float:
-    """Distance along a ray to the border of its present cell; positions from the grid's origin."""
+    """Distance along a ray to the next border of its current cell; positions relative to the grid's origin."""
     border = index + 1 if inverse > 0.0 else index
     return (border * edge - position) * inverse
 
 
 @kernel_jit
 def _away_from_zero(component: float) -> float:
-    """A ray parallel to an axis plane gets a slope too small to matter, so that 0 * inf never occurs."""
+    """Replace a zero slope by a negligible one, so that 0 * inf never occurs."""
     return component if abs(component) > 1e-12 else 1e-12
 
 
@@ -119,14 +119,14 @@ def box_distance_along(columns: Columns, origin: np.ndarray, dx: float, dy: floa
 
     Args:
         columns: Boxes.
-        origin: Of the ray, world frame, finite (m). Shape (3,).
+        origin: Origin of the ray, world frame, finite (m). Shape (3,).
         dx: Direction, unit vector.
         dy: Direction, unit vector.
         dz: Direction, unit vector.
         limit: Range (m).
 
     Returns:
-        Distance (m), or the limit where nothing is nearer.
+        Distance (m), or the limit if nothing is nearer.
     """
     dx, dy, dz = _away_from_zero(dx), _away_from_zero(dy), _away_from_zero(dz)
     ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
@@ -166,17 +166,17 @@ def voxel_distance_along(
     direction: tuple[float, float, float],
     limit: float,
 ) -> float:
-    """Distance along a ray to the nearest solid voxel; outside of the grid everything is solid.
+    """Distance along a ray to the nearest solid voxel; everything outside the grid is solid.
 
     Args:
         occupied: Solid voxels. Shape (nx, ny, nz), bool.
         resolution: Edge of a voxel (m).
-        position: Origin of the ray from the lower corner of voxel (0, 0, 0), finite (m).
+        position: Origin of the ray relative to the lower corner of voxel (0, 0, 0), finite (m).
         direction: Unit vector.
         limit: Range (m).
 
     Returns:
-        Distance (m), or the limit where nothing is nearer.
+        Distance (m), or the limit if nothing is nearer.
     """
     nx, ny, nz = occupied.shape
     dx, dy, dz = _away_from_zero(direction[0]), _away_from_zero(direction[1]), _away_from_zero(direction[2])
@@ -219,7 +219,7 @@ def cast_rays(
         pose: Position (m) and quaternion w x y z. Shape (7,).
         directions: Unit vectors, body frame. Shape (n, 3).
         limit: Range (m).
-        ranges: Result (m); infinity where nothing is within range, and everywhere for a pose that is not finite.
+        ranges: Output (m); infinity if nothing is within range, and everywhere for a pose that is not finite.
             Shape (n,).
     """
     finite = True
@@ -259,18 +259,17 @@ def pixel_directions(config: CameraConfig) -> np.ndarray:
 
 
 class Camera:
-    """The depth camera of one flight, fixed to the body and looking along its x axis.
+    """The body-fixed depth camera of one flight, looking along the body's x axis.
 
-    Noise, where the configuration has some, is addressed by the instant of the image: it does not depend on how many
-    images were taken before.
+    Its optional noise is addressed by the time of the image, independently of the number of earlier images.
     """
 
     def __init__(self, config: CameraConfig, world: World, noise_key: int) -> None:
-        """Prepare the world for rays.
+        """Prepare the world for ray casting.
 
         Args:
             config: Image size, range and noise.
-            world: What there is to see.
+            world: The visible world.
             noise_key: Key of the noise.
         """
         self.directions = pixel_directions(config)
@@ -285,10 +284,10 @@ class Camera:
 
         Args:
             pose: Position (m) and quaternion w x y z of the body. Shape (7,).
-            time_us: Instant.
+            time_us: Time of the image (us).
 
         Returns:
-            Distances along the rays (m), infinity where nothing is within range. Shape (height * width,), float32.
+            Distances along the rays (m), infinity if nothing is within range. Shape (height * width,), float32.
         """
         ranges = np.empty(len(self.directions), np.float32)
         cast_rays(self._columns, self._voxels, pose, self.directions, self._config.range, ranges)

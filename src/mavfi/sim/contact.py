@@ -1,4 +1,4 @@
-"""Contact of the vehicle's sphere with the voxels of a scan."""
+"""Contact of the vehicle's collision sphere with the voxels of a scan."""
 
 import math
 
@@ -11,7 +11,7 @@ from mavfi.numerics.jit import kernel_jit
 def sphere_touches_voxels(
     centre: np.ndarray, radius: float, occupied: np.ndarray, origin: np.ndarray, resolution: float
 ) -> bool:
-    """Whether a sphere overlaps a solid voxel; outside of the grid everything is solid.
+    """Whether a sphere overlaps a solid voxel; everything outside the grid is solid.
 
     Args:
         centre: World frame (m). Shape (3,) or longer.

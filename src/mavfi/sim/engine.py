@@ -1,4 +1,4 @@
-"""MuJoCo's library: its step as a function that compiled code can call, and its warnings kept off the screen."""
+"""MuJoCo's library: its step as a function callable from compiled code, with its warnings suppressed."""
 
 import ctypes
 from pathlib import Path
@@ -14,7 +14,7 @@ _WARNING_HANDLER_TYPE = ctypes.CFUNCTYPE(None, ctypes.c_char_p)
 
 @_WARNING_HANDLER_TYPE
 def _say_nothing(_text: bytes) -> None:
-    """Instead of MuJoCo's own handler, which writes a file."""
+    """Replaces MuJoCo's own handler, which writes a file."""
 
 
 def _load_library() -> ctypes.CDLL:
@@ -27,7 +27,7 @@ _LIBRARY = _load_library()
 
 
 def keep_quiet() -> None:
-    """Take MuJoCo's warnings off screen and disk: it counts them in MjData, which `Simulator.warnings` reports."""
+    """Suppress MuJoCo's warnings on screen and disk: MjData counts them, and `Simulator.warnings` reports them."""
     ctypes.c_void_p.in_dll(_LIBRARY, "mju_user_warning").value = ctypes.cast(_say_nothing, ctypes.c_void_p).value
 
 
@@ -37,5 +37,5 @@ llvmlite.binding.add_symbol("mj_step", ctypes.cast(_LIBRARY.mj_step, ctypes.c_vo
 mj_step = types.ExternalFunction("mj_step", types.void(types.intp, types.intp))
 """MuJoCo's step for compiled code: takes the addresses of MjModel and MjData.
 
-Found by symbol and not through a ctypes object, so that code which calls it can be cached on disk.
+Resolved by symbol instead of a ctypes object, so that calling code can be cached on disk.
 """

@@ -1,7 +1,7 @@
 """Inertial measurement unit with AirSim's noise figures.
 
-Source: AirSim, ImuSimpleParams (MIT licence), after the data sheet of the MPU-6000: white noise by its random walk,
-and a bias that walks.  There is no scale or alignment error.
+Source: AirSim, ImuSimpleParams (MIT licence), from the data sheet of the MPU-6000: white noise from its random walk,
+and a random-walk bias.  There is no scale or alignment error.
 """
 
 import math
@@ -13,11 +13,11 @@ from mavfi.numerics.random import normals
 GYRO_RANDOM_WALK = 8.727e-5
 """rad / sqrt(s) (0.30 deg / sqrt(h))."""
 GYRO_BIAS_STABILITY, GYRO_BIAS_TIME = 2.230e-5, 500.0
-"""rad/s (4.6 deg/h), and the time for which it was stated (s)."""
+"""rad/s (4.6 deg/h), and the averaging time for which it is specified (s)."""
 ACCELEROMETER_RANDOM_WALK = 2.354e-3
 """m/s^2 sqrt(s) (0.24 mg / sqrt(Hz))."""
 ACCELEROMETER_BIAS_STABILITY, ACCELEROMETER_BIAS_TIME = 3.53e-4, 800.0
-"""m/s^2 (36 ug), and the time for which it was stated (s)."""
+"""m/s^2 (36 ug), and the averaging time for which it is specified (s)."""
 ACCELEROMETER_BIAS_WALK = ACCELEROMETER_BIAS_STABILITY / math.sqrt(ACCELEROMETER_BIAS_TIME)
 GYRO_BIAS_WALK = GYRO_BIAS_STABILITY / math.sqrt(GYRO_BIAS_TIME)
 """Standard deviations of the biases after one second (m/s^2 and rad/s, / sqrt(s))."""
@@ -31,8 +31,8 @@ class Imu:
     """The inertial measurement unit of one flight; biases start at zero.
 
     Attributes:
-        bias: Of accelerometer (m/s^2) and gyro (rad/s). Shape (6,).
-        time_us: Instant of the last sample.
+        bias: Bias of accelerometer (m/s^2) and gyro (rad/s). Shape (6,).
+        time_us: Time of the last sample (us).
     """
 
     def __init__(self, noise_key: int, scale: float = 1.0) -> None:
@@ -48,14 +48,14 @@ class Imu:
         self._noise_key = noise_key
 
     def sample(self, truth: np.ndarray, time_us: int) -> np.ndarray:
-        """Measure.
+        """Take a sample.
 
         Args:
             truth: Specific force (m/s^2) and rates (rad/s), body frame. Shape (6,).
-            time_us: Instant, not before that of the last sample.
+            time_us: Time (us), not before the last sample.
 
         Returns:
-            The same with noise. Shape (6,).
+            The truth with bias and noise. Shape (6,).
         """
         interval = max(time_us - self.time_us, _SHORTEST_INTERVAL_US) * 1e-6
         stream = np.random.Generator(np.random.Philox(key=self._noise_key, counter=[0, 0, 0, time_us]))

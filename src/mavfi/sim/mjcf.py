@@ -1,4 +1,4 @@
-"""A user's own vehicle: a YAML file that names an MJCF body, from which mass, inertia and looks are taken."""
+"""A user's own vehicle: a YAML file that refers to an MJCF body, which defines mass, inertia and appearance."""
 
 import math
 import os
@@ -18,7 +18,7 @@ from mavfi.sim.engine import GRAVITY, keep_quiet
 
 ROTORS = 4
 _TOLERANCE = 0.01
-"""Share by which a mass or an inertia in the YAML file may differ from the model's, as rounding does."""
+"""Relative tolerance between mass or inertia in the YAML file and in the model, for rounding."""
 _MOST_COPIES = 10_000
 _COUNT, _FILE = (re.compile(rb"""\b%s\s*=\s*["']([^"']*)["']""" % word) for word in (b"count", b"file"))
 _OPTIONS = [name for name in dir(mujoco.MjOption) if not name.startswith("_")]
@@ -29,10 +29,10 @@ class RigidBody:
     """Mass properties of a model.
 
     Attributes:
-        mass: kg.
+        mass: Mass (kg).
         inertia: About the centre of mass, diagonal in the axes of its free body (kg m^2).
         centre: Centre of mass in these axes, from the body's origin (m). Shape (3,).
-        reach: Distance from the centre of mass within which all geoms lie (m).
+        reach: Radius around the centre of mass that encloses all geoms (m).
     """
 
     mass: float
@@ -44,11 +44,11 @@ class RigidBody:
 def find_vehicle(name: str) -> VehicleConfig:
     """A shipped vehicle by name, or a user's YAML file.
 
-    Where the file has the key `mjcf`, a path relative to the file, mass and inertia are those of that model; if they
-    are written down as well, they must agree with it within 1 %.
+    If the file has the key `mjcf`, a path relative to the file, mass and inertia are those of that model; if the file
+    specifies them as well, they must agree within 1 %.
 
     Raises:
-        BadInputError: There is no such vehicle, file, key or model is not as it must be, or its rotors cannot lift it.
+        BadInputError: Unknown vehicle, invalid file, key or model, or its rotors cannot lift it.
     """
     if not name.endswith((".yaml", ".yml")):
         return shipped("vehicles", VehicleConfig, name)
@@ -66,7 +66,7 @@ def find_vehicle(name: str) -> VehicleConfig:
 
 
 def _lifted(source: str, vehicle: VehicleConfig) -> VehicleConfig:
-    """The vehicle, if its rotors lift it."""
+    """The vehicle, after checking that its rotors can lift it."""
     least = vehicle.mass * GRAVITY / ROTORS
     if not vehicle.max_rotor_thrust > least:
         raise BadInputError(
@@ -92,13 +92,13 @@ def _check(source: str, vehicle: VehicleConfig, body: RigidBody) -> None:
 
 
 def measure(path: Path) -> RigidBody:
-    """Mass, inertia, centre of mass and reach of a model's one free body with everything that is fixed to it.
+    """Mass, inertia, centre of mass and reach of a model's single free body with all bodies fixed to it.
 
     Args:
         path: MJCF file.
 
     Raises:
-        BadInputError: It cannot be read, or is not one rigid free body.
+        BadInputError: It cannot be read, or is not a single rigid free body.
     """
     spec = _read(path)
     free = _free_body(spec, path)
@@ -122,14 +122,14 @@ def measure(path: Path) -> RigidBody:
 
 
 def attach(vehicle: VehicleConfig, scene: Any, holder: Any) -> None:
-    """Fix a vehicle's model to the body that flies, its centre of mass at that body's origin.
+    """Attach a vehicle's model to the flying body, with its centre of mass at that body's origin.
 
     Its geoms are visual: only the sphere collides.  Its actuators, sensors, key frames and options are ignored;
     rotors, drag and controller are those of the YAML file.
 
     Args:
-        vehicle: One with `mjcf`.
-        scene: Model to be (MjSpec).
+        vehicle: A vehicle with `mjcf`.
+        scene: Model under construction (MjSpec).
         holder: Body without mass of its own (MjsBody).
 
     Raises:
@@ -151,7 +151,7 @@ def attach(vehicle: VehicleConfig, scene: Any, holder: Any) -> None:
     free.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
-    for name in _OPTIONS:  # MuJoCo warns where they differ, and keeps the scene's
+    for name in _OPTIONS:  # MuJoCo warns if they differ, and keeps the scene's
         setattr(spec.option, name, getattr(scene.option, name))
     holder.add_frame(pos=-body.centre).attach_body(free, "model/", "")
 
@@ -169,7 +169,7 @@ def _read(path: Path) -> Any:
 
 
 def _copies(path: Path, seen: set[Path]) -> float:
-    """Product of all counts in a model and in what it includes; every file that it names must be a regular one."""
+    """Product of all counts in a model and its includes; all referenced files must be regular."""
     seen.add(path)
     content = read_file(path, LARGEST_TEXT)
     product_of_counts = 1.0
@@ -185,7 +185,7 @@ def _copies(path: Path, seen: set[Path]) -> float:
 
 
 def _free_body(spec: Any, path: Path) -> Any:
-    """The body with a free joint; no other joint may be there."""
+    """The body with a free joint; other joints are rejected."""
     free = [joint.parent for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_FREE]
     if len(free) != 1:
         names = f" ({', '.join(body.name or 'without a name' for body in free)})" if free else ""

@@ -1,4 +1,4 @@
-"""Position fixes and a compass, with white noise: what corrects the drift of the IMU."""
+"""Position fixes and a compass, with white noise; they correct the drift of the IMU."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ class Positioning:
     """The receiver of one flight; its noise is a function of seed and time."""
 
     def __init__(self, config: LocalizationConfig, noise_key: int) -> None:
-        """Nothing is measured yet.
+        """Prepare without a measurement.
 
         Args:
             config: Standard deviations.
@@ -21,11 +21,11 @@ class Positioning:
         self._noise_key = noise_key
 
     def fix(self, odometry: np.ndarray, time_us: int) -> np.ndarray:
-        """Measure.
+        """Take a measurement.
 
         Args:
             odometry: True state, see `Simulator.odometry`. Shape (13,).
-            time_us: Instant.
+            time_us: Time (us).
 
         Returns:
             Position (m) and heading (rad), world frame, with noise. Shape (4,).

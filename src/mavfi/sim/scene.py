@@ -12,15 +12,15 @@ STEP_US = 4_000
 """Period of physics and flight controller (us)."""
 
 ACCELEROMETER, GYRO, CONTACTS = slice(0, 3), slice(3, 6), 6
-"""Where the sensors are in MjData.sensordata."""
+"""Sensor addresses in MjData.sensordata."""
 
 
 def build_model(world: World, vehicle: VehicleConfig) -> mujoco.MjModel:
     """The model of one flight: a free body with a sphere for contacts, static boxes, the ground.
 
-    All forces but gravity and contact come from outside, by `qfrc_applied`.  They are constant during a step, and so
-    Euler (semi-implicit) is as accurate as `implicitfast` here and 0.3 us cheaper.  Worlds of voxels have their own
-    contact test; then the model holds the body alone.  A vehicle with an MJCF file has that model fixed to its body.
+    All forces except gravity and contact are external, in `qfrc_applied`.  They are constant during a step; therefore
+    semi-implicit Euler is as accurate as `implicitfast` here and 0.3 us cheaper.  Voxel worlds have their own contact
+    test; their model contains the body only.  A vehicle with an MJCF file has that model attached to its body.
 
     Args:
         world: Obstacles and start.

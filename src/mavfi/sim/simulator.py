@@ -25,7 +25,7 @@ _LONGEST_COMMAND = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Everything that decides how a flight continues; `Simulator.restore` continues from it bit for bit."""
+    """The complete state of a flight; `Simulator.restore` continues from it bit for bit."""
 
     time_us: int
     physics: np.ndarray
@@ -52,7 +52,7 @@ class Snapshot:
 
 
 def _shortened(velocity: tuple[float, float, float], limit: float) -> tuple[float, float, float]:
-    """The same direction, not longer than the limit; the largest part is divided out before squares can overflow."""
+    """Limit the length of a vector; scaled by its largest component first, so that squares cannot overflow."""
     x, y, z = velocity
     largest = max(abs(x), abs(y), abs(z))
     if largest == 0.0:
@@ -69,18 +69,18 @@ class Simulator:
     """Flies one vehicle in one world.
 
     Attributes:
-        time_us: Now.
+        time_us: Current time.
         odometry: True state: x y z (m), vx vy vz (m/s), unit quaternion w x y z, wx wy wz (rad/s, body).
-            Shape (13,); the same array throughout, overwritten by `advance`.
+            Shape (13,); always the same array, overwritten by `advance`.
         collided: Whether the vehicle has touched an obstacle or the ground.
-        rejected_commands: How many commands were refused because they were not finite.
+        rejected_commands: Number of commands rejected because they were not finite.
     """
 
     def __init__(self, world: World, scenario: Scenario) -> None:
-        """Put the vehicle at the start, hovering and heading for the goal.
+        """Place the vehicle at the start, hovering and heading for the goal.
 
         Args:
-            world: Where it flies.
+            world: The world.
             scenario: Vehicle, camera, localization, wind, speed limit and seed.
         """
         vehicle = scenario.vehicle
@@ -122,15 +122,15 @@ class Simulator:
         return self._camera.directions
 
     def command(self, velocity_yaw_rate: np.ndarray, duration: float) -> None:
-        """Give the flight controller a new set-point, from now on.
+        """Send the flight controller a new set-point, effective immediately.
 
-        The entry of a flight controller: a command that is not finite is refused, the last one stays in force, and
-        `rejected_commands` counts it; a velocity above the set-point limit (1.33 v_max) is shortened to it, the yaw
-        rate is clipped; when the duration is over the vehicle hovers.
+        A command that is not finite is rejected and counted in `rejected_commands`; the previous one stays in force.
+        The velocity is limited to the set-point limit (1.33 v_max), the yaw rate is clipped; after the duration the
+        vehicle hovers.
 
         Args:
             velocity_yaw_rate: vx vy vz, world frame (m/s), and yaw rate (rad/s). Shape (4,).
-            duration: How long it holds (s); 0 and less = hover at once.
+            duration: Validity of the set-point (s); 0 and less = hover immediately.
         """
         vx, vy, vz, yaw_rate = velocity_yaw_rate.tolist()
         if not all(map(math.isfinite, (vx, vy, vz, yaw_rate, duration))):
@@ -141,13 +141,13 @@ class Simulator:
         self._expiry_us = self.time_us + int(min(max(duration, 0.0), _LONGEST_COMMAND) * 1e6)
 
     def advance(self, time_us: int) -> None:
-        """Let time pass.
+        """Advance the simulation.
 
         Args:
-            time_us: Until when; a multiple of the physics period (4000 us), not before now.
+            time_us: Target time; a multiple of the physics period (4000 us), not before the current time.
 
         Raises:
-            BadInputError: It is neither.
+            BadInputError: Invalid target time.
         """
         if time_us % STEP_US or time_us < self.time_us:
             raise BadInputError(f"time {time_us} us: must be a multiple of {STEP_US} us from {self.time_us} us on")
@@ -166,16 +166,16 @@ class Simulator:
         """Take a depth image.
 
         Returns:
-            Distances along `ray_directions` (m), infinity where nothing is within range, shape (height * width,),
+            Distances along `ray_directions` (m), infinity if nothing is within range, shape (height * width,),
             float32; and the pose of the camera: position (m) and quaternion w x y z, shape (7,), float64.
         """
         pose = np.concatenate([self.odometry[:3], self.odometry[6:10]])
         return self._camera.capture(pose, self.time_us), pose
 
     def imu(self) -> np.ndarray:
-        """Measure in the body frame, with noise. Shape (6,).
+        """Sample the IMU in the body frame, with noise. Shape (6,).
 
-        Specific force (m/s^2), as it was during the last step of physics, and rates (rad/s), as they are now.
+        Specific force (m/s^2) during the last physics step, and current rates (rad/s).
         """
         return self._imu.sample(
             np.concatenate([self._data.sensordata[ACCELEROMETER], self.odometry[10:]]), self.time_us
@@ -186,13 +186,13 @@ class Simulator:
         return self._positioning.fix(self.odometry, self.time_us)
 
     def warnings(self) -> list[str]:
-        """MuJoCo's warnings so far, with their numbers."""
+        """MuJoCo's warnings so far, with their counts."""
         counts = self._data.warning.number
         kinds = [mujoco.mjtWarning(kind).name for kind in range(len(counts))]
         return [f"{kind} x {count}" for kind, count in zip(kinds, counts, strict=True) if count > 0]
 
     def snapshot(self) -> Snapshot:
-        """Everything that decides how this flight continues."""
+        """The complete state of this flight."""
         signature = mujoco.mjtState.mjSTATE_INTEGRATION
         physics = np.empty(mujoco.mj_stateSize(self._model, signature))
         mujoco.mj_getState(self._model, self._data, physics, signature)
@@ -203,14 +203,14 @@ class Simulator:
         )  # fmt: skip
 
     def is_at(self, snapshot: Snapshot) -> bool:
-        """Whether `snapshot` would give the same, bit for bit."""
+        """Whether the current state equals a snapshot, bit for bit."""
         return self.odometry.tobytes() == snapshot.odometry.tobytes() and self.snapshot().same(snapshot)
 
     def restore(self, snapshot: Snapshot) -> None:
         """Continue from a snapshot of this simulator, or of another one of the same world and scenario.
 
         Args:
-            snapshot: What `snapshot` returned.
+            snapshot: Output of `snapshot`.
         """
         mujoco.mj_setState(self._model, self._data, snapshot.physics, mujoco.mjtState.mjSTATE_INTEGRATION)
         self._data.sensordata[:] = snapshot.sensors

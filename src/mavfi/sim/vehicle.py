@@ -1,9 +1,9 @@
 """The vehicle: flight controller, rotors and drag, advanced together with MuJoCo's rigid body in compiled code.
 
 The controller is a cascade, velocity -> attitude -> body rate -> rotors, as in AirSim's SimpleFlight and in common
-autopilots.  It reads the true state, as SimpleFlight does.  It has no integrator in x and y; a small one in z takes up
-what drag leaves.  Rotors are numbered as in AirSim: front right, rear left (counter-clockwise), front left, rear right
-(clockwise).
+autopilots.  It reads the true state, as SimpleFlight does.  It has no integrator in x and y; a small one in z corrects
+the remaining error due to drag.  Rotors are numbered as in AirSim: front right, rear left (counter-clockwise), front
+left, rear right (clockwise).
 """
 
 import math
@@ -37,7 +37,7 @@ _IDLE_SHARE, _FULL_SHARE = 0.1, 0.9
 
 
 class Airframe(NamedTuple):
-    """What compiled code needs of a `VehicleConfig`; SI units."""
+    """Parameters of a `VehicleConfig` for compiled code; SI units."""
 
     mass: float
     inertia_x: float
@@ -62,7 +62,7 @@ class Airframe(NamedTuple):
 
 
 def airframe_of(config: VehicleConfig) -> Airframe:
-    """The airframe that a configuration describes; `rotor_step` is the share of its way a rotor makes in a step."""
+    """The airframe of a configuration; `rotor_step` is the share of a thrust change that a rotor completes per step."""
     lag = config.rotor_time_constant
     return Airframe(
         config.mass,
@@ -83,7 +83,7 @@ def airframe_of(config: VehicleConfig) -> Airframe:
 
 
 def hover_memory(airframe: Airframe) -> np.ndarray:
-    """Memory of a controller whose vehicle hovers. Shape (MEMORY_SIZE,)."""
+    """Controller memory of a hovering vehicle. Shape (MEMORY_SIZE,)."""
     memory = np.zeros(MEMORY_SIZE)
     memory[:4] = min(0.25 * airframe.mass * GRAVITY, airframe.max_thrust)
     return memory
@@ -127,15 +127,15 @@ def wanted_thrust(airframe: Airframe, memory: np.ndarray, setpoint: np.ndarray, 
 def wanted_rates(
     airframe: Airframe, memory: np.ndarray, yaw_rate: float, force: np.ndarray, matrix: np.ndarray, yaw: float
 ) -> tuple[float, float, float]:
-    """Attitude loop: body rates that turn the body's z axis into the wanted force, and that follow the heading.
+    """Attitude loop: body rates that align the body's z axis with the wanted force and track the heading.
 
-    The heading reference is the integral of the wanted yaw rate, kept within reach of the true heading, so that a yaw
-    rate of zero holds the heading.
+    The heading reference is the integral of the wanted yaw rate, limited to a small distance from the true heading, so
+    that a yaw rate of zero holds the heading.
 
     Args:
         airframe: Vehicle.
         memory: Its yaw reference is updated. Shape (MEMORY_SIZE,).
-        yaw_rate: Wanted (rad/s).
+        yaw_rate: Wanted yaw rate (rad/s).
         force: Wanted specific force, world frame (m/s^2). Shape (3,).
         matrix: Body to world. Shape (3, 3).
         yaw: Heading (rad).
@@ -158,16 +158,16 @@ def wanted_rates(
 
 @kernel_jit
 def mix_rotors(airframe: Airframe, thrust: float, torque: tuple[float, float, float], wanted: np.ndarray) -> None:
-    """Rotor thrusts for a thrust and a torque; each axis saturates as in an ESC, yaw last.
+    """Rotor thrusts for a collective thrust and a torque; each axis saturates as in an ESC, yaw last.
 
-    Collective thrust keeps 10 % of a rotor's range at both ends, so that attitude stays controlled; roll and pitch
+    Collective thrust leaves 10 % of a rotor's range at both ends, so that attitude stays controlled; roll and pitch
     share the margin to the nearer end, yaw gets the rest.
 
     Args:
         airframe: Vehicle.
-        thrust: Collective (N).
+        thrust: Collective thrust (N).
         torque: Body frame (N m).
-        wanted: Result (N). Shape (4,) or longer.
+        wanted: Output (N). Shape (4,) or longer.
     """
     top = airframe.max_thrust
     base = min(_FULL_SHARE * top, max(_IDLE_SHARE * top, 0.25 * thrust))
@@ -185,7 +185,7 @@ def mix_rotors(airframe: Airframe, thrust: float, torque: tuple[float, float, fl
 def control(
     airframe: Airframe, memory: np.ndarray, setpoint: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, matrix: np.ndarray
 ) -> None:
-    """One period of the flight controller: set-point and true state to rotor thrusts, which lag.
+    """One period of the flight controller: from set-point and true state to rotor thrusts, with rotor lag.
 
     Args:
         airframe: Vehicle.
@@ -213,16 +213,16 @@ def control(
 def apply_forces(
     airframe: Airframe, thrusts: np.ndarray, velocity: np.ndarray, matrix: np.ndarray, qfrc: np.ndarray
 ) -> None:
-    """Rotors and drag as generalized forces of the free joint: force in the world frame, torque in the body frame.
+    """Rotor forces and drag as generalized forces of the free joint: force in world frame, torque in body frame.
 
     Drag acts on each body axis: force = -k v |v| (AirSim, MultiRotorPhysicsBody).
 
     Args:
         airframe: Vehicle.
-        thrusts: Of the rotors (N). Shape (4,) or longer.
+        thrusts: Rotor thrusts (N). Shape (4,) or longer.
         velocity: Relative to the air, world frame (m/s). Shape (3,) or longer.
         matrix: Body to world. Shape (3, 3).
-        qfrc: Result. Shape (6,).
+        qfrc: Output. Shape (6,).
     """
     vx = matrix[0, 0] * velocity[0] + matrix[1, 0] * velocity[1] + matrix[2, 0] * velocity[2]
     vy = matrix[0, 1] * velocity[0] + matrix[1, 1] * velocity[1] + matrix[2, 1] * velocity[2]
@@ -238,7 +238,7 @@ def apply_forces(
 
 
 class Body(NamedTuple):
-    """Where MuJoCo keeps the vehicle: addresses of MjModel and MjData, and views of MjData."""
+    """MuJoCo's storage of the vehicle: addresses of MjModel and MjData, and views of MjData."""
 
     model: int
     data: int
@@ -261,19 +261,19 @@ def advance(
     commanded_steps: int,
     odometry: np.ndarray,
 ) -> bool:
-    """Several periods of controller, rotors, drag and rigid body.
+    """Advance controller, rotors, drag and rigid body by several periods.
 
     Args:
         airframe: Vehicle.
         body: Its rigid body.
-        voxels: Obstacles that MuJoCo does not know.
+        voxels: Obstacles outside MuJoCo's model.
         wind: Velocity of the air, world frame (m/s); drag acts relative to it.
-        time_us: Now.
-        memory: Of the controller, updated. Shape (MEMORY_SIZE,).
+        time_us: Current time.
+        memory: Controller memory, updated. Shape (MEMORY_SIZE,).
         setpoint: vx vy vz (m/s) and yaw rate (rad/s). Shape (4,).
-        steps: How many periods.
-        commanded_steps: After so many of them the set-point has expired and the vehicle hovers.
-        odometry: Result: position, velocity, quaternion, body rates. Shape (13,).
+        steps: Number of periods.
+        commanded_steps: Number of periods after which the set-point expires and the vehicle hovers.
+        odometry: Output: position, velocity, quaternion, body rates. Shape (13,).
 
     Returns:
         Whether the vehicle touched an obstacle or the ground.
@@ -292,7 +292,7 @@ def advance(
         apply_forces(airframe, memory, air, matrix, body.qfrc)
         attitude[:] = body.qpos[3:7]
         mj_step(body.model, body.data)  # type: ignore[call-overload]
-        # MuJoCo integrates the attitude with libm's sine and cosine, which depend on the CPU: integrated again
+        # MuJoCo integrates attitude with libm's sine and cosine, which depend on the CPU: integrate it again
         turn(attitude, STEP * body.qvel[3], STEP * body.qvel[4], STEP * body.qvel[5])
         body.qpos[3:7] = attitude
         touched = touched or body.sensors[CONTACTS] > 0.0

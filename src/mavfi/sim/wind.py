@@ -1,8 +1,8 @@
 """Wind: a constant mean and gusts of the form "1 - cosine" (MIL-F-8785C, section 3.7.1.3), a function of seed and time.
 
-The specification's gust rises along a distance flown; a multirotor that hovers flies none, so lengths are seconds here.
-It rises by half a cosine and falls by the other half, as one that is flown through in full.  Between two gusts lies a
-calm of random length; so two never overlap, and their amplitude is never exceeded.
+The specification's gust rises along a flown distance; a hovering multirotor covers none, so lengths are seconds here.
+It rises by half a cosine and falls by the other half, like a gust flown through completely.  Two gusts are separated by
+a calm of random length; so they never overlap, and their amplitude is never exceeded.
 """
 
 import math
@@ -15,7 +15,7 @@ from mavfi.numerics.elementary import asin, cos, log, sin
 from mavfi.numerics.jit import kernel_jit
 
 GUST_WIDTH = 5
-"""Length of a gust's record: onset (s), duration (s), and peak velocity x y z (m/s), world frame."""
+"""Columns of a gust's record: onset (s), duration (s), and peak velocity x y z (m/s), world frame."""
 
 _SHORTEST_SHARE, _LONGEST_SHARE = 0.5, 1.5
 _STEEPEST = 0.2
@@ -23,11 +23,11 @@ _AT_A_TIME = 32
 
 
 class Wind(NamedTuple):
-    """What compiled code needs of the wind.
+    """Wind data for compiled code.
 
     Attributes:
         mean: World frame (m/s). Shape (3,).
-        gusts: In the order of their onsets. Shape (n, GUST_WIDTH).
+        gusts: In order of onset. Shape (n, GUST_WIDTH).
     """
 
     mean: np.ndarray
@@ -41,13 +41,13 @@ def wind_at(wind: Wind, time: float, velocity: np.ndarray) -> None:
     Args:
         wind: Mean and gusts.
         time: Since the start of the flight (s).
-        velocity: Result, world frame (m/s). Shape (3,).
+        velocity: Output, world frame (m/s). Shape (3,).
     """
     velocity[0], velocity[1], velocity[2] = wind.mean[0], wind.mean[1], wind.mean[2]
     for n in range(len(wind.gusts)):
         since = time - wind.gusts[n, 0]
         if not since > 0.0:
-            return  # this one and all later ones are still to come
+            return  # this one and all later ones have not started
         duration = wind.gusts[n, 1]
         if since < duration:
             share = 0.5 * (1.0 - cos(2.0 * math.pi * since / duration))
@@ -56,14 +56,14 @@ def wind_at(wind: Wind, time: float, velocity: np.ndarray) -> None:
 
 
 class Weather:
-    """The wind of one flight: gusts are drawn in their order, as far as time has come, so it needs no end."""
+    """The wind of one flight: gusts are drawn in order as time advances, without a fixed end."""
 
     def __init__(self, config: WindConfig, seed: np.random.SeedSequence) -> None:
-        """Nothing is drawn yet.
+        """Prepare without drawing gusts.
 
         Args:
             config: Amplitude, mean, calm and length.
-            seed: Stream that the gusts come from.
+            seed: Seed of the gusts' random stream.
         """
         self._config = config
         self._random = np.random.default_rng(seed)
@@ -71,7 +71,7 @@ class Weather:
         self._wind = Wind(np.array(config.mean, float), np.zeros((0, GUST_WIDTH)))
 
     def until(self, time: float) -> Wind:
-        """The wind up to an instant at least.
+        """The wind at least up to an instant.
 
         Args:
             time: Since the start of the flight (s).

@@ -1,5 +1,5 @@
-"""Detectors of well-kept libraries (extra `bench`), over all fields and with the rule of limits of the others.
+"""Detectors from established libraries (extra `bench`), applied to all fields, with limits set as for the others.
 
-The libraries are imported when a detector is made.  Its model holds the rows that it was fitted to, so that no file of
-a library's own, which runs code when it is read, is needed: it is fitted again, with a fixed seed.
+Libraries are imported when a detector is constructed.  A model stores its training rows and is refitted with a fixed
+seed: this avoids the libraries' own file formats, which execute code on loading.
 """

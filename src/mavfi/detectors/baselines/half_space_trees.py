@@ -1,4 +1,4 @@
-"""Half-space trees (Tan, Ting and Liu, IJCAI 2011) of river: a forest for the fields of each state."""
+"""Half-space trees (Tan, Ting and Liu, IJCAI 2011) from river: one forest for the fields of each state."""
 
 from typing import Any
 
@@ -52,7 +52,7 @@ class HalfSpaceTreesDetector(LibraryDetector):
 
 
 def columns_of(everything: Everything) -> list[np.ndarray]:
-    """By state, the columns of its fields among those of all watched ones."""
+    """By state, the columns of its fields among all watched fields."""
     place = np.cumsum(everything.quanta > 0.0) - 1
     spans = [np.arange(*everything.range_of(slot)) for slot in range(len(everything.slots))]
     return [place[own[everything.quanta[own] > 0.0]] for own in spans]

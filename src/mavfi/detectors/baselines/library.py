@@ -1,4 +1,4 @@
-"""What adapters of libraries share: rows to fit to, scores of publications, limits of scores by state and regime."""
+"""Common base of library adapters: training rows, scores of publications, score limits by state and regime."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -22,11 +22,11 @@ class Judge(Protocol):
     """A fitted model of a library."""
 
     def scores(self, inputs: np.ndarray, slots: np.ndarray) -> np.ndarray:
-        """How anomalous publications are, any real numbers.
+        """Anomaly scores of publications, any real numbers.
 
         Args:
             inputs: Codes of all watched fields / their largest in training. Shape (m, n).
-            slots: State that was published. Shape (m,).
+            slots: Index of the published state. Shape (m,).
 
         Returns:
             Shape (m,), float64.
@@ -40,13 +40,13 @@ def require(package: str) -> None:
 
 
 class LibraryScorer(HoldingScorer, StateScorer):
-    """Scores of a fitted model, of the codes of all states published last.
+    """Scores of a fitted model, from the latest codes of all states.
 
     Args:
-        everything: The codes.
+        everything: Computes the codes.
         judge: The model.
         scale: Largest code in training. Shape (n,).
-        floor: Smallest score in training: distances are counted from there.
+        floor: Smallest score in training, subtracted from all scores.
     """
 
     def __init__(self, everything: Everything, judge: Judge, scale: np.ndarray, floor: float) -> None:
@@ -61,16 +61,16 @@ class LibraryScorer(HoldingScorer, StateScorer):
 
 
 def scaled(vectors: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    """Codes, shape (m, n), as inputs of a model."""
+    """Codes, shape (m, n), scaled and clamped as inputs of a model."""
     found: np.ndarray = np.clip(vectors / scale, -INPUT_LIMIT, INPUT_LIMIT)
     return found
 
 
 class LibraryDetector(AllFieldsDetector):
-    """A detector of a library.
+    """A detector from a library.
 
     Attributes:
-        package: What has to be installed.
+        package: Package that must be installed.
     """
 
     package: str
@@ -78,7 +78,7 @@ class LibraryDetector(AllFieldsDetector):
 
     @classmethod
     def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
-        """Scores of the library's model, fitted again to the rows that the model holds."""
+        """Scores of the library's model, refitted to the rows stored in `model`."""
         count, given = len(everything.fields), model.parameters.get("rows")
         rows = model.numbers("rows", len(given) if isinstance(given, list) else 0, count)
         slots = model.numbers("slots", len(rows), least=0.0).astype(np.int64)
@@ -88,17 +88,17 @@ class LibraryDetector(AllFieldsDetector):
 
     @classmethod
     def check_installed(cls) -> None:
-        """Raise a `BadInputError` that says what to install, if its library is not there."""
+        """Check that the library is installed; the `BadInputError` names the extra to install."""
         require(cls.package)
 
     @classmethod
     @abstractmethod
     def judge(cls, inputs: np.ndarray, slots: np.ndarray, everything: Everything) -> Judge:
-        """Fit a model of the library to normal publications; arguments as of `Judge.scores`."""
+        """Fit a model of the library to normal publications; arguments as for `Judge.scores`."""
 
     @classmethod
     def learned(cls, rows: np.ndarray, slots: np.ndarray, scale: np.ndarray, everything: Everything) -> Judge:
-        """The model of these codes: rounding is undone by a uniform error, so that no field is constant."""
+        """Fit the library's model to codes, dithered uniformly by half a code so that no field is constant."""
         cls.check_installed()
         generator = np.random.Generator(np.random.PCG64(0))
         dithered = rows + generator.uniform(-0.5, 0.5, rows.shape)
@@ -110,9 +110,9 @@ class LibraryDetector(AllFieldsDetector):
 
         Args:
             sample: Error-free flights.
-            everything: What it was made with.
-            figures: `largest_class`, publications of one state and regime that are fitted to; `calibrated`, of those
-                that limits are taken from; `margin` and `smallest_regime` as of `regime_limits`.
+            everything: Codes from which the sample was made.
+            figures: `largest_class`, training publications per state and regime; `calibrated`, publications per state
+                and regime from which limits are derived; `margin` and `smallest_regime`, see `regime_limits`.
         """
         scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))
         rows = representative(sample, int(figures["largest_class"]))

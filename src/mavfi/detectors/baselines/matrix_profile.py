@@ -1,8 +1,8 @@
-"""Matrix profile (Yeh et al., ICDM 2016) by stumpy: how far the last values of a state are from all of training.
+"""Matrix profile (Yeh et al., ICDM 2016) by stumpy: distance of a state's recent values from all training values.
 
-The series of a state is the largest scaled code of each publication.  The value for a new publication is the smallest
-distance, not normalized, of the stretch that ends with it from all stretches of training (an AB-join, as `stumpi` gives
-when it is fed with one value after another), so nothing of the flight but the stretch is remembered.
+The series of a state is the largest scaled code of each publication.  A new publication scores the smallest distance,
+not normalized, between the subsequence that it completes and all training subsequences (an AB-join, identical to
+`stumpi` fed value by value); the only memory is the subsequence itself.
 """
 
 from collections.abc import Mapping
@@ -20,13 +20,13 @@ from mavfi.detectors.parts import Verdict
 from mavfi.detectors.samples import Sample
 
 LENGTH = 8
-"""Publications of a stretch."""
+"""Publications per subsequence."""
 _NEVER = 1e17
-"""Limit where training has no stretch of a state."""
+"""Limit for states without a training subsequence."""
 
 
 def nearest(stretch: np.ndarray, history: np.ndarray) -> float:
-    """Smallest Euclidean distance of a stretch, shape (LENGTH,), from a history, shape (k,); 0 if that is shorter."""
+    """Smallest Euclidean distance of a subsequence, shape (LENGTH,), from a history, shape (k,); 0 if too short."""
     if len(history) < LENGTH:
         return 0.0
     from stumpy.core import mass_absolute
@@ -35,11 +35,11 @@ def nearest(stretch: np.ndarray, history: np.ndarray) -> float:
 
 
 class StretchScorer(StateScorer):
-    """Distances of last stretches.
+    """Distances of the latest subsequences.
 
     Args:
-        everything: The codes.
-        history: Series of training, by state; shorter ones end with NaN. Shape (slots, k).
+        everything: Computes the codes.
+        history: Training series, by state; shorter ones end with NaN. Shape (slots, k).
         scale: Largest code in training. Shape (n,).
     """
 
@@ -59,14 +59,14 @@ class StretchScorer(StateScorer):
         return float(np.abs(scaled(self._codes[own], self._scale[own])).max())
 
     def score_of(self, slot: int, regime: int) -> float:
-        """See `StateScorer.score_of`; 0 until there is a stretch."""
+        """See `StateScorer.score_of`; 0 until the first subsequence is complete."""
         self._new = self.value(slot)
         if self._published[slot] < LENGTH - 1:
             return 0.0
         return nearest(np.append(self._last[slot], self._new), self._history[slot])
 
     def learn(self, slot: int, verdict: Verdict | None) -> None:
-        """Keep normal values; an anomaly is not held against the next ones."""
+        """Store normal values; an anomaly does not affect later subsequences."""
         if verdict is not None and verdict.score <= 1.0:
             self._last[slot, :-1] = self._last[slot, 1:]
             self._last[slot, -1] = self.value(slot)
@@ -81,7 +81,7 @@ class MatrixProfileDetector(AllFieldsDetector):
 
     @classmethod
     def scorer_of(cls, model: Model, everything: Everything) -> CodeScorer:
-        """Distances of the newest stretch of each state to those of training."""
+        """Scorer of the distance between the newest subsequence of each state and those of training."""
         cls.check_installed()
         states = len(everything.slots)
         given = model.parameters.get("history")
@@ -100,9 +100,9 @@ class MatrixProfileDetector(AllFieldsDetector):
 
         Args:
             sample: Error-free flights.
-            everything: What it was made with.
-            figures: `history`, values of each state's series that are kept, from the first half of the flights;
-                `calibrated`, stretches of the second half that limits are taken from; `margin`, limit / the largest.
+            everything: Codes from which the sample was made.
+            figures: `history`, stored values per state, from the first half of its series; `calibrated`, subsequences
+                of the second half from which limits are derived; `margin`, limit / largest distance.
         """
         cls.check_installed()
         scale = np.maximum(1.0, np.abs(sample.vectors.astype(np.float64)).max(axis=0))

@@ -1,4 +1,4 @@
-"""Outlier detectors of PyOD (Zhao, Nasrullah and Li, JMLR 20, 2019): one model of the codes of all states together."""
+"""Outlier detectors of PyOD (Zhao, Nasrullah and Li, JMLR 20, 2019): one model for the codes of all states."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from mavfi.detectors.everything import Everything
 
 
 class _Outliers:
-    """A fitted model of PyOD."""
+    """A fitted PyOD model."""
 
     def __init__(self, model: Any) -> None:  # noqa: ANN401 - the library has no types
         self._model = model
@@ -20,7 +20,7 @@ class _Outliers:
 
 
 class _OutlierDetector(LibraryDetector):
-    """Base: a class of PyOD with its options."""
+    """Base: a PyOD class with its options."""
 
     package = "pyod"
 
@@ -34,7 +34,7 @@ class _OutlierDetector(LibraryDetector):
 
     @classmethod
     def make(cls) -> Any:  # noqa: ANN401
-        """The model, not fitted."""
+        """The model before fitting."""
         raise NotImplementedError
 
 
@@ -45,20 +45,20 @@ class IsolationForestDetector(_OutlierDetector):
 
     @classmethod
     def make(cls) -> Any:  # noqa: ANN401
-        """See the base."""
+        """See the base class."""
         from pyod.models.iforest import IForest
 
         return IForest(n_estimators=100, random_state=0, n_jobs=1)
 
 
 class PcaDetector(_OutlierDetector):
-    """Distances along the principal components, weighted (Shyu et al., ICDM Workshop 2003)."""
+    """Weighted distances along the principal components (Shyu et al., ICDM Workshop 2003)."""
 
     model_kind = "pca"
 
     @classmethod
     def make(cls) -> Any:  # noqa: ANN401
-        """See the base."""
+        """See the base class."""
         from pyod.models.pca import PCA
 
         return PCA(random_state=0, svd_solver="full")
@@ -71,7 +71,7 @@ class MahalanobisDetector(_OutlierDetector):
 
     @classmethod
     def make(cls) -> Any:  # noqa: ANN401
-        """See the base."""
+        """See the base class."""
         from pyod.models.mcd import MCD
 
         return MCD(random_state=0)

@@ -1,4 +1,4 @@
-"""Instruction-level faults: one dynamic instruction of a Numba kernel, exactly, replayable, once."""
+"""Instruction-level faults: one exact, replayable dynamic instruction of a Numba kernel, once."""
 
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction.api import InjectedCall, count, draw, histogram, inject, resolve, run_forked

@@ -1,4 +1,4 @@
-"""Which memory an instruction accesses, and where that of a kernel lies: stack frames and constants in the arena."""
+"""Memory accesses of instructions, and placement of a kernel's memory: stack frames and constants in the arena."""
 
 import re
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ _NAME = re.compile(r'@(?:"[^"]*"|[-\w$.]+)')
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """Memory that an instruction accesses: pointer, and size (bytes), a number or a value of type i64.
+    """A memory access of an instruction: pointer and size (bytes), a number or a value of type i64.
 
-    With a `mask` the pointer is a vector, and its lanes where the mask (a vector of bits) is set are accessed.
+    With a `mask` (a vector of bits) the pointer is a vector, of which the lanes with a set bit are accessed.
     """
 
     pointer: str
@@ -30,7 +30,7 @@ class Access:
 
 
 def accesses_of(instruction: Instruction) -> list[Access]:
-    """What an instruction accesses through pointers that it has computed; functions that it calls are on their own."""
+    """Accesses of an instruction through computed pointers; callees are instrumented separately."""
     if instruction.opcode == "load":
         found = [Access(instruction.tokens[4], str(size_of(instruction.kind)))]
     elif instruction.opcode == "store":
@@ -46,7 +46,7 @@ def accesses_of(instruction: Instruction) -> list[Access]:
 
 
 def _masked(call: Instruction) -> Access:
-    """A plain pointer is accessed in full, whatever the mask says: the definition is simple, and harmless inside."""
+    """A masked access; a plain pointer counts as accessed in full, which is simple and harmless inside the arena."""
     mask = next(value for kind, value in call.arguments[::-1] if " x i1>" in kind)
     data = call.kind if call.kind != "void" else call.arguments[0][0]
     kind, pointer = next((kind, value) for kind, value in call.arguments if holds_pointer(kind))
@@ -58,7 +58,7 @@ def _masked(call: Instruction) -> Access:
 
 
 def size_of(kind: str) -> int:
-    """Bytes that a value of a type takes in memory, padding included."""
+    """Bytes that a value of a type occupies in memory, including padding."""
     fields = parts(kind)
     if not fields:
         return -(-width(kind) // 8)
@@ -71,7 +71,7 @@ def size_of(kind: str) -> int:
 
 
 def is_owned(module: Module) -> bool:
-    """Whether a kernel accesses memory in its own code only: it calls no function in C that gets or gives a pointer."""
+    """Whether a kernel accesses memory in its own code only: no C function that it calls takes or returns pointers."""
     own = {function.name for function in module.functions}
     for function in module.functions:
         for block in function.blocks:
@@ -89,7 +89,7 @@ def is_owned(module: Module) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Constant:
-    """An array of numbers in a module: its name, its planned address, and its size (bytes)."""
+    """A constant array of a module: name, planned address, and size (bytes)."""
 
     name: str
     address: int
@@ -97,9 +97,9 @@ class Constant:
 
 
 def constants_of(module: Module) -> dict[str, Constant]:
-    """Arrays that the fault space uses, with their places in the arena, in the order of their use.
+    """Arrays used in the fault space, with their addresses in the arena, in order of first use.
 
-    Pickled exceptions stay where they are: only Python reads them, and they are as long as the path in them.
+    Pickled exceptions are not moved: only Python reads them, and their length depends on a file path.
     """
     arrays = (match for match in map(_ARRAY.match, module.preamble) if match is not None)
     kinds = {match[1]: match[3] for match in arrays if ".const.pickle" not in match[1]}
@@ -114,7 +114,7 @@ def constants_of(module: Module) -> dict[str, Constant]:
 
 
 def visible(line: str, constants: dict[str, Constant]) -> str:
-    """A global of the module; those with a place in the arena can be found by name, to be copied there."""
+    """A global of the module; constants to be copied to the arena become externally visible."""
     match = _ARRAY.match(line)
     if match is None or match[1] not in constants:
         return line
@@ -122,7 +122,7 @@ def visible(line: str, constants: dict[str, Constant]) -> str:
 
 
 def moved(token: str, constants: dict[str, Constant]) -> str:
-    """A token of an instruction, with planned addresses in place of arrays, and our functions in place of Numba's."""
+    """A token of an instruction, with arrays replaced by planned addresses, and Numba's runtime by ours."""
     if "@" not in token:
         return token
     if token[1:] in REPLACED:
@@ -136,7 +136,7 @@ def moved(token: str, constants: dict[str, Constant]) -> str:
 
 
 def planned_wrapper(text: str, kernels: list[str]) -> str:
-    """Numba's wrapper, with planned addresses for result and exception of the kernel, and our runtime."""
+    """Numba's wrapper with planned addresses for the kernel's result and exception, and with our runtime."""
     for name in kernels:
         call = re.search(rf"{re.escape(name)} \( ptr (?:[^,]* )?(\S+) , ptr (?:[^,]* )?(\S+) [,)]", text)
         if call is not None:

@@ -1,6 +1,6 @@
-"""Functions on one kernel: count and resolve its instructions, draw faults, and inject them.
+"""Injection into a single kernel: count and resolve its instructions, draw faults, and inject them.
 
-Kernels are functions compiled by `mavfi.numerics.jit.kernel_jit`; nothing else of mavfi is needed.
+Kernels are functions compiled by `mavfi.numerics.jit.kernel_jit`; no other part of mavfi is needed.
 """
 
 import hashlib
@@ -32,10 +32,10 @@ class InjectedCall:
     """The effect of a fault on one call.
 
     Attributes:
-        how: "masked": result and arguments are bit for bit as without the fault; "sdc": they are not; "crash": a
-            signal; "hang": the budget of instructions was used up; "exception"; "not_activated": the instruction was
+        how: "masked": result and arguments are bit-identical to the fault-free call; "sdc": they differ; "crash": a
+            signal; "hang": the instruction budget was exhausted; "exception"; "not_activated": the instruction was
             not reached.
-        injection: What was injected.
+        injection: Record of the injection.
         detail: Name of the signal, or text of the exception.
     """
 
@@ -45,23 +45,23 @@ class InjectedCall:
 
 
 def count(kernel: Any, *args: Any) -> int:
-    """How many values a compiled function writes: its dynamic instructions that can be injected.
+    """Number of values that a compiled function writes: its injectable dynamic instructions.
 
-    The arguments are changed as by a call. Raises a RefusedError if the function cannot be instrumented exactly.
+    Modifies the arguments as a call does. Raises a RefusedError if the function cannot be instrumented exactly.
     """
     return variant_for(kernel, args).count(*args)[1]
 
 
 def histogram(kernel: Any, *args: Any) -> list[tuple[Site, int]]:
-    """All static instructions of a compiled function, and how often each is executed; arguments change as by a call."""
+    """All static instructions of a compiled function and their execution counts; modifies arguments as a call does."""
     variant = variant_for(kernel, args)
     return variant.table.executions(variant.profile(*args)[1])
 
 
 def resolve(kernel: Any, indices: Sequence[int], *args: Any) -> list[Site | None]:
-    """Static instructions that have dynamic indices (from 0, in any order) in a call, which changes the arguments.
+    """Static instructions at the given dynamic indices (from 0, in any order) of a call, which modifies the arguments.
 
-    None stands for an index beyond the last.
+    None for an index beyond the last.
     """
     return variant_for(kernel, args).resolve(indices, *args)[1]
 
@@ -73,15 +73,15 @@ def draw(
 
     Args:
         kernel: A compiled function.
-        n: How many.
-        *args: Its arguments; they stay as they are.
+        n: Number of faults.
+        *args: Arguments of the call; they are not modified.
         which: Class of instructions, see `mavfi.faults.instruction.selection`.
         model: "one_bit", "bits", "random" or "zero", see `mavfi.faults.instruction.plan`.
-        seed: Of the draw.
+        seed: Seed of the draw.
         bits: Number of bits for the model "bits".
 
     Raises:
-        BadInputError: No instruction of that class was found among some thousands.
+        BadInputError: No instruction of that class was found in some thousand draws.
     """
     variant = variant_for(kernel, args)
     selection = parse_selection(which)
@@ -109,10 +109,10 @@ def draw(
 
 
 def inject(kernel: Any, fault: InstructionFault, *args: Any) -> tuple[Any, Injection]:
-    """Call a compiled function with a fault, in this process; gives the result of the call, and the injection.
+    """Call a compiled function with a fault in this process; returns the result and the injection.
 
-    The arguments are changed as by a call with the fault. A wild write, a crash or a hang (exit status 77) ends the
-    process: use `run_forked` for addresses and control.
+    Modifies the arguments as the faulty call does. A wild write, a crash or a hang (exit status 77) ends the process:
+    use `run_forked` for addresses and control.
 
     Raises:
         MismatchError: The fault belongs to other machine code.
@@ -125,9 +125,9 @@ def inject(kernel: Any, fault: InstructionFault, *args: Any) -> tuple[Any, Injec
 
 
 def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float = 60.0) -> InjectedCall:
-    """Call a kernel with a fault in a forked child, and compare with the call without it; arguments stay as they are.
+    """Call a kernel with a fault in a forked child, and compare with the fault-free call; arguments are not modified.
 
-    The wall-clock limit `timeout` (s) is for hangs outside of the instructions that have a budget.
+    The wall-clock limit `timeout` (s) covers hangs outside budgeted instructions.
 
     Raises:
         MismatchError: The fault belongs to other machine code.
@@ -158,7 +158,7 @@ def run_forked(kernel: Any, fault: InstructionFault, *args: Any, timeout: float 
 
 
 def digest(value: Any) -> bytes:
-    """Digest of numbers and arrays, bit for bit, also within tuples and lists."""
+    """Digest of numbers and arrays, bit for bit, including nested tuples and lists."""
     total = hashlib.sha256()
     for part in _bytes(value):
         total.update(part)
@@ -179,7 +179,7 @@ def _bytes(value: Any) -> Iterator[bytes]:
 
 
 def apart(work: Callable[[], Any]) -> Any:
-    """The result of a run without a fault in a forked child, so that arguments stay as they are; or a BuildError."""
+    """Result of a fault-free run in a forked child, which leaves the arguments unmodified; failure is a BuildError."""
     ended = run_in_child(lambda: pickle.dumps(work()))
     if ended.how != "done":
         raise BuildError(f"a run without a fault ended with {ended.how} ({ended.detail})")

@@ -1,9 +1,9 @@
-"""The memory of an injected call: one range of planned addresses, the same in every process and on every machine.
+"""Memory of an injected call: one range of planned addresses, the same in every process and on every machine.
 
-The call gets copies of its arguments there; its stack frames, constants and new arrays lie there too.  From the
-injection on, each load and store is checked: an access elsewhere ends the call as a crash.  So the effect of a
-corrupted address does not depend on what else a process holds.  There is one arena per process: one instrumented call
-at a time.
+The call receives copies of its arguments in the arena, which also holds its stack frames, constants and new arrays.
+From the injection on, each load and store is checked: an access outside the arena ends the call as a crash.  Hence the
+effect of a corrupted address does not depend on the other contents of a process.  There is one arena per process: one
+instrumented call at a time.
 """
 
 import ctypes
@@ -18,14 +18,14 @@ import numpy as np
 from mavfi.errors import MavfiError
 
 BASE = 1 << 44
-"""Far from where Linux places programs, libraries, heaps and stacks."""
+"""Far from the addresses that Linux assigns to programs, libraries, heaps and stacks."""
 SIZE = 1 << 26
-"""A multiple of it is `BASE`: an address with one of its lowest 26 bits flipped stays inside."""
+"""`BASE` is a multiple of it: an address with one of its lowest 26 bits flipped stays inside."""
 RESULT, EXCEPTION, FRAMES = BASE, BASE + 0x4000, BASE + 0x5000
-"""Of the wrapper: where the kernel writes its result and a pointer to its exception; then its stack frames."""
+"""Addresses in the wrapper: of the kernel's result, of the pointer to its exception, and of its stack frames."""
 CONSTANTS = BASE + 0x100000
 _ARGUMENTS = BASE + SIZE // 2
-"""In the middle, so that an access a little before them is as possible as one a little behind."""
+"""In the middle, so that accesses shortly before and after the arguments are equally possible."""
 LINE = 64
 _NORESERVE, _FIXED_NOREPLACE = 0x4000, 0x100000  # mmap(2)
 _FLAGS = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | _NORESERVE | _FIXED_NOREPLACE
@@ -37,9 +37,9 @@ class Placed:
     """Arguments in the arena.
 
     Attributes:
-        args: As given, with arrays in the arena.
-        heap: First address behind them.
-        ranges: Address here, address in the arena, and size (bytes) of each range of memory that was copied.
+        args: The arguments, with arrays in the arena.
+        heap: First free address after them.
+        ranges: Original address, address in the arena, and size (bytes) of each copied memory range.
     """
 
     args: tuple[Any, ...]
@@ -47,16 +47,16 @@ class Placed:
     ranges: list[tuple[int, int, int]]
 
     def take_back(self) -> None:
-        """Copy the arrays back, as the call left them."""
+        """Copy the arrays, as modified by the call, back to their original addresses."""
         for here, there, size in self.ranges:
             ctypes.memmove(here, there, size)
 
 
 class Arena:
-    """The memory, mapped at its place.
+    """The memory, mapped at its fixed address.
 
     Raises:
-        MavfiError: Something else is there.
+        MavfiError: The address range is occupied.
     """
 
     def __init__(self) -> None:
@@ -75,10 +75,10 @@ class Arena:
         self._madvise(BASE, SIZE, mmap.MADV_DONTNEED)
 
     def place(self, args: tuple[Any, ...]) -> Placed | None:
-        """Clear it, and copy arguments to it; arrays that share memory do so there.
+        """Clear the arena and copy arguments into it, preserving shared memory between arrays.
 
         Returns:
-            None if they are more than arrays of numbers, numbers, and tuples of these, or too large.
+            None if they contain anything but numbers, numeric arrays and tuples of these, or are too large.
         """
         arrays = list(_arrays(args))
         if any(array is None for array in arrays):
@@ -109,12 +109,12 @@ class Arena:
 
 @cache
 def arena() -> Arena:
-    """That of this process; forked children have a copy."""
+    """The arena of this process; forked children have a copy."""
     return Arena()
 
 
 def own(value: Any) -> Any:
-    """A result with copies of its arrays: those in the arena belong to the next call."""
+    """A result with its arrays copied, since the next call reuses the arena."""
     if isinstance(value, tuple):
         parts = (own(part) for part in value)
         return type(value)(*parts) if hasattr(value, "_fields") else tuple(parts)
@@ -122,7 +122,7 @@ def own(value: Any) -> Any:
 
 
 def _arrays(value: Any) -> Iterator[Any]:
-    """Arrays in arguments; None for what is neither array, number nor tuple."""
+    """Arrays in arguments; None for anything but arrays, numbers and tuples."""
     if isinstance(value, tuple):
         for part in value:
             yield from _arrays(part)
@@ -133,13 +133,13 @@ def _arrays(value: Any) -> Iterator[Any]:
 
 
 def _bounds(array: np.ndarray) -> tuple[int, int]:
-    """First and last address + 1 of its elements."""
+    """First address and end address of its elements."""
     low, high = np.lib.array_utils.byte_bounds(array) if array.size else (array.ctypes.data, array.ctypes.data)
     return int(low), int(high)
 
 
 def _plan(bounds: list[tuple[int, int]]) -> tuple[list[tuple[int, int, int]], int]:
-    """Places of ranges of memory, in the order of their first array; overlapping ones are one range."""
+    """Arena addresses of memory ranges, in the order of their first array; overlapping ranges are merged."""
     merged: list[list[int]] = []
     for low, high in sorted(pair for pair in bounds if pair[0] < pair[1]):
         if merged and low < merged[-1][1]:

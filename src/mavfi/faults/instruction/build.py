@@ -1,4 +1,4 @@
-"""Builds the instrumented variant of a kernel: in a child process, since the compiler aborts on a malformed module."""
+"""Builds the instrumented variant of a kernel, in a child process since LLVM aborts on a malformed module."""
 
 import json
 import zlib
@@ -17,12 +17,12 @@ from mavfi.numerics.jit import uncached_copy
 
 _PATIENCE = 600.0
 _OPTIMISATION = 3
-"""Level of code generation, as Numba's."""
+"""Optimisation level of code generation, as Numba's."""
 
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """An instrumented kernel: object file, and the rest as in `Instrumented`.
+    """An instrumented kernel: object file, and the other attributes as in `Instrumented`.
 
     Python calls the function `wrapper`; the global `environment` points to Numba's environment of the kernel.
     """
@@ -36,7 +36,7 @@ class Built:
     environment: str
 
     def pack(self) -> bytes:
-        """As bytes."""
+        """Serialize to bytes."""
         constants = [[constant.name, constant.address, constant.size] for constant in self.constants]
         facts = [self.table.to_json(), self.ir_sha256, constants, self.owned, self.wrapper, self.environment]
         head = zlib.compress(json.dumps(facts).encode(), 1)
@@ -57,7 +57,7 @@ def name_of(kernel: Any) -> str:
 
 
 def check(kernel: Any) -> None:
-    """Raise a RefusedError for what is not compiled, or with flags under which a fault could not be replayed."""
+    """Raise a RefusedError if it is not compiled, or compiled with flags that prevent exact replay."""
     flags = getattr(kernel, "targetoptions", None)
     if flags is None or not hasattr(kernel, "inspect_llvm"):
         raise RefusedError(getattr(kernel, "__name__", repr(kernel)), "it is not a function compiled by kernel_jit")
@@ -69,7 +69,7 @@ def check(kernel: Any) -> None:
 def build(kernel: Any, signature: tuple[Any, ...]) -> Built:
     """Instrument a Numba dispatcher for one signature (Numba types of the arguments).
 
-    Raises a RefusedError for an unknown construct, and a BuildError if the compiler does not survive.
+    Raises a RefusedError for an unknown construct, and a BuildError if the compiler crashes.
     """
     check(kernel)
     ended = run_fresh(kernel, signature, _PATIENCE) or run_in_child(lambda: make(kernel, signature), _PATIENCE)
@@ -81,7 +81,7 @@ def build(kernel: Any, signature: tuple[Any, ...]) -> Built:
 
 
 def make(kernel: Any, signature: tuple[Any, ...]) -> bytes:
-    """The part of `build` for another process, since LLVM aborts on a malformed module."""
+    """The part of `build` that runs in another process, since LLVM aborts on a malformed module."""
     try:
         return b"B" + assemble(*prepare(kernel, signature)).pack()
     except RefusedError as error:
@@ -89,7 +89,7 @@ def make(kernel: Any, signature: tuple[Any, ...]) -> bytes:
 
 
 def prepare(kernel: Any, signature: tuple[Any, ...]) -> tuple[Instrumented, str, str]:
-    """Compile a kernel anew in this process, and instrument its IR; gives also the names of wrapper and environment."""
+    """Recompile a kernel in this process and instrument its IR; also returns the names of wrapper and environment."""
     copy = uncached_copy(kernel)
     copy.compile(signature)
     names = copy.overloads[signature].fndesc
@@ -104,7 +104,7 @@ def assemble(made: Instrumented, wrapper: str, environment: str) -> Built:
 
 
 def target_machine() -> Any:
-    """Any x86-64 CPU: the same code everywhere."""
+    """A generic x86-64 CPU, for the same code everywhere."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     target = llvm.Target.from_triple(llvm.get_process_triple())
@@ -114,7 +114,7 @@ def target_machine() -> Any:
 
 
 def translate(text: str) -> bytes:
-    """IR to an object file; malformed IR is a RuntimeError where LLVM does not abort."""
+    """Compile IR to an object file; malformed IR is a RuntimeError unless LLVM aborts."""
     module = llvm.parse_assembly(text)
     module.verify()
     return bytes(target_machine().emit_object(module))

@@ -1,12 +1,12 @@
 """Uses of values: as an address, to decide a branch, or as data.
 
-A value feeds an address if a pointer operand is computed from it, without a call or a comparison between; also through
-a parameter of a function that was not inlined, and through memory: what is stored where an address is loaded from later
-(an index in an array, a result that is returned through a pointer).  Memory is told apart by where its pointers come
-from: a parameter, the stack, or a call.
+A value feeds an address if a pointer operand is computed from it without an intervening call or comparison; also
+through a parameter of a function that was not inlined, and through memory: a value stored to memory from which an
+address is loaded later (an index in an array, a result returned through a pointer).  Memory is distinguished by the
+origin of its pointers: a parameter, the stack, or a call.
 
-A value decides control if a branch, switch or select depends on it, without a load, a call or a comparison of
-floating-point numbers between: counters and bounds of loops do.
+A value decides control if a branch, switch or select depends on it without an intervening load, call or floating-point
+comparison: loop counters and bounds do.
 """
 
 from collections.abc import Callable, Iterable
@@ -27,7 +27,7 @@ class Roles:
     conditions: set[str]
 
     def of(self, instruction: Instruction) -> str:
-        """Class of the result: the first that fits of address, control, floating point, integer."""
+        """Class of the result: the first match of address, control, floating point, integer."""
         if holds_pointer(instruction.kind) or instruction.result in self.addresses:
             return ADDRESS
         if is_floating(instruction.kind):
@@ -36,7 +36,7 @@ class Roles:
 
 
 def roles(module: Module) -> dict[str, Roles]:
-    """Roles of the values of each function in the fault space, by its name."""
+    """Roles of the values of each function in the fault space, by function name."""
     flows = {function.name: _Flow(function) for function in module.functions}
     while any([flow.grow(flows) for flow in flows.values()]):  # all of them, in each round
         pass
@@ -45,7 +45,7 @@ def roles(module: Module) -> dict[str, Roles]:
 
 @dataclass(slots=True)
 class _Flow:
-    """Flow of a function's values into addresses; `indices` are origins of memory from which such values are loaded."""
+    """Flow of a function's values into addresses; `indices` are memory origins from which such values are loaded."""
 
     function: Function
     addresses: set[str] = field(default_factory=set)
@@ -59,7 +59,7 @@ class _Flow:
         self.made_by = {str(made.result): made for made in self.instructions if made.result is not None}
 
     def grow(self, flows: "dict[str, _Flow]") -> bool:
-        """One step towards the fixed point; says whether anything was added."""
+        """One step towards the fixed point; returns whether anything was added."""
         before = len(self.addresses) + len(self.indices)
         seeds = set(self.addresses)
         for instruction in self.instructions:
@@ -76,7 +76,7 @@ class _Flow:
         return len(self.addresses) + len(self.indices) > before
 
     def _exchange(self, call: Instruction, callee: "_Flow") -> set[str]:
-        """Exchange the memory that holds indices with a callee; gives the arguments that it uses in addresses."""
+        """Exchange the memory that holds indices with a callee; returns the arguments that it uses in addresses."""
         found = set()
         for (_, name), (_, argument) in zip(callee.function.parameters, call.arguments, strict=True):
             if name in callee.addresses:
@@ -89,7 +89,7 @@ class _Flow:
         return found
 
     def origins(self, pointer: str) -> frozenset[str]:
-        """Where a pointer comes from: parameters, allocations, calls, loads."""
+        """Origins of a pointer: parameters, allocations, calls, loads."""
         if pointer not in self.known_origins:
             chain = _closure([pointer], lambda name: _pointers(self.made_by.get(name)))
             origins = (name for name in chain if name[0] == "%" and not _pointers(self.made_by.get(name)))
@@ -106,7 +106,7 @@ class _Flow:
 
 
 def _pointers(maker: Instruction | None) -> list[str]:
-    """Pointers from which a pointer is computed; none at its origin."""
+    """Pointers from which a pointer is computed; empty at its origin."""
     if maker is None or maker.opcode in ("alloca", "call", "load"):
         return []
     if maker.opcode == "getelementptr":
@@ -116,7 +116,7 @@ def _pointers(maker: Instruction | None) -> list[str]:
 
 
 def _sources(names: Iterable[str], made_by: dict[str, Instruction], stops: tuple[str, ...]) -> set[str]:
-    """The local names, and all from which they are computed."""
+    """The local names, and all names from which they are computed."""
 
     def uses(name: str) -> list[str]:
         maker = made_by.get(name)
@@ -126,7 +126,7 @@ def _sources(names: Iterable[str], made_by: dict[str, Instruction], stops: tuple
 
 
 def _closure(names: Iterable[str], following: Callable[[str], list[str]]) -> set[str]:
-    """The names, and all that follow from them."""
+    """Transitive closure of names under `following`."""
     found: set[str] = set()
     waiting = list(names)
     while waiting:

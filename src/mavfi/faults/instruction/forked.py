@@ -1,7 +1,7 @@
-"""Work in a forked child: whatever a fault does there, the parent continues from the instant of the fork.
+"""Work in a forked child: whatever a fault causes there, the parent continues from the instant of the fork.
 
-The child reports through a pipe and ends without running the parent's clean-up code.  It ends with the parent, writes
-no core file, and leaves no zombie and no open file behind.
+The child reports through a pipe and exits without the parent's clean-up code.  It ends with its parent, writes no core
+file, and leaves no zombie and no open file.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ How = Literal["done", "crash", "hang", "exception"]
 _EXCEPTION_EXIT, _MACHINE_EXIT = 70, 71
 LENGTH_BYTES = 8
 WALL_CLOCK = "wall clock"
-"""Detail of a child that was ended because it took too long."""
+"""Detail of a child killed at its time limit."""
 WILD = "access outside its memory"
 """Detail of a child whose kernel accessed memory that it does not own."""
 _CHUNK = 1 << 16
@@ -36,9 +36,9 @@ class Ended:
     """How a child ended.
 
     Attributes:
-        how: "done": it reported; "crash": a signal, or an access to memory that is not the kernel's; "hang": it used up
-            its budget of instructions, or the wall clock; "exception": it raised, or left in another way.
-        payload: What it reported.
+        how: "done": it reported; "crash": a signal, or an access outside the kernel's memory; "hang": it exhausted its
+            instruction budget or wall-clock limit; "exception": it raised, or exited in another way.
+        payload: Its report.
         detail: Name of the signal, text of the exception, or "wall clock".
     """
 
@@ -48,12 +48,12 @@ class Ended:
 
 
 Attend = Callable[[int], Ended | None]
-"""Called in the parent with the child's number before its report is waited for, e.g. to trace it.  An answer other than
-None is how the child ended; then the child has been waited for."""
+"""Called in the parent with the child's pid before waiting for its report, e.g. to trace it.  A result other than None
+states how the child ended; it has then been waited for."""
 
 
 class ForkPoint:
-    """One process becomes two, once: the child goes on, the parent waits for its end."""
+    """A single fork: the child continues, the parent waits for its end."""
 
     def __init__(self) -> None:
         self._pipe = -1
@@ -67,10 +67,10 @@ class ForkPoint:
         """Fork; `timeout` is the wall-clock limit of the child (s).
 
         Returns:
-            None in the child, at once; in the parent how the child ended.
+            None in the child, immediately; in the parent how the child ended.
 
         Raises:
-            MachineError: The child met a failure of the machine, or was killed from outside.
+            MachineError: A failure of the machine occurred in the child, or it was killed from outside.
         """
         reading, writing = os.pipe()
         parent = os.getpid()
@@ -93,7 +93,7 @@ class ForkPoint:
 
     @contextlib.contextmanager
     def guard(self) -> Iterator[None]:
-        """Report an exception in the child and end it; change nothing in the parent."""
+        """In the child, report an exception and exit; no effect in the parent."""
         try:
             yield
         except BaseException as error:
@@ -115,19 +115,19 @@ class ForkPoint:
 
 
 def framed(payload: bytes) -> bytes:
-    """A report as a child writes it: with its length, so that `judge_exit` sees whether it is complete."""
+    """A report as written by a child: prefixed by its length, so that `judge_exit` can check completeness."""
     return len(payload).to_bytes(LENGTH_BYTES, "little") + payload
 
 
 def write_all(handle: int, data: bytes) -> None:
-    """Write to a pipe, however much it takes at once."""
+    """Write all data to a pipe, in as many writes as needed."""
     left = memoryview(data)
     while left:
         left = left[os.write(handle, left) :]
 
 
 def run_in_child(work: Callable[[], bytes], timeout: float = 60.0, attend: Attend | None = None) -> Ended:
-    """Run `work`, which gives the report, in a forked child; the rest as in `ForkPoint.split`."""
+    """Run `work`, which returns the report, in a forked child; otherwise as `ForkPoint.split`."""
     point = ForkPoint()
     with point.guard():
         ended = point.split(timeout, attend)
@@ -137,10 +137,10 @@ def run_in_child(work: Callable[[], bytes], timeout: float = 60.0, attend: Atten
 
 
 def _settle(parent: int) -> None:
-    """Make the child harmless."""
+    """Isolate the child: it dies with its parent, and has no core dumps, signal wake-ups or timers."""
     ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
-        os._exit(_EXCEPTION_EXIT)  # the parent ended before it could be watched
+        os._exit(_EXCEPTION_EXIT)  # the parent ended before the death signal was set
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     faulthandler.disable()
     signal.set_wakeup_fd(-1)
@@ -148,7 +148,7 @@ def _settle(parent: int) -> None:
 
 
 def _wait(pid: int, pipe: int, timeout: float) -> Ended:
-    """Read what the child writes until it ends, or end it."""
+    """Read the child's output until it exits, or kill it at the timeout."""
     deadline = time.monotonic() + timeout
     data = bytearray()
     late = False
@@ -166,7 +166,7 @@ def _wait(pid: int, pipe: int, timeout: float) -> Ended:
                 if not chunk:
                     sources.remove(pipe)
             elif handle in ready:
-                break  # it ended, and nothing is left in the pipe
+                break  # it exited, and the pipe is empty
     finally:
         if late or not select.select([handle], [], [], 0.0)[0]:
             signal.pidfd_send_signal(handle, signal.SIGKILL)
@@ -176,10 +176,10 @@ def _wait(pid: int, pipe: int, timeout: float) -> Ended:
 
 
 def judge_exit(code: int, data: bytes = b"") -> Ended:
-    """How a child ended, given its exit code (negative = number of a signal) and the data that it wrote to its pipe.
+    """How a child ended, from its exit code (negative = signal number) and the data that it wrote to its pipe.
 
     Raises:
-        MachineError: It met a failure of the machine, or was killed from outside.
+        MachineError: A failure of the machine occurred in the child, or it was killed from outside.
     """
     if code < 0:
         name = _SIGNALS.get(-code, f"signal {-code}")

@@ -1,8 +1,8 @@
-"""Prepares a kernel for any x86-64 CPU, in a process that has compiled nothing before.
+"""Prepares a kernel for a generic x86-64 CPU, in a process without earlier compilations.
 
-LLVM's inlining depends on whether a callee was just compiled or loaded from a cache, and its vectors on the CPU.  So
-the IR of a kernel, and with it the digest of its faults, is that of a fresh process with an empty cache and the
-features that every x86-64 CPU has: it then follows from the source and the versions alone.
+LLVM's inlining depends on whether a callee was just compiled or loaded from a cache, and its vectorization on the CPU.
+So the IR of a kernel, and with it the digest of its faults, is that of a fresh process with an empty cache and baseline
+x86-64 features: it depends on the source and the versions only.
 """
 
 import contextlib
@@ -19,11 +19,11 @@ from mavfi.faults.instruction.forked import Ended, framed, judge_exit, write_all
 
 _CPU = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 _NOT_HERE = b"N"
-"""It was loaded from a file that is on no path, or Numba compiles it only where it has been compiled (recursion)."""
+"""Loaded from a file that is on no path, or compilable only where it has been compiled (recursion in Numba)."""
 
 
 def run_fresh(kernel: Any, signature: tuple[Any, ...], timeout: float) -> Ended | None:
-    """Run `build.make` in a fresh process, for `timeout` seconds at most.
+    """Run `build.make` in a fresh process, for at most `timeout` seconds.
 
     Returns:
         How the process ended; None if the kernel cannot be prepared there.
@@ -58,7 +58,7 @@ def run_fresh(kernel: Any, signature: tuple[Any, ...], timeout: float) -> Ended 
 
 
 def surroundings(function: Any) -> dict[str, Any]:
-    """Values that a function takes from the scopes around it and from its module, by name."""
+    """Values that a function takes from enclosing scopes and from its module, by name."""
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     named = {name: function.__globals__[name] for name in function.__code__.co_names if name in function.__globals__}
     return {name: cell.cell_contents for name, cell in cells} | named
@@ -74,11 +74,11 @@ def _find(module: str, name: str) -> Any:
 
 
 def main() -> None:
-    """In the fresh process: read what to prepare, write it."""
+    """Entry point of the fresh process: read the request, write the answer."""
     from mavfi.faults.instruction.build import make
 
     answers = os.dup(1)
-    os.dup2(2, 1)  # whatever prints does not print into the answer
+    os.dup2(2, 1)  # keep prints out of the answer
     paths, module, name, signature = pickle.loads(sys.stdin.buffer.read())
     sys.path[:] = paths
     answer = _NOT_HERE

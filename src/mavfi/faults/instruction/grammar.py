@@ -1,4 +1,4 @@
-"""The instructions of LLVM IR that the injector knows, each with its whole syntax."""
+"""The LLVM IR instructions supported by the injector, each with its complete syntax."""
 
 import re
 
@@ -11,7 +11,7 @@ PROMISES = {
     "initializes", "noalias", "nocapture", "nofpclass", "nofree", "nonnull", "noundef", "range", "readnone", "readonly",
     "returned", "writable", "writeonly",
 }  # fmt: skip
-"""Attributes without which the machine code is the same, and with which a corrupted value would be undefined."""
+"""Attributes that do not change the machine code, but make a corrupted value undefined behaviour."""
 POISON_FLAGS = ("nuw", "nsw", "exact", "inbounds", "nusw", "disjoint", "nneg", "samesign")
 FAST_MATH = ("fast", "reassoc", "nnan", "ninf", "nsz", "arcp", "contract", "afn")
 _BINARY = {
@@ -37,15 +37,15 @@ _INTRINSICS = re.compile(
 _DROPPED = re.compile(
     r"@llvm\.(?:lifetime\.(?:start|end)|assume|experimental\.noalias\.scope\.decl|donothing|invariant\.)"
 )
-"""Promises in the shape of calls; they compute nothing."""
+"""Promises in the form of calls; they compute nothing."""
 _POISON_ARGUMENT = re.compile(r"@llvm\.(?:abs|ctlz|cttz)\.")
-"""Their last argument says that some inputs are undefined behaviour."""
+"""Their last argument declares some inputs undefined behaviour."""
 _PARALLEL = re.compile(r"@\"?(?:numba_parallel_for|do_scheduling|set_num_threads|get_num_threads|launch_threads)")
 _PYTHON = re.compile(r"@\"?numba_gil_ensure")
 
 
 def parse_instruction(cursor: Cursor) -> Instruction | None:
-    """Read one instruction, None for a call that only promises something; raises a RefusedError if it is not known."""
+    """Read one instruction; None for a call that is only a promise; an unknown one is a RefusedError."""
     result = None
     if cursor.next.startswith("%"):
         result = cursor.local()
@@ -63,7 +63,7 @@ def parse_instruction(cursor: Cursor) -> Instruction | None:
 
 
 def skip_promises(cursor: Cursor) -> list[str]:
-    """Skip attributes that promise something; gives those that the calling convention needs."""
+    """Skip promise attributes; returns those required by the calling convention."""
     kept = []
     while True:
         if cursor.next in ABI_ATTRIBUTES:
@@ -80,7 +80,7 @@ def skip_promises(cursor: Cursor) -> list[str]:
 
 
 def _like(kind: str, other: str) -> str:
-    """`kind` for every element, if `other` is a vector."""
+    """`kind`, or a vector of it if `other` is a vector."""
     return f"{other.split(' x ')[0]} x {kind}>" if other.startswith("<") else kind
 
 
@@ -96,11 +96,11 @@ _FORMS = {
     "extractelement": "kind value , kind value", "insertelement": "kind value , kind value , kind value",
     "shufflevector": "kind value , kind value , kind value", "unreachable": "",
 }  # fmt: skip
-"""Operands of instructions: types, values, an alignment that may be left out, indices, and words of the language."""
+"""Operands of instructions: types, values, an optional alignment, indices, and keywords."""
 
 
 def _operands(cursor: Cursor, new: Instruction) -> None:
-    """Read an instruction whose operands have a fixed form."""
+    """Read an instruction with a fixed operand form."""
     kinds = []
     for part in _FORMS[new.opcode].split():
         if part == "kind":
@@ -124,7 +124,7 @@ def _operands(cursor: Cursor, new: Instruction) -> None:
 
 
 def _result(new: Instruction, kinds: list[str]) -> str:
-    """Type of the result, given those of the operands."""
+    """Type of the result, from those of the operands."""
     if new.opcode in ("store", "unreachable"):
         return "void"
     if new.opcode == "alloca":

@@ -3,12 +3,12 @@
 Each block with n sites becomes
 
     B:       its phis; counter += n; beyond the threshold? -> B.slow, else -> B.fast
-    B.fast:  the instructions as they were                                           -> B.join
-    B.slow:  the same ones, each followed by (value & keep) ^ flip where it is injected -> B.join
-    B.join:  a phi for each value that is used elsewhere; the terminator
+    B.fast:  the original instructions                                               -> B.join
+    B.slow:  the same, each followed by (value & keep) ^ flip at the injection site -> B.join
+    B.join:  a phi for each value used elsewhere; the terminator
 
-so that all but the injected block run as before.  From there on all blocks are slow: there each access to memory is
-checked.  Nothing is optimised after this, only translated.
+so that all blocks but the injected one run as before.  After the injection all blocks take the slow path, which checks
+each memory access.  The result is not optimised further, only translated.
 """
 
 import hashlib
@@ -48,10 +48,10 @@ _UNLIKELY = '!0 = !{!"branch_weights", i32 1, i32 100000}'
 _PER_PROCESS = re.compile(
     r"B\d+v\d+(?!\d)|0x[0-9a-f]{6,}|(?<=picklebuf\.)[0-9a-f]+|(?<=pickledata\.)[0-9a-f]+|-?\d{9,}"
 )
-"""Parts of Numba's global names that differ from process to process or from folder to folder: counters of functions,
-addresses, digests of exceptions with the path of their source, hashes of strings, which may be negative."""
+"""Process- or folder-dependent parts of Numba's global names: function counters, addresses, digests of exceptions with
+the path of their source, hashes of strings, which may be negative."""
 _PICKLED_SIZE = re.compile(r"(store ptr @\.const\.pickledata\.\S+ ,?[^\n]*\n[^\n]*\n\s*store i32 )\d+")
-"""How long such an exception is, which is written beside it: it grows with the path."""
+"""Stored length of such an exception: it grows with the path."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,8 +62,8 @@ class Instrumented:
         text: IR.
         table: Sites.
         ir_sha256: Digest of the fault space, the same in every process.
-        constants: Arrays with a place in the arena.
-        owned: Whether all its accesses to memory are known, and are checked after an injection.
+        constants: Arrays placed in the arena.
+        owned: Whether all memory accesses are known, and are checked after an injection.
     """
 
     text: str
@@ -74,10 +74,10 @@ class Instrumented:
 
 
 def instrument(text: str, kernel: str) -> Instrumented:
-    """Instrument a module as `Dispatcher.inspect_llvm` gives it; `kernel` is the name for error messages.
+    """Instrument a module from `Dispatcher.inspect_llvm`; `kernel` is the name for error messages.
 
     Raises:
-        RefusedError: Something in it is not known, or cannot be instrumented exactly.
+        RefusedError: A construct is unknown, or cannot be instrumented exactly.
     """
     module = parse_module(text, kernel)
     if not module.functions:
@@ -102,7 +102,7 @@ def instrument(text: str, kernel: str) -> Instrumented:
 
 
 def _move(function: Function, constants: dict[str, Constant]) -> None:
-    """Let a function use the arena's constants and runtime."""
+    """Redirect a function to the arena's constants and runtime."""
     for block in function.blocks:
         for instruction in block.all():
             instruction.tokens = [moved(token, constants) for token in instruction.tokens]
@@ -117,7 +117,7 @@ def _digest(bodies: str) -> str:
 
 
 class _Rewriter:
-    """Writes one function anew."""
+    """Rewrites one function."""
 
     def __init__(self, function: Function, first_block: int) -> None:
         self.function = function
@@ -142,7 +142,7 @@ class _Rewriter:
         return "\n".join([*self.lines, "}"])
 
     def _allocate(self, block: Block) -> None:
-        """Take the function's stack frame from the arena."""
+        """Allocate the function's stack frame in the arena."""
         if not block.allocations:
             return
         self.frame = self._let(f"load i64, ptr {address(Control.FRAME)}")
@@ -155,7 +155,7 @@ class _Rewriter:
         self.lines.append(f"  call void @mavfi_overflow(i64 {end})")
 
     def _leave(self, block: Block) -> None:
-        """The terminator; whoever returns gives back its frame."""
+        """The terminator; a return releases the stack frame."""
         if block.terminator is not None:
             if block.terminator.opcode == "ret" and self.frame:
                 self.lines.append(f"  store i64 {self.frame}, ptr {address(Control.FRAME)}")
@@ -164,7 +164,7 @@ class _Rewriter:
     def _checked(
         self, body: list[Instruction], names: dict[str, str], write: Callable[[Instruction], None]
     ) -> None:  # fmt: skip
-        """Write instructions, each after a check of what it accesses."""
+        """Write instructions, each preceded by checks of its memory accesses."""
         for instruction in body:
             for access in accesses_of(instruction):
                 self._check(access, names)
@@ -240,7 +240,7 @@ class _Rewriter:
         return names
 
     def _injected(self, site: Instruction, raw: str, chosen: str, offset: int) -> str:
-        """Write code that changes a value if it is chosen, and reports it before and after; gives its new name."""
+        """Write code that changes a value if chosen, and reports it before and after; returns its new name."""
         bits = width(site.kind)
         word, room = f"i{bits}", f"i{-(-bits // 8) * 8}"
         here = self._let(f"icmp eq i64 {chosen}, {offset}")

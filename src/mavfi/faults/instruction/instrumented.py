@@ -1,6 +1,6 @@
 """Instrumented functions: each replaces a compiled function in a flight, and counts, resolves or injects.
 
-From the counts of a first flight `strata.choose` draws call and index; a second flight resolves the instructions.
+`strata.choose` draws call and index from the counts of a first flight; a second flight resolves the instructions.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +17,7 @@ from mavfi.flight_log import Injection
 
 
 class Counting:
-    """Counts the values that each call of a compiled function writes, and keeps the digest of the IR that it ran."""
+    """Counts the values that each call of a compiled function writes, and stores the digest of the executed IR."""
 
     def __init__(self, function: Any) -> None:
         self.function = function
@@ -25,7 +25,7 @@ class Counting:
         self.digests: list[str] = []
 
     def __call__(self, *args: Any) -> Any:
-        """As the function, bit for bit."""
+        """Call the function; bit-identical result."""
         variant = variant_for(self.function, args)
         result, total = self._run(variant, args)
         self.counts.append(total)
@@ -37,7 +37,7 @@ class Counting:
 
 
 class Profiling(Counting):
-    """Counts also how often each static instruction was executed in all calls."""
+    """Additionally counts the executions of each static instruction over all calls."""
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
@@ -50,7 +50,7 @@ class Profiling(Counting):
         return result, variant.table.written(times)
 
     def executed(self) -> list[tuple[str, Site, int]]:
-        """All static instructions that were executed: digest of the IR, instruction, and how often."""
+        """All executed static instructions: digest of the IR, instruction, execution count."""
         return [
             (digest, site, times)
             for digest, (table, total) in self._times.items()
@@ -60,9 +60,9 @@ class Profiling(Counting):
 
 
 class Locating:
-    """Finds the call, and the index in it, at which the drawn passes through blocks begin.
+    """Finds the call, and the dynamic index in it, at which each drawn block execution starts.
 
-    Wanted are, by digest of the IR, blocks and numbers of their executions in all calls, from 0.
+    `wanted` has, by digest of the IR, blocks and numbers of their executions over all calls, from 0.
     """
 
     def __init__(self, function: Any, wanted: Mapping[str, Sequence[tuple[int, int]]]) -> None:
@@ -72,7 +72,7 @@ class Locating:
         self._calls = 0
 
     def __call__(self, *args: Any) -> Any:
-        """As the function, bit for bit."""
+        """Call the function; bit-identical result."""
         call, self._calls = self._calls, self._calls + 1
         variant = variant_for(self._function, args)
         digest = variant.ir_sha256
@@ -85,13 +85,13 @@ class Locating:
         return result
 
     def place(self, digest: str, block: int, number: int) -> tuple[int, int]:
-        """Call, and dynamic index in it at which a wanted pass begins."""
+        """Call, and dynamic index in it, at which a wanted block execution starts."""
         passes = self._passes[digest]
         return passes.call(block, number), passes.start(block, number)
 
 
 class Resolving:
-    """Finds the static instructions (`sites`, by call and index) of the wanted indices, by call."""
+    """Finds the static instructions (`sites`, by call and index) at the wanted indices, given by call."""
 
     def __init__(self, function: Any, wanted: Mapping[int, Sequence[int]]) -> None:
         self._function = function
@@ -105,7 +105,7 @@ class Resolving:
         return self._calls > max(self._wanted, default=-1)
 
     def __call__(self, *args: Any) -> Any:
-        """As the function, bit for bit."""
+        """Call the function; bit-identical result."""
         call, self._calls = self._calls, self._calls + 1
         indices = self._wanted.get(call)
         if not indices:
@@ -118,8 +118,8 @@ class Resolving:
 class Injecting:
     """Runs the function unchanged, except for the call with the fault.
 
-    `before` is called just before the injection, e.g. to fork; the fault is injected where it returns True, and in
-    other processes the call is an ordinary one.
+    `before` is called immediately before the injection, e.g. to fork; the fault is injected where it returns True,
+    otherwise the call is an ordinary one.
 
     Raises:
         BadInputError: The fault has no budget.
@@ -135,7 +135,7 @@ class Injecting:
         self._variant: Variant | None = None
 
     def __call__(self, *args: Any) -> Any:
-        """As the function; once with the fault, or a MismatchError if it belongs to other machine code."""
+        """Call the function, once with the fault; a fault for other machine code is a MismatchError."""
         call, self.calls = self.calls, self.calls + 1
         if call != self._fault.call:
             return self._function(*args)

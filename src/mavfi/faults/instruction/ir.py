@@ -1,4 +1,4 @@
-"""A module of LLVM IR as the injector sees it: functions, blocks, instructions, and the types of their values."""
+"""LLVM IR module as represented in the injector: functions, blocks, instructions, and the types of their values."""
 
 import re
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ _ARRAY = re.compile(r"\[(\d+) x (.+)\]")
 
 
 def width(kind: str) -> int:
-    """Bits of a value of a type, the fields of aggregates packed; 0 for `void`."""
+    """Bits of a value of a type, aggregate fields packed; 0 for `void`."""
     if kind == "void":
         return 0
     if kind in _SCALARS:
@@ -24,7 +24,7 @@ def width(kind: str) -> int:
 
 
 def parts(kind: str) -> list[str]:
-    """Types of the fields of a struct or array; none for any other type."""
+    """Field types of a struct or array; empty for any other type."""
     array = _ARRAY.fullmatch(kind)
     if array is not None:
         return [array[2]] * int(array[1])
@@ -32,7 +32,7 @@ def parts(kind: str) -> list[str]:
 
 
 def split(text: str) -> list[str]:
-    """Split a text at the commas outside of brackets."""
+    """Split a text at commas outside brackets."""
     found, depth, start = [], 0, 0
     for i, character in enumerate(text):
         depth += (character in "{[<(") - (character in "}]>)")
@@ -49,26 +49,26 @@ def is_floating(kind: str) -> bool:
 
 
 def holds_pointer(kind: str) -> bool:
-    """Whether a pointer is in a value of the type."""
+    """Whether values of the type contain a pointer."""
     return "ptr" in re.findall(r"\w+", kind)
 
 
 @dataclass(slots=True)
 class Instruction:
-    """One instruction, without flags that would turn a corrupted value into undefined behaviour.
+    """One instruction, without flags that would make a corrupted value undefined behaviour.
 
     Attributes:
         opcode: As in the language reference.
         tokens: Its text without the result; local names begin with `%`.
         result: Local name, or None.
         kind: Type of the result, "void" if there is none.
-        incoming: Of a phi: value and label, in order.
-        addresses: Local names that are used as addresses.
-        conditions: Local names that a branch, switch or select depends on.
-        callee: Function that is called, or None.
-        arguments: Of a call: type and value of each argument.
+        incoming: For a phi: value and label, in order.
+        addresses: Local names used as addresses.
+        conditions: Local names on which a branch, switch or select depends.
+        callee: Called function, or None.
+        arguments: For a call: type and value of each argument.
         location: Number of its debug location, or None.
-        variable: Source variable that the result is a value of, or None.
+        variable: Source variable whose value the result is, or None.
     """
 
     opcode: str
@@ -84,14 +84,14 @@ class Instruction:
     variable: str | None = None
 
     def uses(self) -> list[str]:
-        """Local names in its text, labels included."""
+        """Local names in its text, including labels."""
         names = [token for token in self.tokens if token[0] == "%"]
         for value, label in self.incoming:
             names += [*re.findall(r"%\w+", value), label]
         return names
 
     def text(self, names: dict[str, str] | None = None, labels: dict[str, str] | None = None) -> str:
-        """The instruction without its result; local values, and the blocks that a phi names, may get other names."""
+        """The instruction without its result; local values and the blocks named in a phi can be renamed."""
         values, blocks = names or {}, labels or {}
         text = " ".join(values.get(token, token) for token in self.tokens)
         if self.opcode != "phi":
@@ -100,7 +100,7 @@ class Instruction:
         return f"{text} {', '.join(pairs)}"
 
     def line(self, names: dict[str, str] | None = None, labels: dict[str, str] | None = None, suffix: str = "") -> str:
-        """The instruction with its result, whose name gets a suffix."""
+        """The instruction with its result, whose name is extended by a suffix."""
         result = "" if self.result is None else f"{self.result}{suffix} = "
         return f"  {result}{self.text(names, labels)}"
 
@@ -128,10 +128,10 @@ class Block:
 
 @dataclass(slots=True)
 class Function:
-    """A function in the fault space, with its global name, type of the result, and blocks, the entry first.
+    """A function in the fault space: global name, result type, and blocks, entry first.
 
-    The linkage precedes the type of the result. Parameters are types, with attributes of the calling convention, and
-    local names. The location is the number of the debug subprogram, or None.
+    The linkage precedes the result type. Parameters are types, with calling-convention attributes, and local names. The
+    location is the number of the debug subprogram, or None.
     """
 
     name: str
@@ -142,7 +142,7 @@ class Function:
     location: int | None = None
 
     def head(self) -> str:
-        """The line that opens its definition."""
+        """The first line of its definition."""
         parameters = ", ".join(f"{kind} {name}" for kind, name in self.parameters)
         return f"define {self.linkage}{self.kind} {self.name}({parameters}) {{"
 

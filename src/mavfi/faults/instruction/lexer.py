@@ -21,7 +21,7 @@ _SCALAR = re.compile(r"i\d+|half|bfloat|float|double|ptr|void")
 
 
 def tokens_of(line: str, kernel: str) -> list[str]:
-    """Tokens of a line without its comment; anything that is no known token is a RefusedError."""
+    """Tokens of a line without its comment; an unknown token is a RefusedError."""
     found, at, end = [], 0, len(line.rstrip())
     while at < end:
         match = _TOKEN.match(line, at)
@@ -34,7 +34,7 @@ def tokens_of(line: str, kernel: str) -> list[str]:
 
 
 class Cursor:
-    """Reads the tokens of one line from left to right; whatever is not expected is refused."""
+    """Reads the tokens of one line from left to right; an unexpected token is a RefusedError."""
 
     def __init__(self, tokens: list[str], kernel: str) -> None:
         self.tokens = tokens
@@ -43,11 +43,11 @@ class Cursor:
 
     @property
     def next(self) -> str:
-        """The token to come; "" at the end."""
+        """The next token; "" at the end."""
         return self.tokens[self.at] if self.at < len(self.tokens) else ""
 
     def take(self) -> str:
-        """The token to come, and go on."""
+        """Consume and return the next token."""
         token = self.next
         if not token:
             raise self.refused()
@@ -55,29 +55,29 @@ class Cursor:
         return token
 
     def expect(self, *allowed: str) -> str:
-        """Take a token that must be one of these."""
+        """Consume a token that must be one of these."""
         if self.next not in allowed:
             raise self.refused()
         return self.take()
 
     def accept(self, *allowed: str) -> bool:
-        """Take a token if it is one of these."""
+        """Consume a token if it is one of these."""
         found = self.next in allowed and bool(self.next)
         self.at += found
         return found
 
     def refused(self, why: str = "") -> RefusedError:
-        """The error that names what is not known."""
+        """The error that names the unknown construct."""
         line = " ".join(self.tokens)
         return RefusedError(self.kernel, why or f"{self.next or 'end of line'!r} in {line[:120]!r}")
 
     def finish(self) -> None:
-        """Nothing may be left."""
+        """Check that no token is left."""
         if self.next:
             raise self.refused()
 
     def balanced(self) -> list[str]:
-        """A bracket and all up to its partner."""
+        """Consume an opening bracket up to the matching closing one."""
         found, depth = [], 0
         while True:
             token = self.take()
@@ -87,19 +87,19 @@ class Cursor:
                 return found
 
     def number(self) -> str:
-        """A literal without a sign."""
+        """Consume an unsigned number."""
         if not self.next.isdigit():
             raise self.refused()
         return self.take()
 
     def local(self) -> str:
-        """A local name."""
+        """Consume a local name."""
         if not self.next.startswith("%"):
             raise self.refused()
         return self.take()
 
     def kind(self) -> str:
-        """A type, in one spelling."""
+        """Consume a type; returns its normalized spelling."""
         token = self.take()
         if token == "{":
             fields = [self.kind()]
@@ -119,7 +119,7 @@ class Cursor:
         return token
 
     def value(self) -> str:
-        """A value: a local or global name, or a constant."""
+        """Consume a value: a local or global name, or a constant."""
         token = self.next
         if _NAME.fullmatch(token) or token in PLAIN_VALUES or token[:1].isdigit() or token[:1] == "-":
             return self.take()

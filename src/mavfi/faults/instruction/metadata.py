@@ -1,4 +1,4 @@
-"""Debug metadata of LLVM IR: source lines with their chains of inlined calls, and names of variables."""
+"""Debug metadata of LLVM IR: source lines with their chains of inlined calls, and variable names."""
 
 import os
 import re
@@ -12,7 +12,7 @@ _FIELD = r'\b{}: (?:!(\d+)|"((?:[^"\\]|\\.)*)"|(\d+))'
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A source line: path, number from 1 (0 = not known), and name of the function."""
+    """A source line: path, line number from 1 (0 = unknown), and function name."""
 
     file: str
     line: int
@@ -20,7 +20,7 @@ class Frame:
 
 
 def variable_of(line: str, metadata: dict[int, str]) -> dict[str, str]:
-    """By local name, the source variable of a `#dbg_value` line; empty if there is none, or if Numba made it up."""
+    """Source variable of a `#dbg_value` line, by local name; empty if there is none, or if Numba generated it."""
     match = _VALUE.match(line)
     if match is None:
         return {}

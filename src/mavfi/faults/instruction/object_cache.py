@@ -1,4 +1,4 @@
-"""Keeps instrumented machine code on disk, beside Numba's own cache.
+"""Stores instrumented machine code on disk, next to Numba's own cache.
 
 The key covers the kernel's bytecode with its constants and globals, and the versions; an entry is valid while
 every source file in its line tables is unchanged.
@@ -26,7 +26,7 @@ _FOLDER = "instruction"
 
 
 def cached_build(kernel: Any, signature: tuple[Any, ...]) -> Built:
-    """The instrumented variant from the cache; if it is missing or not valid, from `build`, whose errors it raises."""
+    """The instrumented variant from the cache, or from `build` (whose errors it raises) if missing or invalid."""
     path = code_folder() / _FOLDER / f"{key(kernel, signature)}.bin"
     built = _load(path)
     if built is None:
@@ -36,7 +36,7 @@ def cached_build(kernel: Any, signature: tuple[Any, ...]) -> Built:
 
 
 def key(kernel: Any, signature: tuple[Any, ...]) -> str:
-    """Digest of everything that the machine code is made from, except the text of callees."""
+    """Digest of all inputs of the machine code, except the text of callees."""
     digest = hashlib.sha256(_platform())
     digest.update(repr([str(kind) for kind in signature]).encode())
     for part in _parts(kernel, set()):
@@ -106,8 +106,8 @@ def _load(path: Path) -> Built | None:
 
 
 def _store(path: Path, built: Built) -> None:
-    """Write an entry at once, so that no other process sees half of it; without space on disk there is no cache."""
-    numbas = Path(numba.__file__).parent  # its version stands for its files
+    """Write an entry atomically, so that no other process reads a partial one; without disk space, skip the cache."""
+    numbas = Path(numba.__file__).parent  # covered by Numba's version
     own = [file for file in sorted(built.table.files()) if os.path.isfile(file) and numbas not in Path(file).parents]
     sources = json.dumps({file: _digest_of(file) for file in own}).encode()
     body = len(sources).to_bytes(8, "little") + sources + built.pack()

@@ -1,7 +1,7 @@
-"""Reads a module of LLVM IR as text, strictly: unknown constructs are refused, never skipped.
+"""Strict parser of LLVM IR modules: unknown constructs are rejected, never skipped.
 
-Whatever would turn a corrupted value into undefined behaviour is left out: poison-generating flags, attributes that
-promise something of a value or of memory, and all metadata but the source locations.
+Everything that would make a corrupted value undefined behaviour is removed: poison-generating flags, attributes that
+promise something about a value or memory, and all metadata except source locations.
 """
 
 import re
@@ -14,7 +14,7 @@ from mavfi.faults.instruction.metadata import variable_of
 from mavfi.faults.instruction.refusal import RefusedError
 
 _OUTSIDE = re.compile(r'@"?(?:_ZN7cpython|cfunc\.|NRT_|nrt_|numba_|\.dtor|__excinfo)')
-"""Numba's wrappers and runtime: linked into every module, but no part of a kernel."""
+"""Numba's wrappers and runtime: linked into every module, but not part of a kernel."""
 _LINKAGE = ("internal", "private", "linkonce_odr", "linkonce", "weak_odr", "weak", "external", "hidden", "dso_local")
 _HARMLESS = {
     "alwaysinline", "cold", "inlinehint", "minsize", "mustprogress", "nocallback", "nocreateundeforpoison", "nofree",
@@ -26,10 +26,10 @@ _DEBUG = re.compile(r" !dbg !(\d+)")
 
 
 def parse_module(text: str, kernel: str) -> Module:
-    """Read a module as `Dispatcher.inspect_llvm` gives it; `kernel` is the name for error messages.
+    """Parse a module from `Dispatcher.inspect_llvm`; `kernel` is the name for error messages.
 
     Raises:
-        RefusedError: There is a construct that is not known.
+        RefusedError: Unknown construct.
     """
     metadata = {int(number): rest for number, rest in _METADATA.findall(text)}
     module = Module(metadata=metadata)
@@ -58,7 +58,7 @@ def _top_level(line: str, kernel: str) -> str:
 
 
 def _bare(head: str, body: list[str], kernel: str) -> str:
-    """A function outside the fault space, word by word, without attribute groups and metadata."""
+    """A function outside the fault space, token by token, without attribute groups and metadata."""
     lines = [" ".join(token for token in tokens_of(_DEBUG.sub("", head), kernel) if token[0] != "#")]
     for line in body:
         if not line.strip().startswith("#dbg_") and "@llvm.experimental.noalias.scope.decl" not in line:
@@ -75,7 +75,7 @@ def _without_metadata(line: str, kernel: str) -> str:
 
 
 class _Reader:
-    """Reads one function and gives its values and blocks short names."""
+    """Reads one function and assigns short names to its values and blocks."""
 
     def __init__(self, kernel: str, groups: dict[str, str], metadata: dict[int, str]) -> None:
         self.kernel = kernel
@@ -180,7 +180,7 @@ class _Reader:
 
 
 def _joined(lines: list[str]) -> list[str]:
-    """Lines with the cases of a switch in one line."""
+    """Join the cases of each switch into one line."""
     joined: list[str] = []
     for line in lines:
         if joined and joined[-1].lstrip().startswith("switch ") and "]" not in joined[-1]:

@@ -1,4 +1,4 @@
-"""Faults in instructions: how a value is changed, whether a fault fits a function, and the record of the injection."""
+"""Instruction faults: choice of the changed bits, match of fault and function, and record of the injection."""
 
 import re
 import struct
@@ -16,7 +16,7 @@ from mavfi.faults.instruction.variant import Report, Variant
 from mavfi.flight_log import Injection
 
 DATA = (FLOATING, INTEGER)
-"""Value classes from which neither an address nor a branch is computed."""
+"""Value classes that feed neither addresses nor branches."""
 _FORMATS = {"double": "<d", "float": "<f", "half": "<e"}
 _LAYOUTS = {"double": (63, 52), "float": (31, 23), "half": (15, 10)}
 """Sign bit and lowest exponent bit."""
@@ -29,17 +29,17 @@ def plan(
     """Choose how the result of a dynamic instruction is changed.
 
     Args:
-        random: Stream of the fault.
+        random: Random stream of the fault.
         function: Module and name.
         ir_sha256: Digest of the IR.
         site: The static instruction.
         index: Dynamic index.
-        model: "one_bit", uniform; "bits": `count` distinct ones, or all that there are; "random": any value; "zero".
-        count: For "bits".
+        model: "one_bit", uniform; "bits": `count` distinct bits, or all if fewer; "random": any value; "zero".
+        count: Number of bits for "bits".
         more: Further fields of the fault.
 
     Raises:
-        BadInputError: There is no such model.
+        BadInputError: Unknown model.
     """
     if model not in MODELS:
         raise BadInputError(f"fault model {model!r}: not known; allowed: {', '.join(MODELS)}")
@@ -57,9 +57,9 @@ def plan(
 
 
 def stratum_of(kind: str, bit: int | None) -> str:
-    """Class of a bit of a value: "sign", "exponent" or "mantissa"; "other" if it is no floating-point number or no bit.
+    """Class of a value's bit: "sign", "exponent" or "mantissa"; "other" for integers, pointers, or without a bit.
 
-    `kind` is a type as in LLVM; in a vector the bit counts through its elements.
+    `kind` is an LLVM type; in a vector the bit index runs over its elements.
     """
     element = re.sub(r"<\d+ x (\w+)>", r"\1", kind)
     if bit is None or element not in _LAYOUTS:
@@ -70,7 +70,7 @@ def stratum_of(kind: str, bit: int | None) -> str:
 
 
 def budget_for(total: int) -> int:
-    """Number of values after which a call counts as hanging, if it writes `total` without a fault."""
+    """Number of values after which a call counts as a hang, if it writes `total` without a fault."""
     return 3 * total + 10_000
 
 
@@ -90,8 +90,8 @@ def injection_of(
 ) -> Injection:  # fmt: skip
     """The record of an injection at an instant (s), from the report of the machine code (None = not reached).
 
-    Its values are numbers of the instruction's type (signed integers), and their bits are in the details, as
-    hexadecimal text. `call` is the one that was injected, if not the planned one.
+    Its values are numbers of the instruction's type (signed integers); the details contain their bits as hexadecimal
+    text. `call` is the injected call, if not the planned one.
     """
     function = fault.entry or fault.function
     if report is None:
@@ -116,12 +116,12 @@ def injection_of(
 
 
 def changed_nothing(report: Report | None) -> bool:
-    """Whether there was nothing to change: the index was not reached, or its value has no such bit."""
+    """Whether nothing changed: the index was not reached, or its value has no such bit."""
     return report is None or not (report.before ^ report.after) & ((1 << report.site.width) - 1)
 
 
 def _number(site: Site, bits: int) -> float | int:
-    """Bits as the number that the instruction's type holds: floating point, or signed integer."""
+    """Bits as a number of the instruction's type: floating point, or signed integer."""
     if site.kind in _FORMATS:
         layout = _FORMATS[site.kind]
         return float(struct.unpack(layout, bits.to_bytes(struct.calcsize(layout), "little"))[0])

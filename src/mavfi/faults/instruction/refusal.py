@@ -1,4 +1,4 @@
-"""Why a kernel is not instrumented, or a fault not injected: always an error, never a silent omission."""
+"""Reasons why a kernel is not instrumented, or a fault not injected: always an error, never a silent omission."""
 
 from mavfi.errors import MavfiError
 
@@ -13,12 +13,12 @@ class RefusedError(MavfiError):
 
 
 class BuildError(MavfiError):
-    """The compiler did not survive the instrumented module."""
+    """The compiler crashed on the instrumented module."""
 
 
 class MismatchError(MavfiError):
-    """The fault belongs to other machine code than this: other source or compiler."""
+    """The fault was drawn for other machine code: other source or compiler."""
 
 
 class AllocationError(MavfiError):
-    """An injected kernel asked for more memory than it has."""
+    """An injected kernel requested more memory than available."""

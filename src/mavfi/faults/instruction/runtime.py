@@ -1,8 +1,8 @@
-"""The part of an instrumented kernel that counts, resolves and injects: hand-written IR, and the layout of its memory.
+"""Runtime of an instrumented kernel, which counts, resolves and injects: hand-written IR and its memory layout.
 
-A counter runs over the values that the kernel writes.  Each block adds the number of its sites before it runs and
-compares with a threshold; only beyond it `mavfi_slow` is called, which decides by the mode.  After the injection each
-block is beyond it: its second copy checks every access to memory.
+A counter runs over the values that the kernel writes.  Each block first adds the number of its sites and compares with
+a threshold; only beyond it is `mavfi_slow` called, which acts according to the mode.  After the injection every block
+exceeds the threshold, and its slow copy checks every memory access.
 """
 
 from enum import IntEnum
@@ -22,21 +22,21 @@ Mode = IntEnum("Mode", "INJECT PROFILE RESOLVE LOCATE", start=0)
 
 WORDS = 32
 NEVER = 2**63 - 1
-"""A threshold or index that is not reached."""
+"""A threshold or index that is never reached."""
 MASK_BYTES = 512
-"""Room for each of the masks `mavfi_keep` and `mavfi_flip`, and of the values before and after in the report."""
+"""Size of each of the masks `mavfi_keep` and `mavfi_flip`, and of the values before and after in the report."""
 REPORT_WORDS = 4
 """The report begins with: injected?, block, offset, in planned memory?  Parents share it with forked children: it
-outlives a crash."""
+survives a crash."""
 REPORT_BYTES = 8 * REPORT_WORDS + 2 * MASK_BYTES
 HANG_EXIT = 77
-"""Exit status of a process whose kernel used up its budget of instructions."""
+"""Exit status of a process whose kernel exhausted its instruction budget."""
 WILD_EXIT = 78
 """Exit status of a process whose kernel accessed memory that it does not own."""
 
 
 def address(word: Control) -> str:
-    """A constant pointer to a word of the control block."""
+    """Constant pointer to a word of the control block."""
     return f"getelementptr (i8, ptr @mavfi_control, i64 {8 * word})"
 
 
@@ -163,9 +163,9 @@ located:
 """
 
 _HELD = 1 << 32
-"""Counts of references begin here: arrays that reach Python are never freed."""
+"""Offset of reference counts: arrays that reach Python are never freed."""
 _HEADER = 64
-"""Bytes before an array; the first ones are Numba's `MemInfo`: references, destructor and its argument, data, size,
+"""Bytes before an array, starting with Numba's `MemInfo`: references, destructor and its argument, data, size,
 allocator."""
 
 
@@ -176,7 +176,7 @@ def _planned(yes: str, no: str) -> str:
 
 
 def _new(name: str, parameters: str) -> str:
-    """An array's memory; null if there is no room, upon which Numba raises a MemoryError."""
+    """Memory of an array; null if the arena is full, which Numba turns into a MemoryError."""
     return f"""
 define ptr @mavfi_{name}({parameters}) noinline {{
 entry:
@@ -214,12 +214,12 @@ _SYMBOLS = {
     "NRT_MemInfo_alloc_aligned": ("ptr", "i64, i32"), "NRT_MemInfo_call_dtor": ("void", "ptr"),
     "NRT_adapt_ndarray_from_python": ("i32", "ptr, ptr"),
 }  # fmt: skip
-"""Functions of Numba's runtime that those below call: result and parameters."""
+"""Functions of Numba's runtime called by those below: result and parameters."""
 REPLACED = (
     "NRT_Allocate", "NRT_Free", "NRT_MemInfo_alloc", "NRT_MemInfo_alloc_aligned", "NRT_adapt_ndarray_from_python",
     "NRT_decref", "NRT_incref",
 )  # fmt: skip
-"""Functions of Numba's runtime in whose place kernels call ours, which have the prefix `mavfi_`."""
+"""Functions of Numba's runtime that are replaced in kernels by ours, with the prefix `mavfi_`."""
 
 
 def declarations(text: str) -> str:
@@ -386,4 +386,4 @@ done:
   ret i32 %status
 }}
 """
-"""Numba's runtime for kernels: in a planned call arrays are made in the arena, and nothing of Python's is counted."""
+"""Numba's runtime for kernels: a planned call allocates arrays in the arena, without Python's reference counts."""

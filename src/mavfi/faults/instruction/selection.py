@@ -1,4 +1,4 @@
-"""Which instructions may be injected: all, floating point, data, one class or opcode, or some source lines."""
+"""Selection of injectable instructions: all, floating point, data, one class or opcode, or some source lines."""
 
 import re
 from dataclasses import dataclass
@@ -17,10 +17,10 @@ class Selection:
     """A class of instructions.
 
     Attributes:
-        kind: "all"; "floating_point": by the type of the result, whatever it is used for; "data": neither an
-            address nor a branch is computed from it; "address", "control", "integer": by value class; "opcode"; "line".
+        kind: "all"; "floating_point": by result type, whatever its use; "data": feeds neither an address nor a branch;
+            "address", "control", "integer": by value class; "opcode"; "line".
         opcode: As in LLVM's language reference.
-        file: End of the path of a source file, of which lines from `first` to `last` are in the class.
+        file: End of a source file's path; lines `first` to `last` of it are in the class.
     """
 
     kind: str = "all"
@@ -30,7 +30,7 @@ class Selection:
     last: int = 0
 
     def __contains__(self, site: Site) -> bool:
-        """Whether an instruction belongs to it; any line of its chain of inlined calls counts."""
+        """Whether an instruction is in the class; any line of its chain of inlined calls counts."""
         if self.kind == "floating_point":
             return site.floating
         if self.kind == "data":
@@ -46,7 +46,7 @@ class Selection:
 
 
 def parse_selection(text: str) -> Selection:
-    """Read a class of instructions; a BadInputError says what is allowed."""
+    """Parse a class of instructions; the BadInputError names the allowed ones."""
     if text in ("all", "floating_point", "data", *_CLASSES):
         return Selection(text)
     kind, _, rest = text.partition(":")

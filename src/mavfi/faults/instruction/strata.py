@@ -1,16 +1,16 @@
-"""Draws of dynamic instructions: uniform over calls, or by strata whose weights lead back to the uniform draw.
+"""Draws of dynamic instructions: uniform over calls, or stratified, with weights that restore the uniform draw.
 
-A uniform draw of some hundred faults hardly ever reaches a line that runs rarely.  So the dynamic instructions are also
-divided into strata by (value class, source line).  Half of the faults follow the strata's shares, half are spread
-evenly over the strata; so every stratum is injected, and hardly any weight is above 2 (a defensive mixture: Hesterberg,
-Technometrics 37, 1995).  Within a stratum dynamic instructions are uniform, then bits.
+A uniform draw of some hundred faults rarely reaches a source line that is rarely executed.  Therefore the dynamic
+instructions are also divided into strata by (value class, source line).  Half of the faults follow the strata's shares,
+half are spread evenly over the strata; thus every stratum is injected, and hardly any weight exceeds 2 (a defensive
+mixture: Hesterberg, Technometrics 37, 1995).  Within a stratum dynamic instructions are uniform, then bits.
 
-The estimand is that of the uniform draw: the rate for one dynamic instruction, uniform, then one of its bits, uniform.
-It is the sum over strata of share x rate within, and so is its estimator (Cochran, Sampling Techniques, 1977, chapter
-5).  One call has many faults, so each stratum gets some of its own (`draw_stratified`).  A mission has few faults and
-many strata: each fault falls into a stratum with a known probability, and share / probability is its weight (`pick`);
-over all missions the weighted mean is that of the uniform draw (Hansen and Hurwitz, Annals of Mathematical Statistics
-14, 1943).
+The estimand is that of the uniform draw: the rate for a uniform dynamic instruction, then a uniform bit of it.  It is
+the sum over strata of share x rate within the stratum, and so is its estimator (Cochran, Sampling Techniques, 1977,
+chapter 5).  One call has many faults, so each stratum has some (`draw_stratified`).  A mission has few faults and many
+strata: each fault falls into a stratum with a known probability, and share / probability is its weight (`pick`); over
+all missions the weighted mean is that of the uniform draw (Hansen and Hurwitz, Annals of Mathematical Statistics 14,
+1943).
 """
 
 from bisect import bisect_right
@@ -32,13 +32,13 @@ from mavfi.faults.instruction.table import Site
 from mavfi.faults.instruction.variant import Passes, variant_for
 
 _EVEN = 0.5
-"""Share of the faults that is spread evenly over strata."""
+"""Share of the faults spread evenly over strata."""
 _Z2 = 1.959963984540054**2
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class StratumKey:
-    """Value class of the instructions of a stratum, and source line as in `Site`."""
+    """Value class of a stratum's instructions, and source line as in `Site`."""
 
     value_class: str
     file: str
@@ -46,12 +46,12 @@ class StratumKey:
 
 
 REST = StratumKey("", "", 0)
-"""The smallest strata, pooled where there are more than faults."""
+"""The smallest strata, pooled if there are more strata than faults."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stratum:
-    """A stratum: its number of dynamic instructions, their share of all, and the faults drawn from it, one at least."""
+    """A stratum: number of dynamic instructions, their share of all, and the faults drawn from it, at least one."""
 
     key: StratumKey
     instructions: int
@@ -65,7 +65,7 @@ class Stratum:
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A static instruction of a stratum: counted function, digest of its IR, site, and number of executions."""
+    """A static instruction of a stratum: counted function, digest of its IR, site, and execution count."""
 
     function: str
     digest: str
@@ -75,9 +75,9 @@ class Member:
 
 @dataclass(frozen=True, slots=True)
 class Pick:
-    """A dynamic instruction: the static one, and which execution of its block, from 0.
+    """A dynamic instruction: the static one, and the execution number of its block, from 0.
 
-    Its weight is share of its stratum / probability of the stratum.
+    Its weight is the share / the probability of its stratum.
     """
 
     member: Member
@@ -101,9 +101,9 @@ def key_of(site: Site) -> StratumKey:
 
 
 def choose(random: np.random.Generator, counts: Sequence[int], n: int) -> list[tuple[int, int]]:
-    """Draw dynamic instructions of a whole flight, uniformly; gives call and index in the call, in the order drawn.
+    """Draw dynamic instructions of a whole flight, uniformly; returns call and index in the call, in draw order.
 
-    `counts` has the instructions of each call; those of several functions may be joined end to end.
+    `counts` has the number of instructions of each call; those of several functions may be concatenated.
     """
     ends = np.cumsum(counts).tolist()
     drawn = random.integers(ends[-1], size=n).tolist()
@@ -123,17 +123,17 @@ def members_of(executed: Iterable[Member], selection: Selection) -> dict[Stratum
 
 
 def sizes_of(strata: Mapping[StratumKey, Sequence[Member]]) -> dict[StratumKey, int]:
-    """Dynamic instructions of each stratum."""
+    """Number of dynamic instructions of each stratum."""
     return {key: sum(member.times for member in own) for key, own in strata.items()}
 
 
 def pick(
     random: np.random.Generator, counted: Mapping[str, Profiling], selection: Selection, number: int
 ) -> list[Pick]:  # fmt: skip
-    """Draw dynamic instructions of one kernel in one mission, by stratum; none if it executes no selected one.
+    """Draw dynamic instructions of one kernel in one mission, by stratum; empty if no selected one is executed.
 
-    Strata are drawn systematically, which keeps the faults of one mission apart.  `counted` has the golden flight's
-    counts by function; shares are those within the selection.
+    Strata are drawn systematically, which spreads the faults of one mission over strata.  `counted` has the counts of
+    the golden run by function; shares refer to the selection.
     """
     executed = (Member(name, *one) for name, function in counted.items() for one in function.executed())
     strata = members_of(executed, selection)
@@ -150,7 +150,7 @@ def pick(
 
 
 def uniform(random: np.random.Generator, members: Sequence[Member], weight: float = 1.0) -> Pick:
-    """A dynamic instruction, uniform over the executions of some static ones."""
+    """A dynamic instruction, uniform over all executions of the given static ones."""
     ends = np.cumsum([member.times for member in members])
     position = int(random.integers(int(ends[-1])))
     place = int(np.searchsorted(ends, position, side="right"))
@@ -158,27 +158,27 @@ def uniform(random: np.random.Generator, members: Sequence[Member], weight: floa
 
 
 def densities(sizes: Mapping[StratumKey, int]) -> dict[StratumKey, float]:
-    """Share of the faults for each stratum, given their numbers of dynamic instructions."""
+    """Share of the faults for each stratum, from the numbers of dynamic instructions."""
     whole = sum(sizes.values())
     return {key: (1 - _EVEN) * size / whole + _EVEN / len(sizes) for key, size in sizes.items()}
 
 
 def allocate(sizes: Mapping[StratumKey, int], n: int) -> dict[StratumKey, int]:
-    """Number of faults in each stratum: one at least, else in the shares of `densities`; their sum is n.
+    """Number of faults in each stratum: at least one, otherwise in the shares of `densities`; their sum is n.
 
-    `sizes` has the dynamic instructions of each stratum; there are no more strata than faults.
+    `sizes` has the number of dynamic instructions of each stratum; there are at most n strata.
     """
     wanted = densities(sizes)
     keys = sorted(sizes)
     numbers = np.ones(len(keys), np.int64)
     ideal = np.array([wanted[key] for key in keys])
-    for _ in range(n - len(keys)):  # Webster's method: to whom it is owed most
+    for _ in range(n - len(keys)):  # Webster's method: next to the stratum with the largest claim
         numbers[int(np.argmax(ideal / (numbers + 0.5)))] += 1
     return dict(zip(keys, numbers.tolist(), strict=True))
 
 
 def pooled(sizes: Mapping[StratumKey, int], n: int) -> dict[StratumKey, StratumKey]:
-    """The stratum in which each one is drawn: its own, or `REST` for the smallest where there are more than n."""
+    """The stratum from which each one is drawn: itself, or `REST` for the smallest if there are more than n."""
     order = sorted(sizes, key=lambda key: (-sizes[key], key))
     kept = set(order if len(order) <= n else order[: n - 1])
     return {key: key if key in kept else REST for key in order}
@@ -189,8 +189,8 @@ def draw_stratified(
 ) -> list[Stratum]:
     """Draw faults for one call, in strata by value class and source line.
 
-    Arguments as in `api.draw`; n is the number of faults over all strata, and shares are those within the class.  Where
-    there are more strata than faults, the smallest are pooled.
+    Arguments as for `api.draw`; n is the number of faults over all strata; shares refer to the class.  If there are
+    more strata than faults, the smallest are pooled.
 
     Returns:
         Strata with their faults; `estimate` combines their outcomes.
@@ -237,14 +237,14 @@ def draw_stratified(
 
 
 def estimate(outcomes: Iterable[tuple[float, Sequence[bool]]]) -> Estimate:
-    """The kernel's rate, given the share of each stratum, and for each of its faults whether it counts.
+    """The kernel's rate, from the share of each stratum and a flag for each of its faults.
 
     The interval is MOVER's (Zou and Donner, Statistics in Medicine 27, 2008): the distances to Wilson's bounds within
-    the strata, times the shares, added as standard errors are.  A stratum without a failure keeps its uncertainty, so
-    with few faults per stratum the interval is wide.
+    the strata, times the shares, are combined like standard errors.  A stratum without a failure keeps its uncertainty,
+    so with few faults per stratum the interval is wide.
 
     Raises:
-        BadInputError: Shares do not add up to 1, or a stratum has no faults: its rate is not known.
+        BadInputError: Shares do not add up to 1, or a stratum has no faults, so that its rate is unknown.
     """
     parts = [(share, list(counts)) for share, counts in outcomes]
     whole = sum(share for share, _ in parts)

@@ -18,15 +18,15 @@ class Site:
     """A static instruction whose result can be injected.
 
     Attributes:
-        block: Number of its block in the kernel.
-        offset: Its place among the sites of the block.
+        block: Index of its block in the kernel.
+        offset: Its index among the sites of the block.
         opcode: As in LLVM's language reference.
         kind: Type of the result.
         width: Bits of the result.
-        value_class: "address", "control", "floating_point" or "integer": the first that fits.
+        value_class: "address", "control", "floating_point" or "integer": the first that applies.
         chain: Source lines, the innermost inlined call first.
-        near: Whether the line is that of a neighbour, since the instruction has none of its own (most phis).
-        variable: Source variable that it is a value of, where known.
+        near: Whether the line is borrowed from a neighbour, since the instruction has none (most phis).
+        variable: Source variable whose value it is, if known.
     """
 
     block: int
@@ -41,14 +41,14 @@ class Site:
 
     @property
     def floating(self) -> bool:
-        """Whether the result is a floating-point number or a vector of them, whatever it is used for."""
+        """Whether the result is a floating-point number or a vector of them, whatever its use."""
         return is_floating(self.kind)
 
     @property
     def frames(self) -> list[tuple[str, int]]:
         """Source files, relative to the folder of their import, and lines: the innermost inlined call first.
 
-        Numba's own helpers are left out: whether they have lines depends on what a process compiled before.
+        Numba's own helpers are omitted: whether they have lines depends on earlier compilations of the process.
         """
         all_frames = [(short_path(frame.file), frame.line) for frame in self.chain]
         return [frame for frame in all_frames if not frame[0].startswith("numba/")] or all_frames[:1]
@@ -60,7 +60,7 @@ class Site:
 
     @property
     def line(self) -> int:
-        """Source line; 0 = not known."""
+        """Source line; 0 = unknown."""
         return self.frames[0][1] if self.chain else 0
 
     def __str__(self) -> str:
@@ -91,11 +91,11 @@ class Table:
         return [len(block) for block in self.blocks]
 
     def written(self, times: np.ndarray) -> int:
-        """Values that are written if each block is executed so often. Shape (blocks,)."""
+        """Number of values written, from the execution count of each block. Shape (blocks,)."""
         return int(times @ np.array(self.sizes(), np.int64))
 
     def executions(self, times: np.ndarray) -> list[tuple[Site, int]]:
-        """All sites with the numbers of executions of their blocks. Shape (blocks,)."""
+        """All sites with the execution counts of their blocks. Shape (blocks,)."""
         return [(site, int(number)) for block, number in zip(self.blocks, times, strict=True) for site in block]
 
     def files(self) -> set[str]:
@@ -121,7 +121,7 @@ class Table:
 
 
 def make_table(module: Module) -> Table:
-    """The sites of all blocks that have any, in the order of the text."""
+    """The sites of all blocks that have any, in text order."""
     used = roles(module)
     locations = Locations(module.metadata)
     blocks: list[tuple[Site, ...]] = []
@@ -142,7 +142,7 @@ def make_table(module: Module) -> Table:
 
 
 def _chains(block: Block, function: Function, locations: Locations) -> dict[int, tuple[tuple[Frame, ...], bool]]:
-    """Source lines of each instruction, and whether they are borrowed from the next one that has some."""
+    """Source lines of each instruction, and whether they are borrowed from the next instruction that has some."""
     own = []
     for instruction in reversed(block.all()):
         chain = () if instruction.location is None else locations.chain(instruction.location)

@@ -1,6 +1,6 @@
 """The instrumented variant of one signature of a kernel, in memory: its modes, and the report of an injection.
 
-A variant is one piece of code with one control block, and all share one arena: not for several threads at once.
+A variant has one control block, and all variants share one arena: not for several threads at once.
 """
 
 import ctypes
@@ -32,8 +32,8 @@ class Report:
     Attributes:
         site: The static instruction.
         before: The bits of its result, as an integer.
-        after: Those that took their place.
-        planned: Whether the call had only memory at planned addresses: then its effect is the same everywhere.
+        after: The bits of the injected value.
+        planned: Whether the call used memory at planned addresses only: then its effect is the same everywhere.
     """
 
     site: Site
@@ -43,18 +43,18 @@ class Report:
 
 
 class Passes:
-    """Wanted passes through blocks: of a block its k-th execution, in one call or over several.
+    """Wanted block executions: the k-th execution of a block, in one call or over several.
 
     Attributes:
-        passed: How often each block was executed so far. Shape (blocks,).
-        wanted: Passes of each wanted block in order, each list ended by -1. Shape (m,).
-        cursors: Of each block, the place of its next wanted pass in `wanted`. Shape (blocks,).
-        starts: Dynamic index, in its call, at which a wanted pass begins; -1 = not yet come. Shape (m,).
-        calls: That call, from 0; -1 = not yet come. Shape (m,).
+        passed: Executions of each block so far. Shape (blocks,).
+        wanted: Wanted executions of each block in order, each list terminated by -1. Shape (m,).
+        cursors: Index in `wanted` of the next wanted execution of each block. Shape (blocks,).
+        starts: Dynamic index, in its call, at which a wanted execution starts; -1 = not reached. Shape (m,).
+        calls: Its call, from 0; -1 = not reached. Shape (m,).
     """
 
     def __init__(self, blocks: int, wanted: Iterable[tuple[int, int]]) -> None:
-        """Of a kernel with so many blocks: the wanted blocks, each with the number of its execution, from 0."""
+        """For a kernel of `blocks` blocks: the wanted blocks, each with its execution number, from 0."""
         ordered: dict[int, list[int]] = {}
         for block, number in sorted(set(wanted)):
             ordered.setdefault(block, []).append(number)
@@ -69,20 +69,20 @@ class Passes:
         self.starts, self.calls = (np.full(len(passes), -1, np.int64) for _ in range(2))
 
     def close_call(self, call: int) -> None:
-        """Note the call in which the passes since the last note began."""
+        """Assign `call` to the executions located since the last assignment."""
         self.calls[(self.starts >= 0) & (self.calls < 0)] = call
 
     def start(self, block: int, number: int) -> int:
-        """Dynamic index at which a wanted pass began; -1 = it has not come."""
+        """Dynamic index at which a wanted execution starts; -1 = not reached."""
         return int(self.starts[self._places[block, number]])
 
     def call(self, block: int, number: int) -> int:
-        """In which call a wanted pass was; -1 = it has not come."""
+        """Call of a wanted execution; -1 = not reached."""
         return int(self.calls[self._places[block, number]])
 
 
 class Variant:
-    """Instrumented machine code that takes the arguments of its kernel, which are changed as by a call."""
+    """Instrumented machine code with the kernel's arguments, which are modified as by a call."""
 
     def __init__(self, built: Built, environment: Any) -> None:
         self.table: Table = built.table
@@ -99,7 +99,7 @@ class Variant:
         self._keep, self._flip = (
             self._array(name, ctypes.c_uint8, MASK_BYTES) for name in ("mavfi_keep", "mavfi_flip")
         )
-        arena()  # code uses its addresses
+        arena()  # the code uses its addresses
         self._owned = built.owned
         self._constants = [
             (constant.address, self._engine.get_global_value_address(_plain(constant.name)), constant.size)
@@ -111,9 +111,9 @@ class Variant:
         self._set(Mode.INJECT, NEVER)
 
     def own_report(self) -> None:
-        """Let injections from here on report to this process: called by the one that will read, before it forks.
+        """Direct reports of later injections to this process; called by the reading process before it forks.
 
-        The memory outlives a child that dies, so forks share it: two workers of one parent must not use the parent's.
+        Forks share the memory, so that it survives a crashed child: two workers must not use their parent's report.
         """
         if self._reader == os.getpid():
             return
@@ -137,7 +137,7 @@ class Variant:
         control[Control.THRESHOLD] = threshold
 
     def _run(self, mode: Mode, threshold: int, args: tuple[Any, ...], **words: int) -> Any:
-        """Run with some words of the control block set."""
+        """Run with the given words of the control block."""
         self._set(mode, threshold)
         for name, word in words.items():
             self._control[Control[name]] = word
@@ -147,13 +147,13 @@ class Variant:
             self._set(Mode.INJECT, NEVER)
 
     def count(self, *args: Any) -> tuple[Any, int]:
-        """Run without a fault; gives the result and how many values were written."""
+        """Run without a fault; returns the result and the number of values written."""
         self._set(Mode.INJECT, NEVER)
         result = self._function(None, args, None)
         return result, int(self._control[Control.COUNTER])
 
     def profile(self, *args: Any, room: int = 0) -> tuple[Any, np.ndarray, np.ndarray]:
-        """Run without a fault; gives the result, how often each block ran, and the first `room` blocks in order."""
+        """Run without a fault; returns the result, execution counts of blocks, and the first `room` blocks in order."""
         histogram = np.zeros(len(self.table.blocks), np.int64)
         trace = np.zeros(max(room, 1), np.int32)
         result = self._run(
@@ -163,7 +163,7 @@ class Variant:
         return result, histogram, trace[: int(self._control[Control.TRACE_LENGTH])]
 
     def resolve(self, indices: Sequence[int], *args: Any) -> tuple[Any, list[Site | None]]:
-        """Run without a fault; gives the result and the site of each dynamic index, None for those beyond the last."""
+        """Run without a fault; returns the result and the site of each dynamic index, None beyond the last."""
         wanted = np.array(sorted(set(indices)), np.int64)
         blocks, offsets = np.full(len(wanted), -1), np.full(len(wanted), -1)
         result = self._run(
@@ -177,17 +177,17 @@ class Variant:
         return result, [sites[index] for index in indices]
 
     def locate(self, passes: Passes, *args: Any) -> Any:
-        """Run without a fault, and note in `passes` the dynamic indices at which those not yet found begin."""
+        """Run without a fault, and store in `passes` the dynamic indices at which wanted executions start."""
         return self._run(
             Mode.LOCATE, 0, args, HISTOGRAM=passes.passed.ctypes.data, EVENTS=passes.wanted.ctypes.data,
             EVENT_BLOCKS=passes.cursors.ctypes.data, EVENT_OFFSETS=passes.starts.ctypes.data,
         )  # fmt: skip
 
     def inject(self, index: int, keep: int, flip: int, budget: int, *args: Any) -> Any:
-        """Run and inject once: the value with this dynamic index, from 0, becomes (value & keep) ^ flip.
+        """Run with one injection: the value at this dynamic index, from 0, becomes (value & keep) ^ flip.
 
-        A kernel that writes more values than its budget ends the process with status `HANG_EXIT`, one that accesses
-        memory which it does not own with `WILD_EXIT`.
+        A kernel that exceeds its budget of values ends the process with status `HANG_EXIT`, one that accesses memory
+        that it does not own with `WILD_EXIT`.
         """
         for memory, mask in ((self._keep, keep), (self._flip, flip)):
             memory[:] = np.frombuffer((mask % (1 << 8 * MASK_BYTES)).to_bytes(MASK_BYTES, "little"), np.uint8)
@@ -199,7 +199,7 @@ class Variant:
         try:
             return own(self._run(Mode.INJECT, index, placed.args, **words))
         except MemoryError:
-            pass  # of the arena; the machine has enough
+            pass  # the arena is full, not the machine
         finally:
             placed.take_back()
         raise AllocationError("an array is too large")
@@ -218,7 +218,7 @@ class Variant:
 
 
 def _plain(name: str) -> str:
-    """The name of a global as the linker knows it."""
+    """The name of a global as used by the linker."""
     return name[1:].strip('"')
 
 
@@ -236,9 +236,9 @@ def variant_for(kernel: Any, args: tuple[Any, ...]) -> Variant:
 
 
 def variant_of(kernel: Any, signature: tuple[Any, ...]) -> Variant:
-    """The variant for a signature, built or loaded from the cache at its first use; a parent loads it before it forks.
+    """The variant for a signature, built or loaded at its first use; a parent process loads it before it forks.
 
-    Raises a RefusedError if the kernel cannot be instrumented exactly, a BuildError if the compiler does not survive.
+    Raises a RefusedError if the kernel cannot be instrumented exactly, a BuildError if the compiler crashes.
     """
     check(kernel)
     known = _variants.setdefault(kernel, {})

@@ -1,7 +1,7 @@
-"""ROS 1 messages of any type, read with the definition that the publisher sends along, without generated classes.
+"""ROS 1 messages of any type, parsed with the definition that the publisher transmits, without generated classes.
 
-A message on the wire is its fields one after the other, little-endian, packed; strings and lists of variable length
-begin with a uint32 (http://wiki.ros.org/msg).  So a field is found by walking over those before it.
+A serialized message is the sequence of its fields, little-endian, packed; strings and lists of variable length start
+with a uint32 (http://wiki.ros.org/msg).  So a field is located by traversing all previous fields.
 """
 
 import re
@@ -15,7 +15,7 @@ FORMATS = {
     "bool": "B", "byte": "b", "char": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i",
     "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
 }  # fmt: skip
-"""Numbers, by `struct`."""
+"""Numeric types, with their `struct` codes."""
 _PAIRS = {"time": (("secs", "uint32"), ("nsecs", "uint32")), "duration": (("secs", "int32"), ("nsecs", "int32"))}
 _STRING = "string"
 _MEMBER = re.compile(r"([\w/]+)(\[(\d*)\])?\s+(\w+)\s*$")
@@ -24,17 +24,17 @@ _COUNT = struct.Struct("<I")
 
 
 class AbsentError(MavfiError):
-    """This message does not have the element: its list is shorter."""
+    """The element is absent in this message: its list is shorter."""
 
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A member of a message type; its kind is a number, "string", or a message type."""
+    """A member of a message type; its kind is a numeric type, "string", or a message type."""
 
     name: str
     kind: str
     length: int | None = None
-    """None = no list, -1 = a list of variable length."""
+    """None = not a list, -1 = a list of variable length."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,15 +50,15 @@ class Leaf:
         return 8 * struct.calcsize(FORMATS[self.kind])
 
     def value(self, data: bytes | bytearray) -> int | float:
-        """The number in a message."""
+        """The number in a serialized message."""
         found: int | float = struct.unpack_from("<" + FORMATS[self.kind], data, self.offset)[0]
         return found
 
 
 class Definition:
-    """A message type, e.g. "sensor_msgs/JointState", with all types that it is made of.
+    """A message type, e.g. "sensor_msgs/JointState", with all its component types.
 
-    It is read from a full definition, as in a connection header or a bag; raises a BadInputError if this lacks a type.
+    Parsed from a full definition, as in a connection header or a bag; a missing type is a BadInputError.
     """
 
     def __init__(self, kind: str, text: str) -> None:
@@ -100,7 +100,7 @@ class Definition:
         found = []
         for line in text.splitlines():
             match = _MEMBER.match(line.partition("#")[0].strip())
-            if match is None:  # a comment, or a constant: it is not on the wire
+            if match is None:  # a comment, or a constant, which is not serialized
                 continue
             kind, is_list, length, name = match.groups()
             if kind == "Header":
@@ -112,7 +112,7 @@ class Definition:
 
     # ---- paths ------------------------------------------------------------------------------------------------------
     def check(self, path: str) -> str:
-        """Kind of the number that a path like `transforms[0].transform.rotation.z` leads to, or a BadInputError."""
+        """Kind of the number at a path like `transforms[0].transform.rotation.z`, or a BadInputError."""
         kind = self.kind
         for name, index in steps(path):
             member = self._member(kind, name, path)
@@ -142,7 +142,7 @@ class Definition:
         raise BadInputError(f"field {path}: {kind} has no member {name!r}; allowed: {allowed(names, name)}")
 
     def locate(self, data: bytes, path: str) -> Leaf:
-        """Where a message on the wire holds the number at a path.
+        """Location of the number at a path in a serialized message.
 
         Raises:
             AbsentError: A list of this message is too short.
@@ -181,7 +181,7 @@ class Definition:
 
     @staticmethod
     def _count(member: Member, data: bytes, offset: int) -> tuple[int, int]:
-        """Number of elements, 1 for a member that is no list, and offset of the first."""
+        """Number of elements, 1 for a member that is not a list, and offset of the first."""
         if member.length != -1:
             return 1 if member.length is None else member.length, offset
         return _COUNT.unpack_from(data, offset)[0], offset + 4
@@ -201,7 +201,7 @@ class Definition:
         return offset
 
     def _size(self, kind: str) -> int | None:
-        """Bytes of a type whose size is always the same, else None."""
+        """Size of a fixed-size type (bytes), else None."""
         if kind not in self._sizes:
             parts = [(self._size(part.kind), 1 if part.length is None else part.length) for part in self.types[kind]]
             is_fixed = all(size is not None and count >= 0 for size, count in parts)
@@ -210,7 +210,7 @@ class Definition:
 
     # ---- whole messages ---------------------------------------------------------------------------------------------
     def numbers(self, data: bytes, longest_list: int) -> list[str]:
-        """Paths of the numbers of a message, without headers, and without lists longer than `longest_list`.
+        """Paths of the numbers of a message, excluding headers and lists longer than `longest_list`.
 
         Raises:
             MavfiError: The message is not of this type.
@@ -221,7 +221,7 @@ class Definition:
             raise self._too_short(data) from None
 
     def _walk(self, member: Member, data: bytes, offset: int, path: str, longest: int) -> tuple[list[str], int]:
-        """Paths of the numbers within a member, and where the member ends."""
+        """Paths of the numbers within a member, and its end offset."""
         if member.kind in (_STRING, "std_msgs/Header"):
             return [], self._skip(member, data, offset)
         if member.length is None and member.kind in FORMATS:
@@ -240,9 +240,9 @@ class Definition:
         return found, offset
 
     def without(self, data: bytes, ignored: tuple[str, ...]) -> bytes:
-        """The message with all members of these names set to zero, for comparisons.
+        """The message with all members of these names zeroed, for comparisons.
 
-        The members are of fixed size and no lists, e.g. "stamp", "seq".
+        The members must have a fixed size and must not be lists, e.g. "stamp", "seq".
         """
         blank = bytearray(data)
         self._blank(Member("", self.kind), data, 0, ignored, blank)
@@ -264,7 +264,7 @@ class Definition:
 
 @cache
 def steps(path: str) -> tuple[tuple[str, int | None], ...]:
-    """The names and indices of a path; raises a BadInputError if it is none."""
+    """The names and indices of a path; an invalid path is a BadInputError."""
     found, place = [], 0
     while place < len(path):
         match = _STEP.match(path, place)

@@ -1,4 +1,4 @@
-"""Flips bits in numbers of messages on their way, and keeps a record of each."""
+"""Flips bits in numbers of messages in transit, and records each injection."""
 
 import random
 import threading
@@ -13,17 +13,17 @@ from mavfi.flight_log import Injection
 
 
 class Outlet(Protocol):
-    """Passes messages with a definition on, to the topic `to`."""
+    """Forwards messages of one definition to the topic `to`."""
 
     definition: Definition
     to: str
 
     def send(self, message: bytes) -> int:
-        """Pass a message on; gives the number of readers that got it."""
+        """Forward a message; returns the number of subscribers that received it."""
 
 
 def check_fault(fault: MessageFault, definition: Definition) -> None:
-    """Raise a BadInputError, with what is allowed, for a field or bit that messages of a type do not have."""
+    """Raise a BadInputError, with the allowed values, for a field or bit that the message type does not have."""
     kind = definition.check(fault.field)
     bits = Leaf(0, kind).bits
     if fault.bit is not None and not 0 <= fault.bit < bits:
@@ -34,10 +34,10 @@ class MessageInjector:
     """Changes messages in a relay, and calls `tell` with each injection.
 
     Attributes:
-        injections: At seconds since this injector was made.  An injection is activated if the bytes sent differ from
-            those received in this bit alone, and a reader got them.
+        injections: With times in seconds since construction.  An injection is activated if the sent bytes differ from
+            the received ones in this bit only, and a subscriber received them.
         done: Set after the first injection was sent.
-        too_short: Messages that should have been changed and do not hold the element.
+        too_short: Messages due for injection that do not contain the element.
     """
 
     def __init__(self, fault: MessageFault, tell: Callable[[Injection], None] | None = None) -> None:
@@ -52,7 +52,7 @@ class MessageInjector:
         self._lock = threading.Lock()
 
     def __call__(self, message: bytes, outlet: Outlet) -> bytes:
-        """Pass a message on, changed or as it is."""
+        """Forward a message, changed or unchanged."""
         with self._lock:
             self._seen += 1
             if self._is_due():
@@ -66,7 +66,7 @@ class MessageInjector:
             return message
 
     def stop(self) -> None:
-        """Inject no more; messages still pass."""
+        """Stop injecting; messages are still forwarded."""
         with self._lock:
             self._stopped = True
 

@@ -1,6 +1,6 @@
-"""Flips a bit in a register of a running process (x86-64 Linux), as the paper's injector does by system calls.
+"""Flips a bit in a register of a running process (x86-64 Linux) by system calls, as the paper's injector does.
 
-`inject` is the way in.  Nothing of mavfi needs to run in the target, and the target need not be a robot.
+`inject` is the entry point.  The target need not run any part of mavfi, nor be a robot.
 """
 
 from mavfi.faults.register.front import inject

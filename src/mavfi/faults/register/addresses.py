@@ -1,4 +1,4 @@
-"""The target's address space: mapped files, functions by address, and addresses by name."""
+"""The target's address space: mapped files, functions by address, and addresses by function name."""
 
 import bisect
 import os
@@ -29,7 +29,7 @@ class _Mapping:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where an address lies: file, offset in it, and function with the distance from its start."""
+    """Location of an address: file, offset in it, and function with the distance from its start."""
 
     library: str
     offset: int
@@ -38,20 +38,20 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class _Symbols:
-    """Functions of an ELF file; addresses as in the file, not where it is loaded."""
+    """Functions of an ELF file; addresses as in the file, not as loaded."""
 
     functions: dict[int, tuple[int, str]]
-    """By address, in ascending order: size and name."""
+    """Size and name, by ascending address."""
     segments: list[tuple[int, int, int]]
-    """Of each loaded segment: offset in the file, size, address."""
+    """Offset in the file, size and address of each loaded segment."""
 
     def offset_of(self, address: int) -> int | None:
-        """Byte of the file at an address."""
+        """File offset of an address."""
         fits = (start + address - first for start, size, first in self.segments if first <= address < first + size)
         return next(fits, None)
 
     def name_at(self, offset: int) -> str:
-        """Function that holds a byte of the file, and the distance from its start."""
+        """Function that contains a file offset, and the distance from its start."""
         fits = (first + offset - start for start, size, first in self.segments if start <= offset < start + size)
         address = next(fits, None)
         starts = list(self.functions)
@@ -74,8 +74,8 @@ def _mappings(text: str) -> list[_Mapping]:
 
 @lru_cache(maxsize=64)
 def _symbols(path: str, identity: tuple[int, int]) -> _Symbols:
-    """Functions of a file; none if it is no ELF file that can be read."""
-    del identity  # a file that was replaced is read anew
+    """Functions of a file; empty if it is not a readable ELF file."""
+    del identity  # a replaced file is read again
     functions: dict[int, tuple[int, str]] = {}
     segments: list[tuple[int, int, int]] = []
     try:
@@ -97,26 +97,26 @@ def _symbols(path: str, identity: tuple[int, int]) -> _Symbols:
 
 
 class AddressSpace:
-    """The target's memory map as it was when it was last read; it can be asked when the target has ended."""
+    """The target's memory map as last read; it remains usable after the target has ended."""
 
     def __init__(self, pid: int) -> None:
-        """Read the map, to be closed in the end; raises an OSError if the target has ended or may not be inspected."""
+        """Read the map; an OSError if the target has ended or may not be inspected.  Must be closed."""
         self._pid = pid
         self._root = os.open(f"/proc/{pid}/root", os.O_PATH | os.O_DIRECTORY)
         self.read()
 
     def read(self) -> None:
-        """Read the map anew: text alone, which takes some 0.1 ms and is parsed later."""
+        """Read the map again: only the text, which takes some 0.1 ms and is parsed later."""
         self._text = Path(f"/proc/{self._pid}/maps").read_text()
 
     def close(self) -> None:
-        """Let go of the target's files."""
+        """Release the target's files."""
         os.close(self._root)
 
     def _symbols_of(self, mapping: _Mapping) -> _Symbols | None:
         if not mapping.name.startswith("/"):
             return None
-        # as the target sees it, which may live in a container
+        # as seen by the target, which may run in a container
         path = f"/proc/self/fd/{self._root}{mapping.name}"
         try:
             held = os.stat(path)
@@ -125,7 +125,7 @@ class AddressSpace:
         return _symbols(path, (held.st_ino, held.st_mtime_ns))
 
     def place(self, address: int) -> Place:
-        """Where an address lies."""
+        """Location of an address."""
         for mapping in _mappings(self._text):
             if not mapping.start <= address < mapping.end:
                 continue
@@ -135,7 +135,7 @@ class AddressSpace:
         return Place("[anon]", address, "")
 
     def find(self, text: str) -> int:
-        """Address of a function, by its exact name or by a part of it that no other function has.
+        """Address of a function, by its exact name or a unique part of it.
 
         Raises a BadInputError if there is none, or more than one.
         """
@@ -150,7 +150,7 @@ class AddressSpace:
         raise BadInputError(f"symbol {text!r}: {len(found)} functions of process {self._pid} match; some: {some}")
 
     def _matches(self, text: str) -> Iterator[tuple[int, str]]:
-        """Functions whose names hold a text: where they are loaded, and their names without a version."""
+        """Functions whose names contain a text: load address, and name without a version."""
         for mapping in _mappings(self._text):
             symbols = self._symbols_of(mapping) if mapping.executable else None
             if symbols is None:

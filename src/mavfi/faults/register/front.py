@@ -1,4 +1,4 @@
-"""The caller's side of the register injector: starts the tracer, and reads what it did."""
+"""Caller's side of the register injector: starts the tracer, and reads its results."""
 
 import json
 import os
@@ -13,7 +13,7 @@ from mavfi.faults.register.target import check_target
 from mavfi.flight_log import Injection
 
 _LAST_WORDS = 5.0
-"""How long a tracer that is no longer wanted has to let the target go (s)."""
+"""Time for a cancelled tracer to release the target (s)."""
 
 
 def inject(
@@ -25,24 +25,24 @@ def inject(
 ) -> list[Injection]:
     """Flip bits in registers of a running process.
 
-    The injector of the paper reaches its targets by system calls, too (MAVFI section III-B).  The target is traced by a
-    process of its own, is stopped for about a millisecond for each injection, and runs on afterwards, whatever happens
-    to the caller.
+    The paper's injector reaches its targets by system calls as well (MAVFI section III-B).  The target is traced by a
+    separate process, is stopped for about a millisecond per injection, and continues afterwards, whatever happens to
+    the caller.
 
     Args:
         pid: The process.
-        fault: Where and how.
+        fault: The fault.
         count: Number of injections.
         interval: Time between two of them (s).
-        tell: Called with each injection at once.
+        tell: Called with each injection immediately.
 
     Returns:
-        The injections, with instants from now on (s); `activated` says whether the bit was read back flipped.
+        The injections, with times relative to the call (s); `activated` says whether the bit was read back flipped.
 
     Raises:
-        BadInputError: Not x86-64 Linux; no such process, or one that has ended, is stopped, is traced already, is
+        BadInputError: Not x86-64 Linux; no such process, or one that has ended, is stopped, is already traced, is
             mavfi itself, or belongs to another user or to the kernel; no such thread or symbol; no permission.
-        MavfiError: The target ended, or did not come by in time.
+        MavfiError: The target ended, or did not reach the injection point in time.
     """
     if count < 1:
         raise BadInputError(f"count: {count}: allowed: 1 or more")
@@ -68,7 +68,7 @@ def inject(
                 if tell is not None:
                     tell(done[-1])
         finally:
-            tracer.stdin.close()  # it then lets the target go, and ends
+            tracer.stdin.close()  # makes the tracer release the target and exit
             tracer.wait(_LAST_WORDS)
     if len(done) < count:
         raise MavfiError(f"pid {pid}: the tracer ended with exit code {tracer.returncode}")

@@ -1,11 +1,11 @@
-"""One injection: stop the target, find an instruction, flip a bit, let go.
+"""One injection: stop the target, find an instruction, flip a bit, release the target.
 
-A tracer that is killed while its target is stepped takes it down: the kernel leaves single-stepping switched on, in
-`__ptrace_unlink`, and nobody takes the SIGTRAP.  Without steps (`RegisterFault.steps`) it cannot.
+Killing the tracer while it single-steps the target kills the target as well: the kernel leaves single-stepping on (in
+`__ptrace_unlink`), and nobody handles the SIGTRAP.  Without steps (`RegisterFault.steps`) the target survives.
 
-Where the target is stopped decides where the bit is flipped.  A stop from outside comes at few instructions, always the
-same (skid): so a random number of instructions is executed one by one before the injection.  This spreads injections
-over the code near the stop, not over the program: for rates by instruction use the level `instruction`.
+The stop determines the location of the flip.  A stop from outside occurs at few instructions, always the same (skid);
+so a random number of instructions is single-stepped before the injection.  This spreads injections over the code near
+the stop, not over the program: for rates per instruction use the level `instruction`.
 """
 
 import os
@@ -24,7 +24,7 @@ from mavfi.faults.register.target import check_target, choose_thread, not_permit
 from mavfi.flight_log import Injection
 
 _REACH = 40
-"""Instructions after the walk among which the first one that qualifies is injected."""
+"""Instructions after the walk within which the first eligible one is injected."""
 _PAUSES = (2e-4, 5e-3)
 """Shortest and longest time between two attempts (s)."""
 _STEP_LIMIT = 2.0
@@ -34,7 +34,7 @@ _LONGEST_INSTRUCTION = 15
 
 @dataclass(frozen=True, slots=True)
 class _Search:
-    """What all attempts at one injection share."""
+    """Shared context of all attempts at one injection."""
 
     pid: int
     fault: RegisterFault
@@ -48,9 +48,9 @@ class _Search:
 
 @dataclass(slots=True)
 class _Attempt:
-    """The stopped target: thread, file of its memory, begin and in the end duration of the stop (s).
+    """The stopped target: thread, file of its memory, start and finally duration of the stop (s).
 
-    It was stepped (`walked`) through some instructions.
+    `walked` instructions have been single-stepped.
     """
 
     tracee: Tracee
@@ -66,7 +66,7 @@ class _Attempt:
         return address, decode(os.pread(self.memory, _LONGEST_INSTRUCTION, address), address)
 
     def walk(self, count: int) -> bool:
-        """Execute instructions one by one; False where one would enter the kernel, which may block."""
+        """Single-step instructions; False before one that would enter the kernel, which may block."""
         for _ in range(count):
             code = os.pread(self.memory, _LONGEST_INSTRUCTION, self.tracee.instruction_pointer())
             if enters_kernel(code):
@@ -78,7 +78,7 @@ class _Attempt:
 
 @dataclass(frozen=True, slots=True)
 class _Done:
-    """An injection, before it is known where its address lies."""
+    """An injection, before its address is resolved to a location."""
 
     address: int
     instruction: Instruction
@@ -90,14 +90,14 @@ class _Done:
 
 
 def inject_once(pid: int, fault: RegisterFault, number: int, tool: int, cancelled: Callable[[], bool]) -> Injection:
-    """Flip one bit of a process; gives the injection, whose instant is 0.
+    """Flip one bit of a process; returns the injection, with time 0.
 
-    Each injection has a number, and so random choices of its own; `tool` is the process that asks, and never a target;
-    `cancelled` is called while waiting, and True ends the wait.
+    Each injection has a number that seeds its own random choices; `tool` is the calling process, which is never a
+    target; `cancelled` is polled while waiting, and True ends the wait.
 
     Raises:
-        BadInputError: The target is refused.
-        MavfiError: The target ended, or did not come to an instruction that qualifies in time.
+        BadInputError: The target is rejected.
+        MavfiError: The target ended, or did not reach an eligible instruction in time.
     """
     check_target(pid, tool)
     search = _Search(pid, fault, random.Random(f"{fault.seed}/{number}"), time.monotonic() + fault.timeout, cancelled)
@@ -128,7 +128,7 @@ def inject_once(pid: int, fault: RegisterFault, number: int, tool: int, cancelle
 
 
 def _try(search: _Search, attempt: _Attempt) -> _Done | None:
-    """Walk, and flip a bit at the first instruction that qualifies; None if there is none."""
+    """Walk, and flip a bit at the first eligible instruction; None if there is none."""
     fault, choices, tracee = search.fault, search.choices, attempt.tracee
     if tracee.in_system_call() or not attempt.walk(choices.randrange(fault.walk)):
         return None
@@ -158,7 +158,7 @@ def _qualifying(instruction: Instruction, access: str, wanted: str) -> list[Regi
 
 
 def _record(search: _Search, attempt: _Attempt, done: _Done, attempts: int, space: AddressSpace) -> Injection:
-    """The injection; values and addresses are hexadecimal text, since registers have up to 256 bits."""
+    """The injection record; values and addresses are hexadecimal text, since registers have up to 256 bits."""
     place = space.place(done.address)
     return Injection(
         "register", done.register.name, 0.0, done.bit, f"{done.before:#x}", f"{done.after:#x}",
@@ -175,7 +175,7 @@ def _record(search: _Search, attempt: _Attempt, done: _Done, attempts: int, spac
 
 @contextmanager
 def _stopped(search: _Search, space: AddressSpace) -> Iterator[_Attempt]:
-    """Stop the thread that is to be injected; it is let go in any case."""
+    """Stop the thread to be injected; it is released in any case."""
     pid, fault = search.pid, search.fault
     with ExitStack() as cleanup:
         memory = os.open(f"/proc/{pid}/mem", os.O_RDONLY)
@@ -195,7 +195,7 @@ def _stopped(search: _Search, space: AddressSpace) -> Iterator[_Attempt]:
 
 
 def _stop_at(search: _Search, space: AddressSpace, cleanup: ExitStack) -> tuple[Tracee, float]:
-    """Stop the first thread that calls the function; gives it and the instant (s).  The others are let go again."""
+    """Stop the first thread that calls the function; returns it and the time (s).  All others are released."""
     pid, fault = search.pid, search.fault
     address = space.find(fault.symbol)
     held: dict[int, Tracee] = {}
@@ -216,7 +216,7 @@ def _stop_at(search: _Search, space: AddressSpace, cleanup: ExitStack) -> tuple[
         except (ProcessLookupError, TargetGoneError):
             if thread in (pid, fault.thread):
                 raise
-            held.pop(thread, None)  # a thread that came to its end since it was listed
+            held.pop(thread, None)  # a thread that has ended since it was listed
     arrived = _first_at(address, held, search)
     since = time.perf_counter()
     arrived.clear_breakpoint()
@@ -228,7 +228,7 @@ def _stop_at(search: _Search, space: AddressSpace, cleanup: ExitStack) -> tuple[
 
 
 def _first_at(address: int, held: dict[int, Tracee], search: _Search) -> Tracee:
-    """Wait for the first thread that stands at an address; new threads are watched as well."""
+    """Wait for the first thread to reach an address; includes newly created threads."""
     while held:
         thread, status = os.waitpid(-1, WAIT_ALL | os.WNOHANG)
         if not thread:
@@ -238,7 +238,7 @@ def _first_at(address: int, held: dict[int, Tracee], search: _Search) -> Tracee:
             await_news(_NAP)
             continue
         new = thread not in held
-        if new:  # made by one that is watched
+        if new:  # created by a traced thread
             held[thread] = Tracee(thread, seize=False, cancelled=search.cancelled)
         tracee = held[thread]
         try:

@@ -1,7 +1,7 @@
-"""ptrace(2) on x86-64 Linux, as far as the injector needs it.
+"""Subset of ptrace(2) on x86-64 Linux needed by the injector.
 
 All calls for a target must come from the thread that seized it.  `PTRACE_SEIZE` is used throughout: it sends the target
-no signal, and if the tracer dies the target runs on, unless it is being stepped or has a breakpoint.
+no signal, and if the tracer dies the target continues, unless it is being single-stepped or has a breakpoint.
 """
 
 import ctypes
@@ -19,7 +19,7 @@ _SETOPTIONS, _GETSIGINFO, _GETREGSET, _SETREGSET, _SEIZE, _INTERRUPT = 0x4200, 0
 _TRACE_CLONE = 1 << 3
 _EVENT_STOP = 128
 WAIT_ALL = 0x40000000
-"""__WALL: without it, waitpid does not report threads that a process made by clone."""
+"""__WALL: without it, waitpid does not report threads created by clone."""
 _XSTATE_NOTE = 0x202
 _XSTATE_SIZE = 16384
 _XSTATE_HEADER = 512
@@ -46,7 +46,7 @@ _RIP, _ORIG_RAX = (8 * GENERAL.index(name) for name in ("rip", "orig_rax"))
 
 
 class TargetGoneError(MavfiError):
-    """The target ended while it was traced, with an exit code (negative = number of a signal)."""
+    """The target ended while traced, with an exit code (negative = signal number)."""
 
     def __init__(self, text: str, code: int = 0) -> None:
         super().__init__(text)
@@ -67,7 +67,7 @@ class _Vector(ctypes.Structure):
     _fields_ = [("base", ctypes.c_void_p), ("length", ctypes.c_size_t)]
 
 
-# not the library's ptrace, which tells values and errors apart by errno alone
+# not the library's ptrace, which distinguishes values and errors by errno only
 _syscall = ctypes.CDLL(None, use_errno=True).syscall
 _syscall.restype = ctypes.c_long
 _syscall.argtypes = [ctypes.c_long, ctypes.c_long, ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p]
@@ -75,7 +75,7 @@ _SYS_PTRACE = 101
 
 
 def await_news(seconds: float) -> None:
-    """Wait, at most so long, for the SIGCHLD of a thread that stops or ends; just sleep where it is not blocked."""
+    """Wait at most `seconds` for the SIGCHLD of a thread that stops or ends; just sleep if it is not blocked."""
     signal.sigtimedwait(_NEWS, seconds)
 
 
@@ -90,7 +90,7 @@ class Stop:
     """Why a thread stopped."""
 
     signal: int = 0
-    """On its way to the target, and to be passed on; 0 = none."""
+    """Pending signal, to be passed on to the target; 0 = none."""
     interrupted: bool = False
     """Stopped by `interrupt`, or with the whole process by SIGSTOP."""
 
@@ -101,14 +101,14 @@ class Tracee:
     Methods that wait for it raise `TargetGoneError` if it ended, and `TracerTimeoutError` if it did not stop in time.
 
     Attributes:
-        thread: Its number.
-        stopped: Whether it stands still.
-        ended: Whether it is gone.
-        cancelled: Asked while waiting; True ends the wait.
+        thread: Thread id.
+        stopped: Whether it is stopped.
+        ended: Whether it has ended.
+        cancelled: Polled while waiting; True ends the wait.
     """
 
     def __init__(self, thread: int, *, seize: bool = True, cancelled: Callable[[], bool] = bool) -> None:
-        """Seize a thread, which runs on, unless it is traced already as the child of such a thread.
+        """Seize a thread, which continues to run; with `seize` False it is already traced as a new thread.
 
         Raises an OSError if it must not be traced.
         """
@@ -126,11 +126,11 @@ class Tracee:
 
     # ---- running and stopping ---------------------------------------------------------------------------------------
     def follow_threads(self) -> None:
-        """From now on, trace the threads that this one, which stands still, makes."""
+        """Trace all threads that this stopped thread creates from now on."""
         _ptrace(_SETOPTIONS, self.thread, 0, _TRACE_CLONE)
 
     def interrupt(self, timeout: float) -> None:
-        """Stop the thread; signals that come first are delivered."""
+        """Stop the thread; signals that arrive first are delivered."""
         _ptrace(_INTERRUPT, self.thread)
         stop = self.wait(timeout)
         while not stop.interrupted:
@@ -138,7 +138,7 @@ class Tracee:
             stop = self.wait(timeout)
 
     def step(self, timeout: float) -> None:
-        """Execute one instruction; where a signal arrives first, the first one of its handler."""
+        """Execute one instruction; if a signal arrives first, the first instruction of its handler."""
         stop = Stop()
         while True:
             _ptrace(_SINGLESTEP, self.thread, 0, stop.signal)
@@ -148,7 +148,7 @@ class Tracee:
                 return
 
     def resume(self, number: int = 0) -> None:
-        """Let the thread run, and deliver a signal."""
+        """Continue the thread, and deliver a signal."""
         _ptrace(_CONT, self.thread, 0, number)
         self.stopped = False
 
@@ -160,14 +160,14 @@ class Tracee:
             if found:
                 return self.note(status)
             spins += 1
-            if spins < _SPINS:  # a step takes microseconds: to fall asleep and wake up would take longer
+            if spins < _SPINS:  # a step takes microseconds, less than a sleep and wake-up
                 continue
             if time.monotonic() > deadline or self.cancelled():
                 raise TracerTimeoutError(f"thread {self.thread}: did not stop within {timeout:g} s")
             await_news(_NAP)
 
     def note(self, status: int) -> Stop:
-        """Take in a status of waitpid; why the thread stopped."""
+        """Process a status of waitpid; returns why the thread stopped."""
         if not os.WIFSTOPPED(status):
             self.stopped, self.ended = False, True
             code = os.waitstatus_to_exitcode(status)
@@ -181,18 +181,18 @@ class Tracee:
         return Stop(number)
 
     def _is_trap(self) -> bool:
-        """Whether a SIGTRAP comes from a step or breakpoint, not from somebody's kill(2)."""
+        """Whether a SIGTRAP comes from a step or breakpoint, not from kill(2)."""
         _ptrace(_GETSIGINFO, self.thread, 0, self._info_at)
         return self._info[2] > 0  # si_code
 
     def detach(self) -> None:
-        """Take the breakpoint back, and let the thread go, with the signal that was on its way."""
+        """Remove the breakpoint, and release the thread with its pending signal."""
         if self.ended:
             return
         number = 0
         try:
             if not self.stopped:
-                self.cancelled = bool  # not to be cancelled: a breakpoint would be left behind
+                self.cancelled = bool  # never cancelled: a breakpoint would be left behind
                 _ptrace(_INTERRUPT, self.thread)
                 number = self.wait(_HALT_LIMIT).signal
             if self._has_breakpoint:
@@ -213,8 +213,8 @@ class Tracee:
         return self._peek(_RIP)
 
     def in_system_call(self) -> bool:
-        """Whether the thread was stopped on its way through the kernel: its registers then belong to the call."""
-        return self._peek(_ORIG_RAX) < 1 << 63  # outside of calls it is -1, unsigned
+        """Whether the thread was stopped inside a system call, to which its registers then belong."""
+        return self._peek(_ORIG_RAX) < 1 << 63  # outside calls it is -1, unsigned
 
     def _peek(self, offset: int) -> int:
         _ptrace(_PEEKUSER, self.thread, offset, self._word_at)
@@ -262,17 +262,17 @@ class Tracee:
 
     # ---- breakpoint -------------------------------------------------------------------------------------------------
     def set_breakpoint(self, address: int) -> None:
-        """Stop before this thread, which stands still, executes the instruction at an address.
+        """Stop this thread, currently stopped, before it executes the instruction at an address.
 
-        A debug register of the processor does it: the target's code stays as it is, so threads that are not traced and
-        children of the target never meet the breakpoint.
+        Uses a debug register of the processor: the target's code is not modified, so untraced threads and children of
+        the target never hit the breakpoint.
         """
         self._has_breakpoint = True
         _ptrace(_POKEUSER, self.thread, _DEBUG_REGISTERS, address)
         _ptrace(_POKEUSER, self.thread, _DEBUG_REGISTERS + 8 * 7, 1)
 
     def clear_breakpoint(self) -> None:
-        """Take the breakpoint back; the thread must stand still."""
+        """Remove the breakpoint; the thread must be stopped."""
         self._has_breakpoint = False
         _ptrace(_POKEUSER, self.thread, _DEBUG_REGISTERS + 8 * 7, 0)
         _ptrace(_POKEUSER, self.thread, _DEBUG_REGISTERS, 0)

@@ -1,4 +1,4 @@
-"""Registers that an instruction reads and writes, and flips of their bits."""
+"""Registers read and written by an instruction, and bit flips in them."""
 
 import re
 from dataclasses import dataclass
@@ -13,17 +13,17 @@ _FLAGS = {"CF": 0, "PF": 2, "AF": 4, "ZF": 6, "SF": 7, "OF": 11}
 _VECTOR = re.compile(r"([xy])mm(\d+)$")
 _LAST_VECTOR = 15
 _COMPARES = ("vucomis", "vcomis")
-"""Comparisons of which the decoder does not say that they set flags: all six (Intel SDM, vol. 2, UCOMISD)."""
+"""Comparisons for which the decoder omits that they set flags: all six (Intel SDM, vol. 2, UCOMISD)."""
 _MASKED = re.compile(r"[xy]mm\d+(?= \{k[1-7]\})")
-"""A first operand under a mask: the decoder does not say that it is written."""
+"""A masked first operand, whose write the decoder omits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Register:
-    """A register as an instruction names it, e.g. "eax", "xmm3", "rflags".
+    """A register as named by an instruction, e.g. "eax", "xmm3", "rflags".
 
-    It starts at bit `shift` of its holder, which is "" for vector registers; those have an index. `bits` can be
-    flipped, counted from the start of the register.
+    It starts at bit `shift` of its holder, which is "" for vector registers; those have an index. `bits` are the
+    injectable bits, counted from the start of the register.
     """
 
     name: str
@@ -68,7 +68,7 @@ def _decoder() -> capstone.Cs:
 class Instruction:
     """A decoded instruction: mnemonic and operands, and the registers that it reads and writes.
 
-    If it enters the kernel (a system call), stepping over it may block.
+    Stepping over an instruction that enters the kernel (a system call) may block.
     """
 
     text: str
@@ -83,13 +83,13 @@ _SYSCALL, _SYSENTER, _INT = b"\x0f\x05", b"\x0f\x34", b"\xcd"
 
 @lru_cache(maxsize=4096)
 def enters_kernel(code: bytes) -> bool:
-    """`Instruction.enters_kernel` of the first of these bytes, without decoding it (Intel SDM, vol. 2)."""
+    """`Instruction.enters_kernel` of the instruction at the start of `code`, without decoding (Intel SDM, vol. 2)."""
     return code.lstrip(_PREFIXES).startswith((_SYSCALL, _SYSENTER, _INT))
 
 
 @lru_cache(maxsize=4096)
 def decode(code: bytes, address: int) -> Instruction | None:
-    """The instruction with which up to 15 bytes at an address begin; None if the decoder does not know it."""
+    """The instruction at the start of up to 15 bytes at an address; None if unknown to the decoder."""
     found = next(_decoder().disasm(code, address, 1), None)
     if found is None:
         return None
@@ -107,7 +107,7 @@ def decode(code: bytes, address: int) -> Instruction | None:
 
 
 def _flag_masks(*verbs: str) -> dict[str, int]:
-    """Capstone's bits of `eflags` that say that an instruction does something to a flag."""
+    """Capstone's `eflags` bits for the given actions on each flag."""
     return {flag: sum(getattr(x86, f"X86_EFLAGS_{verb}_{flag}", 0) for verb in verbs) for flag in _FLAGS}
 
 
@@ -131,7 +131,7 @@ def _registers(found: capstone.CsInsn, numbers: list[int], flags: dict[str, int]
 
 
 def _vector(name: str, mnemonic: str) -> tuple[Register, ...]:
-    """A vector register that can be injected; empty if the name is of another register."""
+    """An injectable vector register; empty if the name is not one."""
     found = _VECTOR.match(name)
     if found is None or int(found[2]) > _LAST_VECTOR:
         return ()
@@ -139,7 +139,7 @@ def _vector(name: str, mnemonic: str) -> tuple[Register, ...]:
 
 
 def _used_bits(mnemonic: str, kind: str) -> int:
-    """Bits of a vector register that the instruction uses: of scalar arithmetic, one number."""
+    """Bits of a vector register that the instruction uses: one number for scalar arithmetic."""
     if kind == "y":
         return 256
     if mnemonic.endswith("sd"):

@@ -1,4 +1,4 @@
-"""Whether a process may be injected, and which of its threads."""
+"""Checks whether a process may be injected, and chooses a thread."""
 
 import os
 import platform
@@ -13,13 +13,13 @@ _ELF_64 = b"\x7fELF\x02"
 
 
 def check_machine() -> None:
-    """Raise a BadInputError on other machines than x86-64 Linux, whose registers are not known."""
+    """Raise a BadInputError unless this is x86-64 Linux."""
     if not sys.platform.startswith("linux") or platform.machine() != "x86_64":
         raise BadInputError(f"registers are injected on x86-64 Linux; this is {sys.platform} on {platform.machine()}")
 
 
 def check_target(pid: int, tool: int) -> None:
-    """Raise a BadInputError, with the reason, for a process that cannot or must not be injected, as `tool` itself."""
+    """Raise a BadInputError, with the reason, for a process that must not be injected, such as `tool` itself."""
     check_machine()
     if pid in (os.getpid(), tool):
         raise BadInputError(f"pid {pid}: is mavfi itself")
@@ -63,7 +63,7 @@ def _check_program(pid: int) -> None:
 
 
 def not_permitted() -> str:
-    """Why the kernel may refuse ptrace, and what to do."""
+    """Likely reason why the kernel refuses ptrace, and the remedy."""
     yama = Path("/proc/sys/kernel/yama/ptrace_scope")
     if yama.is_file() and yama.read_text().strip() != "0":
         return f"{yama} is {yama.read_text().strip()}: only children may be traced; 0 allows all of one's own processes"
@@ -71,7 +71,7 @@ def not_permitted() -> str:
 
 
 def threads_of(pid: int) -> list[int]:
-    """Numbers of all threads; a BadInputError if the process has ended."""
+    """Ids of all threads; a BadInputError if the process has ended."""
     try:
         return sorted(int(name) for name in os.listdir(f"/proc/{pid}/task"))
     except OSError:
@@ -79,7 +79,7 @@ def threads_of(pid: int) -> list[int]:
 
 
 def choose_thread(pid: int, wanted: int) -> int:
-    """The wanted thread (0 = the one that has computed most, of those that run now), or a BadInputError."""
+    """The wanted thread (0 = a running one with the most CPU time), or a BadInputError."""
     threads = threads_of(pid)
     if wanted:
         if wanted not in threads:

@@ -1,7 +1,7 @@
-"""The process that traces: not the one that the user started, and out of reach of the keyboard.
+"""The tracing process: separate from the one that the user started, and out of reach of the keyboard.
 
-While it is stepped, or a breakpoint is set, the target's life hangs on its tracer.  So the target survives when the
-user's process is stopped or killed: the tracer notices, takes the breakpoint back, lets the target go, and ends.
+During single-stepping or with a breakpoint, the target depends on its tracer.  This process protects the target if the
+user's process is stopped or killed: it detects this, removes the breakpoint, releases the target, and exits.
 """
 
 import json
@@ -19,13 +19,13 @@ from mavfi.faults.register.injector import inject_once
 
 
 def _abandoned() -> bool:
-    """Whether nobody waits for the answer any more: the other end of stdin is closed."""
+    """Whether the caller no longer waits for an answer: the other end of stdin is closed."""
     readable, _, _ = select.select([sys.stdin.fileno()], [], [], 0)
     return bool(readable)
 
 
 def serve(order: dict, answers: TextIO) -> None:
-    """Inject as often as ordered; write each injection, or the reason why there is none, as a line of JSON."""
+    """Inject as often as requested; write each injection, or the reason for its failure, as a line of JSON."""
     began = time.monotonic()
     try:
         fault = fault_from_json(order["fault"])
@@ -49,8 +49,8 @@ def main() -> None:
     """Read one order from stdin, write answers to stdout."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGPIPE):
         signal.signal(number, signal.SIG_IGN)
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD})  # so that it can be waited for, see `await_news`
-    with open(sys.stdin.fileno(), "rb", buffering=0, closefd=False) as orders:  # the end of the file stays unread
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGCHLD})  # can be waited for, see `await_news`
+    with open(sys.stdin.fileno(), "rb", buffering=0, closefd=False) as orders:  # end of file stays unread
         line = orders.readline()
     if not line.endswith(b"\n"):
         return

@@ -18,14 +18,14 @@ class Gains(NamedTuple):
     """Gains and limits of the tracker.
 
     Attributes:
-        p: 1/s. Shape (3,).
-        i: 1/s^2. Shape (3,).
-        d: -. Shape (3,).
-        integral_limit: m s.
-        velocity: Feed-forward of the reference's velocity.
-        acceleration: Feed-forward of its acceleration (s).
-        limit: Largest speed that is commanded (m/s).
-        slowdown_cap: Largest slow-down of reference time while saturated; 1 = none.
+        p: Proportional gain (1/s). Shape (3,).
+        i: Integral gain (1/s^2). Shape (3,).
+        d: Derivative gain (-). Shape (3,).
+        integral_limit: Limit of the integral (m s).
+        velocity: Feed-forward gain of the reference velocity.
+        acceleration: Feed-forward gain of the reference acceleration (s).
+        limit: Largest commanded speed (m/s).
+        slowdown_cap: Largest slow-down of reference time during saturation; 1 = none.
         yaw_rate: Largest yaw rate (rad/s).
     """
 
@@ -42,11 +42,11 @@ class Gains(NamedTuple):
 
 @kernel_jit
 def _saturate(command: np.ndarray, limit: float) -> float:
-    """Rescale a velocity to `limit` if it is larger; returns by how much it was too large (1 = not)."""
+    """Scale a velocity down to `limit` if it exceeds it; returns the factor of the excess (1 = none)."""
     largest = max(abs(command[0]), max(abs(command[1]), abs(command[2])))
     if math.isnan(command[0] + command[1] + command[2]):
-        largest = np.nan  # `max` looks at NaN in its first argument only
-    if not largest <= _HUGE:  # its square would overflow; a NaN stays one and is refused by the flight controller
+        largest = np.nan  # `max` checks only its first argument for NaN
+    if not largest <= _HUGE:  # its square would overflow; NaN propagates and is rejected by the flight controller
         for axis in range(3):
             command[axis] /= largest
         norm = math.sqrt(command[0] ** 2 + command[1] ** 2 + command[2] ** 2)
@@ -63,7 +63,7 @@ def _saturate(command: np.ndarray, limit: float) -> float:
 
 @kernel_jit
 def _anti_windup(integral: float, limit: float) -> float:
-    """Clamp the integral; one that is not a number is dropped, or it would stay for ever."""
+    """Clamp the integral; NaN is reset, since it would never vanish."""
     if integral > limit:
         return limit
     if integral < -limit:
@@ -78,12 +78,12 @@ def track(
     """One step of the tracker.
 
     Args:
-        waypoint: In force: x y z yaw v(3) a(3) duration, world frame. Shape (11,).
+        waypoint: Way-point in force: x y z yaw v(3) a(3) duration, world frame. Shape (11,).
         odometry: x y z v(3) quaternion wxyz, ..., world frame. Shape (13,).
         memory: See `MEMORY_WIDTH`; changed. Shape (7,).
         gains: Gains and limits.
         dt: Control period (s).
-        command: Result: velocity, world frame (m/s), and yaw rate (rad/s). Shape (4,).
+        command: Output: velocity, world frame (m/s), and yaw rate (rad/s). Shape (4,).
 
     Returns:
         Slow-down of reference time, 1 .. gains.slowdown_cap.
@@ -95,7 +95,7 @@ def track(
         if not abs(rate) < _HUGE:
             rate = 0.0
         memory[3 + axis] = error
-        # without its gain the acceleration is not read: 0 x inf would be NaN
+        # without a gain the acceleration is not read: 0 x inf would be NaN
         lead = gains.acceleration * waypoint[7 + axis] if gains.acceleration != 0.0 else 0.0
         command[axis] = (
             gains.velocity * waypoint[4 + axis] + lead

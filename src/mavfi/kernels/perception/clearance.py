@@ -1,7 +1,7 @@
-"""A consumer's copy of the map: which voxels are known and occupied, and which are too near to an occupied one.
+"""A consumer's clearance map: known and occupied voxels, and voxels too close to an occupied one.
 
-Map updates arrive as (voxel, log-odds).  Counters over balls of offsets are kept incrementally, so that "is there room
-here" is one array read.  Every change is journalled, so that a stage can be run again from the same memory.
+Map updates arrive as (voxel, log-odds).  Counters over balls of offsets are updated incrementally, so that a clearance
+query is one array read.  Every change is journalled, so that a stage can be recomputed from the same memory.
 """
 
 import numpy as np
@@ -25,12 +25,12 @@ def _reach(offsets: np.ndarray) -> int:
 
 @kernel_jit
 def _move(counter: np.ndarray, grid: Grid, voxel: int, offsets: np.ndarray, reach: int, step: int) -> None:
-    """Add `step` to the counters around a voxel; `reach` is that of the offsets."""
+    """Add `step` to the counters around a voxel; `reach` is the largest of the offsets."""
     ix = voxel // (grid.ny * grid.nz)
     iy = (voxel // grid.nz) % grid.ny
     iz = voxel % grid.nz
     margin = min(min(ix, grid.nx - 1 - ix), min(min(iy, grid.ny - 1 - iy), min(iz, grid.nz - 1 - iz)))
-    if margin >= reach:  # the whole ball lies in the grid
+    if margin >= reach:  # the whole ball is inside the grid
         for i in range(offsets.shape[0]):
             counter[voxel + (offsets[i, 0] * grid.ny + offsets[i, 1]) * grid.nz + offsets[i, 2]] += step
         return
@@ -47,9 +47,9 @@ def set_cell(
     grid: Grid, cells: np.ndarray, wide: np.ndarray, wide_offsets: np.ndarray, wide_reach: int, narrow: np.ndarray,
     narrow_offsets: np.ndarray, narrow_reach: int, voxel: int, value: int,
 ) -> None:  # fmt: skip
-    """Give a voxel its state and move both counters if its occupancy changes.
+    """Set the state of a voxel, and update both counters if its occupancy changes.
 
-    Arguments as in `apply_updates`; reaches are those of the offsets.
+    Arguments as for `apply_updates`; reaches are those of the offsets.
     """
     was = cells[voxel]
     cells[voxel] = value
@@ -65,22 +65,22 @@ def apply_updates(
     wide_offsets: np.ndarray, narrow: np.ndarray, narrow_offsets: np.ndarray, journal_voxels: np.ndarray,
     journal_cells: np.ndarray,
 ) -> int:  # fmt: skip
-    """Take a map update over.
+    """Apply a map update.
 
     Args:
-        voxels: Flat indices; one outside of the grid is skipped. Shape (n,), int32.
+        voxels: Flat indices; those outside the grid are skipped. Shape (n,), int32.
         log_odds: > 0 = occupied, else free; NaN counts as free. Shape (n,), float32.
         grid: Geometry.
         cells: UNKNOWN, KNOWN_FREE or OCCUPIED; changed. Shape (grid.size,), uint8.
         wide: Counter over the planner's ball; changed. Shape (grid.size,), int16.
-        wide_offsets: Its offsets. Shape (k, 3).
+        wide_offsets: Offsets of the planner's ball. Shape (k, 3).
         narrow: Counter over the checker's ball; changed. Same shape as `wide`.
-        narrow_offsets: Its offsets. Shape (k, 3).
-        journal_voxels: Result: voxels whose cell changed, in order. Shape (>= n,), int32.
-        journal_cells: Result: their cell before. Shape (>= n,), uint8.
+        narrow_offsets: Offsets of the checker's ball. Shape (k, 3).
+        journal_voxels: Output: voxels whose cell changed, in order. Shape (>= n,), int32.
+        journal_cells: Output: their previous cell. Shape (>= n,), uint8.
 
     Returns:
-        How many cells changed.
+        Number of changed cells.
     """
     wide_reach, narrow_reach = _reach(wide_offsets), _reach(narrow_offsets)
     changed = 0
@@ -104,7 +104,7 @@ def undo_updates(
     grid: Grid, cells: np.ndarray, wide: np.ndarray, wide_offsets: np.ndarray, narrow: np.ndarray,
     narrow_offsets: np.ndarray, journal_voxels: np.ndarray, journal_cells: np.ndarray, count: int,
 ) -> None:  # fmt: skip
-    """Undo the last `apply_updates`; arguments as there, `count` is its result."""
+    """Undo the last `apply_updates`; arguments as there, `count` is its return value."""
     wide_reach, narrow_reach = _reach(wide_offsets), _reach(narrow_offsets)
     for i in range(count - 1, -1, -1):
         set_cell(

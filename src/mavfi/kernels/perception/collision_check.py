@@ -9,7 +9,7 @@ from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.voxels import FREE, Grid, first_blocked, voxel_of
 
 NO_COLLISION = 30.0
-"""time_to_collision when none is predicted (s)."""
+"""time_to_collision if none is predicted (s)."""
 _ESCAPE_LENGTH = 1.5
 _ESCAPE_CORE = 0.5
 
@@ -21,19 +21,19 @@ def time_to_collision(
 ) -> float:  # fmt: skip
     """Reference time until the vehicle, following the rest of its trajectory, first enters a blocked voxel.
 
-    The leg from the vehicle to the point in force is checked too.
+    Includes the leg from the vehicle to the point in force.
 
     Args:
-        counter: > 0 = too near to an obstacle. Shape (grid.size,).
+        counter: > 0 = too close to an obstacle. Shape (grid.size,).
         grid: Geometry.
         position: Vehicle, world frame (m). Shape (3,).
         points: Trajectory points, columns as in the state table: x y z yaw v(3) a(3) duration. Shape (n, 11).
         first: Index of the point in force.
-        remaining: How long it is still held (s).
-        outside_blocked: Whether leaving the mapped volume counts.
+        remaining: Remaining time of that point (s).
+        outside_blocked: Whether the outside of the mapped volume counts as blocked.
 
     Returns:
-        s, at the start of the segment that collides; -1 if none does.
+        Time at the start of the colliding segment (s); -1 if there is none.
     """
     if first < 0 or first >= points.shape[0]:
         return -1.0
@@ -79,17 +79,17 @@ def known_free_distance(
     counter: np.ndarray, cells: np.ndarray, grid: Grid, points: np.ndarray, first: int, horizon: float, reach: int,
     escaping: bool,
 ) -> tuple[float, float]:  # fmt: skip
-    """Arc lengths along a trajectory at which its first blocked and its first unknown sample lie.
+    """Arc lengths of the first blocked and the first unknown sample of a trajectory.
 
     Args:
-        counter: > 0 = too near to an obstacle. Shape (grid.size,).
+        counter: > 0 = too close to an obstacle. Shape (grid.size,).
         cells: State of each voxel. Shape (grid.size,), uint8.
         grid: Geometry.
         points: Trajectory points, dense (closer than a voxel), columns as in the state table. Shape (n, 11).
-        first: Index of the first point to look at.
-        horizon: How far ahead unknown space matters (m).
+        first: Index of the first point to check.
+        horizon: Distance up to which unknown space counts (m).
         reach: Neighbourhood in which an unknown voxel counts (voxels, sideways).
-        escaping: The trajectory starts too near to an obstacle: its leading blocked samples do not stop it.
+        escaping: The trajectory starts too close to an obstacle: its leading blocked samples do not count.
 
     Returns:
         Distance from the start of the trajectory to the first blocked sample and to the first unknown one (m);

@@ -1,9 +1,9 @@
 """Voxels that a scan frees, and voxels that it hits: OctoMap's `computeUpdate` (Hornung et al. 2013, section 3.1).
 
-Voxels that hold an end point are hit, voxels that a ray crosses before its end are free; a voxel is in one set only,
-and hit wins.  The arithmetic of the ray walk is that of OctoMap's `computeRayKeys` (float32 direction, float64
-parameters), so that both sets equal the library's.  Sets are kept by stamps on a dense grid, not by hashing.  Rays that
-stay in the grid are walked side by side, many at once; the others one by one.
+Voxels that contain an end point are hit, voxels that a ray crosses before its end are free; a voxel is in one set only,
+and hit takes precedence.  The ray traversal uses the arithmetic of OctoMap's `computeRayKeys` (float32 direction,
+float64 parameters), so that both sets equal the library's.  Sets are represented by stamps on a dense grid instead of
+hashing.  Rays that stay in the grid are traversed in parallel blocks; all others one by one.
 """
 
 import math
@@ -17,17 +17,17 @@ from mavfi.numerics.voxels import STEP_CAP, usable
 _F32 = np.float32
 _BIG = 1.7976931348623157e308
 LAST_SCAN = 2**30 - 1
-"""Largest number of a scan: stamps are twice as large, and int32."""
+"""Largest scan number: stamps are twice as large, and int32."""
 
 
 class KeyFrame(NamedTuple):
-    """Where the grid lies among OctoMap's keys.
+    """Location of the grid in OctoMap's key space.
 
     Attributes:
         resolution: Edge of a voxel (m).
-        shift_x: Added to x before it becomes a key (m).
-        shift_y: Added to y before it becomes a key (m).
-        shift_z: Added to z before it becomes a key (m), so that the ground lies inside a layer of voxels.
+        shift_x: Added to x before conversion to a key (m).
+        shift_y: Added to y before conversion to a key (m).
+        shift_z: Added to z before conversion to a key (m), so that the ground lies inside a layer of voxels.
         kx: Key of the grid's first voxel along x.
         ky: Key of the grid's first voxel along y.
         kz: Key of the grid's first voxel along z.
@@ -50,20 +50,20 @@ class KeyFrame(NamedTuple):
 
 _NEXT_X, _NEXT_Y, _NEXT_Z, _EACH_X, _EACH_Y, _EACH_Z, _MOVE_X, _MOVE_Y, _MOVE_Z, _VOXEL, _END, _LENGTH = range(12)
 RAYS = 64
-"""How many rays are walked side by side."""
+"""Number of rays per block."""
 LONGEST = 512
-"""Steps of the longest walk in a block."""
+"""Steps of the longest traversal in a block."""
 
 
 class Block(NamedTuple):
-    """Walks side by side, a column for each ray.
+    """Parallel traversals, one column per ray.
 
     Attributes:
-        rays: Along each axis the parameter of the next face, that from face to face (m), and what a step adds to the
-            voxel; the voxel that the ray is in, its last one, and its length (m). Shape (12, RAYS).
-        steps: How many voxels lie before the last one; -1 = the ray has to be walked alone. Shape (RAYS,), int64.
-        voxels: Where each ray is after each step. Shape (LONGEST, RAYS).
-        leaves: Parameter at which it leaves that voxel (m). Shape (LONGEST, RAYS).
+        rays: Along each axis the parameter of the next face, the parameter between faces (m), and the increment of the
+            voxel index per step; then the current voxel, the last voxel, and the length (m). Shape (12, RAYS).
+        steps: Number of voxels before the last one; -1 = the ray must be traversed alone. Shape (RAYS,), int64.
+        voxels: Voxel of each ray after each step. Shape (LONGEST, RAYS).
+        leaves: Parameter at which the ray leaves that voxel (m). Shape (LONGEST, RAYS).
     """
 
     rays: np.ndarray
@@ -105,7 +105,7 @@ def _keys(frame: KeyFrame, point: np.ndarray) -> tuple[int, int, int]:
 def _faces(
     frame: KeyFrame, origin: np.ndarray, keys: tuple[int, int, int], end: np.ndarray
 ) -> tuple[tuple[int, float, float], tuple[int, float, float], tuple[int, float, float], float]:
-    """What `_face` says along each axis of the ray from `origin`, which has `keys`, to `end`; and its length (m)."""
+    """Result of `_face` along each axis of the ray from `origin`, which has `keys`, to `end`; and its length (m)."""
     dx = _F32(end[0] - origin[0])
     dy = _F32(end[1] - origin[1])
     dz = _F32(end[2] - origin[2])
@@ -125,7 +125,7 @@ def _walk_free(
     touched: np.ndarray,
     count: int,
 ) -> int:  # fmt: skip
-    """Mark the voxels on origin -> end, without the last one, as free in this scan; returns the new count."""
+    """Mark the voxels on origin -> end, excluding the last one, as free in this scan; returns the new count."""
     kx, ky, kz = _keys(frame, origin)
     end_x, end_y, end_z = _keys(frame, end)
     if kx == end_x and ky == end_y and kz == end_z:
@@ -135,10 +135,10 @@ def _walk_free(
     for _ in range(STEP_CAP):
         voxel = _index(frame, kx, ky, kz)
         if voxel < 0 and entered:
-            break  # a straight line that has left the grid does not come back
+            break  # a straight line that has left the grid does not re-enter it
         if voxel >= 0:
             entered = True
-            # no branch here: whether a voxel is new cannot be predicted, and a wrong guess costs more than the stores
+            # no branch here: new voxels cannot be predicted, and a misprediction costs more than the stores
             was = stamp[voxel]
             stamp[voxel] = max(was, scan_stamp)
             touched[count] = voxel
@@ -165,13 +165,13 @@ def _walk_free(
 
 @kernel_jit
 def _well_inside(key: int, end: int, first: int, n: int) -> bool:
-    """Whether a ray stays in the grid along one axis, even if rounding takes it one voxel too far."""
+    """Whether a ray stays in the grid along one axis, even if rounding leads it one voxel too far."""
     return min(key, end) - first >= 1 and max(key, end) - first <= n - 2
 
 
 @kernel_jit
 def _set_out(frame: KeyFrame, origin: np.ndarray, ends: np.ndarray, first: int, count: int, block: Block) -> int:
-    """Prepare the walks to `count` ends from `first` on; returns the number of steps of the longest one."""
+    """Prepare the traversals to `count` ends from `first` on; returns the number of steps of the longest one."""
     rays = block.rays
     kx, ky, kz = _keys(frame, origin)
     longest = 0
@@ -197,10 +197,10 @@ def _set_out(frame: KeyFrame, origin: np.ndarray, ends: np.ndarray, first: int, 
 
 @kernel_jit
 def _walk_block(block: Block, steps: int) -> None:
-    """Walk all rays of a block for a number of steps, and note which voxel each is in and where it leaves it.
+    """Traverse all rays of a block for a number of steps; store each voxel and the parameter at which it is left.
 
-    Which axis comes next is selected, not branched upon: no processor can predict it, and without branches the compiler
-    takes several rays at once.  The arithmetic is that of `_walk_free`, bit for bit.
+    The next axis is selected without a branch: it is unpredictable, and without branches the compiler vectorizes over
+    rays.  The arithmetic is that of `_walk_free`, bit for bit.
     """
     rays, voxels, leaves = block.rays, block.voxels, block.leaves
     for step in range(steps + 1):
@@ -225,14 +225,14 @@ def _free_block(
     frame: KeyFrame, origin: np.ndarray, ends: np.ndarray, first: int, block: Block, stamp: np.ndarray,
     scan_stamp: np.int32, touched: np.ndarray, count: int,
 ) -> int:  # fmt: skip
-    """`_walk_free` for the ends from `first` on, as many as a block takes."""
+    """`_walk_free` for one block of ends from `first` on."""
     size = min(block.rays.shape[1], ends.shape[0] - first)
     _walk_block(block, _set_out(frame, origin, ends, first, size, block))
     for r in range(size):
         steps = block.steps[r]
         if steps == 0:
             continue
-        # rounding may lead a ray past its end voxel, or stop it short of it: then it is walked alone
+        # rounding may lead a ray past its end voxel, or stop it early: then it is traversed alone
         if steps < 0 or not (
             block.voxels[steps, r] == block.rays[_END, r] and block.leaves[steps - 1, r] <= block.rays[_LENGTH, r]
         ):
@@ -249,7 +249,7 @@ def _free_block(
 
 @kernel_jit
 def _end_of_ray(start: np.ndarray, point: np.ndarray, max_range: float, frame: KeyFrame, end: np.ndarray) -> int:
-    """Where the ray to a point ends, at `max_range` at the latest; returns the voxel that it hits, -1 = none."""
+    """End of the ray to a point, limited to `max_range`; returns the voxel that it hits, -1 = none."""
     x = _F32(np.float64(point[0]) + frame.shift_x)
     y = _F32(np.float64(point[1]) + frame.shift_y)
     z = _F32(np.float64(point[2]) + frame.shift_z)
@@ -284,11 +284,11 @@ def collect(
         points: World frame (m); beyond `max_range` only the ray up to it is freed; unusable points are skipped.
             Shape (n, 3), float32.
         origin: Sensor, world frame (m); an unusable one skips the scan. Shape (3,).
-        max_range: m.
+        max_range: Range of the sensor (m).
         frame: Grid.
-        stamp: Last scan that touched a voxel; changed. Shape (nx * ny * nz,), int32.
-        scan: Number of this scan, larger than any before; one beyond `LAST_SCAN` skips it.
-        touched: Result: voxels, free ones first, each once; what follows them is undefined. Longer than the map, int32.
+        stamp: Last scan that updated a voxel; changed. Shape (nx * ny * nz,), int32.
+        scan: Number of this scan, larger than all previous ones; beyond `LAST_SCAN` the scan is skipped.
+        touched: Output: voxels, free ones first, each once; later entries are undefined. Longer than the map, int32.
 
     Returns:
         Number of free voxels, and number of all voxels.
@@ -298,10 +298,10 @@ def collect(
     """
     if touched.shape[0] <= stamp.shape[0]:
         raise ValueError("touched must be longer than the map")
-    # a corrupted number would make stamps wrap round and the list run over
+    # a corrupted number would make stamps wrap round and the list overflow
     if not (usable(origin[0], origin[1], origin[2]) and 0 < scan <= LAST_SCAN):
         return 0, 0
-    free_stamp = np.int32(2 * scan)  # as wide as a stamp: a wider number would be converted at every voxel
+    free_stamp = np.int32(2 * scan)  # same type as a stamp: a wider number would be converted at every voxel
     start = np.empty(3, np.float32)
     start[0] = _F32(origin[0] + frame.shift_x)
     start[1] = _F32(origin[1] + frame.shift_y)

@@ -1,7 +1,7 @@
 """OctoMap's update rule on a dense array (Hornung et al. 2013; the paper's kernel "OctoMap").
 
-A voxel that a scan frees or hits gets the log-odds of that added, once; log-odds are float32 and clamped.  Free updates
-come first.  Which voxels these are is found in `key_sets`; the map equals the library's bit for bit.
+A voxel that a scan frees or hits is updated once, by the corresponding log-odds; log-odds are float32 and clamped.
+Free updates come first.  `key_sets` finds these voxels; the map equals the library's bit for bit.
 """
 
 from typing import NamedTuple
@@ -25,7 +25,7 @@ class UpdateRule(NamedTuple):
 
 
 def log_odds(probability: float) -> np.float32:
-    """Log-odds of a probability, as OctoMap stores it."""
+    """Log-odds of a probability, as stored by OctoMap."""
     return np.float32(log(probability / (1.0 - probability)))
 
 
@@ -37,19 +37,19 @@ def insert_scan(
     """Integrate one scan.
 
     Args:
-        points: As in `key_sets.collect`. Shape (n, 3), float32.
-        origin: As in `key_sets.collect`. Shape (3,).
-        max_range: m.
+        points: As for `key_sets.collect`. Shape (n, 3), float32.
+        origin: As for `key_sets.collect`. Shape (3,).
+        max_range: Range of the sensor (m).
         frame: Grid.
         rule: Increments and clamps.
         log_odds: The map; changed. Shape (nx * ny * nz,), float32.
-        stamp: Last scan that touched a voxel; changed. Same shape, int32.
-        scan: Number of this scan, larger than any before.
-        touched: Result: voxels that were updated, free ones first. Longer than the map, int32.
-        before: Result: their log-odds before, for an undo. At least as long as the map, float32.
+        stamp: Last scan that updated a voxel; changed. Same shape, int32.
+        scan: Number of this scan, larger than all previous ones.
+        touched: Output: updated voxels, free ones first. Longer than the map, int32.
+        before: Output: their previous log-odds, for an undo. At least as long as the map, float32.
 
     Returns:
-        How many voxels were updated.
+        Number of updated voxels.
     """
     n_free, count = collect(points, origin, max_range, frame, stamp, scan, touched)
     for i in range(n_free):
@@ -65,6 +65,6 @@ def insert_scan(
 
 @kernel_jit
 def undo_scan(log_odds: np.ndarray, touched: np.ndarray, before: np.ndarray, count: int) -> None:
-    """Undo the last scan. Arguments as in `insert_scan`; `count` is its result."""
+    """Undo the last scan. Arguments as for `insert_scan`; `count` is its return value."""
     for i in range(count):
         log_odds[touched[i]] = before[i]

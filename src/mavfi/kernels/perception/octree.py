@@ -1,11 +1,11 @@
 """OctoMap's octree with its nodes in arrays (Hornung et al. 2013, sections 3.2-3.4), for studies with faults in nodes.
 
-Keys have 16 bits, a node eight children, an inner node the largest log-odds of its children.  Eight equal children
-without children are pruned into their parent; a pruned node that is updated below is expanded again.  Each step is that
-of the library's `updateNode`, so that nodes and values equal the library's.
+Keys have 16 bits, a node has eight children, an inner node has the largest log-odds of its children.  Eight equal leaf
+children are pruned into their parent; updating part of a pruned node expands it again.  Each step is that of the
+library's `updateNode`, so that nodes and values equal the library's.
 
-Indices may be corrupted: one that lies outside of the arrays is no child, a descent ends after 16 levels, and no memory
-is taken where none is left.
+Indices may be corrupted: one outside the arrays counts as no child, a descent ends after 16 levels, and no node is
+allocated from an exhausted pool.
 """
 
 from typing import NamedTuple
@@ -18,9 +18,9 @@ from mavfi.numerics.jit import kernel_jit
 
 DEPTH = 16
 NEEDED = 8 * DEPTH
-"""Most nodes that one update takes: where it expands a node on each level."""
+"""Largest number of nodes allocated by one update: an expansion on each level."""
 USED, FREE_HEAD, FREE_COUNT, NODES = range(4)
-"""`Octree.counters`: first index never used, first free node (0 = none), how many are free, nodes in the tree."""
+"""`Octree.counters`: first index never used, first free node (0 = none), number of free nodes, nodes in the tree."""
 _ORIGIN = 1 << (DEPTH - 1)
 _F32 = np.float32
 _UNKNOWN = np.float32(np.nan)
@@ -46,13 +46,13 @@ def new_octree(capacity: int) -> Octree:
     """An empty tree.
 
     Args:
-        capacity: Number of nodes that fit, at least `NEEDED` + 1.
+        capacity: Largest number of nodes, at least `NEEDED` + 1.
     """
     return Octree(np.zeros((capacity, 8), np.int32), np.zeros(capacity, np.float32), np.array([1, 0, 0, 0]))
 
 
 def copy_into(source: Octree, target: Octree) -> None:
-    """Make a tree equal to another one that is not larger; unused entries become 0."""
+    """Copy a tree into one at least as large; unused entries become 0."""
     used = len(source.log_odds)
     for old, new in zip(source[:2], target[:2], strict=True):
         new[:used] = old
@@ -61,13 +61,13 @@ def copy_into(source: Octree, target: Octree) -> None:
 
 
 def compact_copy(tree: Octree) -> Octree:
-    """A copy with just the nodes that were ever used."""
+    """A copy with only the nodes that were ever used."""
     used = min(max(int(tree.counters[USED]), 0), len(tree.log_odds))
     return Octree(tree.children[:used].copy(), tree.log_odds[:used].copy(), tree.counters.copy())
 
 
 def largest_tree(frame: KeyFrame) -> int:
-    """The capacity that a tree over a grid never exceeds: all its nodes on all levels, and those of one update."""
+    """Upper bound of the capacity of a tree over a grid: its nodes on all levels, and those of one update."""
     axes = ((frame.kx, frame.nx), (frame.ky, frame.ny), (frame.kz, frame.nz))
     nodes = 0
     for level in range(DEPTH + 1):
@@ -80,7 +80,7 @@ def largest_tree(frame: KeyFrame) -> int:
 
 @kernel_jit
 def _child(children: np.ndarray, node: int, slot: int) -> int:
-    """Index of a child; 0 = there is none."""
+    """Index of a child; 0 = none."""
     child = int(children[node, slot])
     return child if 0 < child < children.shape[0] else 0
 
@@ -135,7 +135,7 @@ def _are_leaves(children: np.ndarray, node: int) -> bool:
 
 @kernel_jit
 def _find(children: np.ndarray, log_odds: np.ndarray, kx: int, ky: int, kz: int) -> np.float32:
-    """What `search` finds in a tree that is not empty, by keys from 0 on."""
+    """Implements `search` for a tree that is not empty, with keys from 0 on."""
     node = 0
     for level in range(DEPTH - 1, -1, -1):
         child = _child(children, node, (kx >> level & 1) | (ky >> level & 1) << 1 | (kz >> level & 1) << 2)
@@ -147,7 +147,7 @@ def _find(children: np.ndarray, log_odds: np.ndarray, kx: int, ky: int, kz: int)
 
 @kernel_jit
 def search(tree: Octree, kx: int, ky: int, kz: int) -> np.float32:
-    """Log-odds of a voxel, also where it is part of a pruned node; NaN = unknown.
+    """Log-odds of a voxel, including voxels of a pruned node; NaN = unknown.
 
     Args:
         tree: The map.
@@ -162,7 +162,7 @@ def search(tree: Octree, kx: int, ky: int, kz: int) -> np.float32:
 
 @kernel_jit
 def _reach(tree: Octree, kx: int, ky: int, kz: int, path: np.ndarray) -> int:
-    """Index of the node of a voxel, which is created with its ancestors if absent; 0 = the pool is full."""
+    """Index of the node of a voxel, created with its ancestors if absent; 0 = the pool is full."""
     children, log_odds, counters = tree.children, tree.log_odds, tree.counters
     created = counters[NODES] <= 0
     if created:
@@ -181,7 +181,7 @@ def _reach(tree: Octree, kx: int, ky: int, kz: int, path: np.ndarray) -> int:
             child = _take(children, log_odds, counters, _F32(0.0))
             children[node, slot] = child
             created = True
-        else:  # it was pruned
+        else:  # it had been pruned
             for sibling in range(8):
                 children[node, sibling] = _take(children, log_odds, counters, log_odds[node])
             child = _child(children, node, slot)
@@ -193,7 +193,7 @@ def _reach(tree: Octree, kx: int, ky: int, kz: int, path: np.ndarray) -> int:
 
 @kernel_jit
 def _raise_to_root(tree: Octree, path: np.ndarray) -> None:
-    """Prune the nodes of a path, or give them the largest log-odds below, from the lowest one up."""
+    """Prune the nodes of a path, or set them to the largest log-odds of their children, bottom-up."""
     children, log_odds = tree.children, tree.log_odds
     for level in range(DEPTH):
         node = path[level]
@@ -223,7 +223,7 @@ def update_node(tree: Octree, rule: UpdateRule, kx: int, ky: int, kz: int, hit: 
         kx: Key along x, as in `search`.
         ky: Key along y.
         kz: Key along z.
-        hit: Whether the voxel was hit, or freed.
+        hit: Whether the voxel was hit; otherwise it is freed.
         path: Work space. Shape (DEPTH,), int64.
 
     Returns:
@@ -250,19 +250,19 @@ def update_voxels(
     tree: Octree, frame: KeyFrame, rule: UpdateRule, voxels: np.ndarray, n_free: int, first: int,
     after: np.ndarray,
 ) -> int:  # fmt: skip
-    """Update the voxels of a scan, as far as the pool suffices.
+    """Update the voxels of a scan while the pool suffices.
 
     Args:
         tree: The map; changed.
         frame: Grid.
         rule: Increments and clamps.
-        voxels: As `key_sets.collect` finds them. Shape (n,), int32.
-        n_free: How many of them are free; these come first.
+        voxels: As found by `key_sets.collect`. Shape (n,), int32.
+        n_free: Number of free voxels, which come first.
         first: Index of the first voxel to update.
-        after: Result: their log-odds after the update. Shape (n,), float32.
+        after: Output: their log-odds after the update. Shape (n,), float32.
 
     Returns:
-        Number of updated voxels: n, or the index of the first one that does not fit; the tree is then without it.
+        Number of updated voxels: n, or the index of the first one that does not fit and is not in the tree.
     """
     path = np.empty(DEPTH, np.int64)
     for i in range(max(first, 0), voxels.shape[0]):
@@ -278,12 +278,12 @@ def update_voxels(
 
 @kernel_jit
 def to_dense(tree: Octree, frame: KeyFrame, log_odds: np.ndarray) -> None:
-    """Log-odds of every voxel of a grid, 0 = unknown, as the dense map holds them.
+    """Log-odds of every voxel of a grid, 0 = unknown, as in the dense map.
 
     Args:
         tree: The map.
         frame: Grid.
-        log_odds: Result. Shape (nx * ny * nz,), float32.
+        log_odds: Output. Shape (nx * ny * nz,), float32.
     """
     voxel = 0
     for ix in range(frame.nx):

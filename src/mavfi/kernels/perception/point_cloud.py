@@ -5,7 +5,7 @@ import numpy as np
 from mavfi.numerics.jit import kernel_jit
 
 BEYOND_RANGE = 1.25
-"""A ray without a return becomes a point at this multiple of the sensor's range: the map then frees the ray."""
+"""A ray without a return becomes a point at this multiple of the sensor's range, so that the map frees the ray."""
 
 
 @kernel_jit
@@ -21,7 +21,7 @@ def back_project(
         rotation: Camera -> world. Shape (3, 3).
         origin: Camera, world frame (m). Shape (3,).
         max_range: Range of the sensor (m).
-        points: Result (m); NaN where the depth is invalid. Shape (n, 3), float32.
+        points: Output (m); NaN where the depth is invalid. Shape (n, 3), float32.
     """
     for i in range(ranges.shape[0]):
         distance = float(ranges[i])

@@ -1,9 +1,9 @@
 """Error-state Kalman filter: position, velocity, attitude and IMU biases from an IMU, position fixes and a compass.
 
 After J. Solà, *Quaternion kinematics for the error-state Kalman filter*, arXiv:1711.02508, sections 5.4 (discrete
-motion of the nominal and of the error state) and 6 (correction; errors of attitude are local, and the reset of the
-error is taken as the identity, section 6.3).  Gravity is known.  A fix is worked in one number at a time, which is the
-same for uncorrelated noise.
+motion of the nominal and of the error state) and 6 (correction; attitude errors are local, and the error reset is
+approximated by the identity, section 6.3).  Gravity is known.  The numbers of a fix are processed one after the other,
+which is equivalent for uncorrelated noise.
 """
 
 import math
@@ -24,7 +24,7 @@ ERROR_WIDTH = 15
 FIX_WIDTH = 4
 """Position (m) and heading (rad), world frame."""
 GATE = 30.0
-"""Largest squared innovation of a fix that is worked in."""
+"""Largest squared innovation of an accepted fix."""
 
 _POSITION, _VELOCITY, _ATTITUDE, _FORCE_BIAS, _RATE_BIAS = 0, 3, 6, 9, 12
 _LARGEST_FORCE, _LARGEST_RATE = 160.0, 35.0
@@ -34,13 +34,13 @@ _LARGEST_POSITION = 1e6
 
 
 class Noise(NamedTuple):
-    """Noise that the filter assumes of its sensors.
+    """Sensor noise assumed by the filter.
 
     Attributes:
         force: White noise of the accelerometer (m/s^2 sqrt(s)).
         rate: White noise of the gyro (rad/s sqrt(s)).
-        force_walk: Walk of the accelerometer's bias (m/s^2 / sqrt(s)).
-        rate_walk: Walk of the gyro's bias (rad/s / sqrt(s)).
+        force_walk: Random walk of the accelerometer bias (m/s^2 / sqrt(s)).
+        rate_walk: Random walk of the gyro bias (rad/s / sqrt(s)).
         position: Standard deviation of a fix (m).
         heading: Standard deviation of the compass (rad).
     """
@@ -54,7 +54,7 @@ class Noise(NamedTuple):
 
 
 class Spread(NamedTuple):
-    """Standard deviations when the filter is aligned: velocity (m/s), tilt (rad), biases (m/s^2, rad/s)."""
+    """Initial standard deviations: velocity (m/s), tilt (rad), biases (m/s^2, rad/s)."""
 
     velocity: float
     tilt: float
@@ -64,7 +64,7 @@ class Spread(NamedTuple):
 
 @kernel_jit
 def usable_sample(sample: np.ndarray) -> bool:
-    """Whether a sample lies within the range of the sensor: 16 g and 2000 deg/s (MPU-6000); NaN does not.
+    """Whether a sample is within the sensor's range: 16 g and 2000 deg/s (MPU-6000); NaN is not.
 
     Args:
         sample: Specific force (m/s^2) and rates (rad/s). Shape (6,).
@@ -90,14 +90,14 @@ def usable_fix(fix: np.ndarray) -> bool:
 
 @kernel_jit
 def align(nominal: np.ndarray, covariance: np.ndarray, fix: np.ndarray, noise: Noise, spread: Spread) -> None:
-    """Begin at a fix: level, without bias; the velocity stays as it is.
+    """Initialize at a fix: level, without bias, with unchanged velocity.
 
     Args:
-        nominal: Filled in but for the velocity. Shape (16,).
-        covariance: Filled in. Shape (15, 15).
+        nominal: Output, except the velocity. Shape (16,).
+        covariance: Output. Shape (15, 15).
         fix: Position (m) and heading (rad). Shape (4,).
-        noise: Of the fix.
-        spread: Of everything else.
+        noise: Noise of the fix.
+        spread: Initial standard deviations of all other quantities.
     """
     nominal[0], nominal[1], nominal[2] = fix[0], fix[1], fix[2]
     nominal[6], nominal[7], nominal[8], nominal[9] = cos(0.5 * fix[3]), 0.0, 0.0, sin(0.5 * fix[3])
@@ -117,7 +117,7 @@ def align(nominal: np.ndarray, covariance: np.ndarray, fix: np.ndarray, noise: N
 
 @kernel_jit
 def transition_of(rotation: np.ndarray, force: np.ndarray, rates: np.ndarray, dt: float) -> np.ndarray:
-    """Matrix that carries the error over one step (Solà, section 5.4.3).
+    """Transition matrix of the error over one step (Solà, section 5.4.3).
 
     Args:
         rotation: Body to world before the step. Shape (3, 3).
@@ -148,7 +148,7 @@ def transition_of(rotation: np.ndarray, force: np.ndarray, rates: np.ndarray, dt
 
 @kernel_jit
 def _carry(covariance: np.ndarray, matrix: np.ndarray) -> None:
-    """P <- F P F^T; sums in a fixed order, so that every processor gives the same bits."""
+    """P <- F P F^T; sums in a fixed order, bit-identical on every processor."""
     half = np.zeros((ERROR_WIDTH, ERROR_WIDTH))
     for i in range(ERROR_WIDTH):
         for k in range(ERROR_WIDTH):
@@ -167,15 +167,15 @@ def _carry(covariance: np.ndarray, matrix: np.ndarray) -> None:
 
 @kernel_jit
 def predict(nominal: np.ndarray, covariance: np.ndarray, sample: np.ndarray, dt: float, noise: Noise) -> None:
-    """Carry the state over one sample of the IMU (Solà, section 5.4).
+    """Propagate the state over one IMU sample (Solà, section 5.4).
 
     Args:
         nominal: Updated. Shape (16,).
         covariance: Updated. Shape (15, 15).
         sample: Specific force (m/s^2) and rates (rad/s), body frame, mean over the step; see `usable_sample`.
             Shape (6,).
-        dt: Step (s); steps above 0.1 s, and those not above 0, change nothing.
-        noise: Of the IMU.
+        dt: Step (s); steps above 0.1 s or not above 0 have no effect.
+        noise: Noise of the IMU.
     """
     if not 0.0 < dt <= _LONGEST_STEP:
         return
@@ -199,7 +199,7 @@ def predict(nominal: np.ndarray, covariance: np.ndarray, sample: np.ndarray, dt:
 
 @kernel_jit
 def heading_row(quaternion: np.ndarray) -> tuple[float, float]:
-    """Derivative of the heading by the local attitude error about body y and z; that about x is zero.
+    """Derivative of the heading with respect to the local attitude error about body y and z; about x it is zero.
 
     Args:
         quaternion: Unit quaternion w x y z. Shape (4,).
@@ -208,13 +208,13 @@ def heading_row(quaternion: np.ndarray) -> tuple[float, float]:
     rotation_matrix(quaternion, r)
     level = r[0, 0] * r[0, 0] + r[1, 0] * r[1, 0]
     if not level > 1e-6:
-        return 0.0, 0.0  # nose up or down: there is no heading
+        return 0.0, 0.0  # nose up or down: the heading is undefined
     return (r[1, 0] * r[0, 2] - r[0, 0] * r[1, 2]) / level, (r[0, 0] * r[1, 1] - r[1, 0] * r[0, 1]) / level
 
 
 @kernel_jit
 def _absorb(error: np.ndarray, covariance: np.ndarray, row: np.ndarray, innovation: float, variance: float) -> float:
-    """Work one measured number into the error and its covariance; gives the squared innovation over its variance."""
+    """Apply one measured number to the error and its covariance; returns squared innovation / its variance."""
     gain = np.zeros(ERROR_WIDTH)
     for i in range(ERROR_WIDTH):
         innovation -= row[i] * error[i]
@@ -243,17 +243,17 @@ def _inject(nominal: np.ndarray, error: np.ndarray) -> None:
 
 @kernel_jit
 def correct(nominal: np.ndarray, covariance: np.ndarray, fix: np.ndarray, noise: Noise) -> float:
-    """Work a fix in, unless it is too improbable (Solà, section 6).
+    """Apply a fix, unless it is too improbable (Solà, section 6).
 
     Args:
         nominal: Updated. Shape (16,).
         covariance: Updated. Shape (15, 15).
         fix: Position (m) and heading (rad); see `usable_fix`. Shape (4,).
-        noise: Of the fix.
+        noise: Noise of the fix.
 
     Returns:
         Squared innovation in units of its covariance, chi-square with 4 degrees of freedom.  Above 30, or NaN, the
-        fix is refused and nothing changes (5e-6 of sound fixes).
+        fix is rejected without effect (5e-6 of valid fixes).
     """
     error = np.zeros(ERROR_WIDTH)
     updated = covariance.copy()

@@ -1,7 +1,7 @@
-"""From a path to a minimum-snap trajectory: when the curve passes its knots, and how it returns to free space.
+"""From a path to a minimum-snap trajectory: times at the knots, and restoring a curve that leaves free space.
 
-Times follow the trapezoid rule; where a limit is broken, speed and acceleration are planned lower; where the curve
-leaves free space, knots are added in the middle of the corresponding part of the path, as in the published code.
+Times follow a trapezoidal speed profile; where a limit is violated, planned speed and acceleration are lowered; where
+the curve leaves free space, knots are added in the middle of that part of the path, as in the published code.
 """
 
 import math
@@ -17,34 +17,34 @@ from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.voxels import Grid, segment_free, voxel_of
 
 ROUNDS = 10
-"""How often knots are added before the curve is given up."""
+"""Largest number of rounds of adding knots."""
 _TRIALS = 40
-"""How often the plan of speeds is made gentler before the curve is given up."""
+"""Largest number of reductions of the speed profile."""
 _MOST_SOLVED = 10_000
-"""Knots of all curves before the search is given up, so that a path with an absurd vertex ends, too."""
+"""Limit on the knots of all curves of a search, so that a path with a corrupted vertex terminates as well."""
 _SHARED = 0.5
-"""Share of a segment's excess speed that its neighbours are slowed by, too."""
+"""Share of a segment's excess speed by which its neighbours are slowed down as well."""
 _SHARPNESS = 1.2
 """Largest curvature of a cut corner x its reach / tan of half the turn."""
 _SLOWEST = 0.2
-"""Between start and end (m/s)."""
+"""Smallest speed between start and end (m/s)."""
 _ABSURD = 1e3
-"""No vehicle enters faster (m/s)."""
+"""Larger entry speeds are rejected (m/s)."""
 _STEP = 0.02
-"""Between the points at which free space is looked up (s)."""
+"""Time between free-space checks (s)."""
 _MOST_STEPS = 2_000
 
 
 @kernel_jit
 def _corner_speed(bend: float, reach: float, sharpness: float, law: Law) -> float:
-    """Speed of a turn with some clearance (m/s)."""
+    """Speed in a turn for a given reach (m/s)."""
     sharp = sharpness * tan(0.5 * min(bend, 3.0))
     return min(law.speed, math.sqrt(law.lateral * max(reach, 0.0) / sharp)) if sharp > 1e-6 else law.speed
 
 
 @kernel_jit
 def _room_speeds(wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, law: Law, work: Work, n: int) -> None:
-    """Largest speed at each knot, for corners and narrow places; length and tightness of each segment."""
+    """Largest speed at each knot, from corners and narrow places; length and tight share of each segment."""
     for k in range(n):
         point = work.points[k]
         voxel = voxel_of(grid, point[0], point[1], point[2])
@@ -64,7 +64,7 @@ def _room_speeds(wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, law
             elif to > 1e-6:
                 slow = _corner_speed(bend, min(since, to), _SHARPNESS, law)
                 work.caps[k] = min(work.caps[k], slow)
-            else:  # passed through
+            else:  # the curve passes through the corner
                 after = work.stations[k + 2] - work.stations[k + 1] if k < n - 2 else since
                 slow = _corner_speed(bend, 0.5 * min(since, after), 1.0, law)
             work.caps[k + 1] = min(work.caps[k + 1], slow)
@@ -72,7 +72,7 @@ def _room_speeds(wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, law
 
 @kernel_jit
 def _trapezoid(entry: float, law: Law, work: Work, n: int) -> None:
-    """Speeds that can be reached one after the other, and how long each segment takes."""
+    """Consecutively reachable speeds, and the duration of each segment."""
     caps, speeds, push = work.caps, work.speeds, work.push
     for k in range(n):
         speeds[k] = max(caps[k], _SLOWEST)
@@ -87,7 +87,7 @@ def _trapezoid(entry: float, law: Law, work: Work, n: int) -> None:
         lost = 2.0 * law.braking * push[k] * work.lengths[k]
         speeds[k + 1] = min(speeds[k + 1], math.sqrt(speeds[k] ** 2 + gained))
         tight = max(law.tight_speed, unavoidable)
-        # an excess speed at the start cannot vanish at once
+        # an excess speed at the start decreases only gradually
         unavoidable = math.sqrt(max(0.0, unavoidable**2 - lost))
         if k < n - 2:
             speeds[k + 1] = max(speeds[k + 1], unavoidable)
@@ -101,7 +101,7 @@ def _trapezoid(entry: float, law: Law, work: Work, n: int) -> None:
 
 @kernel_jit
 def _within_limits(entry: float, law: Law, work: Work, n: int) -> bool:
-    """Whether all segments keep to the limits; those that do not, and less so their neighbours, become gentler."""
+    """Whether all segments are within limits; slows down those that are not, and to a lesser degree neighbours."""
     kept = True
     excess = work.excess
     for k in range(n - 1):
@@ -144,7 +144,7 @@ def _segment_is_free(counter: np.ndarray, grid: Grid, work: Work, k: int) -> boo
 
 @kernel_jit
 def _path_is_free(counter: np.ndarray, grid: Grid, path: np.ndarray, work: Work, k: int) -> bool:
-    """Whether the path from knot to knot of segment k stays in free space."""
+    """Whether the path between the knots of segment k stays in free space."""
     last = work.points[k]
     for i in range(work.leg[k] + 1, work.leg[k + 1] + 1):
         if not segment_free(counter, grid, last, path[i]):
@@ -164,7 +164,7 @@ def split(counter: np.ndarray, grid: Grid, path: np.ndarray, count: int, work: W
         count: Number of vertices.
         work: A solved curve.
         n: Number of knots.
-        added: Result: new knots, halfway on the legs of each such segment (m). Shape (KNOT_LIMIT,).
+        added: Output: new knots, halfway on the legs of each such segment (m). Shape (KNOT_LIMIT,).
 
     Returns:
         Number of new knots; 0 = the curve is free.
@@ -190,7 +190,7 @@ def split(counter: np.ndarray, grid: Grid, path: np.ndarray, count: int, work: W
 
 @kernel_jit
 def _timed(velocity: np.ndarray, acceleration: np.ndarray, law: Law, work: Work, n: int, trials: int) -> int:
-    """Fit a curve within the limits through the knots; returns the number of knots tried, 0 = there is none."""
+    """Fit a curve within the limits through the knots; returns the number of trials, 0 = there is no such curve."""
     entry = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
     if not entry < _ABSURD:
         return 0
@@ -208,18 +208,18 @@ def fit(
     narrow: np.ndarray, wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, velocity: np.ndarray,
     acceleration: np.ndarray, law: Law, work: Work,
 ) -> int:  # fmt: skip
-    """Minimum-snap curve along a path, within the limits and, where the path is, in free space.
+    """Minimum-snap curve along a path, within the limits, and in free space wherever the path is.
 
     Args:
         narrow: > 0 = blocked. Shape (grid.size,).
-        wide: > 0 = too near to an obstacle for full speed. Shape (grid.size,).
+        wide: > 0 = too close to an obstacle for full speed. Shape (grid.size,).
         grid: Geometry.
-        path: Vertices, no two the same in a row (m). Shape (>= count, 3).
+        path: Vertices without consecutive duplicates (m). Shape (>= count, 3).
         count: Number of vertices, at least 2.
-        velocity: At the start (m/s). Shape (3,).
-        acceleration: At the start (m/s^2). Shape (3,).
+        velocity: Velocity at the start (m/s). Shape (3,).
+        acceleration: Acceleration at the start (m/s^2). Shape (3,).
         law: Limits.
-        work: Holds the result.
+        work: Work space, including the result.
 
     Returns:
         Number of knots of the curve; 0 = none was found.

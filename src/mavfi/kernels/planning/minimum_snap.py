@@ -1,9 +1,9 @@
-"""Minimum-snap polynomials: one of degree 7 per segment, from the points and the times at which they are passed.
+"""Minimum-snap polynomials: one of degree 7 per segment, through given points at given times.
 
-Of all curves through the points that start with a given velocity and acceleration and end at rest, it is the one with
-the least integral of snap squared (Mellinger & Kumar 2011), in the unconstrained form of Richter, Bry & Roy 2013: the
-unknowns are velocity, acceleration and jerk at the points, three per point, which are coupled to the next points only;
-so a block-tridiagonal system is solved.  Derivatives up to the sixth are continuous.
+Of all curves through the points with given initial velocity and acceleration that end at rest, this has the least
+integral of squared snap (Mellinger & Kumar 2011), in the unconstrained form of Richter, Bry & Roy 2013: the unknowns
+are velocity, acceleration and jerk at the points, three per point, coupled only to the neighbouring points; so a
+block-tridiagonal system is solved.  Derivatives up to the sixth are continuous.
 """
 
 import math
@@ -18,16 +18,16 @@ from mavfi.numerics.jit import kernel_jit
 from mavfi.numerics.vectors import product
 
 KNOT_LIMIT = 1500
-"""Most points of one curve."""
+"""Largest number of points of one curve."""
 _LONGEST = 1e4
 _SHORTEST = 1e-4
 """Shortest and longest segment (s)."""
 _HUGE = 1e6
-"""No derivative of a curve that is flown is larger (SI units)."""
+"""Upper bound on the derivatives of a valid curve (SI units)."""
 _PIECES = 4
 
-# Rows: what p, v, a, j at the start and at the end of a segment of duration 1 add to the coefficients of 1, u .. u^7
-# (two-point Hermite interpolation).
+# Rows: contributions of p, v, a, j at the start and at the end of a segment of duration 1 to the coefficients of
+# 1, u .. u^7 (two-point Hermite interpolation).
 BASIS = np.array([
     [1.0, 0.0, 0.0, 0.0, -35.0, 84.0, -70.0, 20.0],
     [0.0, 1.0, 0.0, 0.0, -20.0, 45.0, -36.0, 10.0],
@@ -69,7 +69,7 @@ _VELOCITY = _velocity_pieces()
 
 @kernel_jit
 def _power(base: float, exponent: int) -> float:
-    """A power with an exponent above 0, by multiplications."""
+    """A power with an exponent above 0, by multiplication."""
     result = base
     for _ in range(exponent - 1):
         result *= base
@@ -80,7 +80,7 @@ def _power(base: float, exponent: int) -> float:
 def _add_segment(
     time: float, points: np.ndarray, k: int, rows: np.ndarray, own: int, other: int, other_at: int
 ) -> None:
-    """Add what segment k says of the unknowns at one of its ends.
+    """Add the terms of segment k to the equations for the unknowns at one of its ends.
 
     Args:
         time: Duration of the segment (s).
@@ -103,7 +103,7 @@ def _add_segment(
 
 @kernel_jit
 def _fix(rows: np.ndarray, velocity: np.ndarray, acceleration: np.ndarray) -> None:
-    """Replace the equations of velocity and acceleration by their given values."""
+    """Replace the equations for velocity and acceleration by given values."""
     for i in range(2):
         for column in range(9):
             rows[i, column] = 0.0
@@ -117,7 +117,7 @@ def _equations(
     points: np.ndarray, times: np.ndarray, count: int, k: int, velocity: np.ndarray, acceleration: np.ndarray,
     rows: np.ndarray,
 ) -> None:  # fmt: skip
-    """What holds for the unknowns at point k; `rows` as in `_add_segment`, arguments as in `solve`."""
+    """Equations for the unknowns at point k; `rows` as in `_add_segment`, arguments as for `solve`."""
     rows[:] = 0.0
     if k > 0:
         _add_segment(times[k - 1], points, k - 1, rows, 5, 1, 0)
@@ -160,7 +160,7 @@ def _eliminate(rows: np.ndarray, before: np.ndarray, result: np.ndarray) -> None
 
 @kernel_jit
 def _substitute(points: np.ndarray, count: int, work: np.ndarray, ends: np.ndarray) -> bool:
-    """Unknowns from the last point to the first; whether all are sane."""
+    """Back-substitute the unknowns from the last point to the first; returns whether all are bounded."""
     for k in range(count - 1, -1, -1):
         for axis in range(3):
             ends[k, 0, axis] = points[k, axis]
@@ -183,16 +183,16 @@ def solve(
     """Minimum-snap curve through points.
 
     Args:
-        points: To be passed (m). Shape (>= count, 3).
+        points: Points of the curve (m). Shape (>= count, 3).
         times: Durations of the segments between them (s). Shape (>= count - 1,).
         count: Number of points, 2 to `KNOT_LIMIT`.
-        velocity: At the first point (m/s). Shape (3,); it ends with velocity and acceleration zero.
-        acceleration: At the first point (m/s^2). Shape (3,).
+        velocity: Velocity at the first point (m/s). Shape (3,); the curve ends at rest without acceleration.
+        acceleration: Acceleration at the first point (m/s^2). Shape (3,).
         work: Work space. Shape (>= count, 3, 6).
-        ends: Result: position, velocity, acceleration, jerk at each point. Shape (>= count, 4, 3).
+        ends: Output: position, velocity, acceleration, jerk at each point. Shape (>= count, 4, 3).
 
     Returns:
-        Whether there is such a curve: no time or number is absurd.
+        Whether all times and numbers are within bounds.
     """
     if count < 2:
         return False
@@ -208,7 +208,7 @@ def solve(
 
 @kernel_jit
 def _end_values(ends: np.ndarray, k: int, time: float, values: np.ndarray) -> None:
-    """Segment k as one of duration 1 that starts in the origin: its eight end values. `values` has shape (8, 3)."""
+    """Normalize segment k to duration 1 and start at the origin: its eight end values. `values` has shape (8, 3)."""
     for axis in range(3):
         scale = 1.0
         for i in range(4):
@@ -221,12 +221,12 @@ def _end_values(ends: np.ndarray, k: int, time: float, values: np.ndarray) -> No
 
 @kernel_jit
 def coefficients(ends: np.ndarray, k: int, time: float, result: np.ndarray) -> None:
-    """Polynomial of segment k in u = time since its start / its duration, without the position of the start.
+    """Polynomial of segment k in u = time since its start / its duration, relative to the start position.
 
     Args:
-        ends: As from `solve`.
+        ends: A curve from `solve`.
         k: Segment.
-        time: Its duration (s).
+        time: Duration of the segment (s).
         result: Coefficients of 1, u .. u^7 per axis. Shape (8, 3).
     """
     values = np.empty((8, 3))
@@ -272,8 +272,8 @@ def evaluate(polynomial: np.ndarray, start: np.ndarray, time: float, u: float, p
         polynomial: From `coefficients`. Shape (8, 3).
         start: Position at its start (m). Shape (3,).
         time: Duration of the segment (s).
-        u: Share of it that has passed.
-        point: Result: position, velocity, acceleration. Shape (9,).
+        u: Elapsed share of the duration.
+        point: Output: position, velocity, acceleration. Shape (9,).
     """
     for axis in range(3):
         p = 0.0
@@ -293,17 +293,17 @@ def sample(
     ends: np.ndarray, times: np.ndarray, n: int, step: float, look: float, yaw: float, yaw_rate: float,
     points: np.ndarray,
 ) -> int:  # fmt: skip
-    """Curve -> points at equal times: position, yaw, velocity, acceleration, duration at each instant.
+    """Sample a curve at equal times: position, yaw, velocity, acceleration, duration at each instant.
 
     Args:
-        ends: A curve, as from `solve`.
+        ends: A curve from `solve`.
         times: Durations of its segments (s).
-        n: Number of points that it was laid through.
-        step: Time between points (s).
-        look: The yaw looks at the point this far ahead (m).
-        yaw: At the start; NaN = along the course (rad).
+        n: Number of its points.
+        step: Time between samples (s).
+        look: Look-ahead distance of the yaw (m).
+        yaw: Yaw at the start; NaN = along the course (rad).
         yaw_rate: Limit (rad/s).
-        points: Result, columns x y z yaw v(3) a(3) duration. Shape (m, POINT_WIDTH).
+        points: Output, columns x y z yaw v(3) a(3) duration. Shape (m, POINT_WIDTH).
 
     Returns:
         Number of points.
@@ -332,7 +332,7 @@ def sample(
 
 @kernel_jit
 def _set_point(values: np.ndarray, step: float, point: np.ndarray) -> None:
-    """Position, velocity, acceleration -> columns of a point but for its yaw."""
+    """Position, velocity, acceleration -> columns of a point, except yaw."""
     for axis in range(3):
         point[axis] = values[axis]
         point[4 + axis] = values[3 + axis]
@@ -348,7 +348,7 @@ def _wrapped(angle: float) -> float:
 
 @kernel_jit
 def _look_ahead(points: np.ndarray, count: int, look: float, yaw: float, most: float) -> None:
-    """Turn the yaw of each point towards a point ahead, by `most` from point to point (rad)."""
+    """Turn the yaw of each point towards a point ahead, by at most `most` between points (rad)."""
     ahead = 0
     gap = 0.0
     for k in range(count):

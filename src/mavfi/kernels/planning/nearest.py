@@ -1,9 +1,9 @@
 """Nearest node, and nodes in a ball, among those of a search tree: linear scan, and an index that grows with the tree.
 
 The index is a k-d tree that halves its cells (Samet 2006, section 1.5), so that its depth does not depend on the order
-in which nodes come: each cell holds one node, the next ones go to its halves.  It answers exactly as the scan does,
-ties included: of nodes at the same distance the one that was added first.  The distances by which cells are left out
-(Arya & Mount 1993) are sums of the same form as those of nodes, so rounding cannot make them too large.
+of insertion: each cell holds one node, later ones go to its halves.  Results equal those of the scan, including ties:
+of nodes at the same distance the one added first.  The distances used for pruning cells (Arya & Mount 1993) are sums of
+the same form as those of nodes, so rounding cannot make them too large.
 """
 
 import math
@@ -14,21 +14,21 @@ import numpy as np
 from mavfi.numerics.jit import kernel_jit
 
 PAYS_FROM = 256
-"""Number of nodes from which on the index is faster than the scan."""
+"""Number of nodes from which the index is faster than the scan."""
 
 
 class Index(NamedTuple):
-    """Memory of the index; its cells have the numbers of their nodes.
+    """Memory of the index; a cell has the number of its node.
 
     Attributes:
         box: Corners of the sampled box (m). Shape (2, 3).
-        cell: The cell in which a node comes to lie (m). Shape (2, 3).
-        axis: Along which each cell is halved. Shape (n,), int8.
-        split: Where (m). Shape (n,).
+        cell: Cell of the node being inserted (m). Shape (2, 3).
+        axis: Axis along which each cell is halved. Shape (n,), int8.
+        split: Coordinate of the split (m). Shape (n,).
         halves: Cell below and cell above; -1 = none. Shape (n, 2), int32.
         size: Number of nodes in the index. Shape (1,), int64.
-        stack: Cells still to be looked at. Shape (n,), int32.
-        offsets: How far the target is from each of them along each axis (m). Shape (n, 3).
+        stack: Cells still to be searched. Shape (n,), int32.
+        offsets: Distance of the target from each of them along each axis (m). Shape (n, 3).
     """
 
     box: np.ndarray
@@ -51,11 +51,11 @@ def new_index(nodes: int) -> Index:
 
 @kernel_jit
 def clear(index: Index, lower: np.ndarray, upper: np.ndarray) -> None:
-    """Forget all nodes.
+    """Remove all nodes.
 
     Args:
         index: Changed.
-        lower: Corner of the sampled box (m). Nodes may lie outside of it. Shape (3,).
+        lower: Corner of the sampled box (m). Nodes may lie outside it. Shape (3,).
         upper: Opposite corner (m). Shape (3,).
     """
     for axis in range(3):
@@ -66,7 +66,7 @@ def clear(index: Index, lower: np.ndarray, upper: np.ndarray) -> None:
 
 @kernel_jit
 def _halve(index: Index, node: int) -> None:
-    """Make `cell` the cell of a node, halved along its longest edge."""
+    """Assign `cell` to a node, halved along its longest edge."""
     cell = index.cell
     longest = 0
     for axis in range(1, 3):
@@ -80,7 +80,7 @@ def _halve(index: Index, node: int) -> None:
 
 @kernel_jit
 def _take_in(index: Index, nodes: np.ndarray, count: int) -> None:
-    """Put the nodes into the index that are not yet there."""
+    """Insert all nodes that are not yet in the index."""
     cell = index.cell
     for new in range(index.size[0], count):
         for axis in range(3):
@@ -111,7 +111,7 @@ def _square(nodes: np.ndarray, i: int, target: np.ndarray) -> float:
 def _step_down(
     index: Index, node: int, target: np.ndarray, ox: float, oy: float, oz: float, size: int
 ) -> tuple[int, int]:
-    """The half of a cell in which the target lies, and the size of the stack, to which the other half is added.
+    """The half of a cell that contains the target, and the size of the stack, onto which the other half is pushed.
 
     Args:
         index: Memory.
@@ -138,7 +138,7 @@ def _step_down(
 
 @kernel_jit
 def scan(nodes: np.ndarray, count: int, target: np.ndarray) -> int:
-    """Index of the node nearest to a point; 0 if no distance is a number.
+    """Index of the node nearest to a point; 0 if all distances are NaN.
 
     Args:
         nodes: World frame (m). Shape (>= count, 3).
@@ -157,10 +157,10 @@ def scan(nodes: np.ndarray, count: int, target: np.ndarray) -> int:
 
 @kernel_jit
 def search(index: Index, nodes: np.ndarray, count: int, target: np.ndarray) -> int:
-    """Same answer as `scan`, from the index.
+    """Same result as `scan`, from the index.
 
     Args:
-        index: Memory; takes the nodes in that are new.
+        index: Memory; new nodes are inserted.
         nodes: World frame (m). Shape (>= count, 3).
         count: Number of nodes, at least 1.
         target: World frame (m). Shape (3,).
@@ -188,7 +188,7 @@ def search(index: Index, nodes: np.ndarray, count: int, target: np.ndarray) -> i
 
 @kernel_jit
 def nearest(index: Index, nodes: np.ndarray, count: int, target: np.ndarray) -> int:
-    """Index of the node nearest to a point, by whichever way is faster. Arguments as in `search`."""
+    """Index of the node nearest to a point, by the faster method. Arguments as for `search`."""
     if count < PAYS_FROM:
         return scan(nodes, count, target)
     return search(index, nodes, count, target)
@@ -202,11 +202,11 @@ def scan_ball(nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, 
         nodes: World frame (m). Shape (>= count, 3).
         count: Number of nodes.
         centre: World frame (m). Shape (3,).
-        radius: m.
-        found: Result: their indices. Shape (>= count,), int32.
+        radius: Radius (m).
+        found: Output: their indices. Shape (>= count,), int32.
 
     Returns:
-        Number of them.
+        Number of nodes found.
     """
     size = 0
     for i in range(count):
@@ -220,7 +220,7 @@ def scan_ball(nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, 
 def search_ball(
     index: Index, nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, found: np.ndarray
 ) -> int:
-    """Same nodes as `scan_ball`, in another order; `index` takes the nodes in that are new."""
+    """Same nodes as `scan_ball`, in another order; new nodes are inserted into `index`."""
     _take_in(index, nodes, count)
     within = 0
     index.stack[0] = 0
@@ -242,7 +242,7 @@ def search_ball(
 
 @kernel_jit
 def ball(index: Index, nodes: np.ndarray, count: int, centre: np.ndarray, radius: float, found: np.ndarray) -> int:
-    """Nodes within a radius, in no particular order, by whichever way is faster. Arguments as in `search_ball`."""
+    """Nodes within a radius, in no particular order, by the faster method. Arguments as for `search_ball`."""
     if count < PAYS_FROM:
         return scan_ball(nodes, count, centre, radius, found)
     return search_ball(index, nodes, count, centre, radius, found)

@@ -1,4 +1,4 @@
-"""Improving a path: greedy and random shortcuts (Geraerts & Overmars 2007), length, the nearest cell with clearance."""
+"""Path improvement: greedy and random shortcuts (Geraerts & Overmars 2007), length, nearest cell with clearance."""
 
 import math
 
@@ -28,7 +28,7 @@ def path_length(path: np.ndarray, count: int) -> float:
 
 @kernel_jit
 def shortcut_greedy(counter: np.ndarray, grid: Grid, path: np.ndarray, count: int) -> int:
-    """From each vertex go straight to the farthest one that can be seen; in place.
+    """Connect each vertex directly to the farthest visible one; in place.
 
     Args:
         counter: > 0 = blocked. Shape (grid.size,).
@@ -45,7 +45,7 @@ def shortcut_greedy(counter: np.ndarray, grid: Grid, path: np.ndarray, count: in
         j = count - 1
         while j > i + 1 and not segment_free(counter, grid, path[i], path[j]):
             j -= 1
-        # vertices kept so far never lie behind the one that is read
+        # vertices written so far never lie behind the one being read
         for axis in range(3):
             path[kept, axis] = path[j, axis]
         kept += 1
@@ -81,7 +81,7 @@ def _append(path: np.ndarray, count: int, point: np.ndarray) -> int:
 def shortcut_random(
     counter: np.ndarray, grid: Grid, path: np.ndarray, count: int, tries: int, random: np.ndarray, buffer: np.ndarray
 ) -> int:
-    """Replace stretches between two random points of the polyline by straight lines where they are free; in place.
+    """Replace stretches between two random points of the polyline by straight lines if these are free; in place.
 
     Args:
         counter: > 0 = blocked. Shape (grid.size,).
@@ -137,7 +137,7 @@ def nearest_with_room(
     room: np.ndarray, check: np.ndarray, core: np.ndarray, grid: Grid, point: np.ndarray, lower: np.ndarray,
     upper: np.ndarray, radius: float, result: np.ndarray,
 ) -> bool:  # fmt: skip
-    """Centre of the nearest voxel that is free in `room` and that a straight line from `point` reaches.
+    """Centre of the nearest voxel that is free in `room` and reachable by a straight line from `point`.
 
     Args:
         room: > 0 = blocked, with the larger radius. Shape (grid.size,).
@@ -147,8 +147,8 @@ def nearest_with_room(
         point: World frame (m). Shape (3,).
         lower: Corner of the allowed box (m). Shape (3,).
         upper: Opposite corner (m). Shape (3,).
-        radius: How far to look (m).
-        result: The point itself where it is free, else the centre (m). Shape (3,).
+        radius: Search radius (m).
+        result: The point itself if it is free, else the centre (m). Shape (3,).
 
     Returns:
         Whether one was found.

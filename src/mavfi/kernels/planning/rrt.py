@@ -1,4 +1,4 @@
-"""RRT (LaValle 1998): one tree that grows from the start towards random samples. Stops on an iteration count."""
+"""RRT (LaValle 1998): one tree grows from the start towards random samples, up to an iteration count."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ class Tree(NamedTuple):
     Attributes:
         nodes: Root first (m). Shape (n, 3).
         parents: Index of each node's parent; -1 = root. Shape (n,), int32.
-        near: Finds nearest nodes.
+        near: Index for nearest nodes.
     """
 
     nodes: np.ndarray
@@ -25,7 +25,7 @@ class Tree(NamedTuple):
 
 
 def new_tree(nodes: int) -> Tree:
-    """Memory for a number of nodes; iterations + 1 are enough."""
+    """Memory for a number of nodes; iterations + 1 are sufficient."""
     return Tree(np.zeros((nodes, 3)), np.zeros(nodes, np.int32), new_index(nodes))
 
 
@@ -47,8 +47,8 @@ def plan(
         goal_bias: Probability that the sample is the goal.
         iterations: Budget.
         random: Generator state. Shape (4,), uint64.
-        tree: Search memory; overwritten. It ends the search when it is full.
-        path: Result. Shape (>= nodes of the tree, 3).
+        tree: Search memory; overwritten. A full one ends the search.
+        path: Output. Shape (>= nodes of the tree, 3).
 
     Returns:
         Number of vertices in `path`; 0 = none found.
@@ -67,7 +67,7 @@ def plan(
         if count >= tree.nodes.shape[0]:
             return 0
         is_goal = draw_towards(goal, goal_bias, lower, upper, random, sample)
-        # to hand the index over costs more than to scan a small tree
+        # passing the index costs more than scanning a small tree
         small = count < PAYS_FROM
         source = scan(tree.nodes, count, sample) if small else search(tree.near, tree.nodes, count, sample)
         reached = steer(tree.nodes[source], sample, max_step, new)

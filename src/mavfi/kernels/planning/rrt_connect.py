@@ -1,4 +1,4 @@
-"""RRT-Connect (Kuffner & LaValle 2000): two trees that grow towards each other. Stops on an iteration count."""
+"""RRT-Connect (Kuffner & LaValle 2000): two trees grow towards each other, up to an iteration count."""
 
 from typing import NamedTuple
 
@@ -13,14 +13,14 @@ NODE_LIMIT = 8000
 
 
 class Trees(NamedTuple):
-    """Memory of the search: the tree from the start, and that from the goal.
+    """Memory of the search: the trees from start and goal.
 
     Attributes:
         nodes: Shape (2, NODE_LIMIT, 3), m.
         parents: Shape (2, NODE_LIMIT), int32; -1 = root.
         counts: Nodes in use. Shape (2,), int64.
-        near_start: Finds nearest nodes of the first tree.
-        near_goal: Finds nearest nodes of the second tree.
+        near_start: Index for nearest nodes of the first tree.
+        near_goal: Index for nearest nodes of the second tree.
     """
 
     nodes: np.ndarray
@@ -40,7 +40,7 @@ def new_trees() -> Trees:
 
 @kernel_jit
 def _search(trees: Trees, which: int, target: np.ndarray) -> int:
-    """Index of the node of a large tree that is nearest to a point."""
+    """Index of the node of a large tree nearest to a point."""
     if which == 0:
         return search(trees.near_start, trees.nodes[0], trees.counts[0], target)
     return search(trees.near_goal, trees.nodes[1], trees.counts[1], target)
@@ -65,7 +65,7 @@ def _extend(
 
 @kernel_jit
 def _collect(trees: Trees, from_start: int, from_goal: int, path: np.ndarray) -> int:
-    """Path through both trees; the joint is in both and kept once."""
+    """Path through both trees; their common vertex is included once."""
     count = trace(trees.nodes[0], trees.parents[0], from_start, path)
     node = trees.parents[1, from_goal]
     while node >= 0:
@@ -77,7 +77,7 @@ def _collect(trees: Trees, from_start: int, from_goal: int, path: np.ndarray) ->
 
 @kernel_jit
 def _plant(trees: Trees, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
-    """Make both trees consist of their root."""
+    """Reset both trees to their root."""
     clear(trees.near_start, lower, upper)
     clear(trees.near_goal, lower, upper)
     for axis in range(3):
@@ -106,7 +106,7 @@ def plan(
         iterations: Budget.
         random: Generator state. Shape (4,), uint64.
         trees: Search memory; overwritten.
-        path: Result. Shape (2 * NODE_LIMIT, 3).
+        path: Output. Shape (2 * NODE_LIMIT, 3).
 
     Returns:
         Number of vertices in `path`; 0 = none found.
@@ -116,7 +116,7 @@ def plan(
         path[1] = goal
         return 2
     _plant(trees, start, goal, lower, upper)
-    # the arrays by themselves: to hand all of `trees` to a function costs more than to scan a small tree
+    # separate arrays: passing all of `trees` to a function costs more than scanning a small tree
     nodes, parents, counts = trees.nodes, trees.parents, trees.counts
     sample = np.empty(3)
     new = np.empty(3)

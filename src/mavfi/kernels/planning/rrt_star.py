@@ -1,8 +1,8 @@
-"""RRT* (Karaman & Frazzoli 2011, algorithm 6): an RRT whose nodes keep to the cheapest way from the start.
+"""RRT* (Karaman & Frazzoli 2011, algorithm 6): an RRT that maintains the cheapest known path to each node.
 
 The near set is the ball of radius gamma (log n / n)^(1/3), at most the range; a new node takes the cheapest parent in
-it, and becomes the parent of those nodes in it that are cheaper to reach by it.  The goal is a node like any other once
-it has been reached, and is not drawn again.  Costs are sums along the tree in one order and never grow, bit for bit.
+it, and becomes the parent of those nodes in it that are cheaper to reach through it.  Once reached, the goal is an
+ordinary node, and is not drawn again.  Costs are sums along the tree in a fixed order and never grow, bit for bit.
 """
 
 import math
@@ -28,15 +28,15 @@ class CostTree(NamedTuple):
     Attributes:
         nodes: Root first (m). Shape (n, 3).
         parents: Index of each node's parent; -1 = root. Shape (n,), int32.
-        costs: Length of the way from the root (m). Shape (n,).
+        costs: Length of the path from the root (m). Shape (n,).
         child: First child of each node; -1 = none. Shape (n,), int32.
         sibling: Next child of the same parent; -1 = none. Shape (n,), int32.
-        near: Finds nodes by place.
+        near: Index of nodes by position.
         ball: Near set of the new node. Shape (n,), int32.
-        through: Cost of the new node by each of them (m). Shape (n,).
-        edges: Whether the edge to each of them is free, as far as known. Shape (n,), int8.
+        through: Cost of the new node through each of them (m). Shape (n,).
+        edges: Whether the edge to each of them is free, if known. Shape (n,), int8.
         stack: Nodes whose descendants are still to be updated. Shape (n,), int32.
-        state: Number of nodes, goal node or -1, iterations done. Shape (3,), int64.
+        state: Number of nodes, goal node or -1, completed iterations. Shape (3,), int64.
     """
 
     nodes: np.ndarray
@@ -53,7 +53,7 @@ class CostTree(NamedTuple):
 
 
 def new_tree(nodes: int) -> CostTree:
-    """Memory for a number of nodes; iterations + 1 are enough."""
+    """Memory for a number of nodes; iterations + 1 are sufficient."""
     whole = [np.zeros(nodes, np.int32) for _ in range(5)]
     return CostTree(
         np.zeros((nodes, 3)), whole[0], np.zeros(nodes), whole[1], whole[2], new_index(nodes), whole[3],
@@ -70,7 +70,7 @@ def ball_factor(lower: np.ndarray, upper: np.ndarray) -> float:
 
 @kernel_jit
 def plant(tree: CostTree, start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
-    """Make the tree consist of its root."""
+    """Reset the tree to its root."""
     clear(tree.near, lower, upper)
     for axis in range(3):
         tree.nodes[0, axis] = start[axis]
@@ -85,7 +85,7 @@ def plant(tree: CostTree, start: np.ndarray, lower: np.ndarray, upper: np.ndarra
 
 @kernel_jit
 def _before(found: np.ndarray, through: np.ndarray, a: int, b: int) -> bool:
-    """Order of the near set: by cost of the new node through it, of equal ones the older node first."""
+    """Order of the near set: by cost of the new node through it; for equal costs the older node first."""
     if through[a] != through[b]:
         return bool(through[a] < through[b])
     return bool(found[a] < found[b])
@@ -116,7 +116,7 @@ def _sift(found: np.ndarray, through: np.ndarray, top: int, end: int) -> None:
 
 @kernel_jit
 def _sort(found: np.ndarray, through: np.ndarray, size: int) -> None:
-    """Heap sort of the near set: in place, and without a slow worst case."""
+    """Heap sort of the near set: in place, without a slow worst case."""
     for top in range(size // 2 - 1, -1, -1):
         _sift(found, through, top, size)
     for end in range(size - 1, 0, -1):
@@ -126,7 +126,7 @@ def _sort(found: np.ndarray, through: np.ndarray, size: int) -> None:
 
 @kernel_jit
 def _attach(tree: CostTree, node: int, parent: int) -> None:
-    """Make a node a child, and its cost that of the way through its parent."""
+    """Make a node a child of a parent, and set its cost to that through the parent."""
     tree.parents[node] = parent
     tree.costs[node] = tree.costs[parent] + distance(tree.nodes[parent], tree.nodes[node])
     tree.sibling[node] = tree.child[parent]
@@ -135,7 +135,7 @@ def _attach(tree: CostTree, node: int, parent: int) -> None:
 
 @kernel_jit
 def _detach(tree: CostTree, node: int) -> None:
-    """Take a node from its parent's children."""
+    """Remove a node from its parent's children."""
     parent = tree.parents[node]
     if tree.child[parent] == node:
         tree.child[parent] = tree.sibling[node]
@@ -148,7 +148,7 @@ def _detach(tree: CostTree, node: int) -> None:
 
 @kernel_jit
 def _pass_on(tree: CostTree, node: int) -> None:
-    """Bring the costs of all descendants up to date."""
+    """Update the costs of all descendants."""
     tree.stack[0] = node
     size = 1
     while size > 0:
@@ -164,7 +164,7 @@ def _pass_on(tree: CostTree, node: int) -> None:
 
 @kernel_jit
 def _choose_parent(counter: np.ndarray, grid: Grid, tree: CostTree, new: int, nearest_node: int, size: int) -> None:
-    """Attach the new node to the cheapest node of its near set to which the edge is free."""
+    """Attach the new node to the cheapest node of its near set with a free edge."""
     parent = nearest_node
     limit = tree.costs[nearest_node] + distance(tree.nodes[nearest_node], tree.nodes[new])
     for i in range(size):
@@ -181,7 +181,7 @@ def _choose_parent(counter: np.ndarray, grid: Grid, tree: CostTree, new: int, ne
 
 @kernel_jit
 def _rewire(counter: np.ndarray, grid: Grid, tree: CostTree, new: int, size: int) -> None:
-    """Lead those nodes of the near set through the new node that are cheaper to reach that way."""
+    """Reroute nodes of the near set through the new node if that makes them cheaper to reach."""
     for i in range(size):
         other = tree.ball[i]
         if tree.edges[i] == _BLOCKED:
@@ -196,7 +196,7 @@ def _rewire(counter: np.ndarray, grid: Grid, tree: CostTree, new: int, size: int
 
 @kernel_jit
 def _insert(counter: np.ndarray, grid: Grid, tree: CostTree, new: np.ndarray, nearest_node: int, radius: float) -> None:
-    """Add a node to which the edge from its nearest node is free."""
+    """Add a node whose edge from its nearest node is free."""
     index = tree.state[0]
     size = ball(tree.near, tree.nodes, index, new, radius, tree.ball)
     for i in range(size):
@@ -216,7 +216,7 @@ def grow(
     counter: np.ndarray, grid: Grid, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray, max_step: float,
     goal_bias: float, iterations: int, random: np.ndarray, tree: CostTree,
 ) -> None:  # fmt: skip
-    """Continue a tree for a number of iterations. Arguments as in `plan`."""
+    """Grow a tree by a number of iterations. Arguments as for `plan`."""
     sample = np.empty(3)
     new = np.empty(3)
     gamma = ball_factor(lower, upper)
@@ -258,10 +258,10 @@ def plan(
         max_step: Longest extension, and largest radius of the near set (m).
         goal_bias: Probability that the sample is the goal, until it is in the tree.
         iterations: Budget.
-        longest: If no path is known after the budget, the search continues to the first one, but not beyond this.
+        longest: Without a path after the budget, the search continues up to the first one, at most to this iteration.
         random: Generator state. Shape (4,), uint64.
-        tree: Search memory; overwritten. It ends the search when it is full.
-        path: Result. Shape (>= nodes of the tree, 3).
+        tree: Search memory; overwritten. A full one ends the search.
+        path: Output. Shape (>= nodes of the tree, 3).
 
     Returns:
         Number of vertices in `path`; 0 = none found.

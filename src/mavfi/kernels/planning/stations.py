@@ -1,4 +1,4 @@
-"""Knots: points of a path that a smooth curve passes, before and after corners, and every few metres."""
+"""Knots: path points on a smooth curve, before and after corners, and every few metres."""
 
 from typing import NamedTuple
 
@@ -11,26 +11,26 @@ from mavfi.numerics.jit import kernel_jit
 
 VERTEX_LIMIT = 400
 BEND = 0.4
-"""Turns up to this one are passed through, larger ones are cut (rad)."""
+"""Turns up to this angle are passed through, larger ones are cut (rad)."""
 NEAR = 0.05
 """Smallest distance of two knots (m)."""
 _APART = 0.3
-"""Nor at first (m)."""
+"""Smallest distance of two initial knots (m)."""
 _PASSED = 0.5
-"""Gentle bends nearer to the last knot than this share of the spacing are not passed exactly."""
+"""Gentle bends closer to the last knot than this share of the spacing are not passed exactly."""
 
 
 class Law(NamedTuple):
-    """Limits of the vehicle, and of its distance to the path.
+    """Limits of the vehicle, and of its deviation from the path.
 
     Attributes:
         speed: Limit everywhere (m/s).
         acceleration: Limit everywhere (m/s^2).
-        tight_speed: Planned where the wide counter is blocked (m/s).
+        tight_speed: Planned speed where the wide counter is blocked (m/s).
         lateral: Planned acceleration in corners (m/s^2).
         tangential: Planned acceleration along the path (m/s^2).
-        braking: Planned deceleration when entering too fast (m/s^2).
-        reach: Longest distance between a corner and where the curve leaves the path for it (m).
+        braking: Planned deceleration after entering too fast (m/s^2).
+        reach: Longest distance between a corner and the points where the curve leaves the path for it (m).
         spacing: Longest distance of knots on a straight leg (m).
     """
 
@@ -45,22 +45,22 @@ class Law(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Arrays that `fit` works on; its result is in `points`, `times` and `ends`.
+    """Work space of `fit`; its result is in `points`, `times` and `ends`.
 
     Attributes:
         corners: Arc length of each vertex (m). Shape (VERTEX_LIMIT,).
         stations: Arc length of each knot (m). Shape (KNOT_LIMIT,).
         leg: Leg of the path on which each knot lies. Shape (KNOT_LIMIT,), int64.
-        points: Their positions (m). Shape (KNOT_LIMIT, 3).
-        lengths: Of the segment that begins there, about (m). Shape (KNOT_LIMIT,).
-        shares: How much of it is tight. Shape (KNOT_LIMIT,).
-        caps: Largest speed that corners and narrow places allow there (m/s). Shape (KNOT_LIMIT,).
+        points: Position of each knot (m). Shape (KNOT_LIMIT, 3).
+        lengths: Approximate length of the segment starting there (m). Shape (KNOT_LIMIT,).
+        shares: Tight share of that segment. Shape (KNOT_LIMIT,).
+        caps: Largest speed at the knot, from corners and narrow places (m/s). Shape (KNOT_LIMIT,).
         push: Acceleration on the segment / the planned one. Shape (KNOT_LIMIT,).
-        speeds: Planned there (m/s). Shape (KNOT_LIMIT,).
-        times: Duration of the segment that begins there (s). Shape (KNOT_LIMIT,).
-        excess: By how much it is too fast. Shape (KNOT_LIMIT,).
-        ends: Derivatives there, as from `minimum_snap.solve`. Shape (KNOT_LIMIT, 4, 3).
-        elimination: Shape (KNOT_LIMIT, 3, 6).
+        speeds: Planned speed at the knot (m/s). Shape (KNOT_LIMIT,).
+        times: Duration of the segment (s). Shape (KNOT_LIMIT,).
+        excess: Relative excess of the segment over its limits. Shape (KNOT_LIMIT,).
+        ends: Derivatives at the knot, from `minimum_snap.solve`. Shape (KNOT_LIMIT, 4, 3).
+        elimination: Work space of `minimum_snap.solve`. Shape (KNOT_LIMIT, 3, 6).
     """
 
     corners: np.ndarray
@@ -79,7 +79,7 @@ class Work(NamedTuple):
 
 
 def new_work() -> Work:
-    """Arrays for `fit`."""
+    """Work space for `fit`."""
     n = minimum_snap.KNOT_LIMIT
     return Work(
         np.zeros(VERTEX_LIMIT), np.zeros(n), np.zeros(n, np.int64), np.zeros((n, 3)), np.zeros(n), np.zeros(n),
@@ -89,7 +89,7 @@ def new_work() -> Work:
 
 @kernel_jit
 def _add(work: Work, n: int, station: float) -> int:
-    """Append a knot unless it is too near to the last one; returns the number of knots."""
+    """Append a knot unless it is too close to the last one; returns the number of knots."""
     if n >= work.stations.shape[0] - 1 or (n > 0 and not station - work.stations[n - 1] > _APART):
         return n
     work.stations[n] = station
@@ -98,7 +98,7 @@ def _add(work: Work, n: int, station: float) -> int:
 
 @kernel_jit
 def _add_leg(work: Work, n: int, station: float, spacing: float) -> int:
-    """Append knots on a straight leg, evenly, up to `station`; returns the number of knots."""
+    """Append evenly spaced knots on a straight leg, up to `station`; returns the number of knots."""
     first = work.stations[n - 1]
     gap = station - first
     if gap > spacing:
@@ -110,16 +110,16 @@ def _add_leg(work: Work, n: int, station: float, spacing: float) -> int:
 
 @kernel_jit
 def first_stations(path: np.ndarray, count: int, law: Law, work: Work) -> int:
-    """Knots before and after corners, and between them.
+    """Initial knots: before, after and between corners.
 
     Args:
-        path: Vertices, no two the same in a row (m). Shape (>= count, 3).
+        path: Vertices without consecutive duplicates (m). Shape (>= count, 3).
         count: Number of vertices, 2 to `VERTEX_LIMIT`.
         law: Reach of corners and spacing.
-        work: `corners` and `stations` are set.
+        work: Output: `corners` and `stations`.
 
     Returns:
-        Number of knots; 0 if they do not fit or a vertex is absurd.
+        Number of knots; 0 if they do not fit or a vertex is corrupted.
     """
     work.corners[0] = 0.0
     for i in range(1, count):
@@ -136,7 +136,7 @@ def first_stations(path: np.ndarray, count: int, law: Law, work: Work) -> int:
             if work.corners[i] - work.stations[n - 1] > _PASSED * law.spacing:
                 n = _add_leg(work, n, work.corners[i], law.spacing)
             continue
-        # the first leg has one corner only, which may take most of it
+        # the first leg has only one corner, which may take most of it
         reach = min(law.reach, min((0.9 if i == 1 else 0.5) * before, 0.5 * after))
         n = _add_leg(work, n, work.corners[i] - reach, law.spacing)
         n = _add(work, n, work.corners[i] + reach)
@@ -151,7 +151,7 @@ def first_stations(path: np.ndarray, count: int, law: Law, work: Work) -> int:
 
 @kernel_jit
 def place(path: np.ndarray, count: int, work: Work, n: int) -> None:
-    """Set the position and the leg of each of the n knots; arguments as in `first_stations`."""
+    """Set position and leg of each of the n knots; arguments as for `first_stations`."""
     leg = 0
     for k in range(n):
         while leg < count - 2 and work.corners[leg + 1] <= work.stations[k]:
@@ -165,7 +165,7 @@ def place(path: np.ndarray, count: int, work: Work, n: int) -> None:
 
 @kernel_jit
 def insert(work: Work, n: int, station: float) -> int:
-    """Insert a knot in order unless one is near; returns the number of knots."""
+    """Insert a knot in order unless one is close; returns the number of knots."""
     if n >= work.stations.shape[0]:
         return n
     k = n

@@ -19,25 +19,25 @@ POINT_WIDTH = 11
 CURVE_LIMIT = 12_000
 POINT_LIMIT = 15_000
 SPACING = 0.1
-"""Between samples of the curve (m)."""
+"""Distance between samples of the curve (m)."""
 _BLEND_STEPS = 17
 _SHRINK = 0.7
 _SHORTEST_BLEND = 0.05
 _SMALLEST_STEP = 0.0015
-"""The time sampler needs it to leave speed zero (m)."""
+"""Smallest step, required by the time sampler at speed zero (m)."""
 
 
 class Limits(NamedTuple):
     """Limits of the vehicle along the curve.
 
     Attributes:
-        speed: m/s.
-        tight_speed: Where the wide counter is blocked (m/s).
+        speed: Speed limit (m/s).
+        tight_speed: Speed where the wide counter is blocked (m/s).
         lateral: Acceleration across the curve (m/s^2).
-        tangential: Along it (m/s^2).
-        braking: Along it, when entering too fast (m/s^2).
+        tangential: Acceleration along the curve (m/s^2).
+        braking: Deceleration along the curve after entering too fast (m/s^2).
         blend: Longest distance of a blend from its corner (m).
-        look: How far ahead the yaw looks (m).
+        look: Look-ahead distance of the yaw (m).
     """
 
     speed: float
@@ -67,7 +67,7 @@ def _add_blend(
     counter: np.ndarray, grid: Grid, path: np.ndarray, i: int, reach: float, inner: float, curve: np.ndarray,
     count: int,
 ) -> int:  # fmt: skip
-    """Append the blend at vertex i; shrinks it until it is free. Returns the new count."""
+    """Append the blend at vertex i, shrunk until it is free. Returns the new count."""
     before = (path[i] - path[i - 1]) / distance(path[i], path[i - 1])
     after = (path[i + 1] - path[i]) / distance(path[i + 1], path[i])
     while reach >= _SHORTEST_BLEND:
@@ -93,14 +93,14 @@ def smooth(
     """Polyline -> evenly spaced samples of a curve without corners.
 
     Args:
-        counter: > 0 = blocked: blends stay out of it. Shape (grid.size,).
+        counter: > 0 = blocked: blends avoid it. Shape (grid.size,).
         grid: Geometry.
-        path: Vertices, no two the same in a row (m). Shape (>= count, 3).
+        path: Vertices without consecutive duplicates (m). Shape (>= count, 3).
         count: Number of vertices, at least 2.
         blend: Longest distance of a blend from its corner (m).
         inner: Innermost control point of a blend / its distance; 0 follows the corner closely, 1/3 is roundest.
         corners: Work space. Shape (CURVE_LIMIT, 3).
-        curve: Result, every `SPACING`. Shape (CURVE_LIMIT, 3).
+        curve: Output, every `SPACING`. Shape (CURVE_LIMIT, 3).
 
     Returns:
         Number of samples.
@@ -112,7 +112,7 @@ def smooth(
         after = distance(path[i + 1], path[i])
         if not (before > 1e-9 and after > 1e-9) or n > CURVE_LIMIT - 2 * _BLEND_STEPS:
             continue
-        # the first leg has one blend only, which may take most of it
+        # the first leg has only one blend, which may take most of it
         reach = min(blend, min((0.9 if i == 1 else 0.499) * before, 0.499 * after))
         n = _add_blend(counter, grid, path, i, reach, inner, corners, n)
     corners[n] = path[count - 1]
@@ -152,7 +152,7 @@ def _curvature(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
 
 @kernel_jit
 def _sharpest_bend(curve: np.ndarray, count: int, i: int) -> float:
-    """Curvature at sample i or in the sharper of both segments there (1/m): a direction turns evenly within one."""
+    """Curvature at sample i or in the sharper adjacent segment (1/m): direction turns uniformly within a segment."""
     here = _curvature(curve[i - 1], curve[i], curve[i + 1]) if 0 < i < count - 1 else 0.0
     before = _curvature(curve[i - 2], curve[i - 1], curve[i]) if 1 < i < count else 0.0
     after = _curvature(curve[i], curve[i + 1], curve[i + 2]) if i < count - 2 else 0.0
@@ -164,17 +164,17 @@ def speed_profile(
     wide: np.ndarray, grid: Grid, curve: np.ndarray, count: int, entry_speed: float, limits: Limits, arc: np.ndarray,
     speed: np.ndarray,
 ) -> None:  # fmt: skip
-    """Fastest speed along a curve within the limits; it ends at rest.
+    """Highest speed along a curve within the limits, ending at rest.
 
     Args:
-        wide: > 0 = too near to an obstacle for full speed. Shape (grid.size,).
+        wide: > 0 = too close to an obstacle for full speed. Shape (grid.size,).
         grid: Geometry.
         curve: Samples (m). Shape (>= count, 3).
         count: Number of samples.
-        entry_speed: m/s.
+        entry_speed: Speed at the start (m/s).
         limits: Limits of the vehicle.
-        arc: Result: arc length of each sample (m). Shape (>= count,).
-        speed: Result: speed at each sample (m/s). Shape (>= count,).
+        arc: Output: arc length of each sample (m). Shape (>= count,).
+        speed: Output: speed at each sample (m/s). Shape (>= count,).
     """
     arc[0] = 0.0
     for i in range(count):
@@ -201,7 +201,7 @@ def speed_profile(
 
 @kernel_jit
 def _tangent(curve: np.ndarray, arc: np.ndarray, count: int, i: int, axis: int) -> float:
-    """One component of the direction of a curve at sample i; between samples it turns evenly."""
+    """One component of the direction of a curve at sample i; it turns uniformly between samples."""
     low = max(i - 1, 0)
     high = min(i + 1, count - 1)
     length = arc[high] - arc[low]
@@ -213,17 +213,17 @@ def sample(
     curve: np.ndarray, count: int, arc: np.ndarray, speed: np.ndarray, step: float, look: float, yaw: float,
     points: np.ndarray,
 ) -> int:  # fmt: skip
-    """Curve and speed -> points at equal times: position, yaw, velocity, acceleration, duration at each instant.
+    """Sample a curve with speeds at equal times: position, yaw, velocity, acceleration, duration at each instant.
 
     Args:
         curve: Samples (m). Shape (>= count, 3).
         count: Number of samples.
-        arc: Their arc length (m).
-        speed: Their speed (m/s).
+        arc: Arc length of the samples (m).
+        speed: Speed at the samples (m/s).
         step: Time between points (s).
-        look: The yaw looks at the point this far ahead (m).
-        yaw: Yaw where the course is vertical (rad).
-        points: Result, columns x y z yaw v(3) a(3) duration. Shape (POINT_LIMIT, 11).
+        look: Look-ahead distance of the yaw (m).
+        yaw: Yaw while the course is vertical (rad).
+        points: Output, columns x y z yaw v(3) a(3) duration. Shape (POINT_LIMIT, 11).
 
     Returns:
         Number of points.
@@ -271,15 +271,15 @@ def sample(
 
 @kernel_jit
 def hold_points(dense: np.ndarray, count: int, per_point: int, step: float, look: int, points: np.ndarray) -> int:
-    """Dense samples -> points that are held: position at the end of its interval, mean velocity a little ahead.
+    """Dense samples -> held points: position at the end of the interval, mean velocity with a small look-ahead.
 
     Args:
         dense: Points at equal times, columns as in `sample`. Shape (>= count, 11).
         count: Number of dense points.
         per_point: Dense steps per held point.
         step: Time between dense points (s).
-        look: How many dense steps ahead of its interval the velocity is taken.
-        points: Result, same columns. Shape (POINT_LIMIT, 11).
+        look: Look-ahead of the velocity, in dense steps.
+        points: Output, same columns. Shape (POINT_LIMIT, 11).
 
     Returns:
         Number of points.

@@ -1,4 +1,4 @@
-"""How long a polyline takes to fly, near enough to compare two of them, and how to make it quicker."""
+"""Approximate flight time of a polyline, for comparing two of them, and a local search that reduces it."""
 
 import math
 from typing import NamedTuple
@@ -12,16 +12,16 @@ from mavfi.numerics.random import uniform
 from mavfi.numerics.voxels import Grid, segment_free, voxel_of
 
 _STEP = 0.25
-"""Distance between the points at which clearance is looked up (m)."""
+"""Distance between clearance look-ups (m)."""
 _MOST_STEPS = 10_000
 _SHARPNESS = 1.2
 """Largest curvature of a blend x its reach / tan of half the turn; within 15 % between 30 and 90 degrees."""
 _VISIBLE_SLOPE = 0.6
-"""Steepest path (tan) that stays in the view of a camera that looks forward."""
+"""Steepest path (tan) within the view of a forward-looking camera."""
 _BLIND_SPEED = 0.5
-"""Speed at which a climb out of view is charged (m/s)."""
+"""Assumed speed of a climb out of view (m/s)."""
 _REMOVED = 0.3
-"""Share of the trials that take a vertex away; the others move one."""
+"""Share of the trials that remove a vertex; the others move one."""
 _LARGEST_MOVE = 1.5
 
 
@@ -29,10 +29,10 @@ class Pace(NamedTuple):
     """Limits of the vehicle for the estimate.
 
     Attributes:
-        speed: m/s.
-        tight_speed: Where the wide counter is blocked (m/s).
+        speed: Speed limit (m/s).
+        tight_speed: Speed where the wide counter is blocked (m/s).
         tangential: Acceleration along the path (m/s^2).
-        lateral: Across it (m/s^2).
+        lateral: Acceleration across the path (m/s^2).
         blend: Longest distance of a corner's blend from its corner (m).
     """
 
@@ -45,7 +45,7 @@ class Pace(NamedTuple):
 
 @kernel_jit
 def tight_share(wide: np.ndarray, grid: Grid, a: np.ndarray, b: np.ndarray) -> float:
-    """Share of the segment a -> b that lies where the wide counter is blocked."""
+    """Share of the segment a -> b where the wide counter is blocked."""
     length = distance(a, b)
     if not length < _STEP * _MOST_STEPS:
         return 0.0
@@ -61,7 +61,7 @@ def tight_share(wide: np.ndarray, grid: Grid, a: np.ndarray, b: np.ndarray) -> f
 
 @kernel_jit
 def turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
-    """Angle between a -> b and b -> c (rad); 0 where a leg has no length."""
+    """Angle between a -> b and b -> c (rad); 0 if a leg has no length."""
     first = distance(a, b)
     second = distance(b, c)
     if not (first > 1e-9 and second > 1e-9):
@@ -74,7 +74,7 @@ def turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> float:
 
 @kernel_jit
 def corner_loss(a: np.ndarray, b: np.ndarray, c: np.ndarray, reach: float, pace: Pace) -> float:
-    """Time lost by slowing down for the corner at b and picking up speed again (s)."""
+    """Time lost by decelerating for the corner at b and accelerating again (s)."""
     angle = turn(a, b, c)
     if angle < 1e-3:
         return 0.0
@@ -93,20 +93,20 @@ def _unseen_climb(a: np.ndarray, b: np.ndarray) -> float:
 
 @kernel_jit
 def travel_time(wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, velocity: np.ndarray, pace: Pace) -> float:
-    """Estimated time to fly a polyline.
+    """Estimated flight time of a polyline.
 
-    Full speed with clearance, `tight_speed` in narrow places; each corner costs time.
+    Full speed with clearance, `tight_speed` in narrow places; each corner adds time.
 
     Args:
-        wide: > 0 = too near to an obstacle for full speed. Shape (grid.size,).
+        wide: > 0 = too close to an obstacle for full speed. Shape (grid.size,).
         grid: Geometry.
         path: Vertices (m). Shape (>= count, 3).
         count: Number of vertices.
-        velocity: At the first vertex (m/s). Shape (3,).
+        velocity: Velocity at the first vertex (m/s). Shape (3,).
         pace: Limits of the vehicle.
 
     Returns:
-        s.
+        Time (s).
     """
     time = 0.0
     for i in range(count - 1):
@@ -126,7 +126,7 @@ def travel_time(wide: np.ndarray, grid: Grid, path: np.ndarray, count: int, velo
 
 @kernel_jit
 def _trial(path: np.ndarray, count: int, i: int, remove: bool, random: np.ndarray, new: np.ndarray) -> int:
-    """Copy of a path without vertex i, or with it somewhere near; returns the number of vertices."""
+    """Copy of a path with vertex i removed or randomly displaced; returns the number of vertices."""
     kept = 0
     for k in range(count):
         if k == i and remove:
@@ -146,17 +146,17 @@ def quicken(
     counter: np.ndarray, wide: np.ndarray, grid: Grid, lower: np.ndarray, upper: np.ndarray, path: np.ndarray,
     count: int, velocity: np.ndarray, pace: Pace, tries: int, random: np.ndarray, buffer: np.ndarray,
 ) -> int:  # fmt: skip
-    """Move and remove vertices as long as that saves time; in place.
+    """Move and remove vertices while that saves time; in place.
 
     Args:
-        counter: > 0 = blocked: changed segments stay out of it. Shape (grid.size,).
-        wide: As in `travel_time`.
+        counter: > 0 = blocked: changed segments avoid it. Shape (grid.size,).
+        wide: As for `travel_time`.
         grid: Geometry.
-        lower: Corner of the box in which vertices may lie (m). Shape (3,).
+        lower: Corner of the box for vertices (m). Shape (3,).
         upper: Opposite corner (m). Shape (3,).
-        path: Vertices (m); changed, but for the first and the last. Shape (>= count, 3).
+        path: Vertices (m); changed, except the first and the last. Shape (>= count, 3).
         count: Number of vertices.
-        velocity: At the first vertex (m/s). Shape (3,).
+        velocity: Velocity at the first vertex (m/s). Shape (3,).
         pace: Limits of the vehicle.
         tries: Number of trials.
         random: Generator state. Shape (4,), uint64.
@@ -166,7 +166,7 @@ def quicken(
         New number of vertices.
     """
     time = travel_time(wide, grid, path, count, velocity, pace)
-    sweep = count - 2  # each vertex is tried to be removed once, from the last to the first
+    sweep = count - 2  # removal of each vertex is tried once, from the last to the first
     for trial in range(sweep + tries):
         if count < 3:
             return count

@@ -1,4 +1,4 @@
-"""Common parts of the searches: drawing a sample, one step towards it, the path that leads to a node."""
+"""Common parts of the searches: drawing a sample, one step towards it, the path to a node."""
 
 import math
 
@@ -16,7 +16,7 @@ def draw(lower: np.ndarray, upper: np.ndarray, random: np.ndarray, sample: np.nd
         lower: Corner (m). Shape (3,).
         upper: Opposite corner (m). Shape (3,).
         random: Generator state. Shape (4,), uint64.
-        sample: Result (m). Shape (3,).
+        sample: Output (m). Shape (3,).
     """
     for axis in range(3):
         sample[axis] = lower[axis] + (upper[axis] - lower[axis]) * uniform(random)
@@ -26,7 +26,7 @@ def draw(lower: np.ndarray, upper: np.ndarray, random: np.ndarray, sample: np.nd
 def draw_towards(
     goal: np.ndarray, goal_bias: float, lower: np.ndarray, upper: np.ndarray, random: np.ndarray, sample: np.ndarray
 ) -> bool:
-    """The goal with a probability of `goal_bias`, else a uniform sample; returns whether it is the goal."""
+    """The goal with probability `goal_bias`, else a uniform sample; returns whether it is the goal."""
     if uniform(random) < goal_bias:
         for axis in range(3):
             sample[axis] = goal[axis]
@@ -57,7 +57,7 @@ def trace(nodes: np.ndarray, parents: np.ndarray, node: int, path: np.ndarray) -
         nodes: World frame (m). Shape (n, 3).
         parents: Index of the parent of each node; -1 = root. Shape (n,), int32.
         node: Where the path ends.
-        path: Result. Shape (>= n, 3).
+        path: Output. Shape (>= n, 3).
 
     Returns:
         Number of vertices.

@@ -1,7 +1,7 @@
-"""Setpoint generator: from the stored trajectory to the point that control follows now.
+"""Setpoint generator: from the stored trajectory to the way-point that control currently tracks.
 
-Two rules.  Held: a point is in force until its duration is used up (the published code).  Governed: the reference moves
-along the trajectory on a clock that slows down so that the vehicle can stop in space it has seen.
+Two rules.  Held: each point is in force for its duration (the published code).  Governed: the reference moves along the
+trajectory on a clock that slows down so that the vehicle can stop in observed space.
 """
 
 import math
@@ -11,21 +11,21 @@ import numpy as np
 from mavfi.numerics.jit import kernel_jit
 
 CLOCK_WIDTH = 3
-"""Memory of the governed rule: position on the trajectory (points), rate of the clock, its change (1/s)."""
+"""Memory of the governed rule: position on the trajectory (points), clock rate, its rate of change (1/s)."""
 
 
 @kernel_jit
 def hand_over(points: np.ndarray, index: int, remaining: float, waypoint: np.ndarray) -> int:
-    """The point in force, given how much of the present one is left; one step at most.
+    """The point in force, from the remaining time of the current one; advances by one step at most.
 
     Args:
         points: Trajectory, columns x y z yaw v(3) a(3) duration. Shape (n, 11).
         index: Point in force; -1 = none yet.
-        remaining: Reference time left of it (s); at zero the next point comes into force.
-        waypoint: Result, unchanged where the trajectory is used up. Shape (11,).
+        remaining: Its remaining reference time (s); at zero the next point comes into force.
+        waypoint: Output, unchanged at the end of the trajectory. Shape (11,).
 
     Returns:
-        Index of the point in force; n = the trajectory is used up.
+        Index of the point in force; n = end of the trajectory.
     """
     if remaining <= 1e-9 or index < 0:
         index += 1
@@ -50,7 +50,7 @@ def arc_lengths(points: np.ndarray, arc: np.ndarray) -> None:
 
 @kernel_jit
 def _point_before(position: float, last: int) -> int:
-    """Index of the point at or before a position on the trajectory; of the first one if it is corrupted."""
+    """Index of the point at or before a position on the trajectory; of the first point for a corrupted position."""
     return int(min(position, float(last))) if position >= 0.0 else 0
 
 
@@ -59,10 +59,10 @@ def advance_clock(
     clock: np.ndarray, points: np.ndarray, arc: np.ndarray, dt: float, blocked: float, unknown: float, braking: float,
     creep: float, fastest: float,
 ) -> None:  # fmt: skip
-    """Move the reference clock on by one control period.
+    """Advance the reference clock by one control period.
 
-    The rate falls so that the reference can stop before the first blocked or unknown sample; limited by unknown space
-    it never gets slower than `creep`, since a voxel that the camera never sees would stop the vehicle for ever.
+    The rate falls so that the reference can stop before the first blocked or unknown sample.  In front of unknown space
+    the speed never falls below `creep`, or a voxel that the camera never observes would stop the vehicle for ever.
 
     Args:
         clock: Memory, see `CLOCK_WIDTH`; changed. Shape (3,).
@@ -71,9 +71,9 @@ def advance_clock(
         dt: Control period (s).
         blocked: Arc length of the first blocked sample (m); inf = none.
         unknown: Arc length of the first unknown sample (m); inf = none.
-        braking: Deceleration to plan with (m/s^2).
+        braking: Planned deceleration (m/s^2).
         creep: Slowest speed towards unknown space (m/s).
-        fastest: Largest rate of the clock; less than 1 on a computer whose loop cannot keep up.
+        fastest: Largest clock rate; below 1 on a computer whose loop cannot keep up.
     """
     last = points.shape[0] - 1
     if last < 0:
@@ -92,7 +92,7 @@ def advance_clock(
     old = clock[1]
     rate = min(old + braking * dt / scale, max(old - 2.0 * braking * dt / scale, wanted))
     if not rate > 1e-3:
-        rate = 0.0  # it must stop exactly, or the reference drifts into the block
+        rate = 0.0  # stop exactly, or the reference drifts into the blocked space
     clock[1] = rate
     clock[2] = (rate - old) / dt
     clock[0] = min(clock[0] + rate, float(last))
@@ -100,12 +100,12 @@ def advance_clock(
 
 @kernel_jit
 def reference(clock: np.ndarray, points: np.ndarray, waypoint: np.ndarray) -> None:
-    """Interpolated and time-scaled point at the clock.
+    """Interpolated, time-scaled point at the clock.
 
     Args:
         clock: Memory. Shape (3,).
         points: Trajectory. Shape (n, 11).
-        waypoint: Result, columns as a point; unchanged where there is no trajectory. Shape (11,).
+        waypoint: Output, columns as a point; unchanged without a trajectory. Shape (11,).
     """
     last = points.shape[0] - 1
     if last < 0:

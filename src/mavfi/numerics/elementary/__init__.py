@@ -1,7 +1,7 @@
-"""Elementary functions with the same bits on every processor and errors below 1 ulp.
+"""Elementary functions, bit-identical on every processor, with errors below 1 ulp.
 
-The rounding of libm's functions depends on the CPU (with or without FMA).  These use additions, multiplications,
-divisions and square roots only, in a fixed order, each rounded as in IEEE 754; LLVM does not contract them.  Sources:
+The rounding of libm's functions depends on the CPU (with or without FMA).  These use only additions, multiplications,
+divisions and square roots, in a fixed order, each rounded as in IEEE 754; LLVM does not contract them.  Sources:
 fdlibm (Sun Microsystems, 1993) for polynomials and breakpoints; Muller et al., Handbook of Floating-Point Arithmetic
 (2018), chapter 4, for error-free sums and products.
 """

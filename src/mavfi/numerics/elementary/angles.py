@@ -15,7 +15,7 @@ _PIECES = (
 )  # fmt: skip
 """pi / 2 in parts of 33 bits: products with integers below 2^20 are exact, except for the last part."""
 _LARGE = 1.0e6
-"""Limit of the reduction by these parts (rad)."""
+"""Limit of the reduction by these pieces (rad)."""
 
 _WIDTH = 28
 TWO_OVER_PI_DIGITS = np.array([
@@ -58,7 +58,7 @@ def _quarter_turns(angle: float) -> tuple[int, float, float]:
 
 @kernel_jit
 def _quarter_turns_of_large(angle: float) -> tuple[int, float, float]:
-    """The same for |angle| >= 1 (Payne and Hanek): only the digits of angle * 2 / pi below 4 are computed."""
+    """Argument reduction for |angle| >= 1 (Payne and Hanek): computes only the digits of angle * 2 / pi below 4."""
     bits = bits_of(angle)
     exponent = ((bits >> 52) & 0x7FF) - 1075 - 2
     first = exponent // _WIDTH

@@ -61,7 +61,7 @@ def atan2(y: float, x: float) -> float:
     if math.isnan(x) or math.isnan(y):
         return math.nan
     across, along = abs(y), abs(x)
-    if across == along:  # both zero or both infinite, too
+    if across == along:  # includes both zero or both infinite
         angle, low = (0.0, 0.0) if along == 0.0 else _ARC_AT[1]
     elif across == 0.0 or along == math.inf:
         angle, low = 0.0, 0.0
@@ -83,7 +83,7 @@ def _arc_tangent_of_quotient(y: float, x: float) -> tuple[float, float]:
         return _ARC_AT[3]
     if quotient < 1e-17:
         return quotient, 0.0
-    if x > 1e150 or x < 1e-150:  # scaled by powers of two, which keeps the quotient
+    if x > 1e150 or x < 1e-150:  # scale by powers of two, which preserves the quotient
         scale = two_to(-600) if x > 1.0 else two_to(600)
         y, x = y * scale, x * scale
     product, error = product_of(quotient, x)
@@ -92,7 +92,7 @@ def _arc_tangent_of_quotient(y: float, x: float) -> tuple[float, float]:
 
 @kernel_jit
 def asin(value: float) -> float:
-    """Angle whose sine is given (rad); NaN beyond ±1."""
+    """Arc sine (rad); NaN beyond ±1."""
     size = abs(value)
     if not size <= 1.0:
         return math.nan
@@ -117,7 +117,7 @@ def asin(value: float) -> float:
 
 @kernel_jit
 def acos(value: float) -> float:
-    """Angle whose cosine is given (rad), in [0, pi]; NaN beyond ±1."""
+    """Arc cosine (rad), in [0, pi]; NaN beyond ±1."""
     size = abs(value)
     if not size <= 1.0:
         return math.nan

@@ -73,7 +73,7 @@ def tanh(value: float) -> float:
 
 @kernel_jit
 def log(value: float) -> float:
-    """Natural logarithm; minus infinity of zero, NaN below."""
+    """Natural logarithm; minus infinity for zero, NaN below."""
     if not value > 0.0:
         return -math.inf if value == 0.0 else math.nan
     if value == math.inf:

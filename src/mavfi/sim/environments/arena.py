@@ -1,4 +1,4 @@
-"""What all generated worlds share: the arena, the draw of start and goal, and the world's random stream."""
+"""Common parts of all generated worlds: the arena, the draw of start and goal, and the world's random stream."""
 
 import numpy as np
 
@@ -6,11 +6,11 @@ from mavfi.errors import BadInputError
 from mavfi.sim.environments.world import World
 
 LENGTH = 120.0
-"""Along x, from 0 (m)."""
+"""Extent along x, from 0 (m)."""
 HALF_WIDTH = 30.0
-"""Along y, to both sides of 0 (m)."""
+"""Extent along y, to both sides of 0 (m)."""
 CEILING = 12.0
-"""Highest obstacle (m)."""
+"""Height of the tallest obstacle (m)."""
 
 _PURPOSE_WORLD = 0
 
@@ -48,8 +48,8 @@ def draw_ends(
 def arena_world(lower: np.ndarray, upper: np.ndarray, start: np.ndarray, goal: np.ndarray) -> World:
     """A world of boxes in the standard arena.
 
-    The edge of the arena is a limit of the planner, not a wall; the planner keeps 1 m from it, and to heights of
-    1.6 to 9.6 m, so that the flight stays in the band of 1 to 10 m.
+    The edge of the arena is a limit of the planner, not a wall; the planner stays 1 m inside it, at heights of 1.6 to
+    9.6 m, so that the flight stays in the band of 1 to 10 m.
 
     Args:
         lower: Lower corners of the boxes (m). Shape (n, 3).
@@ -70,7 +70,7 @@ def arena_world(lower: np.ndarray, upper: np.ndarray, start: np.ndarray, goal: n
 
 
 def checked_number(name: str, value: object, low: float, high: float) -> float:
-    """A parameter of a generator as a number.
+    """A generator's parameter as a number.
 
     Args:
         name: Name of the parameter.
@@ -79,7 +79,7 @@ def checked_number(name: str, value: object, low: float, high: float) -> float:
         high: Largest allowed value.
 
     Raises:
-        BadInputError: It is no number between the limits.
+        BadInputError: It is not a number within the limits.
     """
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
         raise BadInputError(f"parameter {name!r}: {value!r}; allowed: a number from {low:g} to {high:g}")

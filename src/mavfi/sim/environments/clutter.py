@@ -1,4 +1,4 @@
-"""`clutter`: overlapping boxes without any rule for gaps, a harder test than the paper's worlds."""
+"""`clutter`: overlapping boxes without a minimum gap, a harder test than the paper's worlds."""
 
 import numpy as np
 
@@ -10,11 +10,11 @@ _FREE = 3.0
 
 
 def clutter(seed: int, boxes: int = 200) -> World:
-    """Boxes of 1 to 6 m and 2 m to the ceiling anywhere between start and goal; 3 m around both ends stay free.
+    """Boxes 1 to 6 m wide and at least 2 m high, anywhere between start and goal; 3 m around both ends stay free.
 
     Args:
         seed: Seed of the mission.
-        boxes: How many.
+        boxes: Number of boxes.
 
     Raises:
         BadInputError: `boxes` is out of range.

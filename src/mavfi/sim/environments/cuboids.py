@@ -1,7 +1,7 @@
-"""`sparse`, `dense` and everything like them: cuboids with a square footprint, by [density, side].
+"""`sparse`, `dense` and similar worlds: cuboids with a square footprint, by [density, side].
 
-The paper writes Sparse as [0.05, 6] and Dense as [0.2, 10] (MAVFI, section VI-A); density is taken as the share of the
-arena's ground area, without the halos of start and goal, that footprints cover.
+The paper specifies Sparse as [0.05, 6] and Dense as [0.2, 10] (MAVFI, section VI-A); density is interpreted as the
+share of the arena's ground area, excluding the halos of start and goal, that is covered by footprints.
 """
 
 import math
@@ -31,19 +31,19 @@ _DARTS = 40_000
 
 
 def cuboids(seed: int, density: float, side: float, gap: float | None = None) -> World:
-    """Cuboids that stand at random places of the arena.
+    """Cuboids at random places of the arena.
 
-    Any two are at least a gap apart along x or along y, so that every gap can be passed.  Heights are uniform between
+    Any two are at least a gap apart along x or y, so that every gap can be flown through.  Heights are uniform between
     the side and the ceiling.
 
     Args:
         seed: Seed of the mission.
-        density: Share of the arena's ground area, halos excluded, that the footprints cover; met within half a cuboid.
+        density: Share of the arena's ground area, excluding halos, covered by footprints; met within half a cuboid.
         side: Side of the footprint (m).
-        gap: Least distance of two cuboids (m); None = min(3 m, side / 2).  A smaller one lets more of them fit.
+        gap: Least distance of two cuboids (m); None = min(3 m, side / 2).  A smaller gap lets more cuboids fit.
 
     Raises:
-        BadInputError: A parameter is out of range, or so many cuboids do not fit.
+        BadInputError: A parameter is out of range, or the cuboids do not fit.
     """
     density = checked_number("density", density, 0.0, 1.0)
     side = checked_number("side", side, 0.5, 2.0 * HALF_WIDTH)
@@ -64,7 +64,7 @@ def cuboids(seed: int, density: float, side: float, gap: float | None = None) ->
 
 
 def cuboid_count(density: float, side: float) -> int:
-    """How many cuboids give the density, to the nearest.
+    """Number of cuboids for a density, rounded.
 
     Args:
         density: Share of the arena's ground area, halos excluded.
@@ -75,7 +75,7 @@ def cuboid_count(density: float, side: float) -> int:
 
 
 def _most_cuboids(side: float, gap: float) -> int:
-    """No arrangement holds more: squares of side + gap in an arena that is a gap larger."""
+    """Upper bound on the number of cuboids: squares of side + gap in an arena enlarged by one gap."""
     pitch = side + gap
     return math.floor((LENGTH + gap) / pitch) * math.floor((2.0 * HALF_WIDTH + gap) / pitch)
 
@@ -88,7 +88,7 @@ def _does_not_fit(density: float, side: float, gap: float, count: int) -> BadInp
 
 
 def _place(stream: np.random.Generator, ends: np.ndarray, count: int, side: float, gap: float) -> np.ndarray | None:
-    """Random sequential placement, restarted a few times when it jams."""
+    """Random sequential placement, restarted a few times if it jams."""
     margin = np.array([0.5 * side, 0.5 * side - HALF_WIDTH])
     span = np.array([LENGTH - side, 2.0 * HALF_WIDTH - side])
     centres = np.empty((count, 2))
@@ -101,17 +101,17 @@ def _place(stream: np.random.Generator, ends: np.ndarray, count: int, side: floa
 
 @kernel_jit
 def _throw(darts: np.ndarray, ends: np.ndarray, halo: float, pitch: float, centres: np.ndarray) -> int:
-    """Keep each dart that is far enough from the ends and from all darts kept before.
+    """Keep each candidate that is far enough from the ends and from all candidates kept before.
 
     Args:
         darts: Candidates. Shape (m, 2).
         ends: Start and goal. Shape (2, 2).
-        halo: Least distance (largest of x and y) from the ends.
-        pitch: Least distance (largest of x and y) from kept darts.
-        centres: Result. Shape (n, 2).
+        halo: Least distance (larger of x and y) from the ends.
+        pitch: Least distance (larger of x and y) from kept candidates.
+        centres: Output. Shape (n, 2).
 
     Returns:
-        How many were kept, n at most.
+        Number of kept candidates, at most n.
     """
     count = 0
     for i in range(len(darts)):

@@ -14,13 +14,13 @@ _BLOCK, _PILLAR = 1.5, 0.5
 _AISLE = 3.0
 
 Box = tuple[float, float, float, float, float]
-"""x from, to; y from, to; height (m); it stands on the ground."""
+"""x from, to; y from, to; height (m); stands on the ground."""
 
 
 def factory(seed: int) -> World:
-    """A hall with three inner walls across the course, each with two doors of 4 to 5 m, and things on the floor.
+    """A hall with three inner walls across the course, each with two doors of 4 to 5 m, and obstacles on the floor.
 
-    Blocks (3 x 3 m, 2 to 5 m high) and pillars (1 x 1 m, to the ceiling) stand in rows, 3 m apart at least and away
+    Blocks (3 x 3 m, 2 to 5 m high) and pillars (1 x 1 m, to the ceiling) stand in rows, at least 3 m apart, and away
     from walls, doors, start and goal.  There is no roof.
 
     Args:
@@ -62,7 +62,7 @@ def _wall_with_doors(stream: np.random.Generator, x: float, doors: list[tuple[fl
 
 
 def _floor(stream: np.random.Generator, ends: np.ndarray, walls: np.ndarray, doors: np.ndarray) -> list[Box]:
-    """Blocks and pillars: a place of each row holds a block (45 %), a pillar (30 %) or nothing."""
+    """Blocks and pillars: each place of a row has a block (45 %), a pillar (30 %) or nothing."""
     boxes: list[Box] = []
     placed: list[tuple[float, float, float]] = []
     for row in _ROWS:

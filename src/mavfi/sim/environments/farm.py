@@ -1,4 +1,4 @@
-"""`farm`: hedges and fences below the flight, a few trees next to the course."""
+"""`farm`: hedges and fences below flight altitude, a few trees next to the course."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ _LOW = 1.1
 
 
 def farm(seed: int) -> World:
-    """Hedges across the course and fences along it, 1.1 m high at most, and eight trees 8 m and more from the course.
+    """Hedges across the course and fences along it, at most 1.1 m high, and eight trees at least 8 m from the course.
 
     Args:
         seed: Seed of the mission.

@@ -1,11 +1,11 @@
-"""`octomap_file`: a scanned building, read from the files of OctoMap (`.bt` and `.ot`).
+"""`octomap_file`: a scanned building, read from an OctoMap file (`.bt` or `.ot`).
 
-Formats: OctoMap, Hornung et al. 2013, Autonomous Robots 34; serialisation as in its OcTree class.  Both files begin
-with text lines (id, size, res, data), and then hold the nodes in depth-first order, children by x, y, z bit:
+Formats: OctoMap, Hornung et al. 2013, Autonomous Robots 34; serialisation as in its OcTree class.  Both start with text
+lines (id, size, res, data), followed by the nodes in depth-first order, children ordered by x, y, z bit:
 
-- `.bt`: two bytes for each inner node, two bits for each child: unknown, occupied, free, or inner node.  What a map
-  holds is its maximum-likelihood occupancy.
-- `.ot`: for each node its log-odds as float32, and one byte that says which children there are.
+- `.bt`: two bytes for each inner node, two bits for each child: unknown, occupied, free, or inner node.  The map
+  contains its maximum-likelihood occupancy.
+- `.ot`: for each node its log-odds as float32, and one byte that flags its children.
 """
 
 import math
@@ -39,7 +39,7 @@ class Leaves(NamedTuple):
 
     Attributes:
         corner: Lower corner, in finest voxels from the map's least key. Shape (n, 3), int32.
-        edge: In finest voxels. Shape (n,), int32.
+        edge: Edge length, in finest voxels. Shape (n,), int32.
         occupied: Solid or free. Shape (n,), bool.
     """
 
@@ -51,21 +51,22 @@ class Leaves(NamedTuple):
 def octomap_file(
     seed: int, path: str, start: Vector | None = None, goal: Vector | None = None, band: float = 0.9
 ) -> World:
-    """The world of a scan: unseen space is solid.
+    """The world of a scan, in which unobserved space is solid.
 
-    Planners take unknown space for free, and a camera that looks ahead sees neither floor and ceiling nor what is
-    behind.  So they are kept to a box around start and goal: `band` high, and as narrow as lets a sphere of 0.2 m pass.
+    Planners treat unknown space as free, and a forward-looking camera sees neither floor and ceiling nor the space
+    behind.  So they are confined to a box around start and goal: `band` above and below, and as narrow as possible for
+    a sphere of 0.2 m to pass.
 
     Args:
         seed: Not used: a scan is the same for every seed.
         path: File, `.bt` or `.ot`.
-        start: Start (m); must be given.
-        goal: Goal (m); must be given.
-        band: How far planners may go above and below start and goal (m).
+        start: Start (m); required.
+        goal: Goal (m); required.
+        band: Vertical margin of planned paths above and below start and goal (m).
 
     Raises:
-        BadInputError: The file is absent, foreign, truncated or too large, start or goal are missing, or no way leads
-            from one to the other.
+        BadInputError: The file is absent, foreign, truncated or too large, start or goal are missing, or there is no
+            path between them.
     """
     del seed
     if not isinstance(path, str):
@@ -97,7 +98,7 @@ def octomap_file(
 
 
 def _flight_box(voxels: Voxels, ends: np.ndarray, band: float) -> tuple[np.ndarray, np.ndarray] | None:
-    """The narrowest box around both ends in which there is a way; its corners (m)."""
+    """The narrowest box around both ends that contains a path between them; its corners (m)."""
     corner = voxels.origin + voxels.resolution * np.array(voxels.occupied.shape)
     for margin in _MARGINS:
         lower = np.maximum(voxels.origin, ends.min(axis=0) - (margin, margin, band))
@@ -108,7 +109,7 @@ def _flight_box(voxels: Voxels, ends: np.ndarray, band: float) -> tuple[np.ndarr
 
 
 def _is_passable(voxels: Voxels, ends: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
-    """Whether a sphere gets from near the start to near the goal while its centre stays in a box."""
+    """Whether a sphere can move from near the start to near the goal with its centre inside a box."""
     first = np.floor((lower - voxels.origin) / voxels.resolution).astype(int)
     last = np.ceil((upper - voxels.origin) / voxels.resolution).astype(int)
     reach = math.ceil(_PASSAGE / voxels.resolution) + 1
@@ -156,7 +157,7 @@ def read_octree(path: Path) -> tuple[Leaves, float]:
         path: File, `.bt` or `.ot`.
 
     Raises:
-        BadInputError: The file cannot be read, is no OcTree of OctoMap, or is truncated.
+        BadInputError: The file cannot be read, is not an OctoMap OcTree, or is truncated.
     """
     content = read_file(path, _LARGEST_FILE)
     has_values, resolution, offset = _read_header(path, content)
@@ -174,7 +175,7 @@ def read_octree(path: Path) -> tuple[Leaves, float]:
 
 
 def _read_header(path: Path, content: bytes) -> tuple[bool, float, int]:
-    """Whether nodes carry values, resolution, and where the nodes begin."""
+    """Whether nodes have values, resolution, and offset of the nodes."""
     first, _, _ = content[:200].partition(b"\n")
     if first.strip() not in _HEADERS:
         raise BadInputError(f"{path}: not a map of OctoMap; allowed: an OcTree, .bt or .ot")
@@ -201,7 +202,7 @@ def _read_header(path: Path, content: bytes) -> tuple[bool, float, int]:
 
 @kernel_jit
 def _parse_bits(nodes: np.ndarray, leaves: Leaves) -> int:
-    """Walk the nodes of a `.bt` file; store leaves up to the capacity, and return their number."""
+    """Traverse the nodes of a `.bt` file; store leaves up to the capacity, and return their number."""
     stack = np.zeros((8 * _DEPTH + 1, 4), np.int32)
     stack[0, 3] = _DEPTH
     top, at, count = 1, 0, 0
@@ -229,7 +230,7 @@ def _parse_bits(nodes: np.ndarray, leaves: Leaves) -> int:
 
 @kernel_jit
 def _parse_values(nodes: np.ndarray, leaves: Leaves) -> int:
-    """Walk the nodes of an `.ot` file; store leaves up to the capacity, and return their number."""
+    """Traverse the nodes of an `.ot` file; store leaves up to the capacity, and return their number."""
     stack = np.zeros((8 * _DEPTH + 1, 4), np.int32)
     stack[0, 3] = _DEPTH
     top, at, count = 1, 0, 0

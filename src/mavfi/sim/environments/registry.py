@@ -1,4 +1,4 @@
-"""From an environment's configuration to a world: finds generators, checks what users give."""
+"""Builds a world from an environment's configuration: finds generators, validates user input."""
 
 import inspect
 from collections.abc import Callable
@@ -16,8 +16,8 @@ from mavfi.sim.environments.world import World
 from mavfi.sim.mjcf import find_vehicle
 
 Generator = Callable[..., World]
-"""A generator is called as `generator(seed, **parameters)`; one that has parameters `start` and `goal` gets those of
-the mission, or None."""
+"""Called as `generator(seed, **parameters)`; a generator with parameters `start` and `goal` receives those of the
+mission, or None."""
 
 ENTRY_POINT_GROUP = "mavfi.environments"
 
@@ -37,12 +37,12 @@ def build_world(
     Args:
         environment: Generator and parameters.
         seed: Seed of the mission; all randomness comes from it.
-        start: Start instead of the generator's (m).
-        goal: Goal instead of the generator's (m).
+        start: Overrides the generator's start (m).
+        goal: Overrides the generator's goal (m).
 
     Raises:
-        BadInputError: Unknown generator or parameter, a parameter that the generator refuses, or a start or goal that
-            lies in an obstacle or outside of the flight volume.
+        BadInputError: Unknown generator or parameter, a parameter that the generator rejects, or a start or goal
+            inside an obstacle or outside the flight volume.
     """
     generator = find_generator(environment.generator)
     known = parameters_of("generator", environment.generator, generator)[1:]
@@ -81,22 +81,22 @@ def find_generator(name: str) -> Generator:
         name: One of the built-in generators, an entry point of the group `mavfi.environments`, or a function.
 
     Raises:
-        BadInputError: There is none, or it cannot be imported.
+        BadInputError: Unknown name, or it cannot be imported.
     """
     return cast(Generator, load_object("generator", name, ENTRY_POINT_GROUP, _BUILT_IN))
 
 
 def environment_for_file(path: str | Path) -> EnvironmentConfig:
-    """The environment of a scanned map, with values that suit the inside of a building.
+    """The environment of a scanned map, with settings for the inside of a building.
 
     A small quadrotor flies slowly on a fine map, because a scan has narrow passages: unknown space is solid, and rays
-    that missed leave specks of it in the middle of rooms (in a corridor of 3 x 2.5 m spheres of 0.28 m just pass).
+    without a return leave specks of it in the middle of rooms (spheres of 0.28 m barely fit a corridor of 3 x 2.5 m).
 
     Args:
-        path: A file of OctoMap, ending in .bt or .ot.
+        path: OctoMap file ending in .bt or .ot.
 
     Raises:
-        BadInputError: It has another ending or is absent.
+        BadInputError: Another ending, or the file is absent.
     """
     path = Path(path)
     if path.suffix.lower() not in SCAN_ENDINGS:

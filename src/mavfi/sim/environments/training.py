@@ -1,4 +1,4 @@
-"""`training`: randomised worlds that detectors are trained in, none of them from a generator of the evaluation."""
+"""`training`: randomised worlds for training detectors, disjoint from those of the evaluation."""
 
 import numpy as np
 
@@ -6,9 +6,9 @@ from mavfi.sim.environments.cuboids import cuboids
 from mavfi.sim.environments.world import World
 
 DENSITY = (0.03, 0.22)
-"""Range of the densities."""
+"""Range of densities."""
 SIDE = (4.0, 10.0)
-"""Range of the sides (m)."""
+"""Range of sides (m)."""
 EXCLUDED = ((0.05, 6.0), (0.20, 10.0))
 """[density, side] of the evaluation's cuboid worlds; the other two, factory and farm, have no such pair."""
 
@@ -17,7 +17,7 @@ _PURPOSE_TRAINING = 4
 
 
 def training(seed: int) -> World:
-    """A world of cuboids whose density and side the seed draws.
+    """A world of cuboids with density and side drawn by the seed.
 
     Args:
         seed: Seed of the mission.

@@ -14,7 +14,7 @@ from mavfi.numerics.vectors import length
 class Voxels(NamedTuple):
     """The solid voxels of a world, for compiled code; an empty grid in a world of boxes.
 
-    There is one such class: Numba dispatches slowly when two named tuples share a name.
+    The only class of this name: Numba dispatches slowly when two named tuples share a name.
     """
 
     occupied: np.ndarray
@@ -30,13 +30,13 @@ def _no_boxes() -> np.ndarray:
 class World:
     """One world, in the frame ENU with z up (m).  Its arrays are read-only.
 
-    Obstacles are either boxes that stand in a world with ground at z = 0, or the voxels of a scan.  Outside of the
-    voxel grid everything is solid.
+    Obstacles are either boxes in a world with ground at z = 0, or the voxels of a scan.  Everything outside the voxel
+    grid is solid.
 
     Attributes:
-        start: Where the mission starts. Shape (3,).
-        goal: Where it shall end. Shape (3,).
-        arena_lower: Lower corner of the arena; the map covers it and the fly-away rule counts from it. Shape (3,).
+        start: Start of the mission. Shape (3,).
+        goal: Goal of the mission. Shape (3,).
+        arena_lower: Lower corner of the arena: extent of the map and reference of the fly-away rule. Shape (3,).
         arena_upper: Upper corner of the arena. Shape (3,).
         flight_lower: Lower corner of the volume that planners may use. Shape (3,).
         flight_upper: Upper corner of the volume that planners may use. Shape (3,).
@@ -91,7 +91,7 @@ class World:
             points: World frame (m). Shape (n, 3).
 
         Returns:
-            Distance (m), 0 inside of an obstacle, NaN for a point that is not finite. Shape (n,).
+            Distance (m), 0 inside an obstacle, NaN for a point that is not finite. Shape (n,).
         """
         points = np.ascontiguousarray(np.atleast_2d(points), np.float64)
         if self.is_voxels:
@@ -109,7 +109,7 @@ class World:
 
 @kernel_jit
 def _beyond(value: float, lower: float, upper: float) -> float:
-    """How far a value lies outside of an interval."""
+    """Distance of a value from an interval."""
     return max(lower - value, value - upper, 0.0)
 
 
@@ -141,7 +141,7 @@ def _clearance_of_voxels(points: np.ndarray, occupied: np.ndarray, origin: np.nd
 
 @kernel_jit
 def _distance_to_voxels(point: np.ndarray, occupied: np.ndarray, origin: np.ndarray, resolution: float) -> float:
-    """Searches cubic shells around the point's voxel until no farther shell can hold anything nearer."""
+    """Searches cubic shells around the point's voxel until no farther shell can contain a nearer obstacle."""
     outside = math.inf
     for axis in range(3):
         if not math.isfinite(point[axis]):
