@@ -1,7 +1,7 @@
-"""`Bench`: detectors and recovery schemes, each flown on the same missions and faults; a YAML file of configs/bench.
+"""`Bench`: detectors and recovery schemes flown on the same missions and faults; a YAML file in configs/bench.
 
-A part is a campaign whose arms are the schemes.  Its faults are frozen: a list of them is shipped, and a bench says
-whether it has drawn the same.
+A part is a campaign whose arms are the schemes.  Its faults are frozen: a list of them is shipped, and a bench reports
+whether its drawn faults agree with it.
 """
 
 import hashlib
@@ -24,11 +24,11 @@ FOLDER = "bench"
 SCORES = "scores"
 """Name of the table of detection at any threshold."""
 SCORED = ("state",)
-"""Levels of faults that change publications."""
+"""Fault levels that corrupt publications."""
 Name = Annotated[str, StringConstraints(pattern=r"^\w[\w.-]*$")]
-"""Of a folder."""
+"""Folder name."""
 COLUMNS = ("environment", "seed", "target", "index", "site", "time_s", "bit", "stratum")
-"""Of a list of faults."""
+"""Columns of a fault list."""
 
 
 class Part(Config):
@@ -44,7 +44,7 @@ class Part(Config):
 
 
 class Bench(Config):
-    """Schemes that are compared, and the campaigns in which they are."""
+    """Schemes under comparison, and the campaigns in which they fly."""
 
     name: Name
     parts: dict[Name, Part] = Field(min_length=1, description="by name")
@@ -63,7 +63,7 @@ class Bench(Config):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A part as it is flown; `left_out`: schemes that cannot fly it, with the reason."""
+    """A part with its campaign; `left_out`: schemes that cannot fly it, with the reason."""
 
     part: Part
     campaign: Campaign
@@ -71,16 +71,16 @@ class Entry:
 
 
 def load_bench(name: str) -> Bench:
-    """A shipped bench by name, or a YAML file.
+    """Load a shipped bench by name, or from a YAML file.
 
     Raises:
-        BadInputError: There is none, or something in it is wrong.
+        BadInputError: The bench does not exist, or is invalid.
     """
     return shipped(FOLDER, Bench, name)
 
 
 def with_only(bench: Bench, detectors: Sequence[str], profile: str = "paper") -> Bench:
-    """A bench with these detectors in the place of its schemes; each under its own name."""
+    """A copy of a bench with these detectors in place of its schemes, each named after its detector."""
     arms = {name.rpartition(":")[2]: ArmConfig(detector=name, profile=profile) for name in detectors}
     if len(arms) < len(detectors):
         raise BadInputError(f"detectors {', '.join(detectors)}: allowed: different names")
@@ -88,10 +88,10 @@ def with_only(bench: Bench, detectors: Sequence[str], profile: str = "paper") ->
 
 
 def with_schemes(bench: Bench, names: Sequence[str]) -> Bench:
-    """A bench with only these of its schemes.
+    """A copy of a bench with a selection of its schemes.
 
     Raises:
-        BadInputError: It has no such scheme.
+        BadInputError: The bench has no such scheme.
     """
     for name in names:
         if name not in bench.arms:
@@ -102,18 +102,17 @@ def with_schemes(bench: Bench, names: Sequence[str]) -> Bench:
 def entries(
     bench: Bench, scale: str, *, levels: Iterable[str] = (), parts: Iterable[str] = (), models_dir: Path | None = None
 ) -> dict[str, Entry]:  # fmt: skip
-    """What is flown, by name of the part.
+    """Select the parts to fly, by name.
 
     Args:
         bench: The bench.
         scale: Size of its campaigns.
-        levels: Only parts with faults of these levels; none = all.
-        parts: Only these; none = all.
+        levels: Only parts with faults of these levels; empty = all.
+        parts: Only these parts; empty = all.
         models_dir: Folder of trained models; None = the shipped ones.
 
     Raises:
-        BadInputError: There is no such part, no such level, no such size, a detector cannot be loaded at all, or no
-            scheme can fly.
+        BadInputError: A part, level or size is unknown, a detector cannot be loaded, or no scheme can fly.
     """
     for name in parts:
         if name not in bench.parts:
@@ -149,7 +148,7 @@ def _campaign(bench: Bench, name: str, scale: str) -> Campaign:
 
 
 def _entry(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None) -> Entry:
-    """The part without the schemes whose detectors were trained for other flights."""
+    """The part without schemes whose detectors were trained for a different configuration."""
     left_out = {}
     for arm in arms_of(campaign):
         if arm.detector:
@@ -163,7 +162,7 @@ def _entry(bench: Bench, name: str, campaign: Campaign, models_dir: Path | None)
 
 
 def faults_of(directory: Path) -> str:
-    """The faults of a ledger as CSV text, one row for each fault, in the order of the plan."""
+    """The faults of a ledger as CSV text, one row per fault, in plan order."""
     with Store.open(directory) as store:
         rows = [
             (
@@ -177,18 +176,18 @@ def faults_of(directory: Path) -> str:
 
 
 def _time_of(fault: Any) -> str:
-    """Instant of a fault (s), or number of the call and of the value that it writes; empty without a site."""
+    """Instant of a fault (s), or its call number and value index; empty without a site."""
     if not fault.has_site:
         return ""
     return f"{1e-6 * fault.time_us:.6f}" if hasattr(fault, "time_us") else f"{fault.call}:{fault.index}"
 
 
 def frozen_faults(bench: Bench, part: str, scale: str) -> str | None:
-    """The shipped list of the faults of a part; None if there is none."""
+    """The shipped fault list of a part; None if there is none."""
     path = config_root() / FOLDER / bench.name / f"{part}-{scale}.csv"
     return path.read_text(encoding="utf-8") if path.is_file() else None
 
 
 def checksum(faults: str) -> str:
-    """sha256 of a list of faults."""
+    """SHA-256 of a fault list."""
     return hashlib.sha256(faults.encode()).hexdigest()

@@ -1,7 +1,7 @@
 """Checksums of a ledger's rows.
 
-They cover the row and, as a salt, the identity of the campaign: a row of another campaign does not fit.  Ledgers of an
-older mavfi have no salt, and no row that says so.
+They cover the row and, as a salt, the identity of the campaign, so that rows of another campaign are rejected.  Ledgers
+of an older mavfi have no salt, and no `BOUND` row.
 """
 
 import hashlib
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 IDENTITY, BOUND = "identity", "bound"
-"""Metadata that say which campaign it is, and that checksums have its salt."""
+"""Metadata keys: the identity of the campaign; a mark that checksums are salted with it."""
 
 
 def checksum_of(*values: str | int | float | None) -> str:
@@ -25,11 +25,11 @@ def mission_checksum(connection: sqlite3.Connection, world: tuple[Any, ...], sal
 
 
 def meta_checksum(key: str, value: str, salt: Sequence[str]) -> str:
-    """Checksum of metadata; the two rows that say which campaign it is have no salt."""
+    """Checksum of a metadata row; rows `IDENTITY` and `BOUND` have no salt."""
     return checksum_of(key, value) if key in (IDENTITY, BOUND) else checksum_of(key, value, *salt)
 
 
 def salt_of(connection: sqlite3.Connection) -> tuple[str, ...]:
-    """What checksums cover beside their row: the campaign; () = a ledger of an older mavfi, or a new one."""
+    """Salt of the checksums, from the campaign's identity; () = a ledger of an older mavfi, or a new one."""
     query = "SELECT value FROM meta WHERE key = ? AND EXISTS (SELECT 1 FROM meta WHERE key = ?)"
     return tuple(checksum_of(value) for (value,) in connection.execute(query, (IDENTITY, BOUND)))

@@ -11,7 +11,7 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
     """Open a ledger's file, also on read-only media.
 
     Raises:
-        BadInputError: It cannot be opened.
+        BadInputError: The file cannot be opened.
     """
     options = f"mode={mode}"
     if mode == "ro" and not os.access(path.parent, os.W_OK):  # SQLite cannot create its auxiliary files

@@ -1,4 +1,4 @@
-"""How an injected flight differs from its golden run: in what is published, and in the path."""
+"""Divergence of an injected flight from its golden run, in publications and in the flown path."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from scipy.spatial import cKDTree
 from mavfi.flight_log import FlightLog
 from mavfi.states import State
 
-LEFT = 0.1  # distance from the golden run's path from which a flight counts as having left it (m)
+LEFT = 0.1  # distance beyond which a flight has left the golden run's path (m)
 
 
 @dataclass(frozen=True, slots=True)
 class Publication:
-    """A value that consumers saw, and when (us)."""
+    """A published state as received by consumers, with its instant (us)."""
 
     time_us: int
     state: State
@@ -22,29 +22,29 @@ class Publication:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The first publication in which two flights differ; they are paired by state and number."""
+    """The first publication in which two flights differ; publications are paired by state and number."""
 
     state: str
     field: str  # with its element; "" where only the instant differs, or one flight has no such publication
-    golden_us: int | None  # when the golden run published it; None = it did not
-    injected_us: int | None  # when the injected run did; None = it did not
+    golden_us: int | None  # instant in the golden run; None = not published
+    injected_us: int | None  # instant in the injected run; None = not published
     golden: object = None  # value in the golden run; None without a field
     injected: object = None  # value in the injected run; None without a field
 
     @property
     def time_us(self) -> int:
-        """When the flights began to differ: the earlier of the two instants."""
+        """Instant of divergence: the earlier of the two instants."""
         return min(time for time in (self.golden_us, self.injected_us) if time is not None)
 
 
 def first_difference(golden: Sequence[Publication], injected: Sequence[Publication]) -> Difference | None:
-    """The first publication that differs in value or instant; None if flights are the same, bit for bit.
+    """Find the first publication that differs in value or instant; None = the flights are bit-identical.
 
-    Publications are compared by state and number, so that a delayed one is compared with its counterpart.
+    Publications are paired by state and number, so that a delayed one is compared with its counterpart.
     """
     numbered = _numbered(golden), _numbered(injected)
     found: Difference | None = None
-    for key in dict.fromkeys((*numbered[0], *numbered[1])):  # in the order of the data flow: it decides between equals
+    for key in dict.fromkeys((*numbered[0], *numbered[1])):  # in data-flow order, which breaks ties
         first, second = (publications.get(key) for publications in numbered)
         times = [publication.time_us for publication in (first, second) if publication is not None]
         if found is not None and min(times) >= found.time_us:
@@ -76,7 +76,7 @@ def _difference(name: str, first: Publication | None, second: Publication | None
 
 
 def _field(first: State, second: State) -> tuple[str, object, object]:
-    """First field whose bits differ, and its two values; or the numbers of elements, where these differ."""
+    """First field whose bits differ, with both values; or the numbers of elements, if these differ."""
     if len(first.elements) != len(second.elements):
         return "number of elements", len(first.elements), len(second.elements)
     for before, after, is_list in ((first.header, second.header, False), (first.elements, second.elements, True)):
@@ -97,17 +97,17 @@ def _first_row(before: np.ndarray, after: np.ndarray) -> int | None:
 
 @dataclass(frozen=True, slots=True)
 class Departure:
-    """How far a flight went from the golden run's path, at any time, and how far behind it ended."""
+    """Deviation of a flight from the golden run's path, and its final delay."""
 
-    time_s: float | None  # when it was first farther than `LEFT` from the path; None if never
+    time_s: float | None  # first time at a distance above `LEFT` from the path; None = never
     position: tuple[float, float, float] | None  # at that time (m)
     largest_m: float  # largest distance from the path
-    largest_s: float  # its time
-    behind_s: float | None  # at its end, less the golden run's time at the nearest point; None = no finite position
+    largest_s: float  # time of the largest distance
+    behind_s: float | None  # end time minus the golden run's time at the nearest point; None = no finite position
 
 
 def departure(golden: FlightLog, injected: FlightLog) -> Departure:
-    """How far a flight went from the path of its golden run, and how far behind it ended."""
+    """Compute the deviation of a flight from the path of its golden run, and its final delay."""
     time = injected.column("time")
     distance, passed = _nearest(golden, injected.columns("x", "y", "z"))
     farthest = int(np.argmax(distance))
@@ -121,10 +121,10 @@ def departure(golden: FlightLog, injected: FlightLog) -> Departure:
 
 
 def _nearest(golden: FlightLog, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (m) of points (m), shape (n, 3), from a flown path, and the instants (s) when that flight was there.
+    """Distances (m) of points (m), shape (n, 3), from a flown path, and times (s) of the nearest points of the path.
 
-    The nearest of the flight's positions is looked up, then the nearest point of the two legs that meet there.
-    Distances are infinite for points that are not finite. Shapes (n,), (n,).
+    The search finds the nearest recorded position, then the nearest point on the two legs adjacent to it.
+    Distances are infinite for non-finite points. Shapes (n,), (n,).
     """
     path, time = golden.columns("x", "y", "z"), golden.column("time")
     distance, passed = np.full(len(points), np.inf), np.zeros(len(points))

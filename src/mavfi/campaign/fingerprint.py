@@ -1,4 +1,4 @@
-"""What decides the bits of a flight besides its scenario: versions, code, shipped files, kind of processor."""
+"""Inputs besides the scenario that determine a flight bit for bit: versions, code, shipped files, architecture."""
 
 import functools
 import hashlib
@@ -14,7 +14,7 @@ _PACKAGES = ("numpy", "numba", "llvmlite", "mujoco-core", "scikit-learn")
 
 
 def versions() -> dict[str, str]:
-    """Versions that decide the bits of a flight."""
+    """Versions on which the bits of a flight depend."""
     found = {"mavfi": __version__}
     for package in _PACKAGES:
         try:
@@ -25,7 +25,7 @@ def versions() -> dict[str, str]:
 
 
 def python() -> str:
-    """Version of Python whose bytecode is compiled, e.g. "3.11"."""
+    """Python version, which determines the bytecode compiled by Numba, e.g. "3.11"."""
     return ".".join(platform.python_version_tuple()[:2])
 
 
@@ -36,9 +36,9 @@ def code() -> str:
 
 @functools.cache
 def fingerprint() -> Mapping[str, str]:
-    """What must be equal on machines that fly missions of one campaign.
+    """Properties that must agree on all machines that fly missions of one campaign.
 
-    All x86-64 processors give the same bits; another architecture is not tested.
+    All x86-64 processors give the same bits; other architectures are untested.
     """
     return {
         **versions(), "python": python(), "architecture": platform.machine(), "code": code(),
@@ -47,7 +47,7 @@ def fingerprint() -> Mapping[str, str]:
 
 
 def difference(wanted: Mapping[str, str], here: Mapping[str, str]) -> str:
-    """The first thing that differs, in words; "" = nothing does."""
+    """Description of the first differing property; "" = all agree."""
     for name, value in wanted.items():
         if here.get(name) != value:
             return f"{name} {here.get(name, 'absent')[:12]}, the campaign {value[:12]}"

@@ -1,4 +1,4 @@
-"""How many flights a campaign would need, how long they would take, and how large its ledger would be."""
+"""Forecast of a campaign: number of flights, wall time, and size of the ledger."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,25 +14,25 @@ ASSUMED: Mapping[tuple[str, str], tuple[float, float, float]] = {
     ("local", "memory"): (2.0, 0.7, 2500.0),
     ("local", "instruction"): (4.0, 2.0, 5000.0),
 }
-"""Wall time of a golden run and of one with a fault (s), and bytes per run, by host and level: means of the shipped
+"""Wall time of a golden run and of an injected run (s), and bytes per run, by host and level: means of the shipped
 campaigns with two workers on two processors."""
 
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What is to be expected of a campaign, or of a shard."""
+    """Expected size and duration of a campaign or shard."""
 
     missions: int
     golden: int  # runs
     injected: int  # runs with a fault and null runs, at most
-    done: int  # runs that are in the ledger
-    measured: bool  # from the runs in the ledger; otherwise assumed
-    seconds: float | None  # wall time that is left; None = nothing is known of such runs
-    ledger_bytes: float | None  # of the whole ledger
+    done: int  # runs in the ledger
+    measured: bool  # estimated from the runs in the ledger; otherwise from `ASSUMED`
+    seconds: float | None  # remaining wall time; None = no data for such runs
+    ledger_bytes: float | None  # size of the complete ledger
 
 
 def forecast(plan: Plan, directory: Path, workers: int, shard: Shard = WHOLE) -> Forecast:
-    """Forecast a campaign from the runs in its ledger, or, where there is none, from `ASSUMED`.
+    """Forecast a campaign from the runs in its ledger, or from `ASSUMED` if it has none.
 
     Raises:
         BadInputError: The ledger is damaged.

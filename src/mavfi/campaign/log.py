@@ -1,9 +1,8 @@
-"""What happens around the runs of a campaign, as JSON lines beside its ledger: for operators, no part of the evidence.
+"""Event log of a campaign as JSON lines next to its ledger: for operators, not part of the evidence.
 
 Each line is an object with `time` (UTC), `event` and the event's fields: `begin` and `end` of a session,
-`mission_begin` and `mission_end`, `worker_lost`, `retry` after a failure of the machine, `gave_up`, `unknown`.  Their
-number is that of missions, not of runs.  A log that cannot be written is left out: a campaign never fails because of
-it.
+`mission_begin` and `mission_end`, `worker_lost`, `retry` after a machine failure, `gave_up`, `unknown`.  The number of
+lines grows with the missions, not the runs.  Write errors are ignored: a campaign never fails because of its log.
 """
 
 import json
@@ -23,7 +22,7 @@ from mavfi.errors import MavfiError
 
 FILE = "log.jsonl"
 MOST_UNKNOWN = 100
-"""Runs with status unknown that a session names; the rest is counted at its end."""
+"""Runs with status unknown logged individually per session; the others are only counted at its end."""
 _LONGEST_TEXT = 500
 _TAIL = 2**22
 
@@ -42,7 +41,7 @@ class Log:
         self._unknown = 0
 
     def note(self, event: str, **fields: Any) -> None:
-        """Append a line; a line that was cut off by a full disk stays one of its own."""
+        """Append a line; a line truncated by a full disk remains separate."""
         texts = {key: value[:_LONGEST_TEXT] if isinstance(value, str) else value for key, value in fields.items()}
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         line = json.dumps({"time": now, "event": event, **texts}).encode()
@@ -55,7 +54,7 @@ class Log:
     def following(
         self, batches: Iterable[tuple[MissionPlan, Sequence[R]]]
     ) -> Iterator[tuple[MissionPlan, Sequence[R]]]:
-        """What an executor gives, with what it says of missions and workers noted."""
+        """Pass on the batches of an executor, and log the events of missions and workers in them."""
         begun: dict[str, float] = {}
         runs: Counter[str] = Counter()
         for mission, items in batches:
@@ -78,7 +77,7 @@ class Log:
             yield mission, items
 
     def flown(self, item: Flown) -> None:
-        """Note a run with status unknown."""
+        """Log a run with status unknown."""
         if not item.unknown:
             return
         self._unknown += 1
@@ -87,14 +86,14 @@ class Log:
             self.note("unknown", run=item.run_id, error=item.record.error, reason=reason)
 
     def end(self, error: BaseException | None, **fields: Any) -> None:
-        """Note why a session ended; None = its campaign is complete."""
+        """Log the reason for the end of a session; None = its campaign is complete."""
         why = "complete" if error is None else "failed" if isinstance(error, Exception) else "stopped"
         reason = "" if error is None else str(error) if isinstance(error, MavfiError) else repr(error)
         self.note("end", why=why, reason=reason, unknown=self._unknown, **fields)
 
 
 def entries(directory: Path) -> list[dict[str, Any]]:
-    """The last lines of a log; what cannot be read is left out."""
+    """The last entries of a log, without unreadable lines."""
     try:
         with (directory / FILE).open("rb") as file:
             file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL))

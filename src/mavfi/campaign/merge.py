@@ -1,4 +1,4 @@
-"""Ledgers of shards -> the ledger of the campaign, with the digest that it would have if nobody had split it."""
+"""Merging of shard ledgers into the campaign's ledger, with the digest of the undivided campaign."""
 
 from collections.abc import Sequence
 from itertools import islice
@@ -9,15 +9,15 @@ from mavfi.campaign.shard import WHOLE
 from mavfi.campaign.store import Store
 from mavfi.errors import BadInputError
 
-_ROWS = 1000  # of one transaction
+_ROWS = 1000  # per transaction
 
 
 def merge(sources: Sequence[Path], out: Path) -> Status:
-    """Copy all runs of some ledgers of one campaign, complete or not, in any order, into one that may exist already.
+    """Copy all runs of several ledgers of one campaign, complete or not, in any order, into a new or existing one.
 
     Raises:
-        BadInputError: A ledger is absent, damaged, of another campaign or of one whose keys have another order, was
-            begun with other versions, or has a record of a run that differs from another ledger's.
+        BadInputError: A ledger is absent or damaged, belongs to another campaign or to one with another order of keys,
+            was started with other versions, or has a record that conflicts with another ledger's.
     """
     for directory in sources:
         with Store.open(directory) as source, Store.create(out, source.meta("identity")) as target:

@@ -1,7 +1,7 @@
 """The unit of work: all runs of one mission.  `fly_mission` is a pure function of a `MissionPlan`.
 
-Golden runs, the draw of the faults from them, injected runs: what is planned is handed over before it is flown.  An
-exception of ours is recorded as `unknown`, never as an effect of a fault; machine failures are not recorded.
+Sequence: golden runs, drawing of the faults from them, injected runs; planned runs are yielded before they are flown.
+Exceptions of mavfi itself are recorded as `unknown`, never as an effect of a fault; machine failures are not recorded.
 """
 
 import pickle
@@ -26,14 +26,14 @@ from mavfi.hosts.watching import detector_for
 from mavfi.mission import Scenario
 
 ATTEMPTS_ALONE = 3
-"""How often an injected run that takes its process with it is flown in a child of its own before it counts as `due`."""
+"""Attempts in separate child processes before an injected run that crashes its process counts as `due`."""
 LONGEST_ALONE = 180.0
-"""Wall time after which such a child is ended (s); all attempts together take less than executors wait for an item."""
+"""Wall-time limit of such a child (s); the attempts of a run sum to less than the time-out of executors."""
 
 
 @dataclass(frozen=True, slots=True)
 class MissionPlan:
-    """A mission, and all that its runs are a function of."""
+    """A mission with all inputs that determine its runs."""
 
     campaign: Campaign
     environment: str
@@ -41,9 +41,9 @@ class MissionPlan:
     models_dir: Path | None = None  # of trained models; None = the shipped ones
     models: Mapping[str, str] = field(default_factory=dict)  # sha256 of the trained model by arm; others are refused
     scenarios: Mapping[str, str] = field(default_factory=dict)  # their keys by arm; others are refused
-    fast_forward: bool = True  # begin flights at checkpoints of known ones; the records are the same either way
+    fast_forward: bool = True  # start flights at checkpoints of known ones; the records are the same either way
     done: frozenset[str] = frozenset()  # ids of the runs in the ledger
-    alone: bool = False  # each run with a fault in a child of its own: a worker has died of this mission
+    alone: bool = False  # fly each injected run in a separate child process, after this mission has crashed a worker
 
     @property
     def world(self) -> tuple[str, int]:
@@ -59,10 +59,10 @@ def host_of(campaign: Campaign) -> Host:
 def scenarios_of(
     campaign: Campaign, arms: Sequence[Arm], environments: Sequence[str] = ()
 ) -> dict[tuple[str, str], Scenario]:  # fmt: skip
-    """Scenario with the campaign's first seed, by environment (none = all of the campaign's) and arm.
+    """Scenario with the campaign's first seed, by environment (empty = all of the campaign's) and arm.
 
     Raises:
-        BadInputError: A name is not known, or things do not fit together.
+        BadInputError: A name is unknown, or options are incompatible.
     """
     host = host_of(campaign)
     return {
@@ -82,7 +82,7 @@ _SAMPLERS: dict[str, Sampler] = {}
 
 
 def _sampler_of(campaign: Campaign) -> Sampler:
-    """The sampler of the present campaign; it is kept, since it knows the strata of all missions."""
+    """The sampler of the current campaign; cached, since it holds the strata of all missions."""
     key = campaign.model_dump_json()
     if key not in _SAMPLERS:
         _SAMPLERS.clear()
@@ -91,7 +91,7 @@ def _sampler_of(campaign: Campaign) -> Sampler:
 
 
 def setup_of(plan: MissionPlan, arm: Arm, host: Host) -> ArmSetup:
-    """What an arm flies with; a model that is not the planned one is refused when its detector is first wanted."""
+    """Setup of an arm; a model other than the planned one is refused when the detector is constructed."""
     spec = plan.campaign.spec(plan.environment, plan.seed, arm.overrides)
     scenario = host.resolve(spec)
 
@@ -112,10 +112,10 @@ def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
     """Fly all runs of a mission that are not in the ledger yet.
 
     Yields:
-        The golden runs as planned, their records; the runs with faults as planned, their records.
+        The planned golden runs, then their records; the planned injected and null runs, then their records.
 
     Raises:
-        BadInputError: The mission cannot be flown at all: a name is not known, a model does not fit.
+        BadInputError: The mission cannot be flown at all: a name is unknown, or a model does not match.
         MachineError: The machine failed.
     """
     try:
@@ -126,7 +126,7 @@ def fly_mission(mission: MissionPlan) -> Iterator[Planned | Flown]:
 
 
 def _check_recordable(error: Exception, where: str) -> None:
-    """Raise what stops a campaign: machine failures, and models other than planned."""
+    """Raise errors that stop a campaign: machine failures, and deviations from the plan (models, files)."""
     if isinstance(error, (MachineError, SpecMismatchError)):
         raise error
     failed = machine_failure(error)
@@ -157,7 +157,7 @@ def _fly(mission: MissionPlan) -> Iterator[Planned | Flown]:
 
 
 def _check_scenarios(mission: MissionPlan, plan: Plan) -> None:
-    """Raise a `SpecMismatchError` where a file here (environment, vehicle) is not the one that was planned with."""
+    """Raise a `SpecMismatchError` if a local file (environment, vehicle) differs from the planned one."""
     for arm, key in mission.scenarios.items():
         if plan.scenarios[mission.environment, arm] != key:
             raise SpecMismatchError(
@@ -166,7 +166,7 @@ def _check_scenarios(mission: MissionPlan, plan: Plan) -> None:
 
 
 def _golden(plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup, sampled: dict[str, Sampled]) -> Flown:
-    """A golden run; that of a variant also gives what faults are drawn from."""
+    """Fly a golden run; a variant's is also stored in `sampled`, for the drawing of faults."""
     arm = next(arm for arm in plan.arms if arm.name == spec.arm)
 
     def fly() -> FlightRecord:
@@ -183,7 +183,7 @@ def _golden(plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup,
 
 
 def _draw(plan: Plan, mission: MissionPlan, sampled: Mapping[str, Sampled]) -> list[RunSpec]:
-    """All runs with a fault of a mission, in the order of the plan."""
+    """All injected and null runs of a mission, in plan order."""
     sampler, environment = plan.sampler, mission.environment
     places = list(plan.places(*mission.world))
     drawn = iter(sampler.draw([draw for _, draw in places if draw.target != NULL], environment, sampled))
@@ -197,7 +197,7 @@ def _draw(plan: Plan, mission: MissionPlan, sampled: Mapping[str, Sampled]) -> l
 
 
 def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]:
-    """The runs with a fault, as the host gives them; missing ones are `unknown`."""
+    """Injected and null runs in the order of the host; missing ones are `unknown`."""
     left = dict(enumerate(specs))
     note, started = "the host gave no such flight", time.perf_counter()
     try:
@@ -212,7 +212,7 @@ def _injected(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flo
 
 
 def _alone(specs: Sequence[RunSpec], flights: MissionFlights) -> Iterator[Flown]:
-    """Runs with a fault, each in a child of its own: `due` if each attempt dies, `unknown` if one takes too long.
+    """Runs, each in a separate child process: `due` if every attempt dies, `unknown` if one exceeds the time limit.
 
     Raises:
         MachineError: A child was killed from outside.
@@ -251,7 +251,7 @@ def _judged(flight: Recorded | Exception) -> FlightRecord:
 
 
 def _guarded(run_id: str, work: Callable[[], FlightRecord]) -> Flown:
-    """Record a run, an exception of ours as `unknown`; where a model is not the planned one, no run can be flown."""
+    """Record a run; exceptions of mavfi are `unknown`, except those that stop a campaign, which are raised."""
     started = time.perf_counter()
     try:
         return Flown.of(run_id, work(), wall_s=time.perf_counter() - started)

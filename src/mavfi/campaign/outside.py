@@ -1,4 +1,4 @@
-"""What is asked of a ledger without opening it: by who is about to open it, and by who only looks on."""
+"""Queries of a ledger without opening it as a `Store`, before opening it or for monitoring."""
 
 import fcntl
 import os
@@ -15,9 +15,9 @@ _FLOCK = "hhqqi0q"  # struct flock of fcntl(2) on 64-bit Linux: type, whence, st
 
 
 def is_written(directory: Path) -> bool:
-    """Whether another process writes the campaign; nothing is locked in order to ask.
+    """Whether another process writes the campaign; the query itself takes no lock.
 
-    The process that writes must not ask: its lock ends as soon as it closes any handle of the file, fcntl(2).
+    The writing process must not call this: closing any handle of the file releases its lock, fcntl(2).
     """
     with suppress(OSError), (directory / LOCK).open("rb") as lock:
         asked = struct.pack(_FLOCK, fcntl.F_WRLCK, os.SEEK_SET, 0, 0, 0)
@@ -26,7 +26,7 @@ def is_written(directory: Path) -> bool:
 
 
 def held(directory: Path, key: str) -> Any:
-    """`Store.meta` of a ledger that may be absent, empty or damaged (None)."""
+    """`Store.meta` of a ledger; None if it is absent, empty or damaged."""
     if not (directory / FILE).is_file():
         return None
     with suppress(sqlite3.DatabaseError, ValueError), closing(connect(directory / FILE, "ro")) as connection:

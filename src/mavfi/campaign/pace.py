@@ -1,8 +1,8 @@
-"""Speed of a campaign, and the time that is left.
+"""Speed of a campaign, and its remaining time.
 
-Golden runs come first and take a whole flight; runs with a fault begin at a checkpoint, and those of a mission come in
-bursts, cheap ones first.  So nothing is estimated before a whole mission is over, and then from the mean wall time of
-each kind of run in whole missions, and from the missions in the air at once.
+Golden runs come first and take a complete flight; injected runs start at a checkpoint, and those of a mission arrive in
+bursts, cheap ones first.  So no estimate is made before a mission is complete; then it follows from the mean wall time
+of each kind of run in complete missions, and from the number of concurrent missions.
 """
 
 import itertools
@@ -12,31 +12,31 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 
 WINDOW = 400
-"""Runs that an estimate looks back on."""
+"""Number of latest runs on which an estimate is based."""
 _ENOUGH = 50
-"""Runs with a fault after which missions are so long that the first one is not waited for."""
+"""Number of injected runs after which an estimate does not wait for the first complete mission."""
 
 
 @dataclass(slots=True)
 class Pace:
-    """Runs as they are completed; `begun` is when the first was begun (s, any clock)."""
+    """Statistics of completed runs; `begun`: start of the first one (s, any clock)."""
 
     begun: float
     _ends: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOW))
-    _walls: deque[tuple[bool, float]] = field(default_factory=lambda: deque(maxlen=WINDOW))  # of missions that are over
+    _walls: deque[tuple[bool, float]] = field(default_factory=lambda: deque(maxlen=WINDOW))  # of complete missions
     _sums: dict[bool, tuple[int, float]] = field(default_factory=lambda: {True: (0, 0.0), False: (0, 0.0)})  # of _walls
     _open: dict[Hashable, list[tuple[bool, float]]] = field(default_factory=dict)  # by mission: golden, wall time (s)
-    _missions: int = 0  # that are over
+    _missions: int = 0  # complete ones
 
     def note(self, now: float, mission: Hashable, golden: bool, wall_s: float) -> None:
-        """A run is completed."""
+        """Add a completed run."""
         if len(self._ends) == WINDOW:
             self.begun = self._ends[0]
         self._ends.append(now)
         self._open.setdefault(mission, []).append((golden, wall_s))
 
     def over(self, mission: Hashable) -> None:
-        """A mission is over."""
+        """Mark a mission as complete."""
         self._missions += 1
         for golden, wall_s in self._open.pop(mission, ()):
             if len(self._walls) == WINDOW:
@@ -47,12 +47,12 @@ class Pace:
 
     @property
     def rate(self) -> float:
-        """Runs per second over the window; 0 = not known yet."""
+        """Runs per second over the window; 0 = unknown yet."""
         seconds = self._ends[-1] - self.begun if self._ends else 0.0
         return len(self._ends) / seconds if seconds > 0 else 0.0
 
     def remaining_s(self, left: Mapping[bool, int], together: int) -> float:
-        """See `left_s`."""
+        """Remaining wall time (s), see `left_s`."""
         if self._missions:
             return left_s(left, self._sums, self._missions, together)
         walls = {True: (0, 0.0), False: (0, 0.0)}
@@ -66,14 +66,14 @@ def _sum(known: tuple[int, float], number: int, wall_s: float) -> tuple[int, flo
 
 
 def left_s(left: Mapping[bool, int], walls: Mapping[bool, tuple[int, float]], missions: int, together: int) -> float:
-    """Wall time until all is flown (s); infinite = not known yet.
+    """Remaining wall time of a campaign (s); infinite = unknown yet.
 
     Args:
-        left: Runs that are not flown, by whether they are golden.
-        walls: Runs that are flown, and their wall time together (s); a kind of which there is none takes as long as
-            the other.
-        missions: Missions that are over.
-        together: Missions in the air at once.
+        left: Number of remaining runs; key: whether golden.
+        walls: Number and total wall time (s) of completed runs; key: whether golden.  A kind without completed runs is
+            assumed to take as long as the other.
+        missions: Number of complete missions.
+        together: Number of concurrent missions.
     """
     if not any(left.values()):
         return 0.0

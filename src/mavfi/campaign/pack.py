@@ -1,7 +1,7 @@
-"""A campaign in one file, for somebody else: its ledger as text, its trained models, a manifest with every checksum.
+"""Exchange of a campaign as one file: its ledger as text, its trained models, a manifest with every checksum.
 
-A pack is a ZIP archive.  Unpacking rebuilds the ledger row by row and trusts nothing: names, sizes, checksums of rows
-and members, the digest.  What fails leaves nothing behind.
+A pack is a ZIP archive.  Unpacking rebuilds the ledger row by row and verifies everything: names, sizes, checksums of
+rows and members, the digest.  A failed unpacking leaves no files behind.
 """
 
 import hashlib
@@ -33,7 +33,7 @@ from mavfi.flight_record import canonical
 FORMAT = 1
 MANIFEST, LEDGER, MODELS, CONFIG = "manifest.json", "ledger.jsonl", "models", "campaign.yaml"
 _MEMBER = re.compile(rf"{re.escape(LEDGER)}|{MODELS}/[A-Za-z0-9][A-Za-z0-9_.-]{{0,200}}\.json")
-_EPOCH = (1980, 1, 1, 0, 0, 0)  # the earliest that ZIP knows: equal ledgers have equal packs
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # earliest time stamp in ZIP; constant, so that equal ledgers have equal packs
 _LARGEST = {MANIFEST: 2**20, LEDGER: 2**34, MODELS: 2**26}
 """Allowed sizes of members (bytes)."""
 _MOST_MODELS, _LONGEST_LINE, _CHUNK = 64, 2**24, 2**20
@@ -54,7 +54,7 @@ class Member(Config):
 
 
 class Manifest(Config):
-    """What a pack holds."""
+    """Contents of a pack."""
 
     format: int = Field(ge=FORMAT, le=FORMAT)
     ledger_schema: int = Field(ge=SCHEMA, le=SCHEMA)
@@ -68,10 +68,10 @@ class Manifest(Config):
 
 
 def pack(directory: Path, file: Path) -> Manifest:
-    """Write a campaign into one file, also while it is flown; equal ledgers have equal bytes.
+    """Write a campaign to one file, also while it is running; equal ledgers give equal bytes.
 
     Raises:
-        BadInputError: There is no ledger, it is damaged, a trained model is gone, or the file cannot be written.
+        BadInputError: The ledger is absent or damaged, a trained model is missing, or the file cannot be written.
     """
     part = file.with_name(f"{file.name}.part")
     with Store.open(directory) as store, store.snapshot(), writing(file):
@@ -90,10 +90,10 @@ def pack(directory: Path, file: Path) -> Manifest:
 
 
 def unpack(file: Path, directory: Path) -> Manifest:
-    """Verify a pack, and make a folder with its ledger, its trained models, and the campaign as YAML.
+    """Verify a pack, and create a folder with its ledger, its trained models, and the campaign as YAML.
 
     Raises:
-        BadInputError: The file is not a sound pack, or the folder is not empty or cannot be written.
+        BadInputError: The file is not a valid pack, or the folder is not empty or cannot be written.
     """
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
         raise BadInputError(f"{directory}: exists already; allowed: a folder that is empty or absent")
@@ -123,7 +123,7 @@ def _manifest(store: Store, total: int, members: Mapping[str, Member]) -> Manife
 
 
 def _lines(store: Store, has_models: bool) -> Iterator[bytes]:
-    """Rows of the ledger, one JSON array each; the folder of trained models becomes the one in the pack."""
+    """Rows of the ledger, one JSON array each; the models folder is replaced by that of the pack."""
     for table, row in store.tables():
         if row[0] == "models_dir":
             row = store.meta_row("models_dir", MODELS if has_models else None)
@@ -131,7 +131,7 @@ def _lines(store: Store, has_models: bool) -> Iterator[bytes]:
 
 
 def _models(store: Store) -> dict[str, bytes]:
-    """Trained models from a folder of the user's that arms fly with, by name in the pack."""
+    """Trained models of the arms from the user's folder, by name in the pack."""
     folder = store.models_dir
     wanted = set(store.meta("identity")["models"].values()) - {""}
     if folder is None or not wanted:
@@ -144,7 +144,7 @@ def _models(store: Store) -> dict[str, bytes]:
 
 
 def _model_hash(path: Path) -> str:
-    """Hash of a trained model; "" = the file is none."""
+    """Hash of a trained model; "" = the file is not a model."""
     try:
         return Model.load(path).sha256
     except BadInputError:
@@ -165,7 +165,7 @@ def _add(archive: zipfile.ZipFile, name: str, parts: Iterator[bytes]) -> Member:
 
 @contextmanager
 def _reading(file: Path) -> Iterator[None]:
-    """Turn whatever a damaged archive raises into one line."""
+    """Convert errors of a damaged archive to a `BadInputError` of one line."""
     try:
         yield
     except ValidationError as error:
@@ -179,7 +179,7 @@ def _reading(file: Path) -> Iterator[None]:
 
 
 def _read_manifest(archive: zipfile.ZipFile) -> Manifest:
-    """The manifest, after the names, kinds and sizes of all members."""
+    """Read the manifest, after checking names, types and sizes of all members."""
     infos = {info.filename: info for info in archive.infolist()}
     if len(infos) < len(archive.infolist()) or len(infos) > _MOST_MODELS + 2:
         raise ValueError("has members of the same name, or too many")
@@ -206,7 +206,7 @@ def _check_member(info: zipfile.ZipInfo) -> None:
 
 
 def _check_room(manifest: Manifest, parent: Path) -> None:
-    """Refuse a pack that would fill the disk; a ledger takes about as much room as its text."""
+    """Refuse a pack that would fill the disk; a ledger takes about as much space as its text."""
     needed, free = 2 * sum(member.bytes for member in manifest.members.values()), shutil.disk_usage(parent).free
     if needed > free:
         raise BadInputError(f"{parent}: {free // 10**6} MB are free; the pack needs {needed // 10**6} MB")
@@ -231,7 +231,7 @@ def _extract(archive: zipfile.ZipFile, manifest: Manifest, staged: Path) -> None
 
 
 def _fill(ledger: sqlite3.Connection, source: IO[bytes], check_digest: Callable[[str], None]) -> None:
-    """Insert rows, each with its checksum verified; those of a table with another number of columns are refused."""
+    """Insert the rows of a ledger; lines that do not match a table, and a wrong checksum of the member, are errors."""
     digest, number = hashlib.sha256(), 0
     while line := source.readline(_LONGEST_LINE):
         digest.update(line)

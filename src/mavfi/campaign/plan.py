@@ -1,7 +1,7 @@
-"""Campaign -> `RunSpec`s: what every run is, and its place in the ledger, fixed before it is flown.
+"""Campaign -> `RunSpec`s: specification and ledger position of every run, fixed before it is flown.
 
-Settings are the paper's, made general for any number of arms: `golden`, `fi`, and for each arm `golden_<arm>` and
-`dr_<arm>` (`fi_<arm>` where it has no detector).  `null` and `null_<arm>` fly through the injector with an empty mask.
+Settings are the paper's, generalized to any number of arms: `golden`, `fi`, and for each arm `golden_<arm>` and
+`dr_<arm>` (`fi_<arm>` if it has no detector).  `null` and `null_<arm>` fly through the injector with an empty mask.
 Fault i of a target is injected in the same mission, at the same site, in `fi` and in every other arm.
 """
 
@@ -27,7 +27,7 @@ Kind = Literal["golden", "injected", "null"]
 
 
 class Row(NamedTuple):
-    """A planned run as the ledger has it; workers make it, since that takes longer than to store it."""
+    """A planned run as a ledger row; built by workers, since serialization takes longer than storing."""
 
     run_id: str
     position: int
@@ -40,10 +40,10 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RunSpec:
-    """One run: with its scenario, all that decides every byte of its record."""
+    """Specification of one run; together with its scenario it determines every byte of its record."""
 
     kind: Kind
-    setting: str  # see the module's text
+    setting: str  # see the module docstring
     environment: str  # name in the campaign
     seed: int
     scenario: str  # key of the scenario with the campaign's first seed
@@ -54,8 +54,8 @@ class RunSpec:
     target: str = ""  # stage, group, kernel or kind of registers of the fault; "" for golden runs
     index: int = 0  # number of the fault within target and environment
     fault: Fault | None = None
-    position: int = field(default=0, compare=False)  # place in the ledger; does not decide the record
-    run_id: str = field(default="", compare=False)  # readable, and unique by a hash of all of the above
+    position: int = field(default=0, compare=False)  # position in the ledger; does not affect the record
+    run_id: str = field(default="", compare=False)  # readable, and unique by a hash of the fields above
 
     def __post_init__(self) -> None:
         content = json.dumps({**self.to_json(), "position": 0, "run_id": ""}, sort_keys=True)
@@ -76,38 +76,38 @@ class RunSpec:
         return data | {"fault": None if self.fault is None else self.fault.to_json()}
 
     def row(self) -> Row:
-        """The run as the ledger has it."""
+        """The run as a ledger row."""
         text = canonical(self.to_json())
         return Row(self.run_id, self.position, self.kind, self.setting, self.environment, self.seed, text)
 
     @staticmethod
     def from_json(data: dict[str, Any]) -> "RunSpec":
-        """Inverse of `to_json`; a BadInputError if it is none."""
+        """Inverse of `to_json`; raises a BadInputError for invalid data."""
         fault = data.get("fault") if isinstance(data, dict) else None
         return checked(RunSpec, data if fault is None else {**data, "fault": fault_from_json(fault)}, "run")
 
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """What is compared: overrides of the campaign's mission, and the detector that watches."""
+    """A configuration under comparison: overrides of the campaign's mission, and a detector."""
 
     name: str = ""  # "" = the campaign's own mission
     overrides: Mapping[str, Any] = field(default_factory=dict)
     detector: str = ""  # "" = none
     profile: str = ""
-    is_variant: bool = False  # needed by the sampling scheme, and flown only with the faults that are drawn in it
+    is_variant: bool = False  # required by the sampling scheme; flown only with the faults drawn in it
 
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """Runs of a mission that are about to be flown; `last` says that no more will be planned."""
+    """Runs of a mission before they are flown; `last`: the mission has no further runs."""
 
     rows: tuple[Row, ...]
     last: bool
 
     @staticmethod
     def of(specs: Iterable[RunSpec], *, last: bool) -> "Planned":
-        """From run specifications."""
+        """Build from run specifications."""
         return Planned(tuple(spec.row() for spec in specs), last)
 
     @property
@@ -118,24 +118,24 @@ class Planned:
 
 @dataclass(frozen=True, slots=True)
 class Flown:
-    """A run that is over: its note is the traceback of an exception of ours; its wall time is no part of the record."""
+    """A completed run; `note`: traceback of an exception of mavfi; the wall time is not part of the record."""
 
     run_id: str
-    text: str  # of the record, as in the ledger: made by workers, since it takes longer than all that the ledger does
+    text: str  # record as in the ledger; serialized by workers, since this takes longer than storing
     success: bool
-    unknown: bool = False  # no flight to judge, because of us
+    unknown: bool = False  # no flight to evaluate, due to an error of mavfi
     note: str = ""
     wall_s: float = field(default=0.0, compare=False)
 
     @staticmethod
     def of(run_id: str, record: FlightRecord, note: str = "", wall_s: float = 0.0) -> "Flown":
-        """A run with a record."""
+        """Build from a record."""
         success = record.status == MissionStatus.SUCCESS.label
         return Flown(run_id, canonical(record.to_json()), success, record.end is End.UNKNOWN, note, wall_s)
 
     @property
     def record(self) -> FlightRecord:
-        """What is known of the flight."""
+        """Record of the flight."""
         return FlightRecord.from_json(json.loads(self.text))
 
 
@@ -150,7 +150,7 @@ def is_golden(setting: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The runs of a campaign before any of them is flown."""
+    """The runs of a campaign, before any is flown."""
 
     campaign: Campaign
     sampler: Sampler
@@ -160,11 +160,11 @@ class Plan:
 
     @property
     def watching(self) -> tuple[Arm, ...]:
-        """Arms in which every fault is injected again."""
+        """Arms in which every fault is repeated."""
         return tuple(arm for arm in self.arms if arm.name and not arm.is_variant)
 
     def golden(self, environment: str, seed: int) -> list[RunSpec]:
-        """The golden runs of a mission, one for each arm."""
+        """The golden runs of a mission, one per arm."""
         campaign = self.campaign
         mission = campaign.environments.index(environment) * campaign.missions + seed - campaign.first_seed
         first = mission * len(self.arms)
@@ -174,7 +174,7 @@ class Plan:
         ]
 
     def places(self, environment: str, seed: int) -> Iterator[tuple[int, Draw]]:
-        """The draws of a mission, each with the place of its first run among the runs with faults."""
+        """The draws of a mission, each with the position of its first run among the injected and null runs."""
         campaign, each = self.campaign, 1 + len(self.watching)
         blocks, mission = self.sampler.blocks(environment), seed - campaign.first_seed
         draws = sum(block.count for block in blocks)
@@ -185,7 +185,7 @@ class Plan:
             yield before + draws * each + index, Draw(NULL, index, seed)
 
     def injected(self, environment: str, draw: Draw, place: int, fault: Fault) -> list[RunSpec]:
-        """The runs of one fault: in its variant and again in every arm; a null run in one arm, each in turn."""
+        """The runs of one fault, in its variant and in every arm; a null run in one arm only, cyclically."""
         if draw.target == NULL:
             kind: Kind = "null"
             arms = [arm for arm in self.arms if not arm.is_variant]
@@ -204,7 +204,7 @@ class Plan:
         ]  # fmt: skip
 
     def count(self, shard: Shard = WHOLE) -> int:
-        """How many runs the campaign, or a shard, has at most; faults that cannot be drawn have none."""
+        """Maximum number of runs of the campaign or a shard; faults that cannot be drawn have no runs."""
         campaign, each = self.campaign, 1 + len(self.watching)
         total = self.golden_count(shard)
         for place, name in enumerate(campaign.environments):
@@ -215,11 +215,11 @@ class Plan:
         return total
 
     def golden_count(self, shard: Shard = WHOLE) -> int:
-        """How many of them are golden."""
+        """Number of golden runs of the campaign or a shard."""
         return shard.missions(self.campaign) * len(self.arms)
 
     def keys(self, environment: str) -> dict[str, str]:
-        """Keys of the scenarios of an environment, by arm."""
+        """Scenario keys of an environment, by arm."""
         return {arm.name: self.scenarios[environment, arm.name] for arm in self.arms}
 
     def _run(self, kind: Kind, setting: str, environment: str, seed: int, arm: Arm, **more: Any) -> RunSpec:
@@ -230,13 +230,13 @@ class Plan:
 
 
 def _of_shard(count: int, missions: int, first: int, step: int) -> int:
-    """How many of the numbers below `count`, each that of mission number % missions, belong to a shard's missions."""
+    """Count the fault numbers below `count` that belong to a shard; fault i belongs to mission i % missions."""
     whole, rest = divmod(count, missions)
     return whole * len(range(first, missions, step)) + len(range(first, rest, step))
 
 
 def arms_of(campaign: Campaign) -> tuple[Arm, ...]:
-    """The campaign's own mission, the variants that its sampling scheme needs, and its arms."""
+    """The campaign's own mission, the variants required by its sampling scheme, and its arms."""
     variants = sampler_for(campaign).variants
     arms = [
         Arm(

@@ -31,7 +31,7 @@ def repair(directory: Path) -> Repair:
     """Replace a damaged ledger by one with all its intact rows; the damaged file is kept as a backup.
 
     Raises:
-        BadInputError: There is no ledger, its metadata are damaged, or there is a backup already.
+        BadInputError: The ledger is absent, its metadata are damaged, or a backup exists already.
     """
     path, damaged, whole = directory / FILE, directory / DAMAGED, directory / f"{FILE}.repaired"
     if not path.is_file():
@@ -39,7 +39,7 @@ def repair(directory: Path) -> Repair:
     if damaged.exists():
         raise BadInputError(f"{damaged}: exists already, from an earlier repair; move it away first")
     with closing(connect(path, "ro")) as source:
-        with suppress(sqlite3.DatabaseError):  # damaged, too: rows that can be read are kept
+        with suppress(sqlite3.DatabaseError):  # the schema may be damaged, too: readable rows are kept
             if strange := strange_schema(source):
                 raise BadInputError(f"{path}: {strange}")
         meta = list(_rows(source, "SELECT key, value, checksum FROM meta"))
@@ -50,7 +50,7 @@ def repair(directory: Path) -> Repair:
     )
     if not identity:
         raise BadInputError(f"{path}: its metadata are damaged: the campaign cannot be identified")
-    salts: list[tuple[str, ...]] = [(checksum_of(identity),), ()]  # the row that says which may be damaged
+    salts: list[tuple[str, ...]] = [(checksum_of(identity),), ()]  # try both: row `BOUND` may be damaged
     salt, described, sound = max(
         ((salt, _described(meta, salt), _sound(runs, salt)) for salt in salts), key=lambda kept: len(kept[1] + kept[2])
     )
@@ -74,14 +74,14 @@ def repair(directory: Path) -> Repair:
 
 
 def _rows(connection: sqlite3.Connection, query: str) -> Iterator[tuple[Any, ...]]:
-    """All rows up to the first that cannot be read."""
+    """All rows up to the first unreadable one."""
     with suppress(sqlite3.DatabaseError):
         connection.text_factory = lambda data: data.decode(errors="replace")
         yield from connection.execute(query)
 
 
 def _described(meta: list[tuple[Any, ...]], salt: tuple[str, ...]) -> list[tuple[Any, ...]]:
-    """The intact metadata, and whether checksums have a salt."""
+    """The intact metadata rows, and a new `BOUND` row if checksums are salted."""
     intact = [row for row in meta if row[0] != BOUND and row[2] == meta_checksum(row[0], row[1], salt)]
     bound = BOUND, canonical(True)
     return [*intact, (*bound, checksum_of(*bound))] if salt else intact

@@ -1,4 +1,4 @@
-"""Flies stored runs again from their specs: one alone, or one and its golden run with all that they published."""
+"""Replays stored runs from their specifications: one run, or a run and its golden run with all publications."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,24 +19,24 @@ from mavfi.states import State
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """A run that was flown again."""
+    """A replayed run."""
 
     run: Run  # as stored
-    flight: Flight  # of now
-    digest: str  # of the new flight
+    flight: Flight  # of the replay
+    digest: str  # of the replay
 
     @property
     def same(self) -> bool:
-        """Whether the flight is bit for bit the stored one."""
+        """Whether the replay is bit-identical to the stored flight."""
         return self.run.record is not None and self.run.record.digest == self.digest
 
 
 def replay(directory: Path, run_id: str) -> Replay:
-    """Fly a run again, named by an unambiguous beginning of its id.
+    """Replay a run, given by an unambiguous prefix of its id.
 
     Raises:
-        BadInputError: No such campaign or run, it is not flown yet, or its host cannot fly it again.
-        SpecMismatchError: The detector's model is no longer the one that the run flew with.
+        BadInputError: No such campaign or run, the run is not flown yet, or its host does not support replays.
+        SpecMismatchError: The detector's model has changed since the run.
     """
     with Store.open(directory) as store:
         run = store.run(run_id)
@@ -47,7 +47,7 @@ def replay(directory: Path, run_id: str) -> Replay:
 
 
 def fly_again(store: Store, spec: RunSpec) -> Flight:
-    """Fly any run of a ledger, for its whole log; errors as of `replay`."""
+    """Replay any run of a ledger, for its complete log; raises the errors of `replay`."""
     host, setup = _setup_of_run(store, spec)
     flights = host.mission({spec.arm: setup}, fast_forward=False)
     flown: Recorded | Exception
@@ -57,12 +57,12 @@ def fly_again(store: Store, spec: RunSpec) -> Flight:
         _, flown = next(flights.injected([(spec.arm, spec.fault)]))
     if isinstance(flown, Exception):
         raise flown
-    assert isinstance(flown, Flight)  # as every deterministic host gives it
+    assert isinstance(flown, Flight)  # deterministic hosts return a `Flight`
     return flown
 
 
 def _setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
-    """The host of a run, and the setup of the run's arm; errors as of `replay`."""
+    """Host and arm setup of a run; raises the errors of `replay`."""
     campaign = stored_campaign(store)
     host = host_of(campaign)
     if not host.deterministic:
@@ -76,29 +76,29 @@ def _setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """A run and its golden run, both flown again."""
+    """Replays of a run and of its golden run."""
 
     spec: RunSpec
-    flight: Flight  # of the run, now
-    golden: Flight  # of the golden run with the same detector, now
-    same: bool  # the digest is the stored one
+    flight: Flight  # replay of the run
+    golden: Flight  # replay of the golden run with the same detector
+    same: bool  # the digest equals the stored one
     first: Difference | None
-    """None = there is none, or a fault in an instruction: its flight ends in a forked process, and the kernel effect in
-    its log has the first difference."""
+    """None = no difference, or an instruction fault: its flight ends in a forked process, and the kernel effect in its
+    log has the first difference."""
     departure: Departure
 
     @property
     def effect(self) -> Effect:
-        """What the fault did to the flight."""
+        """Effect of the fault on the flight."""
         return effect_of(record_of(self.golden.log), record_of(self.flight.log))
 
 
 def explain(directory: Path, run_id: str) -> Explanation:
-    """Fly a run (named by a beginning of its id) and its golden run again, and compare all that was published.
+    """Replay a run (given by a prefix of its id) and its golden run, and compare all publications.
 
     Raises:
-        BadInputError: No such campaign or run, a run without a fault, or one that left no flight.
-        SpecMismatchError: The detector's model is no longer the one that the run flew with.
+        BadInputError: No such campaign or run, a run without a fault, or one without a flight.
+        SpecMismatchError: The detector's model has changed since the run.
     """
     with Store.open(directory) as store:
         run = store.run(run_id)
@@ -115,7 +115,7 @@ def explain(directory: Path, run_id: str) -> Explanation:
 
 
 def _recorded(store: Store, spec: RunSpec) -> tuple[Flight, list[Publication]]:
-    """A run and its publications in order; none for a run that ends in a forked process."""
+    """Replay a run with its publications in order; the list is empty if the run ends in a forked process."""
     seen: list[Publication] = []
     if not isinstance(spec.fault, StateFault | MemoryFault | None):
         return fly_again(store, spec), seen

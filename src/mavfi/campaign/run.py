@@ -1,6 +1,6 @@
 """Flies a campaign mission by mission; a stopped campaign resumes.
 
-A worker that dies loses one mission, which is flown again with each run with a fault in a child of its own.
+If a worker dies, its mission is repeated with each injected run in a separate child process.
 """
 
 import itertools
@@ -36,41 +36,41 @@ from mavfi.mission import Scenario
 
 SHARD = "shard"
 ORDERED = "campaign"
-"""Metadata: the campaign as JSON text; the identity has sorted keys."""
-ATTEMPTS = 3  # how often a mission that takes its worker with it, golden runs included, is begun
+"""Metadata key: the campaign as JSON text in its order of keys; the identity has sorted keys."""
+ATTEMPTS = 3  # further attempts after a machine failure, or for missions that crash their workers
 PAUSE_S = 1.0  # between retries after a machine failure
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """How far a campaign is."""
+    """Progress of a stored campaign."""
 
-    done: int  # runs, those of earlier sessions included
-    total: int  # runs of the whole campaign
+    done: int  # runs, earlier sessions included
+    total: int  # runs of the complete campaign
     settings: Mapping[str, tuple[int, int, int]] = field(default_factory=dict)
-    """By setting: runs planned so far, done, done with success."""
+    """By setting: runs planned so far, done, successful."""
     unknown: int = 0  # done runs with status unknown
-    shard: Shard = WHOLE  # that the ledger holds
+    shard: Shard = WHOLE  # shard in the ledger
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is left to fly."""
+        """Whether all runs are done."""
         return self.done == self.total
 
 
 @dataclass(frozen=True, slots=True)
 class Progress(Status):
-    """How far a campaign is while it is flown."""
+    """Progress of a running campaign."""
 
     flown: int = 0  # runs done in this session
-    rate: float = 0.0  # runs per second over the last runs; 0 = not known yet
-    remaining_s: float = math.inf  # wall time that is left (s); infinite = not known yet
-    compiling: bool = False  # nothing is flown yet: kernels are being compiled
+    rate: float = 0.0  # runs per second over the latest runs; 0 = unknown yet
+    remaining_s: float = math.inf  # remaining wall time (s); infinite = unknown yet
+    compiling: bool = False  # kernels are being compiled; no run has been flown yet
 
 
 @dataclass(slots=True)
 class _Session:
-    """A campaign between start and stop of the process."""
+    """Execution of a campaign within one process."""
 
     plan: Plan
     store: Store
@@ -86,7 +86,7 @@ class _Session:
     counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)
 
     def missions(self) -> Iterator[MissionPlan]:
-        """What is left to fly."""
+        """Incomplete missions."""
         worlds = self.shard.worlds(self.plan.campaign)
         return (self._mission(world) for world in worlds if not self.store.is_complete(world))
 
@@ -98,7 +98,7 @@ class _Session:
         )  # fmt: skip
 
     def fly(self, executor: Executor) -> None:
-        """Fly what is left; items are in the ledger before the next ones are taken."""
+        """Fly the incomplete missions; items are stored in the ledger before the next ones are fetched."""
         self.pace = Pace(time.perf_counter())
         self.tell()
         missions: Iterable[MissionPlan] = self.missions()
@@ -119,7 +119,7 @@ class _Session:
             missions = [replace(m, done=self.store.done(m.world), alone=True) for m, _ in lost.values()]
             if not missions:
                 return
-        if failed:  # so it may be why workers died
+        if failed:  # the machine failure may have killed the workers
             raise MachineError(failed)
         self._check_process(executor, {world: end for world, (_, end) in lost.items()})
         for mission in missions:
@@ -163,10 +163,10 @@ class _Session:
         self.counts[setting] = planned, done, success
 
     def _check_process(self, executor: Executor, lost: Mapping[tuple[str, int], Lost]) -> None:
-        """Check that workers die of their missions, not of this process, e.g. of code for which it had no memory.
+        """Check that the missions crashed their workers, not this process, e.g. by compilation without memory.
 
         Raises:
-            MachineError: No other mission was flown in this session, nor can be.
+            MachineError: No other mission was flown in this session, nor can be flown.
         """
         if self.flown:
             return
@@ -177,12 +177,12 @@ class _Session:
         raise MachineError(f"no mission can be flown here: {next(iter(lost.values())).reason}")
 
     def _give_up(self, mission: MissionPlan, lost: Lost) -> None:
-        """Record a mission whose golden runs take their process with them each time: nothing is drawn from these.
+        """Record a mission whose golden runs crash their process in every attempt; no faults are drawn from them.
 
-        Faults that were drawn in an earlier session are `unknown`.
+        Faults drawn in an earlier session are `unknown`.
 
         Raises:
-            MachineError: Its worker was killed from outside.
+            MachineError: The worker was killed from outside.
         """
         if lost.signal in FROM_OUTSIDE:
             raise MachineError(f"mission {mission.environment}-{mission.seed}: {lost.reason}")
@@ -196,7 +196,7 @@ class _Session:
 
     @contextmanager
     def logged(self, executor: Executor) -> Iterator[None]:
-        """Note begin and end in the log."""
+        """Log start and end of the session."""
         self.log.note(
             "begin", campaign=self.plan.campaign.name, versions=versions(), pid=os.getpid(),
             workers=executor.workers, runs_left=self.total - self._done,
@@ -213,7 +213,7 @@ class _Session:
         return sum(number for _, number, _ in self.counts.values())
 
     def tell(self, *, compiling: bool = False) -> None:
-        """Report how far it is."""
+        """Report the progress."""
         done, total = self._done, self.total
         golden_left = self.plan.golden_count(self.shard) - golden_done(self.counts)
         left = {True: golden_left, False: total - done - golden_left}
@@ -230,20 +230,20 @@ def run_campaign(
     campaign: Campaign, directory: Path, *, executor: Executor | None = None, models_dir: Path | None = None,
     fast_forward: bool = True, shard: Shard = WHOLE, progress: Callable[[Progress], None] | None = None,
 ) -> Status:  # fmt: skip
-    """Fly a campaign, or what is left of it; stopping it at any moment loses only the flights in the air.
+    """Fly the missing runs of a campaign; a stop at any time loses only the flights in progress.
 
     Args:
-        campaign: What to fly.
-        directory: Where its ledger is, or will be.
+        campaign: The campaign.
+        directory: Folder of its ledger, existing or new.
         executor: Runs the missions; None = two local processes.
         models_dir: Folder of trained models; None = that of the ledger, or the shipped ones.
-        fast_forward: Whether runs may begin at checkpoints of their golden run; the ledger is the same either way.
-        shard: Which missions; the ledgers of all shards can be merged.
+        fast_forward: Whether runs may start at checkpoints of their golden run; the ledger is the same either way.
+        shard: Subset of missions; the ledgers of all shards can be merged.
         progress: Called after every run, in this process.
 
     Raises:
-        BadInputError: A directory that cannot be written or holds another campaign; a name that is not known; a model
-            that does not fit; versions that differ from those that the ledger was begun with.
+        BadInputError: The directory cannot be written or holds another campaign, a name is unknown, a model does not
+            match, or versions differ from those with which the ledger was started.
     """
     campaign, models_dir = _as_begun(campaign, directory), models_dir or _models_dir(directory)
     host = host_of(campaign)
@@ -277,8 +277,8 @@ def run_campaign(
 
 
 def _as_begun(campaign: Campaign, directory: Path) -> Campaign:
-    """The campaign with its keys in the order in which its ledger was begun: draws and places of runs follow it."""
-    with suppress(ValueError):  # none; opening the ledger reports damage
+    """The campaign with its keys in the order of its ledger, which determines draws and positions of runs."""
+    with suppress(ValueError):  # no ledger, or damage, which is reported when the ledger is opened
         begun = Campaign.model_validate_json(held(directory, ORDERED) or "")
         return begun if begun == campaign else campaign
     return campaign
@@ -290,7 +290,7 @@ def _models_dir(directory: Path) -> Path | None:
 
 
 def _as_held(models_dir: Path, directory: Path) -> str:
-    """The path as a ledger holds it: relative to its own folder within it, so that both can be moved."""
+    """The path as stored in a ledger: relative if inside the ledger's folder, so that both can be moved."""
     path, own = models_dir.absolute(), directory.absolute()
     return str(path.relative_to(own) if path.is_relative_to(own) else path)
 
@@ -298,7 +298,7 @@ def _as_held(models_dir: Path, directory: Path) -> str:
 def identity_of(
     campaign: Campaign, scenarios: Mapping[tuple[str, str], Scenario], models: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Plain data that identify the campaign of a ledger."""
+    """Identity of a ledger's campaign, as plain data."""
     arms = campaign.arms.items()
     keys = {name: dict(own) for name, arm in arms if (own := mission_keys(arm.detector))}
     options = {name: dict(own) for name, arm in arms if (own := detector_options(arm.detector))}
@@ -317,7 +317,7 @@ def model_hashes(
     """Load every arm's detector for every environment, and return the sha256 of its model by arm.
 
     Raises:
-        BadInputError: A detector is not known, or a model is absent or does not fit.
+        BadInputError: A detector is unknown, or a model is absent or does not match.
     """
     return {
         arm.name: detector_for(scenarios[environment, arm.name], arm.detector, arm.profile, models_dir)[1]
@@ -328,22 +328,22 @@ def model_hashes(
 
 
 def status(directory: Path) -> Status:
-    """How far a stored campaign is.
+    """Progress of a stored campaign.
 
     Raises:
-        BadInputError: There is none.
+        BadInputError: The folder holds no ledger.
     """
     with Store.open(directory) as store:
         return status_of(store)
 
 
 def golden_done(counts: Mapping[str, tuple[int, int, int]]) -> int:
-    """Golden runs that are done, of the counts by setting."""
+    """Number of completed golden runs, from the counts by setting."""
     return sum(done for setting, (_, done, _) in counts.items() if is_golden(setting))
 
 
 def status_of(store: Store) -> Status:
-    """How far the campaign of a ledger is."""
+    """Progress of the campaign in an open ledger."""
     counts = store.counts()
     done = sum(number for _, number, _ in counts.values())
     total = sum(planned for planned, _, _ in counts.values())
@@ -353,19 +353,19 @@ def status_of(store: Store) -> Status:
 
 
 def shard_of(store: Store) -> Shard:
-    """The shard of a ledger; a BadInputError if it is none."""
+    """The shard of a ledger; raises a BadInputError if its entry is invalid."""
     return Shard.parse(store.meta(SHARD) or str(WHOLE), str(store.directory))
 
 
 def stored_campaign(store: Store) -> Campaign:
-    """The campaign of a ledger, of an older one without the order of its keys; a BadInputError if it is none."""
+    """The campaign of a ledger (older ones do not store the order of keys); raises a BadInputError if invalid."""
     text = store.meta(ORDERED)
     given = store.meta("identity")["campaign"] if text is None else json.loads(text)
     return parse(Campaign, given, str(store.directory))
 
 
 def check_shard(store: Store, shard: Shard) -> None:
-    """Note the shard; a ledger of another one is a BadInputError."""
+    """Store the shard; raises a BadInputError if the ledger belongs to another one."""
     if store.meta(SHARD) is None:
         store.write_meta({SHARD: str(shard)})
     if shard_of(store) != shard:
@@ -373,12 +373,12 @@ def check_shard(store: Store, shard: Shard) -> None:
 
 
 def check_versions(store: Store, versions_there: Mapping[str, str], there: str = "here is") -> None:
-    """Note the versions that matter; a ledger with runs left that was begun with others is a BadInputError.
+    """Store the versions; raises a BadInputError if an incomplete ledger was started with others.
 
     Args:
         store: The ledger.
-        versions_there: Versions with which more runs were flown, or would be.
-        there: Words before a version of these, for the message.
+        versions_there: Versions of the runs to be added.
+        there: Words before such a version in the message.
     """
     held: dict[str, Any] | None = store.meta("versions")
     if held is None:

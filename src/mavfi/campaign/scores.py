@@ -1,8 +1,8 @@
 """Scores of detectors on golden and corrupted publications: detection against false alarms at any threshold.
 
-Injected and golden flight are equal up to the injection.  One golden flight therefore serves all faults: each detector
-scores every publication, and at the site of a fault also its corrupted copy.  Recovery is off; publications above the
-threshold count as alarms.
+Injected and golden flight are identical up to the injection.  One golden flight therefore serves all faults: each
+detector scores every publication, and at the site of a fault also its corrupted copy.  Recovery is off; publications
+above the threshold count as alarms.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,13 +37,13 @@ RATES_PER_HOUR = (0.1, 1.0, 10.0)
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """Scores of one detector; in units of its shipped threshold, so that > 1 is an alarm of today.
+    """Scores of one detector, in units of its shipped threshold: > 1 is an alarm at that threshold.
 
     Attributes:
-        golden: Of the publications that it judges in golden flights, those above 0, descending. Shape (m,).
-        judged: How many publications it judges there.
+        golden: Positive scores of publications in golden flights, descending. Shape (m,).
+        judged: Number of scored publications in golden flights.
         hours: Exposure (h).
-        corrupted: Of the publication that each fault corrupts; 0 where it does not judge it. Shape (n,).
+        corrupted: Score of the publication corrupted by each fault; 0 if it is not scored. Shape (n,).
         harmful: Whether the fault loses the mission. Shape (n,).
     """
 
@@ -54,14 +54,14 @@ class Scores:
     harmful: np.ndarray
 
     def threshold_at(self, per_hour: float) -> float | None:
-        """The lowest threshold with at most so many false alarms per hour; None if the exposure cannot show it."""
+        """Lowest threshold with at most this rate of false alarms; None if the exposure is too short for the rate."""
         allowed = int(per_hour * self.hours)
         if allowed < 1:
             return None
         return float(self.golden[allowed]) if allowed < len(self.golden) else 0.0
 
     def detected_at(self, per_hour: float) -> Rate | None:
-        """Share of the harmful faults above that threshold, with Wilson's interval."""
+        """Share of harmful faults above `threshold_at` this rate, with Wilson's interval."""
         threshold = self.threshold_at(per_hour)
         if threshold is None:
             return None
@@ -80,7 +80,7 @@ class Scores:
         return float(np.mean((below + 0.5 * equal) / self.judged))
 
     def curve(self) -> list[tuple[float, float, float]]:
-        """Threshold, false alarms per hour, share of harmful faults detected: the steps of the curve, descending."""
+        """Steps of the curve, descending: threshold, false alarms per hour, share of harmful faults detected."""
         own = self.corrupted[self.harmful]
         thresholds = np.unique(np.concatenate([self.golden, own[own > 0]]))[::-1]
         return [
@@ -91,7 +91,7 @@ class Scores:
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """A golden flight and the faults scored in it; its text names it if a worker is lost."""
+    """A golden flight and the faults scored in it; its text appears in the message about a lost worker."""
 
     mission: MissionSpec
     arms: tuple[Arm, ...]
@@ -113,7 +113,7 @@ class _Kept:
 
 
 class _Scorer:
-    """A recorder: detectors score each publication, and the corrupted copies of those at fault sites."""
+    """Recorder in which detectors score each publication, and its corrupted copies at fault sites."""
 
     def __init__(self, detectors: Mapping[str, Detector], faults: Sequence[StateFault]) -> None:
         self._detectors: Mapping[str, Any] = detectors
@@ -140,12 +140,12 @@ class _Scorer:
 
 
 def scored_arms(campaign: Campaign) -> list[Arm]:
-    """Arms whose detectors watch the campaign's own mission, however their alarms are answered."""
+    """Arms with a detector on the campaign's own mission, independent of their recovery options."""
     return [arm for arm in arms_of(campaign) if arm.detector and set(arm.overrides) <= set(RECOVERY)]
 
 
 def _score(task: _Task) -> tuple[float, dict[str, _Kept]]:
-    """Hours of a golden flight, and the scores in it by arm."""
+    """Fly a golden flight; returns its hours, and the scores by arm."""
     scenario = resolve(task.mission)
     loaded = {
         arm.name: detector_for(scenario, arm.detector, arm.profile, task.models_dir)[0] for arm in task.arms
@@ -159,8 +159,8 @@ def _score(task: _Task) -> tuple[float, dict[str, _Kept]]:
 def scores(directories: Sequence[Path], executor: Executor, models_dir: Path | None = None) -> dict[str, Scores]:
     """Scores of the detectors of campaigns, by arm, over all of their missions and state faults.
 
-    A mission that several campaigns have is flown once, and is counted once.  Detectors that judge nothing are left
-    out: those without a `score`, and those that compare with a seal, which has no threshold.
+    A mission shared by several campaigns is flown and counted once.  Detectors without scores are omitted: those
+    without a method `score`, and those that compare with a seal, which has no threshold.
 
     Args:
         directories: Folders of complete ledgers with faults in states.
@@ -168,7 +168,7 @@ def scores(directories: Sequence[Path], executor: Executor, models_dir: Path | N
         models_dir: Folder of trained models; None = the shipped ones.
 
     Raises:
-        BadInputError: There is no ledger.
+        BadInputError: A folder holds no ledger.
         MavfiError: A worker was lost.
     """
     tasks = _tasks(directories, models_dir)
@@ -183,7 +183,7 @@ def scores(directories: Sequence[Path], executor: Executor, models_dir: Path | N
 
 
 def _tasks(directories: Sequence[Path], models_dir: Path | None) -> list[_Task]:
-    """One task for each mission, with the faults of all campaigns that have it."""
+    """One task per mission, with the faults of all campaigns that contain it."""
     tasks: dict[str, _Task] = {}
     for directory in directories:
         judged = Runs.read(directory).injected.where("judged", setting=FI, site_outcome=ACTIVATED)
@@ -214,7 +214,7 @@ def _joined(flown: Sequence[tuple[_Task, float, _Kept]]) -> Scores:
 
 
 def table(found: Mapping[str, Scores]) -> Table:
-    """Detection of harmful faults at fixed rates of false alarms, and the area under the ROC curve."""
+    """Detection of harmful faults at fixed false-alarm rates, and the area under the ROC curve."""
     columns = [Column("arm", "scheme"), Column("harmful", "harmful", NUMBER), Column("auc", "ROC area", "number .4f")]
     columns += [Column(f"at_{rate:g}", f"detected at {rate:g}/h", RATE) for rate in RATES_PER_HOUR]
     columns += [Column("hours", "exposure", "number .2f h")]

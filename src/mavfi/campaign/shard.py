@@ -1,4 +1,4 @@
-"""A part of a campaign: every n-th mission, from the i-th on.  The ledgers of all parts merge into the campaign's."""
+"""A part of a campaign: every n-th mission, starting with the i-th.  Merging all parts gives the campaign's ledger."""
 
 import itertools
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from mavfi.errors import BadInputError
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """Shard `number` (from 1 on) of `of`."""
+    """Shard `number` (counted from 1) of `of`."""
 
     number: int = 1
     of: int = 1
@@ -20,10 +20,10 @@ class Shard:
 
     @staticmethod
     def parse(text: str, source: str) -> "Shard":
-        """The shard of "i/n"; `source` names option or file in messages.
+        """Parse "i/n"; `source` names option or file in messages.
 
         Raises:
-            BadInputError: The text is none.
+            BadInputError: The text is not a shard.
         """
         number, _, of = text.partition("/")
         if not (number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
@@ -31,11 +31,11 @@ class Shard:
         return Shard(int(number), int(of))
 
     def missions(self, campaign: Campaign) -> int:
-        """Number of its missions."""
+        """Number of missions in this shard."""
         return len(range(self.number - 1, campaign.total_missions, self.of))
 
     def worlds(self, campaign: Campaign) -> Iterator[tuple[str, int]]:
-        """Environment and seed of its missions."""
+        """Environment and seed of the missions in this shard."""
         every = itertools.product(campaign.environments, campaign.seeds)
         return itertools.islice(every, self.number - 1, None, self.of)
 

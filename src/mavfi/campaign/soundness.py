@@ -1,6 +1,6 @@
-"""What a sound ledger holds: its tables and no others, values of the right types, checksums that agree.
+"""Integrity of a ledger: exactly its tables, values of the right types, matching checksums.
 
-Checksums find damage; whoever writes a ledger can make them right.  So types are checked as well.
+Checksums detect damage, but a forged ledger can have valid ones.  So types are checked as well.
 """
 
 import json
@@ -13,7 +13,7 @@ from mavfi.config import checked
 from mavfi.errors import BadInputError
 
 INDEX = "runs_by_mission ON runs (environment, seed, position)"
-"""Without it, to look for the runs of a mission is to read all runs; ledgers of earlier versions get it."""
+"""Without this index, finding the runs of a mission reads all runs; it is added to ledgers of earlier versions."""
 TABLES = f"""
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL, checksum TEXT NOT NULL);
 CREATE TABLE runs (
@@ -58,7 +58,7 @@ class _Meta:
 
 
 def damage(connection: sqlite3.Connection) -> str:
-    """The first violation of integrity, "" = none."""
+    """The first violation of integrity; "" = none."""
     try:
         return strange_schema(connection) or _structure(connection) or _checksums(connection) or _types(connection)
     except (sqlite3.DatabaseError, TypeError, UnicodeDecodeError) as error:  # TypeError: a value has the wrong type
@@ -66,7 +66,7 @@ def damage(connection: sqlite3.Connection) -> str:
 
 
 def strange_schema(connection: sqlite3.Connection) -> str:
-    """What is not of a ledger, "" = nothing: whoever reads a view that stands in a table's place runs it."""
+    """The first foreign object of the schema; "" = none.  Reading a view in place of a table would execute it."""
     held = connection.execute("SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL").fetchall()
     wanted = {statement.strip() for statement in TABLES.split(";")}
     for kind, name, sql in held:
@@ -96,7 +96,7 @@ def _checksums(connection: sqlite3.Connection) -> str:
 
 
 def _types(connection: sqlite3.Connection) -> str:
-    """The first value that is not of its type."""
+    """The first value of a wrong type; "" = none."""
     try:
         items = {key: json.loads(value) for key, value in connection.execute("SELECT key, value FROM meta")}
         if "identity" not in items:

@@ -1,8 +1,8 @@
 """The ledger of a campaign: one SQLite file, one row per run, written by one process.
 
-Every row has a checksum, which covers the campaign that it belongs to, and every mission a checksum over its planned
-runs; a ledger with a mismatch is refused.
-Every process that writes has a number (generation); an older one that lives on, with its lock gone, can write no more.
+Every row has a checksum, salted with its campaign, and every mission a checksum over its planned runs; a ledger with a
+mismatch is refused.
+Every writing process has a generation number; an older process that lost its lock can no longer write.
 """
 
 import errno
@@ -36,7 +36,7 @@ _RUN = "spec, record, note, wall_s"
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A row: what was planned, and what is known of it (None = not flown yet)."""
+    """A row: the planned run and its record (None = not flown yet)."""
 
     spec: RunSpec
     record: FlightRecord | None
@@ -45,7 +45,7 @@ class Run:
 
 
 class Store:
-    """A ledger that is open.  Use `create` to write a campaign, `open` to read one; both close as context managers."""
+    """An open ledger.  Use `create` to write a campaign, `open` to read one; both are context managers."""
 
     def __init__(self, directory: Path, connection: sqlite3.Connection, lock: IO[str] | None = None) -> None:
         self.directory = directory
@@ -61,9 +61,9 @@ class Store:
         self.close()
 
     def close(self) -> None:
-        """Close; a ledger that was not closed keeps its data, but cannot be read from read-only media."""
+        """Close; an unclosed ledger keeps its data, but cannot be read from read-only media."""
         if self._has_log:
-            with suppress(sqlite3.DatabaseError):  # a reader holds it, or the disk fails
+            with suppress(sqlite3.DatabaseError):  # locked by a reader, or a disk failure
                 self._connection.execute("PRAGMA journal_mode = DELETE")
         self._connection.close()
         if self._lock is not None:
@@ -71,7 +71,7 @@ class Store:
 
     @staticmethod
     def create(directory: Path, identity: Mapping[str, Any]) -> "Store":
-        """Begin or resume a ledger in a directory, which is made if absent.
+        """Create or resume a ledger in a directory, which is created if absent.
 
         Raises:
             BadInputError: The directory cannot be written, holds a campaign of another identity, or another
@@ -83,7 +83,7 @@ class Store:
         except OSError as error:
             raise BadInputError(f"{directory}: cannot be written ({error.strerror})") from None
         try:
-            # A record lock belongs to this process alone: workers that outlive it do not hold it.
+            # A record lock belongs to this process alone: workers that survive it do not hold the lock.
             fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             lock.close()
@@ -108,11 +108,11 @@ class Store:
         """Open a ledger for reading.
 
         Args:
-            directory: Where it is.
-            check: Whether to verify every checksum; without, for who has done so a moment ago.
+            directory: Folder of the ledger.
+            check: Whether to verify every checksum; False for repeated reads of a verified ledger.
 
         Raises:
-            BadInputError: There is none, one of another version, or a damaged one.
+            BadInputError: The ledger is absent, damaged or of another version.
         """
         path = directory / FILE
         if not path.is_file():
@@ -138,17 +138,17 @@ class Store:
         raise BadInputError(f"{self.directory / FILE}: is not a ledger of mavfi")
 
     def _check_disk(self) -> None:
-        """SQLite takes what a disk does not give for damage: raise a `MachineError` if the file cannot be read."""
+        """Raise a `MachineError` if the file cannot be read: SQLite reports read errors as damage."""
         path = self.directory / FILE
-        if not path.is_file():  # a pipe or device would be read for ever
+        if not path.is_file():  # reading a pipe or device would never end
             return
         try:
             with path.open("rb") as file:
                 while True:
-                    file.seek(os.lseek(file.fileno(), file.tell(), os.SEEK_DATA))  # what is a hole cannot fail
+                    file.seek(os.lseek(file.fileno(), file.tell(), os.SEEK_DATA))  # skip holes, which cannot fail
                     file.read(_CHUNK)
         except OSError as error:
-            if error.errno != errno.ENXIO:  # the end
+            if error.errno != errno.ENXIO:  # end of file
                 raise MachineError(f"{path}: cannot be read ({error.strerror})") from error
 
     def _check_schema(self) -> None:
@@ -171,7 +171,7 @@ class Store:
             )
 
     def _check_content(self) -> None:
-        """Refuse a ledger that fails its integrity check, twice: a disk may fail for a moment."""
+        """Refuse a ledger that fails its integrity check twice, since a disk may fail temporarily."""
         wrong = damage(self._connection) and damage(self._connection)
         if wrong:
             self._check_disk()
@@ -188,7 +188,7 @@ class Store:
         self._has_log = True
 
     def _take_over(self) -> None:
-        """Become the one that writes."""
+        """Become the writing process: increment the generation."""
         with self._connection:
             self._connection.execute("BEGIN IMMEDIATE")
             self._generation = (self.meta(_GENERATION) or 0) + 1
@@ -197,14 +197,14 @@ class Store:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """A transaction; failures of disk and memory are a `MachineError`.
+        """A transaction; failures of disk and memory are raised as `MachineError`.
 
         Raises:
-            MavfiError: Another process has taken the ledger over, or what is written does not fit what is there.
+            MavfiError: Another process has taken over the ledger, or the rows conflict with stored ones.
         """
         try:
             with self._connection:
-                if not self._connection.in_transaction:  # a new ledger's tables and identity are one
+                if not self._connection.in_transaction:  # a new ledger's tables and identity share one
                     self._connection.execute("BEGIN IMMEDIATE")
                 if self._generation and self.meta(_GENERATION) != self._generation:
                     raise MavfiError(f"{self.directory}: another process has taken over this campaign")
@@ -222,7 +222,7 @@ class Store:
         return None if row is None else json.loads(row[0])
 
     def meta_row(self, key: str, value: object) -> tuple[str, str, str]:
-        """Plain data as a row of this ledger."""
+        """Plain data as a metadata row of this ledger."""
         text = canonical(value)
         return key, text, meta_checksum(key, text, salt_of(self._connection))
 
@@ -233,7 +233,7 @@ class Store:
             self._connection.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?, ?)", rows)
 
     def plan(self, rows: Iterable[Row]) -> list[Row]:
-        """Store runs before they are flown; those that are there already are left as they are, the others returned."""
+        """Store planned runs; those already stored are left unchanged, the new ones are returned."""
         query = "SELECT 1 FROM runs WHERE run_id = ?"
         with self._writing():
             salt = salt_of(self._connection)
@@ -245,13 +245,13 @@ class Store:
         return new
 
     def end_plan(self, world: tuple[str, int]) -> None:
-        """Note that all runs of a mission are stored."""
+        """Mark a mission as completely planned."""
         with self._writing():
             row = *world, mission_checksum(self._connection, world, salt_of(self._connection))
             self._connection.execute("INSERT OR IGNORE INTO missions VALUES (?, ?, ?)", row)
 
     def done(self, world: tuple[str, int]) -> frozenset[str]:
-        """Ids of the runs of a mission, given by environment and seed, that are flown."""
+        """Ids of the completed runs of a mission, given by environment and seed."""
         query = "SELECT run_id FROM runs WHERE environment = ? AND seed = ? AND record IS NOT NULL"
         return frozenset(run_id for (run_id,) in self._connection.execute(query, world))
 
@@ -266,17 +266,17 @@ class Store:
         return self.is_planned(world) and self._connection.execute(query, world).fetchone() is None
 
     def runs(self, *, done: bool | None = None) -> Iterator[Run]:
-        """Rows in the order of the plan; `done` selects those that are flown, or those that are not."""
+        """Rows in plan order; `done` selects completed (True) or missing (False) ones."""
         chosen = {None: "1", True: "record IS NOT NULL", False: "record IS NULL"}[done]
         for row in self._connection.execute(f"SELECT {_RUN} FROM runs WHERE {chosen} ORDER BY position"):
             yield self._run(*row)
 
     def planned(self) -> list[tuple[str, int]]:
-        """Missions, by environment and seed, of which every run is stored."""
+        """Completely planned missions, as environment and seed."""
         return self._connection.execute("SELECT environment, seed FROM missions ORDER BY 1, 2").fetchall()
 
     def rows(self) -> Iterator[tuple[Row, Flown | None]]:
-        """What is stored, as `plan` and `write` take it, in the order of the plan."""
+        """Stored runs as arguments of `plan` and `write`, in plan order."""
         query = f"SELECT {PLANNED}, record, note, wall_s, json_extract(record, '$.status') FROM runs ORDER BY position"
         for *planned, text, note, wall_s, status in self._connection.execute(query):
             row = Row(*planned)
@@ -284,15 +284,15 @@ class Store:
             yield row, None if text is None else Flown(row.run_id, text, success, note=note, wall_s=wall_s)
 
     def record_text(self, run_id: str) -> str | None:
-        """Record of a run as text; None = it is not flown, or not stored."""
+        """Record of a run as text; None = not flown, or not stored."""
         found = self._connection.execute("SELECT record FROM runs WHERE run_id = ?", (run_id,)).fetchone()
         return None if found is None else found[0]
 
     def run(self, run_id: str) -> Run:
-        """One row by its id, or by the beginning of it.
+        """One row by its id or a prefix of it.
 
         Raises:
-            BadInputError: There is none, or more than one; the message lists some.
+            BadInputError: No row matches, or several do; the message lists some.
         """
         query = f"SELECT run_id, {_RUN} FROM runs WHERE run_id = ? OR instr(run_id, ?) = 1 ORDER BY position"
         rows = self._connection.execute(query, (run_id, run_id)).fetchall()
@@ -310,17 +310,17 @@ class Store:
         try:
             parsed = None if record is None else FlightRecord.from_json(json.loads(record))
             return Run(RunSpec.from_json(json.loads(spec)), parsed, note, wall_s)
-        except (BadInputError, RecursionError, ValueError) as error:  # ValueError: too large a number
+        except (BadInputError, RecursionError, ValueError) as error:  # ValueError: a number is too large
             raise BadInputError(f"{self.directory / FILE}: {error}") from None
 
     def write(self, flown: Iterable[Flown]) -> list[tuple[str, Flown]]:
-        """Store what runs left: from then on they are done, and stay as they are.
+        """Store the results of runs, which are then done and never changed.
 
         Returns:
-            Those that were not done before, each with its setting.
+            Runs that were not done before, each with its setting.
 
         Raises:
-            MavfiError: A run is not planned: its mission, begun again, drew other faults.
+            MavfiError: A run is not planned: its mission drew other faults when repeated.
         """
         found = []
         with self._writing():
@@ -341,19 +341,19 @@ class Store:
         return found
 
     def wall_times(self) -> dict[bool, tuple[int, float]]:
-        """Done runs, and their wall time together (s), by whether they are golden."""
+        """Number and total wall time (s) of completed runs; key: whether golden."""
         query = "SELECT kind = 'golden', COUNT(*), TOTAL(wall_s) FROM runs WHERE record IS NOT NULL GROUP BY 1"
         return {bool(golden): (number, wall_s) for golden, number, wall_s in self._connection.execute(query)}
 
     @property
     def models_dir(self) -> Path | None:
-        """Folder of the trained models that the campaign flies with; None = the shipped ones."""
+        """Folder of the campaign's trained models; None = the shipped ones."""
         held = self.meta("models_dir")
         return None if held is None else self.directory / held
 
     @contextmanager
     def snapshot(self) -> Iterator[None]:
-        """See one state of the ledger, whatever another process writes meanwhile."""
+        """Read a consistent snapshot of the ledger, unaffected by concurrent writes."""
         self._connection.execute("BEGIN")
         try:
             yield
@@ -361,13 +361,13 @@ class Store:
             self._connection.rollback()
 
     def tables(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
-        """Every row with its table's name, in an order that does not depend on that of the flights."""
+        """Every row with its table's name, in an order independent of the order of flights."""
         for table, order in (("meta", "key"), ("runs", "position"), ("missions", "environment, seed")):
             for row in self._connection.execute(f"SELECT * FROM {table} ORDER BY {order}"):
                 yield table, row
 
     def counts(self) -> dict[str, tuple[int, int, int]]:
-        """Runs by setting: planned, done, done with success."""
+        """Runs by setting: planned, done, successful."""
         query = (
             "SELECT setting, COUNT(*), COUNT(record), TOTAL(json_extract(record, '$.status') = 'success') FROM runs "
             "GROUP BY setting ORDER BY MIN(position)"
@@ -376,7 +376,7 @@ class Store:
         return {setting: (planned, done, int(success)) for setting, planned, done, success in rows}
 
     def unknown(self) -> int:
-        """Number of done runs with status unknown."""
+        """Number of completed runs with status unknown."""
         query = "SELECT COUNT(*) FROM runs WHERE json_extract(record, '$.end') = ?"
         return int(self._connection.execute(query, (End.UNKNOWN.value,)).fetchone()[0])
 
@@ -389,9 +389,9 @@ class Store:
         return stored == missions and left is None
 
     def digest(self) -> str:
-        """SHA-256 over plan and records: the same for any order of completion, any workers, any stop and resume.
+        """SHA-256 over plan and records, independent of order of completion, workers, stops and resumes.
 
-        It says which campaign this is only when the ledger is `complete`.
+        It identifies the campaign only if the ledger is `complete`.
         """
         content = hashlib.sha256(canonical(self.meta("identity")).encode())
         for run_id, spec, record in self._connection.execute("SELECT run_id, spec, record FROM runs ORDER BY position"):

@@ -32,9 +32,9 @@ from mavfi.hosts.watching import detector_for
 from mavfi.mission import MissionSpec, MissionStatus, Scenario
 from mavfi.qof import quality_of_flight
 
-ENVIRONMENT = "training"  # randomised worlds; the laws of the evaluation environments are not among them
+ENVIRONMENT = "training"  # randomised worlds; excludes the generators of the evaluation environments
 CHECKING_SEED = TRAINING_SEED + 500_000
-"""First seed of the flights on which false alarms are counted, far behind those of training."""
+"""First seed of the flights on which false alarms are counted, far beyond those of training."""
 Progress = Callable[[int, int], None]
 _MOST_FLIGHTS_PER_WANTED = 3
 FOLDER = ".flights"  # folder of the recordings, in the folder of the models
@@ -42,14 +42,14 @@ _PARTS = tuple(Recording.__annotations__)
 
 
 class KeptRecordings:
-    """Recordings by seed, in a subfolder named after what decides them: scenario, versions and code of mavfi."""
+    """Recordings by seed, in a subfolder named by a hash of scenario, versions and code of mavfi."""
 
     def __init__(self, folder: Path, scenario: Scenario) -> None:
         self._parent = folder / FOLDER
         self._folder = self._parent / _key(scenario)
 
     def load(self, seeds: Iterable[int]) -> dict[int, Recording]:
-        """Recordings of these seeds; a file that cannot be read counts as absent."""
+        """Load the recordings of these seeds; an unreadable file counts as absent."""
         found = {}
         for seed in seeds:
             try:
@@ -62,7 +62,7 @@ class KeptRecordings:
         return found
 
     def save(self, seed: int, recording: Recording) -> None:
-        """Write a recording, atomically; a BadInputError if the folder cannot be written."""
+        """Write a recording atomically; raises a BadInputError if the folder cannot be written."""
         path = self._path(seed)
         part = path.with_suffix(".part")
         try:
@@ -74,9 +74,9 @@ class KeptRecordings:
             raise BadInputError(f"{path}: cannot be written ({error.strerror})") from None
 
     def delete(self) -> None:
-        """Remove these recordings, and the parent folder if it is empty then."""
+        """Remove these recordings, and the parent folder if it is then empty."""
         shutil.rmtree(self._folder, ignore_errors=True)
-        with contextlib.suppress(OSError):  # absent, or another training is under way
+        with contextlib.suppress(OSError):  # absent, or used by another training
             self._parent.rmdir()
 
     def _path(self, seed: int) -> Path:
@@ -84,7 +84,7 @@ class KeptRecordings:
 
 
 def _is_whole(recording: Recording) -> bool:
-    """Whether the parts have the types of a recording, and fit together."""
+    """Whether the parts have the types of a recording, and are consistent."""
     parts = [getattr(recording, name) for name in _PARTS]
     types = [np.int8, np.int64, np.uint8, np.int8, np.int8, np.int16]
     if [part.dtype for part in parts] != types or any(part.ndim != 1 for part in parts):
@@ -98,14 +98,14 @@ def _is_whole(recording: Recording) -> bool:
 
 
 def _key(scenario: Scenario) -> str:
-    """Hash of all that a recording depends on but the seed."""
+    """Hash of all inputs of a recording except the seed."""
     parts = {"scenario": scenario.model_copy(update={"seed": 0}).key(), "versions": versions(), "code": code()}
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True, slots=True)
 class _Task:
-    """A flight; its text is in the message about a lost worker."""
+    """A flight; its text appears in the message about a lost worker."""
 
     scenario: Scenario
     model: Model | None = None
@@ -116,17 +116,17 @@ class _Task:
 
 
 def training_mission(mission: MissionSpec, seed: int = TRAINING_SEED, environment: str = ENVIRONMENT) -> Scenario:
-    """A mission in another world; autopilot profile, platform, planner and so on stay.
+    """The mission in a training world; autopilot profile, platform, planner etc. are unchanged.
 
     Raises:
-        BadInputError: A name is not known, or things do not fit together.
+        BadInputError: A name is unknown, or options are incompatible.
     """
     world = {"environment": environment, "seed": seed, "start": None, "goal": None}
     return resolve(mission.model_copy(update=world))
 
 
 def record_flight(task: _Task) -> Recording | None:
-    """Fly one error-free mission; None if it did not reach its goal."""
+    """Fly one error-free mission; returns None if it misses its goal."""
     recorder, everything = Recorder(), CodeRecorder(task.scenario.stack.name)
     log = fly(task.scenario, recorders=[recorder.accept, everything.accept]).log
     if log.status is not MissionStatus.SUCCESS:
@@ -138,10 +138,10 @@ def record_flight(task: _Task) -> Recording | None:
 def record_flights(
     scenario: Scenario, count: int, workers: int, progress: Progress | None = None, disk: KeptRecordings | None = None
 ) -> dict[int, Recording]:
-    """Fly missions, from the seed of the scenario on, until `count` have reached their goals.
+    """Fly missions with consecutive seeds, starting with the scenario's, until `count` have reached their goals.
 
-    Recordings are kept on `disk`, if given, so that stopping loses only the flights in the air; `progress` is called
-    with flights kept and wanted, for the first time before anything is flown.
+    Recordings are stored on `disk`, if given, so that a stop loses only the flights in progress; `progress` is called
+    with the numbers of recorded and required flights, for the first time before the first flight.
 
     Returns:
         Recordings by seed, ascending; they do not depend on the number of workers.
@@ -165,7 +165,7 @@ def record_flights(
         report(len(kept), count)
         tasks = [task for task in tasks if task.scenario.seed not in kept]
         if tasks and tried == 0:
-            record_flight(tasks[0])  # compiles in this process, and workers inherit it
+            record_flight(tasks[0])  # compiles in this process; workers inherit the code
         tried += len(seeds)
         for task, recording in map_each(executor, record_flight, tasks):
             if recording is None:
@@ -186,18 +186,18 @@ def train(
     Recordings are kept in the folder until the models are written: the same call resumes an interrupted training.
 
     Args:
-        folder: Where the models are written.
-        flights: Missions that reach their goals, in each environment.
-        mission: How they are flown; environment, seed, start and goal are training's own.
+        folder: Output folder of the models.
+        flights: Successful missions per environment.
+        mission: Options of the missions; environment, seed, start and goal are set by training.
         workers: Number of processes; the models do not depend on it.
-        progress: Called with flights kept and wanted, of one environment after the other.
-        environments: Where they are flown.
-        extras: Detectors that need packages of these are fitted, too: "bench".
+        progress: Called with the numbers of recorded and required flights, for each environment in turn.
+        environments: Environments of the missions.
+        extras: Optional dependencies whose detectors are fitted, too: "bench".
 
     Raises:
-        BadInputError: A name is not known, too few flights arrive, or the folder cannot be written.
+        BadInputError: A name is unknown, too few flights arrive, or the folder cannot be written.
     """
-    from mavfi.detectors.training import fit, save  # imports every detector that learns
+    from mavfi.detectors.training import fit, save  # imports every trainable detector
 
     for detector in of_all_fields(extras).values():
         getattr(detector, "check_installed", lambda: None)()
@@ -231,8 +231,8 @@ def count_false_alarms(
 ) -> list[dict[str, EventRate]]:  # fmt: skip
     """Alarms per flight hour of each model in the folder by environment, on error-free missions with other seeds.
 
-    There are `flights` of these in each environment, flown as of `train`; `progress` is called with flights done and
-    wanted.
+    Each environment has `flights` missions, flown as in `train`; `progress` is called with the numbers of completed
+    and required flights.
 
     Raises:
         MavfiError: A worker was lost.
@@ -254,7 +254,7 @@ def count_false_alarms(
 
 
 def _count_alarms(task: _Task) -> tuple[int, float]:
-    """Alarms, and hours of flight."""
+    """Fly one mission; returns the number of alarms and the flight hours."""
     assert task.model is not None  # only these are counted
     detector, _ = detector_for(task.scenario, task.model.kind, task.model.profile, task.folder)
     log = fly(task.scenario, detector=detector).log
@@ -262,7 +262,7 @@ def _count_alarms(task: _Task) -> tuple[int, float]:
 
 
 def _check_writable(folder: Path) -> None:
-    """Fail before the flights, not after them."""
+    """Check before the flights that the folder can be written."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / ".mavfi-probe"

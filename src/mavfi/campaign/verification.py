@@ -1,4 +1,4 @@
-"""Replays a random sample of a ledger's runs, and bounds the share of wrong records."""
+"""Verification of a ledger: replay of a random sample of its runs, and a bound on the share of wrong records."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,7 +20,7 @@ class Verification:
     Attributes:
         runs: Replayable runs of the ledger.
         flown: Size of the sample.
-        differing: Runs whose new record differs from the stored one.
+        differing: Runs whose replayed record differs from the stored one.
     """
 
     runs: int
@@ -42,13 +42,13 @@ def verify(
     Runs without a flight, and runs marked as not replayable, are excluded.
 
     Args:
-        directory: Of the ledger.
+        directory: Folder of the ledger.
         share: Sample size / replayable runs, in (0, 1].
-        seed: Of the sample.
+        seed: Seed of the sample.
         progress: Called with the number of replayed runs and the sample size.
 
     Raises:
-        BadInputError: There is no ledger, it has no replayable run, or the share is out of range.
+        BadInputError: The ledger is absent or has no replayable run, or the share is out of range.
     """
     if not 0.0 < share <= 1.0:
         raise BadInputError(f"--share: {share}: allowed: above 0, 1 at most")
@@ -73,7 +73,7 @@ def _is_replayable(run: Run) -> bool:
 
 
 def _again(store: Store, run: Run) -> FlightRecord:
-    """Record of the replayed run; the counts of a golden run, which only the draw needs, are copied."""
+    """Record of the replayed run, with the counts of a golden run, used only for drawing faults, copied."""
     stored = run.record
     assert stored is not None
     now = FlightRecord.from_json(fly_again(store, run.spec).record().to_json())

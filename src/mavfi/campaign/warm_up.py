@@ -1,4 +1,4 @@
-"""Kernels are compiled once on each machine: by the process whose workers are forked, or by the first worker."""
+"""Compilation of kernels, once per machine: in the parent process of forked workers, or in the first worker."""
 
 import fcntl
 import hashlib
@@ -10,21 +10,21 @@ from mavfi.numerics.jit import code_folder
 
 
 def warm_up(mission: MissionPlan) -> None:
-    """Fly golden runs and draw faults, so that what they need is compiled; results are not used."""
+    """Fly golden runs and draw faults to compile the required code; results are discarded."""
     for item in fly_mission(mission):
         if isinstance(item, Planned) and item.last:
             return
 
 
 def fly_mission_anywhere(mission: MissionPlan) -> Iterator[Planned | Flown]:
-    """`fly_mission` in a process that was not forked from the campaign's."""
+    """`fly_mission` in a process that is not a fork of the campaign's."""
     if host_of(mission.campaign).in_process:
         _warm_up_machine(mission)
     yield from fly_mission(mission)
 
 
 def _warm_up_machine(mission: MissionPlan) -> None:
-    """Let one process of this machine compile, while the others wait."""
+    """Compile in one process of this machine, while the others wait."""
     folder = code_folder()
     folder.mkdir(parents=True, exist_ok=True)
     key = hashlib.sha256(mission.campaign.model_dump_json().encode()).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""A campaign as seen from outside while it is flown: from its ledger, its log and its lock."""
+"""Monitoring of a running campaign from another process, through its ledger, log and lock."""
 
 import math
 import time
@@ -16,32 +16,32 @@ from mavfi.campaign.run import Status, golden_done, shard_of, status_of, stored_
 from mavfi.campaign.store import Store
 
 WINDOW_S = 300.0
-"""Rates are those of the last minutes (s)."""
-_SETTLED_S = 10.0  # of watching, before what was seen gives a rate
+"""Averaging window of rates (s)."""
+_SETTLED_S = 10.0  # shortest observation for a rate (s)
 _TROUBLE = ("worker_lost", "retry", "gave_up", "unknown")
 _MOST_ERRORS = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Outlook(Status):
-    """Runs done, speed, time left and missions in the air of a campaign."""
+    """Progress of a campaign with its speed, remaining time, missions in progress and errors."""
 
     flying: bool = False  # a process writes the ledger
-    rate: float = 0.0  # runs per second over the last minutes; 0 = not known yet
-    remaining_s: float = math.inf  # wall time that is left (s); infinite = not known yet
-    workers: int | None = None  # processes of the session; None = not known
-    in_the_air: tuple[str, ...] = ()  # missions
-    errors: tuple[str, ...] = ()  # latest lines of the log about trouble
+    rate: float = 0.0  # runs per second over `WINDOW_S`; 0 = unknown yet
+    remaining_s: float = math.inf  # remaining wall time (s); infinite = unknown yet
+    workers: int | None = None  # processes of the session; None = unknown
+    in_the_air: tuple[str, ...] = ()  # missions in progress
+    errors: tuple[str, ...] = ()  # latest log entries about errors
 
 
 class Watch:
-    """Looks at a campaign again and again.
+    """Monitor of a campaign, for repeated queries.
 
     Args:
         directory: Folder of the ledger.
 
     Raises:
-        BadInputError: There is no ledger, or it is damaged.
+        BadInputError: The ledger is absent or damaged.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -51,7 +51,7 @@ class Watch:
             self._golden = plan_of(stored_campaign(store), {}, {}).golden_count(shard_of(store))
 
     def look(self) -> Outlook:
-        """How it is now."""
+        """Query the current progress."""
         with Store.open(self._directory, check=False) as store:
             status, walls = status_of(store), store.wall_times()
         log, flying = entries(self._directory), is_written(self._directory)
@@ -71,7 +71,7 @@ class Watch:
         )  # fmt: skip
 
     def _rate(self, now: float, done: int) -> float:
-        """Runs per second since at most `WINDOW_S` (1/s); 0 = this was not watched long enough."""
+        """Runs per second over at most `WINDOW_S` (1/s); 0 = observed for too short a time."""
         self._seen.append((now, done))
         while len(self._seen) > 2 and now - self._seen[0][0] > WINDOW_S:
             self._seen.popleft()
@@ -86,7 +86,7 @@ def session_of(log: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def flying_missions(session: list[dict[str, Any]]) -> tuple[str, ...]:
-    """Missions that were begun and are not over."""
+    """Missions that were started and have not ended."""
     flying: dict[str, None] = {}
     for entry in session:
         match entry["event"]:
@@ -100,7 +100,7 @@ def flying_missions(session: list[dict[str, Any]]) -> tuple[str, ...]:
 
 
 def errors_of(log: list[dict[str, Any]]) -> tuple[str, ...]:
-    """The latest entries about trouble, a line each."""
+    """The latest entries about errors, one line each."""
     found = [entry for entry in log if entry["event"] in _TROUBLE or entry.get("why") == "failed"]
     return tuple(_line(entry) for entry in found[-_MOST_ERRORS:])
 

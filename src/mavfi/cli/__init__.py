@@ -1,6 +1,6 @@
-"""The command line: one file per verb.
+"""The command line: one file per command.
 
-Only the handler of Ctrl-C is imported here, so that Ctrl-C during start-up never ends in a traceback.
+Only the Ctrl-C handler is imported here, so that Ctrl-C during start-up never prints a traceback.
 """
 
 import sys
@@ -17,7 +17,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def main() -> None:
-    """The program `mavfi`."""
+    """Entry point of the program `mavfi`."""
     try:
         stopping.leave_on_ctrl_c()
         code = run(sys.argv[1:])

@@ -57,7 +57,7 @@ def detectors(  # noqa: PLR0913 - one parameter per option
     workers: options.Workers = 2,
     as_json: options.AsJson = False,
 ) -> None:
-    """Fly every scheme of a bench on the same faults; say what each brings back, and what it costs.
+    """Fly every scheme of a bench on the same faults; print the missions recovered by each, and its cost.
 
     Ctrl-C stops (exit code 130); the same command resumes.
 
@@ -105,7 +105,7 @@ def _fly(flown: "Mapping[str, Entry]", out: Path, workers: int, models: Path | N
 def _scores(
     flown: "Mapping[str, Entry]", out: Path, workers: int, models: Path | None
 ) -> "dict[str, Scores]":  # fmt: skip
-    """Scores of the detectors in the parts that are for it."""
+    """Scores of the detectors, in the parts with `scores` enabled."""
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.scores import scores
 
@@ -114,7 +114,7 @@ def _scores(
 
 
 def _table(bench: "Bench", name: str, entry: "Entry", ledger: Path, scale: str) -> "Table":
-    """The table of a part: its schemes, whether its faults are the frozen ones, and who was left out."""
+    """The table of a part, with notes on agreement with the frozen faults and on omitted schemes."""
     from mavfi.campaign.analysis import Runs, table
     from mavfi.campaign.bench import checksum, faults_of, frozen_faults
 

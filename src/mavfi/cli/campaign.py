@@ -1,4 +1,4 @@
-"""`mavfi campaign run | status | verify | merge | repair | digest`: fly many missions, prove what came out."""
+"""`mavfi campaign run | status | verify | merge | repair | digest`: fly many missions, verify the results."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -52,7 +52,7 @@ def run(  # noqa: PLR0913 - options
         bool, typer.Option("--allow-unknown", help="Exit with 0 even if runs have status unknown.")
     ] = False,
 ) -> None:
-    """Fly a campaign, or what is left of it.  Ctrl-C stops it (exit code 130); the same command resumes.
+    """Fly a campaign, or its missing runs.  Ctrl-C stops it (exit code 130); the same command resumes.
 
     Example: [bold]mavfi campaign run configs/campaigns/states.yaml --out out/states[/bold]
     """
@@ -86,7 +86,7 @@ def run(  # noqa: PLR0913 - options
 
 
 def _what(campaign: "Campaign", ledger: Path, workers: int, models: Path | None, shard: "Shard") -> list[str]:
-    """Lines about what a campaign would fly; names are checked, nothing is written."""
+    """Description of a campaign for --dry-run, as lines; names are checked, no file is written."""
     from mavfi.campaign.mission import plan_of, scenarios_of
     from mavfi.campaign.plan import arms_of
     from mavfi.campaign.run import model_hashes
@@ -117,7 +117,7 @@ def status(
     every: Annotated[float, typer.Option(help="Seconds between two looks of --watch.")] = 2.0,
     as_json: options.AsJson = False,
 ) -> None:
-    """Print how far a campaign is, and how many missions succeeded in each setting.
+    """Print the progress of a campaign, and the number of successful missions in each setting.
 
     Example: [bold]mavfi campaign status out/states --watch[/bold]
     """
@@ -152,7 +152,7 @@ def verify(
     seed: Annotated[int, typer.Option(help="Of the sample.")] = 0,
     as_json: options.AsJson = False,
 ) -> None:
-    """Replay a random sample of the runs, compare their records, and bound the share of wrong ones.
+    """Replay a random sample of the runs, compare their records, and bound the share of wrong records.
 
     Exit code 1 if a record differs.
 
@@ -182,7 +182,7 @@ def merge(
     directories: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of the ledgers.")],
     out: Annotated[Path, typer.Option(help="Folder of the ledger of all; made if absent.")],
 ) -> None:
-    """Join ledgers of one campaign that were flown in parts (`campaign run --shard`), in any order.
+    """Merge the ledgers of a campaign's shards (`campaign run --shard`), in any order.
 
     Example: [bold]mavfi campaign merge out/part-* --out out/states[/bold]
     """
@@ -214,9 +214,9 @@ def repair(directory: options.Ledger) -> None:
 
 @app.command("digest")
 def digest(directory: options.Ledger, as_json: options.AsJson = False) -> None:
-    """Print the hash of plan and records: the same for any number of workers, and after any stop.
+    """Print the hash of plan and records, independent of the number of workers and of interruptions.
 
-    Of a campaign that is not complete it is that of the runs so far; stderr says so.
+    For an incomplete campaign it covers the runs so far, with a message on stderr.
 
     Example: [bold]mavfi campaign digest out/states[/bold]
     """

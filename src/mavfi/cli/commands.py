@@ -1,4 +1,4 @@
-"""The verbs in one application, and the handling of errors; verbs import heavy parts when they need them."""
+"""The application with all commands, and its error handling; commands import heavy modules on demand."""
 
 from collections.abc import Sequence
 from typing import Annotated
@@ -68,9 +68,9 @@ def _mavfi(
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run a command, given as the words after `mavfi` (none = help); gives its exit code.
+    """Run a command, given as the words after `mavfi` (none = help); returns its exit code.
 
-    Bad input and our own known failures are one line on stderr; an unknown failure is raised.
+    Bad input and known failures print one line on stderr; unknown exceptions are raised.
     """
     if _ALLOW_PLUGINS in arguments:
         allow_plugins()
@@ -82,7 +82,7 @@ def run(arguments: Sequence[str]) -> int:
     except MavfiError as error:
         is_input = isinstance(error, BadInputError) and not machine_failure(error)
         return complain(str(error), EXIT_BAD_INPUT if is_input else EXIT_FAILURE)
-    except typer.TyperException as error:  # a missing argument, an option that there is not, no number
+    except typer.TyperException as error:  # missing argument, unknown option, invalid number
         message = error.format_message().rstrip(".")
         return complain(f"{message}; see `mavfi {_verb(arguments)}--help`", EXIT_BAD_INPUT)
     except typer.Abort:
@@ -96,6 +96,6 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _verb(arguments: Sequence[str]) -> str:
-    """The verb that was given, for a hint; nothing if there is no such verb."""
+    """The given command followed by a space, for a hint; empty if there is no such command."""
     verbs = {command.name for command in app.registered_commands} | {group.name for group in app.registered_groups}
     return f"{arguments[0]} " if arguments and arguments[0] in verbs else ""

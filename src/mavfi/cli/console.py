@@ -1,4 +1,4 @@
-"""What all verbs share: where text goes, and what is checked before anything is flown (`BadInputError`, one line)."""
+"""Shared by all commands: output, and checks of input before the first flight (`BadInputError`, one line)."""
 
 import json
 import os
@@ -16,11 +16,11 @@ from mavfi.errors import BadInputError, writing
 from mavfi.mission import LARGEST_SEED
 
 WIDE = 140
-"""Columns where the output is no terminal: tables in a file are not folded."""
+"""Width in columns if the output is not a terminal, so that tables in a file are not wrapped."""
 LONGEST_LINE = 2000
-"""Characters of an error's line."""
+"""Maximum length of an error message (characters)."""
 FLIGHTS, PICTURES = (".npz",), (".png", ".svg", ".pdf")
-"""Endings of files."""
+"""File name extensions."""
 
 
 def console(*, error: bool = False) -> Console:
@@ -31,12 +31,12 @@ def console(*, error: bool = False) -> Console:
 
 
 def titled_table(title: str, **more: Any) -> Table:
-    """An empty table with a title, in the look of all verbs."""
+    """An empty table with a title, in the style of all commands."""
     return Table(title=title, title_style="bold", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, **more)
 
 
 def one_line(text: str) -> str:
-    """The text as one line for a terminal: what cannot be printed is escaped, the middle of a long one is left out."""
+    """The text as one line for a terminal: unprintable characters are escaped, long text is shortened in the middle."""
     line = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in " ".join(text.split()))
     if len(line) <= LONGEST_LINE:
         return line
@@ -45,7 +45,7 @@ def one_line(text: str) -> str:
 
 
 def complain(text: str, code: int) -> int:
-    """Write one line to stderr, and answer the exit code."""
+    """Write one line to stderr, and return the exit code."""
     typer.echo(f"mavfi: {one_line(text)}", err=True)
     return code
 
@@ -58,25 +58,25 @@ def write_json(data: Any) -> None:
 
 
 def check_number(option: str, value: float | None, low: float, high: float) -> None:
-    """Refuse a number outside of its range, or one that is not finite; None passes."""
+    """Refuse a number outside its range, or a non-finite one; None passes."""
     if value is not None and not low <= value <= high:
         raise BadInputError(f"{option}: {value}: allowed: {low:g} to {high:g}")
 
 
 def check_seed(option: str, value: int) -> None:
-    """Refuse a seed that no random stream takes."""
+    """Refuse a seed outside the range of random streams."""
     if not 0 <= value <= LARGEST_SEED:
         raise BadInputError(f"{option}: {value}: allowed: 0 to {LARGEST_SEED}")
 
 
 def check_name(option: str, value: str, names: Iterable[str]) -> None:
-    """Refuse a name that is none of these."""
+    """Refuse a name that is not in the list."""
     if value not in (allowed := tuple(names)):
         raise BadInputError(f"{option}: {value!r}: allowed: {', '.join(allowed)}")
 
 
 def check_file(option: str, path: Path | None, endings: Sequence[str]) -> None:
-    """Refuse a file with another ending, or one that could not be written; None passes."""
+    """Refuse a file with another extension, or one that cannot be written; None passes."""
     if path is not None and path.suffix.lower() not in endings:
         several = "s" if len(endings) > 1 else ""
         raise BadInputError(f"{option}: {path}: allowed ending{several}: {', '.join(endings)}")
@@ -84,7 +84,7 @@ def check_file(option: str, path: Path | None, endings: Sequence[str]) -> None:
 
 
 def check_writable(path: Path | None) -> None:
-    """Refuse a file that could not be written, before anything is flown; what is there stays as it is."""
+    """Refuse a file that cannot be written, before the first flight; an existing file is not changed."""
     if path is None:
         return
     there = path.exists()
@@ -95,7 +95,7 @@ def check_writable(path: Path | None) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Make a folder, and refuse one that cannot be written into."""
+    """Create a folder, and refuse one that cannot be written."""
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         probe = folder / ".mavfi-probe"

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 ENDINGS = (".bag", ".mcap", ".csv")
 RUNS = (".parquet", ".csv")
-"""Endings for the runs of a whole campaign."""
+"""File name extensions for the runs of a campaign."""
 
 
 def export(
@@ -36,7 +36,7 @@ def export(
     ] = Path("flight.mcap"),
     as_json: options.AsJson = False,
 ) -> None:
-    """Write a flight, or the runs of a campaign, for other people's tools; no ROS is needed.
+    """Export a flight, or the runs of a campaign, for other tools; ROS is not required.
 
     Example: [bold]mavfi export flight.npz --to flight.mcap[/bold]
 
@@ -65,7 +65,7 @@ def export(
 
 
 def _export_runs(directory: Path, to: Path, as_json: bool) -> None:
-    """One row per run, all columns of the frame."""
+    """Write one row per run, with all columns of the frame."""
     from mavfi.campaign.analysis.runs import Runs
 
     check_writable(to)

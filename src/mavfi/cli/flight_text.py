@@ -1,4 +1,4 @@
-"""One flight as text for people."""
+"""Text summary of one flight for the terminal."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MEANING = {
     Effect.UNKNOWN: Effect.UNKNOWN.value,
 }
 MOST_ALARMS = 6
-"""Alarms that are shown one by one."""
+"""Number of alarms shown individually."""
 _FIGURES = (
     ("flight time", "flight_time_s", 1.0, "s"),
     ("energy", "energy_j", 1e-3, "kJ"),
@@ -33,7 +33,7 @@ _FIGURES = (
 
 
 def panel(result: FlightResult) -> Panel:
-    """The flight in a frame: how it ended, its figures, the fault, the alarms, the digest; no name is cut."""
+    """The flight in a frame: status, metrics, fault, alarms, digest; names are never truncated."""
     scenario, success = result.scenario, result.status is MissionStatus.SUCCESS
     colour = "green" if success else "red"
     watched = f" · detector {result.detector}" if result.detector else ""
@@ -54,7 +54,7 @@ def _verdict(status: MissionStatus) -> Text:
 
 
 def _unwatched(result: FlightResult) -> list[RenderableType]:
-    """How the same fault ends without the detector."""
+    """Status of the flight with the same fault without the detector."""
     if result.unwatched is None:
         return []
     log = result.unwatched.log
@@ -84,7 +84,7 @@ def _figures(result: FlightResult) -> Table:
 
 
 def _fault(result: FlightResult) -> list[RenderableType]:
-    """The fault, and what it did; nothing for a golden flight."""
+    """The fault and its effect; empty for a golden flight."""
     fault, effect = result.fault, result.effect
     if fault is None or effect is None:
         return []
@@ -101,7 +101,7 @@ def _alarms(result: FlightResult) -> list[RenderableType]:
 
 
 def story_table(story: list[tuple[str, str]]) -> Table:
-    """Headings and sentences in two columns; data is never read as markup."""
+    """Headings and sentences in two columns; data is never interpreted as markup."""
     table = Table(box=None, show_header=False, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column(no_wrap=True)
     table.add_column(overflow="fold")

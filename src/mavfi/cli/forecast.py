@@ -1,4 +1,4 @@
-"""What `mavfi campaign run --dry-run` says of flights, time and disk."""
+"""Forecast of flights, time and disk space for `mavfi campaign run --dry-run`."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def forecast_lines(plan: "Plan", ledger: Path, workers: int, shard: "Shard") -> list[str]:
-    """Lines about runs, time left and size of the ledger; says what is measured and what is assumed."""
+    """Lines about runs, remaining time and size of the ledger, with the source of the estimate."""
     found = forecast(plan, ledger, workers, shard)
     lines = [
         f"{found.golden + found.injected} runs at most, {found.done} of them done in {ledger}",

@@ -39,9 +39,9 @@ def inject(  # noqa: PLR0913 - one parameter per option
     null: Annotated[bool, typer.Option("--null", help="Do everything but flip the bit.")] = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Flip one bit in one register of a running process (x86-64 Linux), and say which.
+    """Flip one bit in one register of a running process (x86-64 Linux), and report the injection.
 
-    The process need not know mavfi. It stands still for about a millisecond, and runs on.
+    The process needs no preparation. It is stopped for about a millisecond, then continues.
 
     Example: [bold]mavfi inject --pid 1234 --registers fp --seed 3[/bold]
     """
@@ -59,7 +59,7 @@ def inject(  # noqa: PLR0913 - one parameter per option
 
 
 def _process(pid: int | None, ros_node: str | None) -> int:
-    """Process id from the one option of both that is given."""
+    """Process id from --pid or --ros-node, exactly one of which must be given."""
     if (pid is None) == (ros_node is None):
         raise BadInputError("--pid, --ros-node: allowed: one of them")
     if pid is not None:
@@ -71,7 +71,7 @@ def _process(pid: int | None, ros_node: str | None) -> int:
 
 
 def _report(injection: Injection) -> None:
-    """One injection in two lines; operands and names are data, so nothing in them is read as markup."""
+    """Print one injection in two lines; operands and names are never interpreted as markup."""
     known = injection.details
     moment = "before" if known["access"] == "read" else "after"
     done = "injected" if injection.activated else "NOT injected as planned"

@@ -1,4 +1,4 @@
-"""Options that several verbs share.  Those of a mission are derived from `MissionSpec`: one option for each field."""
+"""Options shared by several commands.  Mission options are derived from `MissionSpec`: one option per field."""
 
 import functools
 import inspect
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mavfi.campaign.executors.executor import Executor as AnyExecutor
 
 _ALIASES = {"autopilot": ("--stack",)}
-"""Older names that still work."""
+"""Deprecated names, still accepted."""
 
 Fault = Annotated[
     str | None,
@@ -35,7 +35,7 @@ FaultSeed = Annotated[
     typer.Option(help="Draws what the fault does not name: instant, element, instruction, bit; 0 by default."),
 ]
 DETECTORS = ", ".join(sorted(known("mavfi.detectors", {})))
-"""Entry points; the registry, which loads them, is too heavy for `--help`."""
+"""Names of entry points; importing the registry, which loads them, would slow down `--help`."""
 Detector = Annotated[str, typer.Option(help=f"{DETECTORS}, or package:Class.")]
 Profile = Annotated[str | None, typer.Option(help="Of the detector: paper (the default) or tuned.")]
 Models = Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")]
@@ -60,9 +60,9 @@ Shard = Annotated[
 
 
 def with_mission_options(verb: Callable[..., None], without: Collection[str] = ()) -> Callable[..., None]:
-    """Give a verb, whose first parameter is a `MissionSpec`, one option for each of its fields but those `without`.
+    """Replace a command's first parameter, a `MissionSpec`, by one option for each field except `without`.
 
-    A value that is not allowed raises `BadInputError`.
+    An invalid value raises `BadInputError`.
     """
     fields = {name: field for name, field in MissionSpec.model_fields.items() if name not in without}
 
@@ -82,10 +82,10 @@ def with_mission_options(verb: Callable[..., None], without: Collection[str] = (
 
 
 def mission_of(given: Mapping[str, Any]) -> MissionSpec:
-    """The mission that options ask for, given by name of the field.
+    """Build the mission from option values, given by field name.
 
     Raises:
-        BadInputError: A value is not allowed; the line names option, value and what is.
+        BadInputError: A value is invalid; the message names option, value and allowed values.
     """
     for name in ("start", "goal"):
         point = given.get(name)
@@ -102,7 +102,7 @@ def mission_of(given: Mapping[str, Any]) -> MissionSpec:
 
 
 def option_name(field: str) -> str:
-    """`--map-resolution` of `map_resolution`."""
+    """Option name of a field, e.g. `--map-resolution` for `map_resolution`."""
     return "--" + field.replace("_", "-")
 
 
@@ -115,13 +115,13 @@ def _parameter(name: str, field: FieldInfo) -> inspect.Parameter:
 
 
 def _words(field: FieldInfo) -> tuple[str, ...]:
-    """Allowed values of a field that takes one of a few words, or none of them; empty = it takes other values."""
+    """Allowed words of a `Literal` field, also of an optional one; empty for other types."""
     kinds = (field.annotation, *get_args(field.annotation))
     return next((get_args(kind) for kind in kinds if get_origin(kind) is Literal), ())
 
 
 def _allowed(name: str) -> str:
-    """Allowed values of a field, in words."""
+    """Allowed values of a field, as text."""
     field = MissionSpec.model_fields[name]
     if name == "seed":
         return f"0 to {LARGEST_SEED}"
@@ -132,7 +132,7 @@ def _allowed(name: str) -> str:
 
 
 def executor_of(name: str, scheduler: str, workers: int) -> "AnyExecutor":
-    """What flies the missions; a name that is not known, or options that do not fit, are a `BadInputError`."""
+    """The executor of a campaign; raises `BadInputError` for an unknown name or incompatible options."""
     from mavfi.campaign.executors.dask import DaskExecutor
     from mavfi.campaign.executors.local import LocalExecutor
 

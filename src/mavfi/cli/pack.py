@@ -1,4 +1,4 @@
-"""`mavfi campaign pack | unpack`: a campaign in one file, which another user verifies and resumes."""
+"""`mavfi campaign pack | unpack`: a campaign as one file, for other users to verify and resume."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,9 +19,9 @@ def pack(
     out: Annotated[Path | None, typer.Option(metavar="FILE.zip", help="DIR.zip by default.")] = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Write a campaign, complete or not, into one file: ledger, trained models, versions, checksums.
+    """Write a campaign, complete or not, to one file: ledger, trained models, versions, checksums.
 
-    The campaign may be running.  The same ledger gives the same bytes.
+    The campaign may be running.  Equal ledgers give equal bytes.
 
     Example: [bold]mavfi campaign pack out/states --out states.zip[/bold]
     """
@@ -37,9 +37,9 @@ def unpack(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the ledger; empty or absent.")],
     as_json: options.AsJson = False,
 ) -> None:
-    """Verify a packed campaign, and make a folder in which it can be reported, verified, and resumed.
+    """Verify a packed campaign, and unpack it into a folder for reports, verification and resuming.
 
-    Checksums show damage, not intent: `mavfi campaign verify` flies a sample of the runs again.
+    Checksums detect damage, not manipulation: `mavfi campaign verify` replays a sample of the runs.
 
     Example: [bold]mavfi campaign unpack states.zip --out out/states[/bold]
     """

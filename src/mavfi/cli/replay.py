@@ -1,4 +1,4 @@
-"""`mavfi replay`: fly a stored run again, and say whether the same flight came out."""
+"""`mavfi replay`: repeat a stored run, and compare its digest."""
 
 from rich.text import Text
 
@@ -7,7 +7,7 @@ from mavfi.cli.console import console, write_json
 
 
 def replay(directory: options.Ledger, run_id: options.RunId, as_json: options.AsJson = False) -> None:
-    """Fly a run again from its spec, and say whether the digest is the same.
+    """Replay a run from its specification, and report whether the digest is the same.
 
     Example: [bold]mavfi replay out/reproduce sparse-10003-golden-[/bold]
     """

@@ -62,9 +62,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     as_json: options.AsJson = False,
     save: options.Save = None,
 ) -> None:
-    """Fly one mission with every kernel, the world, the injector and the detector as ROS nodes of their own.
+    """Fly one mission with every kernel, the world, the injector and the detector as separate ROS nodes.
 
-    In lock-step the flight is bit for bit the one of `mavfi fly`.
+    In lock-step the flight is bit-identical to that of `mavfi fly`.
 
     Example: [bold]mavfi ros fly --environment sparse --seed 7 --kill octomap@20[/bold]
     """
@@ -102,7 +102,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
 
 def _fly(plan: Plan, label: str, allow_bind_all: bool, *, quiet: bool) -> tuple[FlightResult, RosFlight]:
-    """The flight, beside its golden run where it can be compared."""
+    """Fly the plan; the result includes the golden run if the flight is comparable to it."""
     from mavfi.hosts.ros1.session import fly as fly_there
     from mavfi.reports.flight_result import FlightResult
 

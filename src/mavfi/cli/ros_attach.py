@@ -1,4 +1,4 @@
-"""`mavfi ros list | corrupt | watch`: look at, change and watch any ROS 1 application while it runs."""
+"""`mavfi ros list | corrupt | watch`: inspect, inject into and monitor any running ROS 1 application."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _LONGEST_S = 7 * 86_400.0
 _AFTERWARDS_S = 0.2
-"""How long messages still pass through after the last injection: what was changed must arrive (s)."""
+"""Time of relaying after the last injection, so that the corrupted message is delivered (s)."""
 _POLL_S = 0.01
 
 
@@ -88,9 +88,9 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
     seed: Annotated[int, typer.Option(help="Draws messages and bits.")] = 0,
     as_json: options.AsJson = False,
 ) -> None:
-    r"""Flip bits of a number in the messages of any topic, without restarting anybody.
+    r"""Flip bits of a numeric field in the messages of any topic, without restarting any node.
 
-    Readers are turned to mavfi, and back to their publishers in the end, also if mavfi is killed.
+    Subscribers are redirected to mavfi, and back to their publishers at the end, even if mavfi is killed.
 
     Example: [bold]mavfi ros corrupt --topic /joint_states --field 'position\[0]' --bit 51 --at 10[/bold]
     """
@@ -119,7 +119,7 @@ def corrupt(  # noqa: PLR0913 - one parameter per option
 
 
 def _run(relay: Relay, injector: MessageInjector, duration: float | None) -> None:
-    """Relay messages until the fault has been injected, or the time is over."""
+    """Relay messages until the fault has been injected, or the duration has elapsed."""
     for failure in relay.failures:
         console(error=True).print(f"not turned: {failure}", markup=False)
     end = time.monotonic() + (_LONGEST_S if duration is None else duration)
@@ -134,7 +134,7 @@ def _run(relay: Relay, injector: MessageInjector, duration: float | None) -> Non
 
 
 def _tell(injection: Injection) -> None:
-    """One injection in one line."""
+    """Print one injection in one line."""
     told = injection.details
     verdict = "verified" if injection.activated else "NOT verified"
     console().print(
@@ -161,7 +161,7 @@ def watch(  # noqa: PLR0913 - one parameter per option
     duration: Annotated[float | None, typer.Option(help="Watch for so long, s; until Ctrl-C by default.")] = None,
     as_json: options.AsJson = False,
 ) -> None:
-    r"""Watch numbers of any topics with one of the paper's detectors; alarms are printed and published.
+    r"""Monitor numeric fields of any topics with one of the paper's detectors; alarms are printed and published.
 
     Example: [bold]mavfi ros watch --topics /joint_states --fields 'position\[0]' --train bag.bag[/bold]
     """
@@ -205,7 +205,7 @@ def _list(text: str, option: str = "") -> list[str]:
 def _trained(
     listener: Listener, chosen: tuple[str, str], fields: list[str], source: str, seconds: float
 ) -> tuple[dict[str, Probe], Detector, int]:
-    """Watched numbers, trained detector, and number of messages that it has learned from."""
+    """Monitored fields, trained detector, and number of training messages."""
     from mavfi.detectors.registry import of_monitored_fields
     from mavfi.hosts.node.watch import make_probes, train
 
@@ -224,10 +224,10 @@ def trained_on_file(
     chosen: tuple[str, str],
     fields: list[str],
 ) -> tuple[dict[str, Probe], Detector, int]:
-    """The same, from a file.
+    """Monitored fields, detector trained on a file, and number of training messages.
 
     Raises:
-        BadInputError: It cannot be read, lacks a topic or has another type there, or a message is not of its type.
+        BadInputError: The file cannot be read, lacks a topic, has another type for it, or has an invalid message.
     """
     from mavfi.flight_logs import open_flight_log
     from mavfi.hosts.node.watch import make_probes, train

@@ -1,4 +1,4 @@
-"""Options of `mavfi ros fly` that name nodes: who computes the point cloud, is killed, or injected in registers."""
+"""Options of `mavfi ros fly` about nodes: point cloud node, killed nodes, and register faults in nodes."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ OldSeedOption = Annotated[int | None, typer.Option("--strike-seed", hidden=True)
 
 
 def renamed(name: str, value: _Value | None, old_name: str, old_value: _Value | None) -> _Value | None:
-    """The value of an option that has another name now; the older name still works, with a warning."""
+    """The value of a renamed option; the old name is still accepted, with a warning."""
     if old_value is not None:
         console(error=True).print(f"mavfi: {old_name}: deprecated, is now {name}", markup=False)
     return old_value if value is None else value
 
 
 def mission_with(mission: MissionSpec, detector: str) -> MissionSpec:
-    """A mission with the keys that go with a detector; raises `BadInputError` if ROS cannot fly it.
+    """Add the mission keys of a detector; raises `BadInputError` if the mission is not supported on ROS.
 
-    Where the detector's grain is `message`, it is `kernel`: nodes keep no copy of what they sent.
+    A detector's grain `message` becomes `kernel`, since nodes keep no copy of sent messages.
     """
     from mavfi.hosts.ros1.plan import check_supported
     from mavfi.hosts.watching import with_keys_of
@@ -63,7 +63,7 @@ def mission_with(mission: MissionSpec, detector: str) -> MissionSpec:
 
 
 def cloud_node(text: str) -> CloudNode:
-    """Node that computes the point cloud; raises `BadInputError` for another name."""
+    """The node that computes the point cloud; raises `BadInputError` for an unknown name."""
     from mavfi.hosts.ros1.plan import CloudNode
 
     check_name("--point-cloud-node", text, get_args(CloudNode))
@@ -71,7 +71,7 @@ def cloud_node(text: str) -> CloudNode:
 
 
 def instant(option: str, text: str) -> tuple[str, int]:
-    """Node and instant (microseconds) of "octomap@20"; raises `BadInputError` for another form."""
+    """Parse node and instant, e.g. "octomap@20" (s), to name and microseconds; raises `BadInputError` if invalid."""
     node, separator, seconds = text.partition("@")
     try:
         time_s = float(seconds)
@@ -86,11 +86,11 @@ _Registers = tuple[list[str] | None, str | None, int | None]
 
 
 def register_faults(given: _Registers, older: _Registers) -> tuple[RegisterFault, ...]:
-    """Faults in registers of nodes, each "NODE@SECONDS"; the first one has the seed, each further one the next.
+    """Faults in registers of nodes, each "NODE@SECONDS", with consecutive seeds starting at `--register-seed`.
 
     Args:
         given: Values of `--register-fault`, `--registers` and `--register-seed`.
-        older: Values under their older names.
+        older: Values of their deprecated names.
     """
     from mavfi.faults.fault import REGISTERS
     from mavfi.hosts.ros1.register_injector import fault_in_node
@@ -109,7 +109,7 @@ def register_faults(given: _Registers, older: _Registers) -> tuple[RegisterFault
 
 
 def check(plan: Plan) -> None:
-    """Refuse nodes that are not in the flight."""
+    """Refuse nodes that are not part of the flight."""
     allowed = (*plan.nodes, *plan.foreign)
     named = [("--kill", node) for node, _ in plan.kills]
     named += [("--register-fault", fault.node) for fault in plan.register_faults]
@@ -131,10 +131,10 @@ def without_registers(plan: Plan, with_fault: bool) -> Flight:
 
 
 def effect(plan: Plan, log: FlightLog) -> str | None:
-    """Effect of the faults in registers; None where nothing was injected.
+    """Effect of the faults in registers; None without an injection.
 
-    "crash" or "hang": an injected node ended, or was ended as it did not answer; "masked" or "sdc": the flight is bit
-    for bit that without the injection, or is not; "unknown": no flight to compare with (free-running, or nodes killed).
+    "crash" or "hang": an injected node died, or was killed because it did not respond; "masked" or "sdc": the flight is
+    bit-identical to that without the injection, or not; "unknown": no reference flight (free-running, or nodes killed).
     """
     from mavfi.hosts.ros1.register_injector import end_of_nodes
 
@@ -147,14 +147,14 @@ def effect(plan: Plan, log: FlightLog) -> str | None:
 
 
 def to_json(plan: Plan, log: FlightLog) -> dict[str, Any]:
-    """Keys of `--json` about nodes; injections into registers are among those of the flight."""
+    """Keys of `--json` about nodes; register injections are listed with those of the flight."""
     return {"point_cloud_node": plan.cloud_node, "register_effect": effect(plan, log)}
 
 
 def lines(plan: Plan, log: FlightLog) -> list[str]:
-    """Injections as lines of text, and the effect of those into registers.
+    """Injections as lines of text, and the effect of register faults.
 
-    In lock-step the fault in a state is a part of the flight's own panel.
+    In lock-step, the state fault is shown in the flight's panel instead.
     """
     told = [_line(one) for one in log.injections if plan.free_running or "node" in one.details]
     found = effect(plan, log)
@@ -162,7 +162,7 @@ def lines(plan: Plan, log: FlightLog) -> list[str]:
 
 
 def _line(injection: Injection) -> str:
-    """One injection in one line, or why there is none."""
+    """One injection in one line, or the reason for its absence."""
     details = injection.details
     place = f"register of {details['node']}:" if "node" in details else "fault in"
     within = f" of {details['instruction']!r}" if "instruction" in details else ""

@@ -22,7 +22,7 @@ def runs(
     as_csv: Annotated[bool, typer.Option("--csv", help="All columns as comma-separated values.")] = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """List the runs of a campaign: what was injected, what it did, how the mission ended.
+    """List the runs of a campaign: fault, effect, and mission status.
 
     Example: [bold]mavfi runs out/states --failed --where environment=dense --sort -flight_time_s[/bold]
     """

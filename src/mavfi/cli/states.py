@@ -15,7 +15,7 @@ from mavfi.states import MONITORED_SETS, ODOMETRY, STACKS, Field, StateSpec, sta
 
 _DEFAULT_SET = "paper-13"
 _VEHICLE = "flight controller"
-"""Reader of what no kernel of the pipeline reads: the command."""
+"""Reader of states that no kernel of the pipeline reads, i.e. the command."""
 
 
 def states(
@@ -28,7 +28,7 @@ def states(
     localization: Annotated[str, typer.Option(help="Whose states are shown: truth or estimator.")] = "truth",
     as_json: options.AsJson = False,
 ) -> None:
-    """Print every value that one kernel hands to another: who writes and reads it, what can be injected and watched.
+    """Print every inter-kernel state: its writer and readers, and its injectable and monitored fields.
 
     Example: [bold]mavfi states --autopilot hardened[/bold]
     """
@@ -45,7 +45,7 @@ def states(
 
 
 def _readers(autopilot: str, localization: str) -> dict[str, list[str]]:
-    """Kernels by the state that they read, of a pipeline that is built but not flown."""
+    """Readers of each state, from a pipeline that is built but not flown."""
     import numpy as np
 
     from mavfi.hosts.loop.compose import pipeline_config, resolve

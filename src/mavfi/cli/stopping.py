@@ -1,4 +1,4 @@
-"""Ctrl-C: work with something to keep is stopped cleanly; everything else is left at once, with exit code 130."""
+"""Ctrl-C: work with results to keep is stopped cleanly; everything else exits at once, with exit code 130."""
 
 import os
 import signal
@@ -7,11 +7,11 @@ from contextlib import contextmanager
 from types import FrameType
 
 EXIT_STOPPED = 130
-"""Ctrl-C, as shells have it."""
+"""Exit code after Ctrl-C, by shell convention."""
 
 
 def leave_on_ctrl_c() -> None:
-    """From now on Ctrl-C ends the process silently, also during imports, where an exception would print a traceback."""
+    """Make Ctrl-C end the process silently, also during imports, where an exception would print a traceback."""
     signal.signal(signal.SIGINT, _leave)
 
 
@@ -21,7 +21,7 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def stoppable(told: str) -> Iterator[None]:
-    """Work of which something is kept: Ctrl-C ends it cleanly, prints `told` on stderr, and exits with code 130."""
+    """Work with results to keep: Ctrl-C ends it cleanly, prints `told` on stderr, and exits with code 130."""
     import typer
 
     from mavfi.cli.console import console

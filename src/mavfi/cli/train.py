@@ -40,7 +40,7 @@ def train(  # noqa: PLR0913 - one for each option
     baselines: Annotated[bool, typer.Option(help="Fit those of other libraries (extra bench), too.")] = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Fly error-free missions, in randomised worlds (none of the evaluation's) by default; fit every detector to them.
+    """Fly error-free missions, by default in randomised worlds not used for evaluation; fit every detector to them.
 
     Ctrl-C stops (exit code 130); the same command resumes.
 
@@ -50,7 +50,7 @@ def train(  # noqa: PLR0913 - one for each option
     check_number("--check", check, 0, 100_000)
     check_folder(out)
 
-    # all that is slow to import comes before what Ctrl-C stops: no import is to be broken off half-way
+    # slow imports come before the stoppable part, so that Ctrl-C never interrupts an import
     import sklearn.neural_network  # noqa: F401
 
     from mavfi.campaign.training import count_false_alarms, training_mission
@@ -85,7 +85,7 @@ def _rates(alarms: dict[str, EventRate]) -> dict[str, Any]:
 
 
 def _told(model: Model) -> dict[str, Any]:
-    """What is printed of a model: where it comes from, and where its alarm begins."""
+    """JSON entry of a model: identity, thresholds and provenance."""
     limits = {key: model.parameters[key] for key in ("sigmas", "limit") if key in model.parameters}
     return {
         "kind": model.kind, "profile": model.profile, "monitored": model.monitored, "sha256": model.sha256,
@@ -114,7 +114,7 @@ def _table(models: list[Model], alarms: list[dict[str, EventRate]], folder: Path
 
 
 def _exposure(rates: dict[str, EventRate]) -> str:
-    """Hours of flight by environment."""
+    """Flight hours by environment, as text."""
     if len(rates) == 1:
         return f"{next(iter(rates.values())).hours:.2f} h"
     return ", ".join(f"{rate.hours:.2f} h ({name})" for name, rate in rates.items())
@@ -131,7 +131,7 @@ def _threshold(model: Model) -> str:
     if "sigmas" in parameters:
         return f"{parameters['sigmas']:g} deviations, {len(parameters['statistics'])} fields"
     limits = [value for row in parameters.get("limit", ()) for value in row]
-    if not limits:  # a detector of somebody else's, with parameters of its own
+    if not limits:  # a third-party detector with other parameters
         return ", ".join(parameters)
     if len(limits) == 1:
         return f"mean squared error {limits[0]:.4g}"

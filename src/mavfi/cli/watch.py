@@ -1,4 +1,4 @@
-"""`mavfi campaign status --watch`: a campaign that another process flies, redrawn until it is complete."""
+"""`mavfi campaign status --watch`: progress of a campaign running in another process, redrawn until it is complete."""
 
 import time
 from pathlib import Path
@@ -20,10 +20,10 @@ _MOST_MISSIONS = 8
 
 
 def watch(directory: Path, every: float) -> None:
-    """Redraw how far a campaign is, every so many seconds, until it is complete; a line each where there is no screen.
+    """Redraw the progress of a campaign, `every` seconds, until it is complete; without a terminal, print lines.
 
     Raises:
-        BadInputError: There is no ledger, or it is damaged.
+        BadInputError: The ledger is absent or damaged.
     """
     watched, out = Watch(directory), console()
     with stoppable("Stopped watching; the campaign is left as it is."):
@@ -51,7 +51,7 @@ def _drawn(outlook: "Outlook") -> RenderableType:
 
 
 def _headline(outlook: "Outlook") -> Text:
-    """Runs, speed and time left; or why there is none."""
+    """Runs, speed and remaining time, or the reason for their absence."""
     parts = [f"{outlook.done} of {outlook.total} runs"]
     if outlook.complete:
         parts.append("complete")

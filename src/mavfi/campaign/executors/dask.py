@@ -1,7 +1,7 @@
-"""Dask workers, on this machine or on many: a mission is a task; only the campaign's process writes.
+"""Executor on Dask workers, on one machine or many: a mission is a task; only the campaign's process writes.
 
-A Dask worker flies in a process of its own, which a fault may take down.  What a mission gives reaches the campaign as
-events, while it is flown.
+A Dask worker flies in a separate process, which a fault may crash.  Items of a mission are sent to the campaign as
+events during the flights.
 """
 
 import contextlib
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 LOOPBACK = "127.0.0.1"
-_AHEAD = 2  # tasks for each thread of a worker: one that it flies, and one that waits
+_AHEAD = 2  # tasks per worker thread: one in progress, one waiting
 _SEND_EVERY_S = 0.5
 _LOOK_EVERY_S = 1.0
-_PATIENCE_S = 60.0  # for the last items of a task that has ended, and for a scheduler that does not answer
+_PATIENCE_S = 60.0  # time-out for the last items of an ended task, and for the connection to a scheduler
 
 _GONE = "the Dask scheduler is gone"
 
@@ -43,10 +43,10 @@ class DaskExecutor:
     Args:
         scheduler: Its address, e.g. "tcp://10.0.0.1:8786" or "tls://..." (certificates: Dask's configuration); "" = a
             cluster of processes on this machine, which listens on the loopback interface only.
-        workers: Number of processes of that cluster.
+        workers: Number of processes of the local cluster.
 
     Raises:
-        BadInputError: Dask is not installed, or there are no workers.
+        BadInputError: Dask is not installed, or `workers` is below 1.
     """
 
     forks = False
@@ -68,8 +68,8 @@ class DaskExecutor:
         """See `Executor.map`.
 
         Raises:
-            BadInputError: No scheduler answers, or a worker has other code, other versions or another architecture.
-            MachineError: The scheduler is gone.
+            BadInputError: No scheduler responds, or a worker has different code, versions or architecture.
+            MachineError: The connection to the scheduler is lost.
         """
         with self._connected() as client:
             flights = _Flights(client, function)
@@ -104,15 +104,15 @@ class DaskExecutor:
 
 @dataclass(slots=True)
 class _Ticket:
-    """A mission that was given to the scheduler."""
+    """A mission submitted to the scheduler."""
 
     mission: Any
     future: "Future"
-    ended: float = 0.0  # when its task ended; its last items may still be under way
+    ended: float = 0.0  # end of its task; its last items may still be in transit
 
 
 class _Flights:
-    """The missions of one call of `map`, and what comes of them."""
+    """The missions of one call of `map`, and their items."""
 
     def __init__(self, client: "Client", function: Callable[[Any], Iterator[Any]]) -> None:
         self._client = client
@@ -123,7 +123,7 @@ class _Flights:
         self._threads, self._looked = 1, -_LOOK_EVERY_S
 
     def fly(self, missions: Iterator[Any]) -> Iterator[tuple[Any, Sequence[Any]]]:
-        """Give missions to workers, not many more than these can fly, and take what comes."""
+        """Submit missions, only a few more than the workers can fly, and yield their items as they arrive."""
         self._client.subscribe_topic(self._topic, lambda event: self._news.put(loads(event[1])))
         self._submit(missions)
         while self._tickets:
@@ -135,12 +135,12 @@ class _Flights:
                 yield from self._look()
 
     def cancel(self) -> None:
-        """Take back what is not flown."""
+        """Cancel the unfinished missions."""
         with contextlib.suppress(OSError):
             self._client.cancel([ticket.future for ticket in self._tickets.values()], force=True)
 
     def _submit(self, missions: Iterator[Any]) -> None:
-        """Fill the workers up, many missions at once where there are many workers."""
+        """Submit missions to free workers, in large batches if there are many workers."""
         free = _AHEAD * self._threads - len(self._tickets)
         if free < self._threads and self._tickets:
             return
@@ -168,10 +168,11 @@ class _Flights:
         raise last.error
 
     def _ended(self, key: str) -> Iterator[tuple[Any, Sequence[Any]]]:
-        """The end of a task, not always after its last items.
+        """Handle the end of a task, which may arrive before its last items.
 
         Raises:
-            MachineError: The scheduler has forgotten it.
+            MachineError: The scheduler has lost or cancelled the task.
+            MavfiError: The task failed on its Dask worker.
         """
         from distributed import KilledWorker
 
@@ -190,10 +191,10 @@ class _Flights:
         yield ticket.mission, [Lost("its Dask workers died", died=True, signal="SIGKILL")]
 
     def _look(self) -> Iterator[tuple[Any, Sequence[Any]]]:
-        """Count the workers, and give up missions whose last items were lost on the way.
+        """Count the worker threads, and give up missions whose last items were lost in transit.
 
         Raises:
-            MachineError: The scheduler does not answer.
+            MachineError: The scheduler does not respond.
         """
         self._looked = time.monotonic()
         try:
@@ -207,11 +208,11 @@ class _Flights:
 
 
 _THREAD = threading.local()
-"""The flying process of this thread of a Dask worker."""
+"""The flight process of this thread of a Dask worker."""
 
 
 def _fly(mission: Any, key: str, order: bytes) -> None:  # noqa: ANN401
-    """Fly a mission on a Dask worker, and send what it gives."""
+    """Fly a mission on a Dask worker, and send its items."""
     from distributed import get_worker
 
     function, wanted, plugins, topic = loads(order)
@@ -241,7 +242,7 @@ def _fly(mission: Any, key: str, order: bytes) -> None:  # noqa: ANN401
 
 
 def _flyer(function: Callable[[Any], Iterator[Any]], topic: str) -> Worker[Any]:
-    """The flying process of this thread; each call of `map` has new ones."""
+    """The flight process of this thread; each call of `map` starts new ones."""
     if getattr(_THREAD, "topic", "") != topic and getattr(_THREAD, "worker", None) is not None:
         _THREAD.worker.end()
         _THREAD.worker = None

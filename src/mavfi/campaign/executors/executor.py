@@ -1,4 +1,4 @@
-"""What a campaign knows of processes: `Executor.map(function, missions)`."""
+"""The campaign's only interface to processes: `Executor.map(function, missions)`."""
 
 import functools
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -16,16 +16,16 @@ R = TypeVar("R")
 class Done:
     """The last item of a mission whose function has returned."""
 
-    peak_kib: int = field(default=0, compare=False)  # largest resident memory of its worker so far; 0 = not known
+    peak_kib: int = field(default=0, compare=False)  # peak resident memory of its worker so far (KiB); 0 = unknown
 
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """The last item of a mission whose worker is gone."""
+    """The last item of a mission whose worker was lost."""
 
-    reason: str  # what became of the worker
-    died: bool  # otherwise it did not answer in time
-    signal: str = ""  # that killed it
+    reason: str  # fate of the worker, as text
+    died: bool  # False = it did not respond in time
+    signal: str = ""  # signal that killed it
 
 
 class Executor(Protocol):
@@ -33,7 +33,7 @@ class Executor(Protocol):
 
     Attributes:
         forks: Whether workers are forked from this process, and so inherit compiled code.
-        workers: Number of processes that this one starts; 0 = none, the workers are others'.
+        workers: Number of processes started by this one; 0 = workers are started elsewhere.
     """
 
     forks: bool
@@ -42,18 +42,17 @@ class Executor(Protocol):
     def map(
         self, function: Callable[[T], Iterator[R]], missions: Iterable[T]
     ) -> Generator[tuple[T, Sequence[R | Done | Lost]], None, None]:  # fmt: skip
-        """Call a function for every mission; close the iterator, or leave it by an exception, to stop the workers.
+        """Call a function for every mission; closing the iterator, or an exception, stops the workers.
 
         The function is a generator function that workers can import; its exceptions are raised here.
 
         Yields:
-            Mission and those of its items that have come since the last time, as soon as there are any; `Done` or
-            `Lost` is the last of a mission.
+            Mission and its new items, as soon as they arrive; `Done` or `Lost` is the last item of a mission.
         """
 
 
 def map_each(executor: Executor, function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[T, R]]:
-    """Call a function, which workers can import, once for every item; pairs of item and result as they are completed.
+    """Call an importable function once for every item; yields pairs of item and result in order of completion.
 
     Raises:
         MavfiError: A worker was lost.

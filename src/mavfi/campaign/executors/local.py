@@ -1,4 +1,4 @@
-"""Local processes, forked from this one."""
+"""Executor on local processes, forked from this one."""
 
 import itertools
 import os
@@ -11,7 +11,7 @@ from mavfi.campaign.executors.process import Raised, Worker
 from mavfi.errors import BadInputError
 
 TIME_LIMIT = 600.0
-"""Wall time without an item after which a worker counts as lost (s); a watchdog, hundreds of times a flight."""
+"""Wall time without an item after which a worker counts as lost (s); a watchdog, hundreds of times a flight's time."""
 MOST_WORKERS = 4 * (os.cpu_count() or 1)
 
 T = TypeVar("T")
@@ -19,14 +19,14 @@ R = TypeVar("R")
 
 
 class LocalExecutor:
-    """Runs missions on this machine, in at most `workers` processes; there are never more than missions.
+    """Runs missions on this machine, in at most `workers` processes, and no more than there are missions.
 
     Args:
         workers: Number of processes.
         time_limit: Wall time without an item after which a worker counts as lost (s).
 
     Raises:
-        BadInputError: There would be no worker, or more than `MOST_WORKERS`.
+        BadInputError: `workers` is below 1 or above `MOST_WORKERS`.
     """
 
     forks = True
@@ -56,7 +56,7 @@ class LocalExecutor:
     def _next(
         self, workers: list[Worker[T]], function: Callable[[T], Iterator[R]], waiting: Iterator[T]
     ) -> Iterator[tuple[T, Sequence[R | Done | Lost]]]:
-        """Wait for workers, yield their items, and give those that are done the next mission."""
+        """Wait for workers, yield their items, and send the next mission to idle ones."""
         ready = wait([worker.pipe for worker in workers], timeout=1.0)
         for place, worker in reversed(list(enumerate(workers))):
             mission = worker.mission

@@ -1,4 +1,4 @@
-"""A process that takes one mission after the other, and streams what it gives; it ends with its parent."""
+"""Worker process that flies one mission after the other and streams their items; it ends with its parent."""
 
 import contextlib
 import ctypes
@@ -21,7 +21,7 @@ from mavfi.errors import MachineError, MavfiError, machine_failure
 
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG, prctl(2)
 _MUTE_EXIT = 71  # EX_OSERR, sysexits.h
-_MOST_ITEMS = 200  # of one batch
+_MOST_ITEMS = 200  # per batch
 _FORK = multiprocessing.get_context("fork")
 
 T = TypeVar("T")
@@ -29,18 +29,18 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class Raised:
-    """An exception of the function."""
+    """An exception raised by the function, as the last item."""
 
     error: Exception
 
 
 def is_last(item: object) -> bool:
-    """Whether it ends a mission."""
+    """Whether an item is the last of a mission."""
     return isinstance(item, (Done, Lost, Raised))
 
 
 class _Started:
-    """A started process, with the methods of a forked one."""
+    """A started process with the interface of a forked one."""
 
     def __init__(self, process: "subprocess.Popen[bytes]") -> None:
         self._process = process
@@ -59,7 +59,7 @@ class _Started:
 
 
 class Worker(Generic[T]):
-    """A process, the pipe to it, and its present mission."""
+    """A process, the pipe to it, and its current mission."""
 
     def __init__(self, process: Any, pipe: Connection) -> None:
         self.pipe = pipe
@@ -71,9 +71,9 @@ class Worker(Generic[T]):
     def forked(
         function: Callable[[Any], Iterator[Any]], others: "Iterable[Worker[Any]]" = ()
     ) -> "Worker[Any]":  # fmt: skip
-        """Fork a worker: it has what this process has imported, compiled and set.
+        """Fork a worker, which inherits imports, compiled code and settings of this process.
 
-        It does not keep the pipe ends of the other workers: each sees end-of-file when the parent dies.
+        It closes the inherited pipe ends of the other workers, so that each sees end-of-file when the parent dies.
         """
         pipe, theirs = _FORK.Pipe()
         ours = [pipe, *(other.pipe for other in others)]
@@ -84,7 +84,7 @@ class Worker(Generic[T]):
 
     @staticmethod
     def started(function: Callable[[Any], Iterator[Any]]) -> "Worker[Any]":
-        """Start a worker in an interpreter of its own, where this process has threads and sockets."""
+        """Start a worker in a new interpreter, for processes with threads and sockets, which must not fork."""
         pipe, theirs = multiprocessing.Pipe()
         command = [sys.executable, "-m", __name__, str(theirs.fileno()), str(os.getpid())]
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=[theirs.fileno()])
@@ -94,7 +94,7 @@ class Worker(Generic[T]):
         return Worker(_Started(process), pipe)
 
     def give(self, mission: T) -> None:
-        """Send a mission; a process that is gone is noticed by `take`."""
+        """Send a mission; `take` reports a dead process."""
         self.mission, self._since = mission, time.monotonic()
         try:
             self.pipe.send(mission)
@@ -103,7 +103,7 @@ class Worker(Generic[T]):
                 raise
 
     def take(self) -> list[Any]:
-        """Wait for an item, and take all that are there; `Done`, `Lost` (the process is gone) or `Raised` ends them."""
+        """Wait for an item, and return all available ones; `Done`, `Lost` (dead process) or `Raised` is the last."""
         self._since = time.monotonic()
         items: list[Any] = []
         while not items or (len(items) < _MOST_ITEMS and not is_last(items[-1]) and self.pipe.poll()):
@@ -124,7 +124,7 @@ class Worker(Generic[T]):
             return Lost(f"its worker died ({name or f'exit code {code}'})", died=True, signal=name)
 
     def overdue(self, limit: float) -> list[Any]:
-        """`Lost` if the process has sent nothing for too long (s)."""
+        """A `Lost` item if the process has sent no item for `limit` (s)."""
         if time.monotonic() - self._since < limit:
             return []
         return [Lost(f"its worker gave nothing for {limit:g} s", died=False)]
@@ -163,16 +163,16 @@ def _started(handle: int, parent: int) -> None:
 
 
 def _work(pipe: Connection, function: Callable[[Any], Iterator[Any]], parent: int) -> None:
-    """Fly missions until there are none, or the parent is gone."""
+    """Fly missions until the pipe is closed or the parent is dead."""
     ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         return
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    gc.freeze()  # inherited objects stay: no collection scans them, or copies their pages
+    gc.freeze()  # excluded from garbage collection, which would copy the pages of inherited objects
     try:
         _fly_all(pipe, function)
-    except (EOFError, ConnectionError):  # the parent is gone
+    except (EOFError, ConnectionError):  # the parent is dead
         return
     except (OSError, MemoryError) as error:
         if machine_failure(error):
@@ -180,7 +180,7 @@ def _work(pipe: Connection, function: Callable[[Any], Iterator[Any]], parent: in
 
 
 def _fly_all(pipe: Connection, function: Callable[[Any], Iterator[Any]]) -> None:
-    """Fly missions until there are none; what a pipe does not take, not even as an exception, is raised."""
+    """Fly missions until the pipe is closed; raises errors of the pipe, e.g. if an item cannot be sent."""
     while True:
         mission = pipe.recv()
         answers, goes_on = function(mission), True
@@ -191,30 +191,30 @@ def _fly_all(pipe: Connection, function: Callable[[Any], Iterator[Any]]) -> None
 
 
 def _next_of(answers: Iterator[Any]) -> tuple[bytes, bool]:
-    """The next item, pickled, and whether more may follow."""
+    """The next item, pickled, and whether further ones may follow."""
     try:
         for item in answers:
             return pickle.dumps(item), True
         return pickle.dumps(Done(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)), False
-    except Exception as error:  # whoever asked raises it
+    except Exception as error:  # raised in the parent
         return pickle.dumps(Raised(_portable(error))), False
 
 
 def _return_memory() -> None:
-    """Collect what refers to itself, flights with all their arrays, and give free memory back to the system.
+    """Collect reference cycles, i.e. flights with all their arrays, and return free memory to the system.
 
-    Few but large objects do not start a collection, the heap keeps what its largest mission took, and forks copy all.
+    Few large objects do not trigger a collection, the heap keeps the size of the largest mission, and forks copy it.
     """
     gc.collect()
-    with contextlib.suppress(AttributeError):  # glibc has it
+    with contextlib.suppress(AttributeError):  # only in glibc
         ctypes.CDLL(None).malloc_trim(0)
 
 
 def _portable(error: Exception) -> Exception:
-    """The exception if another process can unpickle it, else its text."""
+    """The exception if another process can unpickle it, otherwise a `MavfiError` with its text."""
     try:
         pickle.loads(pickle.dumps(error))
-    except Exception:  # whatever a class of somebody else's does with its arguments
+    except Exception:  # third-party exception classes may fail in any way
         return MavfiError(f"{type(error).__name__}: {error}")
     return error
 
@@ -222,4 +222,4 @@ def _portable(error: Exception) -> Exception:
 if __name__ == "__main__":
     from mavfi.campaign.executors import process
 
-    process._started(int(sys.argv[1]), int(sys.argv[2]))  # in the module that the parent's items are pickled with
+    process._started(int(sys.argv[1]), int(sys.argv[2]))  # in the module under which items are pickled

@@ -1,4 +1,4 @@
-"""How faults are drawn: one sampler for each level, all behind one protocol."""
+"""Samplers, which draw the faults of a campaign: one per level, with a common protocol."""
 
 from typing import TYPE_CHECKING
 
@@ -12,9 +12,9 @@ def sampler_for(campaign: "Campaign") -> Sampler:
     """The sampler of a campaign.
 
     Raises:
-        BadInputError: What is to be drawn does not exist, or does not go with the rest of the campaign.
+        BadInputError: The sampling names unknown sites, or conflicts with the rest of the campaign.
     """
-    level = campaign.sampling.level  # imported here: each reads the campaign's configuration
+    level = campaign.sampling.level  # local imports: each sampler imports the campaign's configuration
     if level == "instruction":
         from mavfi.campaign.samplers.instructions import InstructionSampler
 

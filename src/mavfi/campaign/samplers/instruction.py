@@ -1,7 +1,7 @@
-"""Draws faults in instructions of a mission's kernels: uniformly over all that they execute, or by strata.
+"""Draws faults in instructions of a mission's kernels: uniformly over all executed instructions, or by strata.
 
-A golden flight counts; a second one finds out what the drawn instructions are (uniform), or in which calls they are
-(stratified, see `mavfi.faults.instruction.strata`).  Both are bit for bit the golden flight, so the first one is it.
+A first golden flight counts instructions; a second one resolves the drawn instructions (uniform), or locates their
+calls (stratified, see `mavfi.faults.instruction.strata`).  Both are bit-identical; the first one is the golden run.
 """
 
 from collections import Counter
@@ -36,10 +36,10 @@ _ROUNDS, _SPARE = 6, 40
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A golden flight, and the faults for its injected flights, by kernel."""
+    """A golden flight, and the drawn faults by kernel."""
 
     golden: Flight
-    counts: dict[str, dict[str, Any]]  # `instructions` and `calls` of the mission, and `lines`: file, line, count
+    counts: dict[str, dict[str, Any]]  # per kernel `instructions`, `calls`, and `lines`: file, line, count
     faults: dict[str, list[InstructionFault]]
 
 
@@ -50,10 +50,10 @@ def draw_instruction_faults(
     """Fly the golden flight, and draw faults; a kernel that executes no such instruction gives faults without a site.
 
     The draw depends on the seed and on an address, e.g. the environment, that distinguishes faults of the same seed.
-    A detector, whose alarms are answered by the recovery, watches where faults are in its own instructions.
+    A detector, with its recovery, is flown only if the faults are in its own instructions.
 
     Raises:
-        BadInputError: There is no such kernel, class or model.
+        BadInputError: A kernel, class or fault model is unknown.
         RefusedError: A kernel cannot be instrumented exactly.
     """
     for kernel in request.kernels:
@@ -85,7 +85,7 @@ def draw_instruction_faults(
 
 
 def _functions(kernel: str, detector: Detector | None) -> dict[str, Any]:
-    """The compiled functions of a kernel, or of a detector by that name."""
+    """The compiled functions of a kernel, or of the detector of that name."""
     if kernel in DETECTORS:
         compiled: dict[str, Any] = part_of(detector, kernel).compiled
         return compiled
@@ -94,7 +94,7 @@ def _functions(kernel: str, detector: Detector | None) -> dict[str, Any]:
 
 @contextmanager
 def _instrumented(detector: Detector | None, made: Mapping[str, Any]) -> Iterator[KernelFunctions]:
-    """Functions for the kernels, with those that are made; the detector calls its own meanwhile."""
+    """Function table of the kernels with the instrumented functions `made`; the detector uses its own meanwhile."""
     parts = [part for part in (part_of(detector, source) for source in DETECTORS) if part is not None]
     for part in parts:
         part.instrument({name: function for name, function in made.items() if name in part.compiled})
@@ -108,7 +108,7 @@ def _instrumented(detector: Detector | None, made: Mapping[str, Any]) -> Iterato
 
 _Place = tuple[str, int, int]  # function, call, index
 _FlyAgain = Callable[..., None]
-"""Flies the golden flight with instrumented functions, until it is enough; raises a MavfiError if it was another."""
+"""Repeats the golden flight with instrumented functions until a stop condition; raises a MavfiError if it differs."""
 
 
 class _Draw:
@@ -124,7 +124,7 @@ class _Draw:
         self.found: list[InstructionFault] = []
 
     def places(self) -> list[_Place]:
-        """Dynamic instructions of the mission, uniform; spare ones where only a class is wanted; none when done."""
+        """Draw dynamic instructions of the mission uniformly, with spares if limited to a class; empty when done."""
         counts = [count for function in self.counted.values() for count in function.counts]
         if len(self.found) >= self.number or not sum(counts):
             return []
@@ -133,7 +133,7 @@ class _Draw:
         return [(*calls[call], index) for call, index in choose(self.random, counts, number)]
 
     def take(self, place: _Place, site: Site | None, weight: float = 1.0) -> None:
-        """Plan a fault at a place, if it is of the class and one is still wanted."""
+        """Plan a fault at a place if its instruction is of the class and faults are still missing."""
         if site is None or site not in self.selection or len(self.found) >= self.number:
             return
         name, call, index = place
@@ -147,13 +147,13 @@ class _Draw:
         )  # fmt: skip
 
     def faults(self) -> list[InstructionFault]:
-        """As many as wanted; missing ones have no site."""
+        """The requested number of faults; those that could not be drawn have no site."""
         nothing = InstructionFault("", "", 0, NO_SITE, kernel=self.kernel, seed=self.seed)
         return self.found + [nothing] * (self.number - len(self.found))
 
 
 def _draw_uniform(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
-    """Draw places, and let golden flights resolve them, until there are enough of the class."""
+    """Draw places and resolve them in golden flights, until there are enough faults of the class."""
     for _ in range(_ROUNDS):
         places = [(draw, place) for draw in draws for place in draw.places()]
         if not places:
@@ -169,7 +169,7 @@ def _draw_uniform(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
 
 
 def _draw_strata(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
-    """Draw by stratum; one more golden flight tells in which calls the drawn instructions are."""
+    """Draw by stratum; one further golden flight locates the calls of the drawn instructions."""
     picks = [
         (draw, chosen) for draw in draws for chosen in pick(draw.random, draw.counted, draw.selection, draw.number)
     ]

@@ -1,7 +1,7 @@
-"""Faults in instructions of a campaign: kernels, or the kernels of stages, share them equally.
+"""Instruction faults of a campaign, distributed equally over kernels, or over stages and their kernels.
 
-A mission's golden run counts what its kernels execute, and draws.  A kernel of a planner that the campaign does not fly
-has missions of its own, flown with that planner.
+A mission's golden run counts the instructions of its kernels and draws the faults.  Faults in a planner other than the
+campaign's are drawn in separate missions with that planner.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ class InstructionSampler:
     """Draws one result of one dynamic instruction.
 
     Raises:
-        BadInputError: Arms and kernels do not go together.
+        BadInputError: Arms and kernels are incompatible.
     """
 
     def __init__(self, campaign: Campaign) -> None:
@@ -31,7 +31,7 @@ class InstructionSampler:
         self._campaign, self._sampling = campaign, campaign.sampling
         self.versions: Mapping[str, str] = {
             "python": python()
-        }  # Numba compiles its bytecode, which decides what can be injected into
+        }  # Numba compiles Python's bytecode, which determines the fault space
         self._blocks: dict[str, Sequence[Block]] = {}
         planner = campaign.spec(campaign.environments[0], campaign.first_seed).planner
         others = [name for name in self._sampling.kernels if name in PLANNERS and name != planner]
@@ -46,7 +46,7 @@ class InstructionSampler:
             raise BadInputError(f"null_runs: {campaign.nulls}; allowed: 0 with faults in instructions")
 
     def blocks(self, environment: str) -> Sequence[Block]:
-        """Kernel by kernel; where stages share, the seed draws which number falls to which kernel of a stage."""
+        """One block per kernel or stage; within a stage, the seed draws the kernel of each fault number."""
         if environment not in self._blocks:
             groups = enumerate(kernel_groups(self._sampling))
             self._blocks[environment] = [self._block(environment, *group) for group in groups]
@@ -65,7 +65,7 @@ class InstructionSampler:
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
     ) -> Sampled:  # fmt: skip
-        """The golden run with counted instructions; its faults are drawn on the way."""
+        """Fly the golden run with instruction counters, and draw its faults."""
         targets = [draw.target for draw in draws]
         kernels = [name for name in self._sampling.kernels if (name if name in self.variants else "") == arm]
         if not kernels:
@@ -80,20 +80,20 @@ class InstructionSampler:
         return Sampled(drawn.golden, drawn.counts, drawn.faults)
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
-        """What was drawn in flight, in turn; a golden run that left nothing has drawn nothing."""
+        """The faults drawn by `golden`, in order; None for each fault of a failed golden run."""
         del environment
         waiting = {kernel: iter(faults) for sampled in golden.values() for kernel, faults in sampled.faults.items()}
         return [next(waiting.get(d.target, iter(())), None) for d in draws]
 
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
-        """There are none."""
+        """Not supported at this level."""
         raise BadInputError("null runs: allowed with faults in states")
 
 
 def _check_arms(campaign: Campaign, drawn: Sequence[str], kernels: Mapping[str, str]) -> None:
-    """Refuse an arm that swaps the functions that faults are drawn from: there they would never be activated.
+    """Refuse an arm that replaces functions with drawn faults, which would never be activated there.
 
-    `kernels`: the kernel that calls other functions, by key of the mission.
+    `kernels`: the kernel whose functions change, by mission key.
     """
     place = campaign.environments[0], campaign.first_seed
     for name, arm in campaign.arms.items():
@@ -107,7 +107,7 @@ def _check_arms(campaign: Campaign, drawn: Sequence[str], kernels: Mapping[str, 
 
 
 def kernel_groups(sampling: InstructionSampling) -> list[tuple[str, ...]]:
-    """Kernels that share one number of faults: each alone, or those of each stage."""
+    """Kernels that share one number of faults: each kernel separately, or the kernels of each stage."""
     if sampling.share == "kernel":
         return [(name,) for name in sampling.kernels]
     stages = [tuple(name for name in sampling.kernels if KERNEL_STAGES[name] is stage) for stage in PPC_STAGES]

@@ -1,8 +1,8 @@
-"""Faults in what kernels remember, drawn by exposure: uniform over remembered bits and instants of the golden flight.
+"""Faults in kernel memory, drawn by exposure: uniform over stored bits and instants of the golden flight.
 
-Instants are the control periods.  At each of them, before its steps, every bit of a target takes the place of what was
-drawn so far with the probability that makes all bits of all instants alike (reservoir sampling, Vitter 1985), so the
-golden flight is flown once, and nothing of it is kept.
+Instants are the control periods.  At each of them, before its steps, every bit of a target replaces the fault drawn so
+far with the probability that makes all bits of all instants equally likely (reservoir sampling, Vitter 1985), so one
+golden flight suffices, and none of its states are stored.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,13 +28,13 @@ from mavfi.states import KERNELS
 
 _ACTION = "exposure"
 Site = tuple[str, str]
-"""A kernel, and what names its words (see `Words.named`)."""
+"""A kernel, and a name of its words (see `Words.named`)."""
 _Place = tuple[str, Words, range]
 
 
 @dataclass(slots=True)
 class _Drawing:
-    """One fault that is being drawn."""
+    """Drawing of one fault: its generator, and the current choice."""
 
     random: np.random.Generator
     seed: int
@@ -46,11 +46,11 @@ class Exposure:
     """Bits of a target from which faults are drawn.
 
     Attributes:
-        sites: Of the target.
-        stratum: Of the bits, "" = whole words.
-        bit: The only one; None = those of the stratum.
-        drawings: The faults.
-        seen: Exposed bits x instants so far, and in `whole` those of whole words.
+        sites: Sites of the target.
+        stratum: Stratum of the bits, "" = whole words.
+        bit: A single bit number; None = all of the stratum.
+        drawings: The faults to be drawn.
+        seen: Exposed bits x instants so far; `whole`: the same count for whole words.
     """
 
     sites: tuple[Site, ...]
@@ -61,7 +61,7 @@ class Exposure:
     whole: int = 0
 
     def look(self, remembered: Mapping[str, Sequence[Words]], now: int) -> None:
-        """Take in the words of an instant (us)."""
+        """Update the drawings with the words at an instant (us)."""
         places = self._places(remembered)
         sizes = [len(indices) * len(self._bits(words)) for _, words, indices in places]
         here = sum(sizes)
@@ -98,14 +98,14 @@ class Exposure:
         )
 
     def faults(self) -> list[MemoryFault]:
-        """What was drawn, with its weight; a target without words gives faults without a site."""
+        """The drawn faults with their weight; a target without words gives faults without a site."""
         nothing = MemoryFault(self.sites[0][0], self.sites[0][1], time_us=NO_SITE, stratum=self.stratum)
         weight = self.seen / self.whole if self.stratum and self.whole else 1.0
         return [replace(one.chosen or nothing, weight=weight, seed=one.seed) for one in self.drawings]
 
 
 def fly_exposed(scenario: Scenario, exposures: Sequence[Exposure], time_us: int | None = None) -> Flight:
-    """Fly the golden flight, and draw from what its kernels remember, at an instant (us) or at every control period."""
+    """Fly the golden flight, and draw from its kernels' memory at an instant (us), or at every control period."""
     loop = new_loop(scenario, profile=True)
     kernels = dict.fromkeys(kernel for exposure in exposures for kernel, _ in exposure.sites)
 
@@ -121,14 +121,14 @@ def fly_exposed(scenario: Scenario, exposures: Sequence[Exposure], time_us: int 
 
 
 def _kernel(loop: Loop, name: str) -> Remembers:
-    return cast(Remembers, loop.kernels[name])  # those of this process are
+    return cast(Remembers, loop.kernels[name])  # all kernels of this process implement it
 
 
 def draw_memory(scenario: Scenario, request: MemoryRequest, seed: int) -> tuple[MemoryFault, Flight]:
-    """A fault as a user names it, and the golden flight, flown for the draw.
+    """Draw the fault of a user's request; also returns the golden flight of the draw.
 
     Raises:
-        BadInputError: The kernel remembers no such word, or none with such a bit, then.
+        BadInputError: The kernel's memory has no such word, or none with such a bit, at that instant.
     """
     random = stream(seed, "memory", request.kernel)
     exposure = Exposure(((request.kernel, request.field),), "", request.bit, [_Drawing(random, seed)])
@@ -145,10 +145,10 @@ def draw_memory(scenario: Scenario, request: MemoryRequest, seed: int) -> tuple[
 
 
 class MemorySampler:
-    """Draws one bit of a word that a kernel remembers.
+    """Draws one bit of a word in a kernel's memory.
 
     Raises:
-        BadInputError: A group names a kernel that the mission does not have.
+        BadInputError: The sampling names a kernel that is not part of the mission.
     """
 
     variants: Mapping[str, Mapping[str, Any]] = {}
@@ -177,13 +177,13 @@ class MemorySampler:
         return targets
 
     def blocks(self, environment: str) -> Sequence[Block]:
-        """Target by target."""
+        """One block per target."""
         return self._blocks.of(environment)
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
     ) -> Sampled:  # fmt: skip
-        """The golden run; faults are drawn on the way."""
+        """Fly the golden run, and draw its faults."""
         exposures: dict[tuple[str, str], Exposure] = {}
         for draw in draws:
             number = draw.index // self._campaign.missions
@@ -201,18 +201,18 @@ class MemorySampler:
         return known.setdefault((target, stratum), Exposure(self._targets[target], stratum))
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
-        """What was drawn in flight, in turn; a golden run that left nothing has drawn nothing."""
+        """The faults drawn by `golden`, in order; None for each fault of a failed golden run."""
         del environment
         faults = golden[""].faults if "" in golden else {}
         waiting = {key: iter(found) for key, found in faults.items()}
         return [next(waiting.get(f"{d.target}/{d.stratum}", iter(())), None) for d in draws]
 
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
-        """A fault with an empty mask, drawn from everything that is remembered."""
+        """A fault with an empty mask, drawn from the memory of all kernels."""
         del index, environment
         found = golden[""].faults[f"{NULL}/"] if "" in golden else ()
         fault = next(iter(found), None) or MemoryFault(self._known[0], "", time_us=NO_SITE, seed=seed)
-        assert isinstance(fault, MemoryFault)  # no others are drawn here
+        assert isinstance(fault, MemoryFault)  # this sampler draws no other type
         return replace(fault, bit=None)
 
 

@@ -1,6 +1,6 @@
-"""Faults in registers of a live process: `faults` for each kind of register, at the next call of a function if named.
+"""Faults in registers of a live process: `faults` for each kind of register, at the next call of a function if given.
 
-Instruction, register and bit are drawn when the process has been stopped, from the seed of the fault: fault i has seed
+Instruction, register and bit are drawn while the process is stopped, from the seed of the fault: fault i has seed
 first_seed + i.
 """
 
@@ -13,7 +13,7 @@ from mavfi.campaign.samplers.sampler import Block, Draw, Sampled
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.hosts.host import ArmSetup, MissionFlights
 
-PATIENCE_S = 20.0  # how long the process may take to come by (s)
+PATIENCE_S = 20.0  # time limit for the process to reach the injection point (s)
 
 
 class RegisterSampler:
@@ -27,7 +27,7 @@ class RegisterSampler:
         self._campaign, self._sampling = campaign, campaign.sampling
 
     def blocks(self, environment: str) -> Sequence[Block]:
-        """Kinds of registers in turn."""
+        """One block per kind of registers; their faults alternate."""
         del environment
         kinds = self._sampling.registers
         return [
@@ -41,17 +41,17 @@ class RegisterSampler:
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
     ) -> Sampled:  # fmt: skip
-        """The golden run, with which trials are compared; nothing is drawn from it."""
+        """The golden run, the reference of injected runs; no faults are drawn from it."""
         del draws, environment, setup
         return Sampled(flights.golden(arm))
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
-        """One fault each; none where there is no golden run to compare with."""
+        """One fault per draw; None without a golden run for comparison."""
         del environment
         return [self._fault(d.target, d.index) if "" in golden else None for d in draws]
 
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
-        """Everything but the flip, with each kind of registers in turn."""
+        """A fault with every step except the flip; kinds of registers alternate."""
         del seed, environment, golden
         kinds = self._sampling.registers
         return self._fault(kinds[index % len(kinds)], index, null=True)

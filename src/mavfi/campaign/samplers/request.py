@@ -1,4 +1,4 @@
-"""One fault, as a user names it: whatever the text leaves open is drawn from the golden run of a mission."""
+"""One fault requested by a user: unspecified parts are drawn from the golden run of a mission."""
 
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.campaign.samplers.memory import draw_memory
@@ -16,9 +16,9 @@ from mavfi.states import DETECTORS
 def draw_request(
     scenario: Scenario, request: Request, seed: int, detector: Detector | None = None, recovery: Recovery = INLINE
 ) -> tuple[StateFault | MemoryFault | InstructionFault, Flight | None]:  # fmt: skip
-    """A fault, and the golden flight (which nothing watches) if one was flown for the draw.
+    """Draw a fault; also returns the golden flight (without a detector) if one was flown for the draw.
 
-    The detector watches only where the fault is in an instruction of it.
+    The detector is flown only if the fault is in one of its own instructions.
 
     Raises:
         BadInputError: The mission has no such site.
@@ -39,6 +39,6 @@ def draw_request(
 
 
 def draw_state(scenario: Scenario, request: StateRequest, seed: int) -> tuple[StateFault, Flight | None]:
-    """The same for a fault in a state."""
+    """Draw a fault in a state; also returns the golden flight if one was flown for the draw."""
     golden = fly(scenario, profile=True) if request.needs_profile else None
     return request.resolve(seed, scenario.stack.name, None if golden is None else golden.profile), golden

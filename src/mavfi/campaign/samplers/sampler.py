@@ -1,4 +1,4 @@
-"""What a sampler is: how the faults of a campaign are drawn, one sampler for each level."""
+"""Protocol of samplers, which draw the faults of a campaign, one sampler per level; draws and their numbering."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,40 +9,40 @@ from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import share_out
 from mavfi.hosts.host import ArmSetup, MissionFlights, Recorded
 
-NULL = "null"  # target of null runs: the whole path through the injector, with an empty mask
+NULL = "null"  # target of null runs: the complete path through the injector, with an empty mask
 
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """A fault that is to be drawn."""
+    """A fault to be drawn."""
 
     target: str  # stage, group, kernel or kind of registers: a row of a table
     index: int  # number of the fault within target and environment
-    seed: int  # of its mission
+    seed: int  # seed of its mission
     variant: str = ""  # arm without a detector in whose golden run it is drawn; "" = the campaign's own mission
-    stratum: str = ""  # of its bit; "" = none
+    stratum: str = ""  # stratum of its bit; "" = none
 
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Faults of an environment that are numbered together; fault i is that of mission i modulo their number.
+    """Faults of an environment with a common numbering; fault i belongs to mission i modulo the number of missions.
 
-    A block makes its draws when they are asked for: all those of a million missions would fill the memory.
+    Draws are created on demand: those of a million missions would not fit in memory.
     """
 
     count: int
-    draw: Callable[[int], Draw]  # of fault i
-    first: int  # place of fault 0 in the environment's plan
-    step: int = 1  # between the places of faults i and i + 1
+    draw: Callable[[int], Draw]  # draw of fault i
+    first: int  # position of fault 0 in the environment's plan
+    step: int = 1  # distance between the positions of faults i and i + 1
 
 
 class TargetBlocks:
-    """Blocks of a sampling scheme, one for each target, with exact shares of the bit strata in each.
+    """Blocks of a sampling scheme, one per target, with exact shares of the bit strata in each.
 
     Args:
-        campaign: Its `faults` are drawn for each target.
+        campaign: Campaign with `faults` per target.
         shares: Shares of the strata, by target.
-        orders: Name from which the order of a target's strata is drawn, where it is not the target's own.
+        orders: Name that seeds the order of a target's strata, by target; default: the target's own name.
     """
 
     def __init__(
@@ -52,7 +52,7 @@ class TargetBlocks:
         self._known: dict[str, Sequence[Block]] = {}
 
     def of(self, environment: str) -> Sequence[Block]:
-        """Target by target."""
+        """The blocks of an environment, one per target."""
         if environment not in self._known:
             self._known[environment] = [self._block(environment, *target) for target in enumerate(self._shares)]
         return self._known[environment]
@@ -69,10 +69,10 @@ class TargetBlocks:
 
 @dataclass(slots=True)
 class Sampled:
-    """A golden run, and what faults are drawn from."""
+    """A golden run, with the data from which faults are drawn."""
 
     flight: Recorded
-    counts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # executed by its kernels, see `FlightRecord`
+    counts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # per kernel, see `FlightRecord`
     faults: Mapping[str, Sequence[Fault]] = field(default_factory=dict)  # drawn in flight, by target
 
 
@@ -80,8 +80,8 @@ class Sampler(Protocol):
     """Draws the faults of a campaign; a pure function of the campaign and of golden runs.
 
     Attributes:
-        variants: Missions that are flown besides its own because a kernel runs in them only: overrides.
-        versions: What its draws depend on besides the versions that decide the bits of a flight.
+        variants: Overrides of additional missions, for kernels that run only in these.
+        versions: Versions on which draws depend, in addition to those of flights.
     """
 
     variants: Mapping[str, Mapping[str, Any]]
@@ -93,12 +93,12 @@ class Sampler(Protocol):
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
     ) -> Sampled:  # fmt: skip
-        """Fly the golden run of a variant; `draws` are those of this mission and variant."""
+        """Fly the golden run of a variant; `draws`: the draws of this mission and variant."""
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
-        """The faults of one mission, in the order of its draws; None = nothing can be drawn, and no run is planned.
+        """The faults of one mission, in the order of its draws; None = no fault can be drawn, and no run is planned.
 
-        Golden runs are by variant; one that left nothing is absent.
+        `golden`: golden runs by variant, without failed ones.
         """
 
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
@@ -106,12 +106,12 @@ class Sampler(Protocol):
 
 
 def draws_of(blocks: Sequence[Block], missions: range, of: int) -> list[tuple[int, Draw]]:
-    """The faults of some missions of an environment, by number, in the order of the plan, each with its place.
+    """The draws of some missions of an environment, in plan order, each with its position.
 
     Args:
-        blocks: Of the environment.
-        missions: Numbers of missions, from 0 on.
-        of: Number of all missions.
+        blocks: Blocks of the environment.
+        missions: Numbers of the missions, counted from 0.
+        of: Total number of missions.
     """
     return sorted(
         (

@@ -1,6 +1,6 @@
-"""Faults in inter-kernel states: `stage_balanced`, the paper's equal number for each stage, or groups of fields.
+"""Faults in inter-kernel states: `stage_balanced`, the paper's equal number per stage, or groups of fields.
 
-Exact shares of the bit strata, in an order that the seed draws; each fault has a random stream of its own.
+The shares of the bit strata are exact, their order is drawn from the seed; each fault has a separate random stream.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,7 +21,7 @@ class StateSampler:
     """Draws one bit of one field of one publication.
 
     Raises:
-        BadInputError: A target has no bits of one of its strata.
+        BadInputError: A target has no bits in one of its strata.
     """
 
     variants: Mapping[str, Mapping[str, Any]] = {}
@@ -55,23 +55,23 @@ class StateSampler:
         ]
 
     def _first_alike(self, name: str) -> str:
-        """The target with the same fields from which a target with its own lifetime takes its draws: the first one."""
+        """Name of the target whose draws a target with its own lifetime shares: the first one with the same fields."""
         same = (other for other, (target, _) in self._targets.items() if target.fields == self._targets[name][0].fields)
         return next(same) if name in self._lifetimes else name
 
     def blocks(self, environment: str) -> Sequence[Block]:
-        """Target by target."""
+        """One block per target."""
         return self._blocks.of(environment)
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
     ) -> Sampled:  # fmt: skip
-        """The golden run, with the profile of what it published."""
+        """Fly the golden run with a profile of its publications."""
         del draws, environment, setup
         return Sampled(flights.golden(arm, profile=True))
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
-        """From the profile of the golden run; without one, faults have no site."""
+        """Draw from the profile of the golden run; without one, faults have no site."""
         profile = _profile(golden)
         return [
             self._lasting(
@@ -85,7 +85,7 @@ class StateSampler:
         ]  # fmt: skip
 
     def _lasting(self, target: str, fault: StateFault) -> StateFault:
-        """A fault with the lifetime of its target; a burst that reaches beyond its word begins earlier."""
+        """A fault with the lifetime of its target; a burst that exceeds its word starts at a lower bit."""
         lifetime = (self._lifetimes.get(target) or self._sampling.lifetime).model_dump()
         bits = WORD_BITS[STATES[fault.where.state].find(fault.where.field).dtype]
         width = min(lifetime["width"], bits)
@@ -93,7 +93,7 @@ class StateSampler:
         return replace(fault, **{**lifetime, "lasts_s": float(lifetime["lasts_s"]), "width": width, "bit": bit})
 
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
-        """A fault with an empty mask, of each stage in turn."""
+        """A fault with an empty mask; stages alternate."""
         stage = PPC_STAGES[index % len(PPC_STAGES)]
         target = stage_target(stage, self._autopilot, localization=self._localization)
         fault = draw(target, HEADLINE, _profile(golden), seed, environment, index)
