@@ -146,6 +146,7 @@ def _forked(
     """Main function of a forked worker."""
     for end in ours:
         end.close()
+    gc.freeze()  # what is inherited stays shared: a collection would write to all of it, and copy it
     _work(pipe, function, parent)
 
 

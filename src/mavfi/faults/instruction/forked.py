@@ -7,6 +7,7 @@ no core file, and leaves no zombie and no open file behind.
 import contextlib
 import ctypes
 import faulthandler
+import gc
 import os
 import resource
 import select
@@ -141,6 +142,7 @@ def _settle(parent: int) -> None:
     ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(_EXCEPTION_EXIT)  # the parent ended before it could be watched
+    gc.freeze()  # what is inherited stays shared: a collection would write to all of it, and copy it
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     faulthandler.disable()
     signal.set_wakeup_fd(-1)
