@@ -1,5 +1,6 @@
 """What all tests share: one thread per process, and property tests that are the same on every machine."""
 
+import gc
 import os
 
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -22,8 +23,21 @@ def pytest_addoption(parser):
     parser.addoption("--update-goldens", action="store_true", help="store the digests of the golden flights anew")
 
 
+def pytest_collection_finish():
+    """What all tests have imported is not looked at by each collection of garbage: 1 s each time."""
+    gc.collect()
+    gc.freeze()
+
+
 _ALONE = ("tests/hosts/ros1/test_processes.py", "tests/hosts/node", "tests/unit/faults/register")
 """Other processes take part in these tests, and keep the time of the wall: they want the processors for themselves."""
+
+
+def pytest_ignore_collect(collection_path, config):
+    """`-m alone` imports no other file: that takes longer than most of these tests."""
+    name = collection_path.relative_to(config.rootpath).as_posix()
+    other = collection_path.is_file() and not name.startswith(_ALONE)
+    return True if other and config.option.markexpr.startswith("alone") else None
 
 
 def pytest_collection_modifyitems(config, items):
@@ -37,7 +51,8 @@ def pytest_collection_modifyitems(config, items):
 
 _PLACES = {  # that of the first prefix counts
     "tests/hosts/instruction/test_campaign": 0,  # compiles the kernels and their instrumented twins
-    "tests/unit/campaign": 1, "tests/architecture": 1,  # meanwhile: needs none of them
+    "tests/unit/campaign/test_bench": 5,  # loads all detectors
+    "tests/unit/campaign": 1,  # meanwhile: most of it flies made-up flights, and needs none of them
     "tests/hosts/instruction": 3,
     "tests/hosts/ros1": 4,  # finds compiled what eight nodes would compile at once
     "tests/hosts": 2,
