@@ -33,6 +33,10 @@ _ALONE = ("tests/hosts/ros1/test_processes.py", "tests/hosts/node", "tests/unit/
 """Other processes take part in these tests, and keep the time of the wall: they want the processors for themselves."""
 
 
+_MISSIONS = "tests/hosts"
+"""Whole missions fly in these tests: `make check` leaves them to `make test`."""
+
+
 def pytest_ignore_collect(collection_path, config):
     """`-m alone` imports no other file: that takes longer than most of these tests."""
     name = collection_path.relative_to(config.rootpath).as_posix()
@@ -46,6 +50,8 @@ def pytest_collection_modifyitems(config, items):
         path = item.path.relative_to(config.rootpath).as_posix()
         if path.startswith(_ALONE):
             item.add_marker(pytest.mark.alone)
+        if path.startswith(_MISSIONS):
+            item.add_marker(pytest.mark.slow)
     items.sort(key=lambda item: _place(item.path.as_posix()))
 
 
