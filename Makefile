@@ -15,6 +15,8 @@ export MKL_NUM_THREADS := 1
 # No picture needs a display.
 export MPLBACKEND := Agg
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Modules are compiled to bytecode once, not by each process that a test starts (empty = not set).
+export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
 .PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map pictures ros train readme docs wheel lock clean
@@ -50,7 +52,7 @@ lint: setup  ## formatting, lint, types, import contracts
 	@$(BIN)/lint-imports
 
 check: lint  ## the same, and fast tests
-	@$(BIN)/python -m pytest -n $(JOBS) -m "not slow"
+	@$(BIN)/python -m pytest -n $(JOBS) -m "not slow and not long and not alone"
 
 check-nojit: setup  ## tests of kernels and numerics as plain Python, without the compiler
 	@$(BIN)/python -m tests.robustness.nojit

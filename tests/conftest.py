@@ -1,5 +1,6 @@
 """What all tests share: one thread per process, and property tests that are the same on every machine."""
 
+import gc
 import os
 
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -22,8 +23,25 @@ def pytest_addoption(parser):
     parser.addoption("--update-goldens", action="store_true", help="store the digests of the golden flights anew")
 
 
+def pytest_collection_finish():
+    """What all tests have imported is not looked at by each collection of garbage: 1 s each time."""
+    gc.collect()
+    gc.freeze()
+
+
 _ALONE = ("tests/hosts/ros1/test_processes.py", "tests/hosts/node", "tests/unit/faults/register")
 """Other processes take part in these tests, and keep the time of the wall: they want the processors for themselves."""
+
+
+_MISSIONS = "tests/hosts"
+"""Whole missions fly in these tests: `make check` leaves them to `make test`."""
+
+
+def pytest_ignore_collect(collection_path, config):
+    """`-m alone` imports no other file: that takes longer than most of these tests."""
+    name = collection_path.relative_to(config.rootpath).as_posix()
+    other = collection_path.is_file() and not name.startswith(_ALONE)
+    return True if other and config.option.markexpr.startswith("alone") else None
 
 
 def pytest_collection_modifyitems(config, items):
@@ -32,12 +50,15 @@ def pytest_collection_modifyitems(config, items):
         path = item.path.relative_to(config.rootpath).as_posix()
         if path.startswith(_ALONE):
             item.add_marker(pytest.mark.alone)
+        if path.startswith(_MISSIONS):
+            item.add_marker(pytest.mark.slow)
     items.sort(key=lambda item: _place(item.path.as_posix()))
 
 
 _PLACES = {  # that of the first prefix counts
     "tests/hosts/instruction/test_campaign": 0,  # compiles the kernels and their instrumented twins
-    "tests/unit/campaign": 1, "tests/architecture": 1,  # meanwhile: needs none of them
+    "tests/unit/campaign/test_bench": 5,  # loads all detectors
+    "tests/unit/campaign": 1,  # meanwhile: most of it flies made-up flights, and needs none of them
     "tests/hosts/instruction": 3,
     "tests/hosts/ros1": 4,  # finds compiled what eight nodes would compile at once
     "tests/hosts": 2,

@@ -74,7 +74,8 @@ def test_another_environment_heap_and_hash_seed_give_the_same_bytes(faults, told
     """With random addresses; other folders and CPUs: `tests/golden/test_machines.py`."""
     environment = {
         "PYTHONHASHSEED": "99", "SOMETHING": "x" * 5_000, "PATH": "/usr/bin", "LANG": "C", "HOME": str(tmp_path),
-        "PYTHONPATH": str(ROOT), "XDG_CACHE_HOME": str(code_folder().parents[1]), "OMP_NUM_THREADS": "1",
+        "PYTHONPATH": f"{ROOT / 'src'}:{ROOT}", "XDG_CACHE_HOME": str(code_folder().parents[1]),
+        "OMP_NUM_THREADS": "1",
     }  # fmt: skip
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", ELSEWHERE], env=environment, cwd=tmp_path, capture_output=True,

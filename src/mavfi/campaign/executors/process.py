@@ -146,6 +146,7 @@ def _forked(
     """Main function of a forked worker."""
     for end in ours:
         end.close()
+    gc.freeze()  # inherited objects stay shared: a collection would copy their pages
     _work(pipe, function, parent)
 
 
@@ -169,7 +170,6 @@ def _work(pipe: Connection, function: Callable[[Any], Iterator[Any]], parent: in
         return
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides when to stop
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    gc.freeze()  # excluded from garbage collection, which would copy the pages of inherited objects
     try:
         _fly_all(pipe, function)
     except (EOFError, ConnectionError):  # the parent is dead

@@ -7,6 +7,7 @@ file, and leaves no zombie and no open file.
 import contextlib
 import ctypes
 import faulthandler
+import gc
 import os
 import resource
 import select
@@ -141,6 +142,7 @@ def _settle(parent: int) -> None:
     ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(_EXCEPTION_EXIT)  # the parent ended before the death signal was set
+    gc.freeze()  # inherited objects stay shared: a collection would copy their pages
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     faulthandler.disable()
     signal.set_wakeup_fd(-1)

@@ -1,4 +1,5 @@
 import errno
+import gc
 import itertools
 import os
 import signal
@@ -278,6 +279,17 @@ def hoard(number):
 def test_memory_that_a_mission_leaves_free_is_given_back():
     first, *_, last = [item for item in singly(LocalExecutor(1).map(hoard, range(4))) if not isinstance(item, Done)]
     assert last - first < 20e6
+
+
+def test_a_worker_does_not_collect_what_it_inherited():
+    """A collection writes to each object that it looks at, and so copies the parent's memory."""
+    inherited = [object()]
+
+    def looked_at(number):
+        yield any(one is inherited for one in gc.get_objects())
+
+    assert any(one is inherited for one in gc.get_objects())
+    assert next(singly(LocalExecutor(1).map(looked_at, [1]))) is False
 
 
 class NoMemory:

@@ -2,6 +2,7 @@
 
 import ctypes
 import errno
+import gc
 import os
 import signal
 import time
@@ -37,6 +38,17 @@ def test_a_report_comes_back_however_long_it_is():
     report = bytes(range(256)) * 40_000
     assert run_in_child(lambda: report).payload == report
     assert run_in_child(lambda: b"").how == "done"
+
+
+def test_a_child_does_not_collect_what_it_inherited():
+    """A collection writes to each object that it looks at, and so copies the parent's memory."""
+    inherited = [object()]
+
+    def looked_at():
+        return str(any(one is inherited for one in gc.get_objects())).encode()
+
+    assert looked_at() == b"True"
+    assert run_in_child(looked_at).payload == b"False"
 
 
 @pytest.mark.parametrize(
