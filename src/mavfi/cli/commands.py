@@ -13,6 +13,7 @@ from mavfi.cli import (
     fly,
     inject,
     pack,
+    redundancy,
     replay,
     report,
     reproduce,
@@ -39,7 +40,7 @@ app = typer.Typer(
 )
 for verb in (
     fly.fly, export.export, inject.inject, states.states, train.train, report.report, runs.runs, replay.replay,
-    explain.explain, vulnerability.vulnerability, reproduce.reproduce,
+    explain.explain, vulnerability.vulnerability, redundancy.redundancy, reproduce.reproduce,
 ):  # fmt: skip
     app.command(verb.__name__)(verb)
 for verb in (pack.pack, pack.unpack):
