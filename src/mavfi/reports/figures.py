@@ -19,7 +19,7 @@ from mavfi.campaign.analysis.views import has
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.errors import BadInputError
 from mavfi.platforms.redundancy import shipped_designs
-from mavfi.reports import redundancy_figure, style
+from mavfi.reports import platform_figure, redundancy_figure, style
 
 _LEGEND: dict[str, Any] = {"ncols": 6, "columnspacing": 1.2, "fontsize": 8.5, "handlelength": 1.8}
 
@@ -264,6 +264,9 @@ FIGURES: dict[str, tuple[Callable[[Runs], Figure | None], str]] = {
         flight_time, "Share of missions that arrived, by flight time over the golden run's; failures never arrive."
     ),
     "sites": (sites, "Share of missions that fail or take more than 5 % longer, by what was injected."),
+    "platforms": (
+        platform_figure.flight_times, "Flight times on each platform; dashed: the paper's."
+    ),
 }  # fmt: skip
 """What draws each figure, and its caption."""
 MODEL_FIGURES: dict[str, tuple[Callable[[Runs], Figure | None], str]] = {
