@@ -36,6 +36,7 @@ class DesignConfig(Config):
     """A UAV with its on-board computer, for the comparison of redundancy with detection."""
 
     name: str
+    vehicle: str = Field("", description="which vehicle this is; the name by default")
     calibration: str = Field("own", description="name of this set of inputs")
     mass: float = Field(gt=0, le=1e3, description="kg: frame, rotors and battery, without the computer")
     max_thrust: float = Field(gt=0, le=1e5, description="N, of all rotors")
@@ -66,6 +67,11 @@ class DesignConfig(Config):
                 f"{weight:.4g} N"
             )
         return self
+
+    @property
+    def craft(self) -> str:
+        """Name of the vehicle."""
+        return self.vehicle or self.name
 
 
 NUMBERS = tuple(name for name, field in DesignConfig.model_fields.items() if field.annotation is float)

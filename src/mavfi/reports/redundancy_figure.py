@@ -16,13 +16,13 @@ _LOOKS = ((style.BLUE, "o"), (style.ORANGE, "s"), (style.GREEN, "^"), (style.PUR
 
 def redundancy(designs: Sequence[DesignConfig]) -> Figure:
     """Ratios of flight time with their bands, and of energy, by scheme; one panel for each vehicle."""
-    vehicles = list(dict.fromkeys(design.name for design in designs))
+    vehicles = list(dict.fromkeys(design.craft for design in designs))
     calibrations = list(dict.fromkeys(design.calibration for design in designs))
     figure = Figure(figsize=(1.4 + 3.4 * len(vehicles), 3.9), layout="constrained")
     panels = figure.subplots(1, len(vehicles), squeeze=False)[0]
     names, width = list(schemes()), 0.7 / len(calibrations)
     for axes, vehicle in zip(panels, vehicles, strict=True):
-        own = [design for design in designs if design.name == vehicle]
+        own = [design for design in designs if design.craft == vehicle]
         finite = [value for design in own for name in names
                   for value in (*band(design, name), _energy(design, name)) if math.isfinite(value)]  # fmt: skip
         top = 1.0 + 1.08 * max(0.05, max(finite) - 1.0)

@@ -36,11 +36,12 @@ def instructions_per_hour(golden: Runs) -> dict[str, float]:
     return {kernel: number / hours for kernel, number in found.items()} if hours > 0 else {}
 
 
-def exposed(runs: Runs) -> dict[tuple[str, str], dict[str, tuple[int, Exposed]]]:
+def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[str, tuple[int, Exposed]]]:
     """Kernels by environment and setting, each with its number of faults.
 
-    Harm is measured against the golden run of the same arm and mission.  A setting whose golden runs were not counted
-    is left out, and so is a kernel without a fault.
+    Harm is measured against the golden run of the same arm and mission, by a column that says whether a mission
+    succeeds: as flown, or `success_if_ended`.  A setting whose golden runs were not counted is left out, and so is a
+    kernel without a fault.
     """
     golden = {(row["arm"], row["world"]): row["success"] for row in runs.golden.where("judged")}
     found: dict[tuple[str, str], dict[str, tuple[int, Exposed]]] = {}
@@ -51,7 +52,7 @@ def exposed(runs: Runs) -> dict[tuple[str, str], dict[str, tuple[int, Exposed]]]
             known = [row for row in part if (row["arm"], row["world"]) in golden]
             if kernel in counts and known:
                 before = [golden[row["arm"], row["world"]] for row in known]
-                harm = paired_difference(before, [row["success"] for row in known], [row["world"] for row in known])
+                harm = paired_difference(before, [row[success] for row in known], [row["world"] for row in known])
                 kernels = found.setdefault((environment, setting), {})
                 kernels[kernel] = len(known), Exposed(counts[kernel], Estimate(*harm))
     return found
@@ -60,12 +61,14 @@ def exposed(runs: Runs) -> dict[tuple[str, str], dict[str, tuple[int, Exposed]]]
 def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
     """One row for each kernel of a setting, and one for all of them."""
     upset = upsets_per_instruction(upsets).value
-    every = exposed(runs)
+    every, ended = exposed(runs), exposed(runs, "success_if_ended")
     for (environment, setting), kernels in every.items():
         parts = [one for _, one in kernels.values()]
         own = {"environment": environment, "setting": setting}
+        worse = {kernel: one for kernel, (_, one) in ended[environment, setting].items()}
         for kernel, (n, one) in kernels.items():
-            yield {**own, "kernel": kernel, "n": n, **_numbers(one.instructions, one.harm, one.failures(upset))}
+            numbers = _numbers(one.instructions, one.harm, one.failures(upset), worse[kernel].failures(upset))
+            yield {**own, "kernel": kernel, "n": n, **numbers}
         whole = sum(one.instructions for one in parts)
         total = total_failures(parts, upset)
         harm = total.times(1 / (whole * upset)) if whole else Estimate(0.0, 0.0, 0.0)
@@ -73,13 +76,15 @@ def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
         alone = total_failures([one for _, one in base.values()], upset).value if base else 0.0
         against = total.value / alone if setting != FI and alone > 0 else None
         faults = sum(n for n, _ in kernels.values())
-        yield {**own, "kernel": ALL, "n": faults, "against": against, **_numbers(whole, harm, total)}
+        yield {**own, "kernel": ALL, "n": faults, "against": against,
+               **_numbers(whole, harm, total, total_failures(worse.values(), upset))}  # fmt: skip
 
 
-def _numbers(instructions: float, harm: Estimate, failures: Estimate) -> dict[str, Any]:
+def _numbers(instructions: float, harm: Estimate, failures: Estimate, ended: Estimate) -> dict[str, Any]:
     return {
         "instructions": instructions, "harm": harm.value, "harm_low": harm.low, "harm_high": harm.high,
         "failures": failures.value, "failures_low": failures.low, "failures_high": failures.high,
+        "ended": ended.value, "ended_low": ended.low, "ended_high": ended.high,
     }  # fmt: skip
 
 
@@ -92,8 +97,9 @@ def _harm(own: Runs) -> Rate:
     return Rate(own.first("n"), own.first("harm"), own.first("harm_low"), own.first("harm_high"))
 
 
-def _failures(own: Runs) -> Estimate:
-    return Estimate(*(own.first(key) for key in ("failures", "failures_low", "failures_high")))
+def _estimate(key: str, heading: str) -> Measure:
+    names = (key, f"{key}_low", f"{key}_high")
+    return Measure(key, heading, ESTIMATE, lambda own: Estimate(*map(own.first, names)))
 
 
 def failure_notes(upsets: UpsetConfig) -> list[str]:
@@ -119,11 +125,12 @@ def failure_notes(upsets: UpsetConfig) -> list[str]:
 _VIEW = View(
     "failures_per_hour", "Failures per flight hour by setting and kernel", ("environment", "setting", "kernel"),
     (
-        Measure("failures", "failures per flight hour", ESTIMATE, _failures),
+        _estimate("failures", "failures per flight hour"),
         Measure("against", "against fi", "number .2f ×", lambda own: own.first("against")),
         Measure("instructions", "instructions/h", "number .2e", lambda own: own.first("instructions")),
         Measure("n", "faults", NUMBER, lambda own: own.first("n")), Measure("harm", "harm (points)", POINTS, _harm),
         Measure("coverage", "coverage", PERCENT, lambda own: 1 - own.first("harm")),
+        _estimate("ended", "failures, dead node ends mission"),
     ),
     where=lambda runs: _computed(runs, find_upsets()), notes=lambda _: failure_notes(find_upsets()),
     applies=lambda runs: has(runs.injected, level=INSTRUCTION) and all(w == 1.0 for w in runs.injected["weight"]),

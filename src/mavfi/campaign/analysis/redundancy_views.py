@@ -63,12 +63,12 @@ def _comparison(designs: Sequence[DesignConfig]) -> Runs:
             own = performance(design, copies, overhead)
             low, high = band(design, scheme)
             rows.append({
-                "vehicle": design.name, "calibration": design.calibration, "scheme": scheme,
+                "vehicle": design.craft, "calibration": design.calibration, "scheme": scheme,
                 "payload": 1000 * own.payload, "mass": 1000 * own.mass, "acceleration": own.acceleration,
                 "speed": own.speed, "time": time_ratio(own, reference), "low": low, "high": high,
                 "energy": energy_ratio(own, reference), "limited": time_ratio(own, reference, SPEED_LIMIT),
-                "paper": paper.figure("redundancy_time", vehicle=design.name, scheme=scheme),
-                "paper_energy": paper.figure("redundancy_energy", vehicle=design.name, scheme=scheme),
+                "paper": paper.figure("redundancy_time", vehicle=design.craft, scheme=scheme),
+                "paper_energy": paper.figure("redundancy_energy", vehicle=design.craft, scheme=scheme),
             })  # fmt: skip
     return _of(rows)
 
@@ -80,7 +80,7 @@ def _sensitivity(designs: Sequence[DesignConfig]) -> Runs:
         for key, found in design.bands.items():
             low, high = (None if end is None else ratio(end, TMR) for end in at_ends(design, key))
             rows.append({
-                "vehicle": design.name, "calibration": design.calibration, "parameter": key.replace("_", " "),
+                "vehicle": design.craft, "calibration": design.calibration, "parameter": key.replace("_", " "),
                 "value": getattr(design, key), "from": found.low, "to": found.high, "at_low": low, "at_high": high,
                 "source": design.sources.get(key, ""),
             })  # fmt: skip
@@ -192,9 +192,9 @@ def summary(designs: Sequence[DesignConfig]) -> list[str]:
     found = []
     for design in designs:
         times, (low, high) = ratio(design, TMR), band(design, TMR)
-        printed = paper.figure("redundancy_time", vehicle=design.name, scheme=TMR)
+        printed = paper.figure("redundancy_time", vehicle=design.craft, scheme=TMR)
         reach = f", band {_between(low, high)}" if design.bands else ""
         beside = f"; the paper: {printed:.2f} times" if printed is not None else ""
         what = "cannot hover" if math.isinf(times) else f"takes {times:.2f} times as long as with a detector{reach}"
-        found.append(f"{design.name} ({design.calibration}): with TMR it {what}{beside}.")
+        found.append(f"{design.craft} ({design.calibration}): with TMR it {what}{beside}.")
     return found

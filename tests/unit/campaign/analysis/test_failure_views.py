@@ -5,7 +5,7 @@ import pytest
 from mavfi.campaign.analysis import table
 from mavfi.campaign.analysis.failure_rate import find_upsets, upsets_per_instruction
 from mavfi.campaign.analysis.failure_views import exposed, failure_table, summary
-from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, flown, golden, injected, runs
+from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, died, flown, golden, injected, runs
 
 HOUR = {kernel: {"instructions": count, "calls": 1, "lines": []} for kernel, count in (("pid", 10), ("gaussian", 30))}
 IN_DETECTOR = replace(INSTRUCTION, kernel="gaussian", entry="judge")
@@ -36,6 +36,7 @@ def test_instructions_harm_and_failures_by_hand():
     assert rows["dr_gaussian", "all"]["failures"].value == pytest.approx((20 * 0.1 + 60 * 0.2) * upset)
     assert rows["dr_gaussian", "all"]["against"] == pytest.approx(14 / 8)
     assert rows["fi", "all"]["against"] is None
+    assert rows["fi", "all"]["ended"] == rows["fi", "all"]["failures"], "no kernel died"
     assert rows["fi", "all"]["n"] == 10 and rows["dr_gaussian", "all"]["n"] == 20
 
 
@@ -69,3 +70,11 @@ def test_upset_rates_of_ones_own_scale_all_rows_alike():
 def test_the_assumptions_and_their_sources_are_printed():
     notes = "\n".join(table(campaign(), "failures_per_hour").notes)
     assert "JESD89A" in notes and "IEC 61508" in notes and "assumed" in notes and "coverage" in notes
+
+
+def test_a_dead_kernel_counts_as_a_failure_if_it_ends_the_mission():
+    own = [golden(seed, counted("pid")) for seed in range(4)]
+    own += [injected(seed, died() if seed else flown(), INSTRUCTION, target="pid") for seed in range(4)]
+    row = table(runs(*own), "failures_per_hour").entries()[0]
+    assert row["failures"].value == 0
+    assert row["ended"].value == pytest.approx(20 * 0.75 * upsets_per_instruction(find_upsets()).value)
