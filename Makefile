@@ -127,7 +127,6 @@ ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a
 
 train: setup  ## train the detectors that are shipped
 	@$(BIN)/mavfi train --flights 100 --out src/mavfi/data/models
-	@$(BIN)/mavfi train --platform cortex-a57 --flights 100 --out src/mavfi/data/models
 
 readme: setup  ## put the results of `make reproduce` into README.md and docs/results.md
 	@$(BIN)/python -m tools.build_readme $(OUT)
