@@ -32,7 +32,15 @@ def test_modelled_shares_by_hand_beside_the_papers():
     assert found["control"]["modelled"] == 0
     assert found["perception"]["paper_recompute"] == 0.009788 and found["control"]["paper_detection"] == 0.000009
     assert found["all"]["paper_sum"] == 0.019218 and found["control"]["paper_sum"] is None
+    assert found["all"]["paper_detection"] is found["all"]["paper_recompute"] is None, "it gives the sum alone"
     assert found["all"]["measured_detection"] is None, "nothing was measured"
+
+
+def test_the_papers_autoencoder_has_one_row_for_all_stages():
+    own = runs(golden(1), injected(1, flown(compute_us={"pid": 9}, recompute_us={}), arm="autoencoder"))
+    found = {row["stage"]: row for row in table(own, "overheads_as_in_the_paper").entries()}
+    assert found["all"]["paper_detection"] == found["all"]["paper_sum"] == 0.000047
+    assert found["control"]["paper_detection"] is None
 
 
 def test_what_was_measured_stands_beside_what_is_modelled():

@@ -112,6 +112,8 @@ def failure_notes(upsets: UpsetConfig) -> list[str]:
         "failures without a fault",
         "harm: missions lost by the fault against the golden run of the same setting, in pairs; coverage = 1 – harm "
         "rewards idle instructions and compares nothing (Schirmeier et al., DSN 2015): compare failures",
+        "against fi: ratio of the estimates; it says nothing where the intervals are wide; the kernel with most "
+        "instructions decides the width",
         f"upsets {upsets.name}: {rate.value:.1e} per instruction, band {rate.low:.1e} to {rate.high:.1e}, which scales "
         f"all rows alike: {fit.value:g} FIT/Mbit ({fit.low:g} to {fit.high:g}) x {upsets.unprotected_mbit:g} Mbit x "
         f"{upsets.visible:g} visible at {altitude.value:g} m ({altitude.low:g} to {altitude.high:g}), "
