@@ -19,13 +19,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.rows import processor
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.executors import dask
 from mavfi.campaign.executors.dask import LOOPBACK, DaskExecutor
 from mavfi.campaign.executors.executor import Executor
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.mission import MissionPlan
+from mavfi.campaign.overheads import processor
 from mavfi.campaign.plan import Flown, Planned, Row
 from mavfi.campaign.run import run_campaign, status
 from mavfi.campaign.store import FILE

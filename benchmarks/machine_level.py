@@ -24,9 +24,9 @@ import llvmlite
 import numba
 import numpy as np
 
-from benchmarks.run import processor
 from benchmarks.single_step import SteppedCall
 from mavfi.campaign.analysis.statistics import Rate, wilson
+from mavfi.campaign.overheads import processor
 from mavfi.errors import BadInputError
 from mavfi.faults.instruction import count, draw, run_forked
 from mavfi.faults.instruction.api import digest

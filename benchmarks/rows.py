@@ -1,7 +1,5 @@
-"""A row of the speed table, with an optional target, and the name of the measured processor."""
+"""A row of the table of speeds, with the target where there is one."""
 
-import platform
-from pathlib import Path
 from typing import NamedTuple
 
 
@@ -22,12 +20,3 @@ class Row(NamedTuple):
         met = self.ratio <= self.target if self.at_most else self.ratio >= self.target
         sign = "≤" if self.at_most else "≥"
         return f"{sign} {self.target:g}: {'met' if met else 'not met'}"
-
-
-def processor() -> str:
-    """Name of the processor, as reported by the system."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())

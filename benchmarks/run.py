@@ -23,7 +23,8 @@ from benchmarks.growth import FIGURE, growth_rows
 from benchmarks.instruction import instruction_rows
 from benchmarks.map_update import map_rows
 from benchmarks.planners import nearest_rows, search_rows
-from benchmarks.rows import Row, processor
+from benchmarks.rows import Row
+from mavfi.campaign.overheads import processor
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.compose import resolve

@@ -16,9 +16,11 @@ from pydantic.fields import FieldInfo
 
 from mavfi import config
 from mavfi.campaign import config as campaigns
+from mavfi.campaign.analysis.failure_rate import UpsetConfig
 from mavfi.detectors.registry import DetectorConfig
 from mavfi.faults.fault import LEVELS
 from mavfi.mission import MissionSpec
+from mavfi.platforms.redundancy import DesignConfig
 from tools.markers import GENERATED, banner
 
 COMMAND = "make docs"
@@ -63,7 +65,7 @@ As text, for `--fault` of `mavfi fly` and `mavfi ros fly`; whatever is left out 
 As data, in ledgers, in `mavfi explain --json`, and in Python:
 
 """
-CONFIGS = """# Keys of vehicles, platforms, autopilot profiles, planners, environments, detectors
+CONFIGS = """# Keys of vehicles, platforms, autopilot profiles, planners, environments, detectors, redundancy, upsets
 
 Files of `configs/`, and of one's own: every option that takes a name takes a path to such a file too.
 
@@ -76,7 +78,7 @@ SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {
         (
             config.VehicleConfig, config.PlatformConfig, config.StackConfig, config.PlannerConfig,
             config.EnvironmentConfig, config.CameraConfig, config.MapConfig, config.WindConfig,
-            config.LocalizationConfig, DetectorConfig,
+            config.LocalizationConfig, DetectorConfig, DesignConfig, UpsetConfig,
         ),
     ),
 }  # fmt: skip

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mavfi import config
+from mavfi.campaign.analysis.failure_rate import UpsetConfig
 from mavfi.detectors.registry import (
     DetectorConfig,
     detector_names,
@@ -15,6 +16,7 @@ from mavfi.detectors.registry import (
     trainable,
 )  # fmt: skip
 from mavfi.mission import MissionStatus
+from mavfi.platforms.redundancy import DesignConfig
 from mavfi.states import MONITORED_SETS, PPC_STAGES, STACKS, STATES, Stage
 
 UNITS = {"m", "m/s", "m/s^2", "rad", "rad/s", "s", "-"}
@@ -25,6 +27,8 @@ MODELS = {
     "vehicles": config.VehicleConfig,
     "planners": config.PlannerConfig,
     "detectors": DetectorConfig,
+    "redundancy": DesignConfig,
+    "upsets": UpsetConfig,
 }
 
 

@@ -13,7 +13,7 @@ from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
 from mavfi.faults.strata import STRATA
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
-from mavfi.states import INJECTABLE, MONITORED_SETS, PLANNERS
+from mavfi.states import DETECTORS, INJECTABLE, MONITORED_SETS, PLANNERS
 
 DESIGN_SEEDS = range(10_000)  # seeds that the autopilot profiles were tuned on
 TRAINING_SEED = 1_000_000  # first seed of the flights that detectors are trained on; no campaign flies these
@@ -108,7 +108,7 @@ class InstructionSampling(Config):
     scheme: Literal["uniform", "stratified"] = Field(
         "uniform", description="over dynamic instructions, or by value class and source line with weights"
     )
-    kernels: tuple[str, ...] = Field(min_length=1, description="kernels; a planner by its own name")
+    kernels: tuple[str, ...] = Field(min_length=1, description="kernels; a planner by its own name; detectors of arms")
     share: Literal["kernel", "stage"] = Field(
         "kernel", description="what `faults` counts: each kernel, or each stage, whose kernels share them equally"
     )
@@ -118,7 +118,7 @@ class InstructionSampling(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "InstructionSampling":
-        _check_known("sampling.kernels", sorted(self.kernels), INJECTABLE)
+        _check_known("sampling.kernels", sorted(self.kernels), (*INJECTABLE, *DETECTORS))
         _check_distinct("sampling.kernels", self.kernels)
         return self
 
@@ -179,6 +179,13 @@ class ArmConfig(Config):
         return {**rest, "mission": _mission_keys({**mission, **beside}, "arms")}
 
 
+class Part(Config):
+    """An environment of a campaign under a name of its own, with keys of the mission that hold there."""
+
+    environment: str
+    platform: str | None = None
+
+
 class Scale(Config):
     """Another size of a campaign."""
 
@@ -207,6 +214,7 @@ class Campaign(Config):
         None, ge=0, le=MOST_FAULTS, description="per environment; each arm in turn; default 3 for states"
     )
     arms: dict[str, ArmConfig] = Field(default_factory=dict, description="by name")
+    parts: dict[str, Part] = Field(default_factory=dict, description="by name in environments, e.g. one per platform")
     node: NodeConfig | None = Field(None, description="the node under test, with host node")
 
     @model_validator(mode="before")
@@ -234,6 +242,7 @@ class Campaign(Config):
         if (self.host == "node") != (self.node is not None):
             raise ValueError(f"host: {self.host!r}: the key node goes with host node, and only with it")
         _check_distinct("environments", self.environments)
+        _check_known("parts", self.parts, self.environments)
         for name in self.arms:
             if name in PLANNERS:
                 raise ValueError(f"arms: {name!r}: is the name of a planner; allowed: any other name")
@@ -280,12 +289,15 @@ class Campaign(Config):
 
     def spec(self, environment: str, seed: int, overrides: Mapping[str, Any] | None = None) -> MissionSpec:
         """The mission of an environment and seed, with the overrides of an arm."""
-        given = {**self.mission, **(overrides or {}), "environment": environment, "seed": seed}
+        part = self.parts.get(environment, Part(environment=environment)).model_dump(exclude_none=True)
+        given = {**self.mission, **(overrides or {}), **part, "seed": seed}
         return parse(MissionSpec, given, f"campaign {self.name}")
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; lifetimes that are not chosen are left out: campaigns without them keep their identity."""
+        """Plain data; parts and lifetimes are left out where there are none: such campaigns keep their identity."""
         data = self.model_dump(mode="json")
+        if not self.parts:
+            del data["parts"]
         sampling = data["sampling"]
         if sampling.get("lifetime") == Lifetime().model_dump(mode="json"):
             del sampling["lifetime"]

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 
 from mavfi.campaign.config import Campaign
-from mavfi.campaign.plan import Arm, Flown, Plan, Planned, RunSpec, arms_of
+from mavfi.campaign.plan import Arm, Flown, Plan, Planned, RunSpec, arms_of, model_of
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Sampled, Sampler
 from mavfi.detectors.detector import Detector
@@ -39,7 +39,9 @@ class MissionPlan:
     environment: str
     seed: int
     models_dir: Path | None = None  # of trained models; None = the shipped ones
-    models: Mapping[str, str] = field(default_factory=dict)  # sha256 of the trained model by arm; others are refused
+    models: Mapping[str, str] = field(
+        default_factory=dict
+    )  # sha256 of trained models, as in `Plan`; others are refused
     scenarios: Mapping[str, str] = field(default_factory=dict)  # their keys by arm; others are refused
     fast_forward: bool = True  # start flights at checkpoints of known ones; the records are the same either way
     done: frozenset[str] = frozenset()  # ids of the runs in the ledger
@@ -97,7 +99,7 @@ def setup_of(plan: MissionPlan, arm: Arm, host: Host) -> ArmSetup:
 
     def make() -> Detector:
         detector, model = detector_for(scenario, arm.detector, arm.profile, plan.models_dir)
-        planned = plan.models.get(arm.name, "")
+        planned = model_of(plan.models, plan.environment, arm.name)
         if model != planned:
             raise SpecMismatchError(
                 f"arm {arm.name}: planned with the model {planned[:12]}, but {plan.models_dir or 'the shipped folder'} "
@@ -166,13 +168,13 @@ def _check_scenarios(mission: MissionPlan, plan: Plan) -> None:
 
 
 def _golden(plan: Plan, spec: RunSpec, flights: MissionFlights, setup: ArmSetup, sampled: dict[str, Sampled]) -> Flown:
-    """Fly a golden run; a variant's is also stored in `sampled`, for the drawing of faults."""
+    """Fly a golden run; where faults are drawn from it, its sample is stored in `sampled`."""
     arm = next(arm for arm in plan.arms if arm.name == spec.arm)
 
     def fly() -> FlightRecord:
-        if arm.name and not arm.is_variant:
-            return flights.golden(arm.name).record()
         draws = [draw for _, draw in plan.places(*spec.world) if draw.variant == arm.name and draw.target != NULL]
+        if arm.name and not arm.is_variant and not draws:
+            return flights.golden(arm.name).record()
         found = plan.sampler.golden(arm.name, draws, spec.environment, flights, setup)
         sampled[arm.name] = found
         profile = found.flight.profile

@@ -156,7 +156,7 @@ class Plan:
     sampler: Sampler
     arms: tuple[Arm, ...]  # the campaign's own mission, the variants, the arms, in this order
     scenarios: Mapping[tuple[str, str], str]  # key of the scenario by environment and arm
-    models: Mapping[str, str]  # sha256 of the trained model by arm
+    models: Mapping[str, str]  # sha256 of the trained model by arm, or by environment/arm
 
     @property
     def watching(self) -> tuple[Arm, ...]:
@@ -185,16 +185,19 @@ class Plan:
             yield before + draws * each + index, Draw(NULL, index, seed)
 
     def injected(self, environment: str, draw: Draw, place: int, fault: Fault) -> list[RunSpec]:
-        """The runs of one fault, in its variant and in every arm; a null run in one arm only, cyclically."""
+        """The runs of one fault, in its variant and in every arm, or only in the arm of the injected detector.
+
+        A null run is in one arm only, cyclically.
+        """
         if draw.target == NULL:
             kind: Kind = "null"
             arms = [arm for arm in self.arms if not arm.is_variant]
             settings = [(arm, _with_arm(NULL, arm.name)) for arm in [arms[draw.index % len(arms)]]]
         else:
             kind = "injected"
-            variant = next(arm for arm in self.arms if arm.name == draw.variant)
             again = [(arm, _with_arm(RECOVERY if arm.detector else FI, arm.name)) for arm in self.watching]
-            settings = [(variant, FI), *again]
+            variant = self._arm(draw.variant)
+            settings = [one for one in again if one[0] is variant] if variant.detector else [(variant, FI), *again]
         return [
             self._run(
                 kind, setting, environment, draw.seed, arm, target=draw.target, index=draw.index, fault=fault,
@@ -209,9 +212,10 @@ class Plan:
         total = self.golden_count(shard)
         for place, name in enumerate(campaign.environments):
             first = (shard.number - 1 - place * campaign.missions) % shard.of
-            counts = [block.count for block in self.sampler.blocks(name)]
-            drawn = sum(_of_shard(count, campaign.missions, first, shard.of) for count in counts)
-            total += drawn * each + _of_shard(campaign.nulls, campaign.missions, first, shard.of)
+            for block in self.sampler.blocks(name):
+                alone = block.count and self._arm(block.draw(0).variant).detector
+                total += _of_shard(block.count, campaign.missions, first, shard.of) * (1 if alone else each)
+            total += _of_shard(campaign.nulls, campaign.missions, first, shard.of)
         return total
 
     def golden_count(self, shard: Shard = WHOLE) -> int:
@@ -222,11 +226,19 @@ class Plan:
         """Scenario keys of an environment, by arm."""
         return {arm.name: self.scenarios[environment, arm.name] for arm in self.arms}
 
+    def _arm(self, name: str) -> Arm:
+        return next(arm for arm in self.arms if arm.name == name)
+
     def _run(self, kind: Kind, setting: str, environment: str, seed: int, arm: Arm, **more: Any) -> RunSpec:
         return RunSpec(
             kind, setting, environment, seed, self.scenarios[environment, arm.name], arm.name, arm.detector,
-            arm.profile, self.models.get(arm.name, ""), **more,
+            arm.profile, model_of(self.models, environment, arm.name), **more,
         )  # fmt: skip
+
+
+def model_of(models: Mapping[str, str], environment: str, arm: str) -> str:
+    """The sha256 of an arm's model in an environment, "" = it has none; see `Plan.models`."""
+    return models.get(f"{environment}/{arm}", models.get(arm, ""))
 
 
 def _of_shard(count: int, missions: int, first: int, step: int) -> int:

@@ -314,13 +314,17 @@ def identity_of(
 def model_hashes(
     campaign: Campaign, scenarios: Mapping[tuple[str, str], Scenario], models_dir: Path | None
 ) -> dict[str, str]:
-    """Load every arm's detector for every environment, and return the sha256 of its model by arm.
+    """Load every arm's detector for every environment, and return the sha256 of its model, by arm.
+
+    Campaigns with parts, which may differ in what detectors are trained for, have keys "environment/arm".
 
     Raises:
         BadInputError: A detector is unknown, or a model is absent or does not match.
     """
     return {
-        arm.name: detector_for(scenarios[environment, arm.name], arm.detector, arm.profile, models_dir)[1]
+        f"{environment}/{arm.name}" if campaign.parts else arm.name: detector_for(
+            scenarios[environment, arm.name], arm.detector, arm.profile, models_dir
+        )[1]
         for arm in arms_of(campaign)
         if arm.detector
         for environment in campaign.environments

@@ -1,4 +1,4 @@
-"""`mavfi bench detectors`: detectors and recovery schemes on the same flights and faults."""
+"""`mavfi bench`: detectors and recovery schemes on the same flights and faults, and what they cost in time."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from mavfi.cli import options
-from mavfi.cli.console import check_folder, console, write_json
+from mavfi.cli.console import check_folder, check_number, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError, writing
 
@@ -155,3 +155,37 @@ def _show(tables: "Mapping[str, Table]", out: Path) -> None:
         later = {note for other in names[names.index(name) + 1 :] for note in tables[other].notes}  # common ones once
         show_table(replace(table, notes=tuple(note for note in table.notes if note not in later)), terminal)
     terminal.print(Text(f"The tables are in {out / 'leaderboard.md'}."), soft_wrap=True)
+
+
+@app.command("overheads")
+def overheads(
+    directory: options.Ledger,
+    missions: Annotated[int, typer.Option(help="Golden flights per environment and arm.")] = 3,
+    as_json: options.AsJson = False,
+) -> None:
+    """Measure what the detectors of a campaign cost in time on this machine; show it as in the paper's Table II.
+
+    Golden flights are flown in this process, so that nothing else runs beside what is timed; the campaign's table of
+    overheads shows the result from then on.
+
+    Example: [bold]mavfi bench overheads out/reproduce[/bold]
+    """
+    from mavfi.campaign.analysis import Runs, table
+    from mavfi.campaign.overheads import measure, save
+    from mavfi.campaign.run import stored_campaign
+    from mavfi.campaign.store import Store
+    from mavfi.cli.progress import Bar
+    from mavfi.reports.terminal import show_table
+
+    check_number("--missions", missions, 1, 1000)
+    with Store.open(directory) as store:
+        campaign, models = stored_campaign(store), store.models_dir
+    with stoppable("Stopped. Nothing is written."), Bar("timed flights") as bar:
+        measured = measure(campaign, missions, models, bar.show)
+    path = save(measured, directory)
+    found = table(Runs.read(directory), "overheads_as_in_the_paper")
+    if as_json:
+        write_json(found.to_json())
+        return
+    show_table(found, console())
+    console().print(Text(f"The measured shares are in {path}."), soft_wrap=True)

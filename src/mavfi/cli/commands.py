@@ -10,9 +10,11 @@ from mavfi.cli import (
     campaign,
     explain,
     export,
+    failures,
     fly,
     inject,
     pack,
+    redundancy,
     replay,
     report,
     reproduce,
@@ -39,7 +41,7 @@ app = typer.Typer(
 )
 for verb in (
     fly.fly, export.export, inject.inject, states.states, train.train, report.report, runs.runs, replay.replay,
-    explain.explain, vulnerability.vulnerability, reproduce.reproduce,
+    explain.explain, failures.failures, vulnerability.vulnerability, redundancy.redundancy, reproduce.reproduce,
 ):  # fmt: skip
     app.command(verb.__name__)(verb)
 for verb in (pack.pack, pack.unpack):

@@ -52,12 +52,12 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     check_folder(out)
     watched = [campaign for campaign in campaigns.values() if any(arm.detector for arm in campaign.arms.values())]
     with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
-        for campaign in watched:
-            if not _trained(campaign, out / MODELS, chosen.training_flights):
+        for campaign, mission in [(one, mission) for one in watched for mission in _missions(one)]:
+            if not _trained(campaign, mission, out / MODELS, chosen.training_flights):
                 from mavfi.campaign.training import train
 
                 with Bar("training flights") as bar:
-                    train(out / MODELS, chosen.training_flights, _mission(campaign), workers=workers, progress=bar.show)
+                    train(out / MODELS, chosen.training_flights, mission, workers=workers, progress=bar.show)
         for folder, campaign in campaigns.items():
             with Bar(f"{campaign.name}, {campaign.missions} missions per environment", "runs") as bar:
                 show = bar.show_campaign
@@ -96,17 +96,21 @@ def _check_ledger(campaign: "Campaign", folder: Path) -> None:
         )
 
 
-def _mission(campaign: "Campaign") -> "MissionSpec":
-    """The mission that detectors are trained for."""
-    return campaign.spec(campaign.environments[0], campaign.first_seed)
+def _missions(campaign: "Campaign") -> list["MissionSpec"]:
+    """The missions that detectors are trained for: one for each platform."""
+    found: dict[str, MissionSpec] = {}
+    for environment in campaign.environments:
+        mission = campaign.spec(environment, campaign.first_seed)
+        found.setdefault(mission.platform, mission)
+    return list(found.values())
 
 
-def _trained(campaign: "Campaign", folder: Path, flights: int) -> bool:
-    """Whether the folder holds the models that training would give."""
+def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights: int) -> bool:
+    """Whether the folder holds the models of a campaign's arms that training for a mission would give."""
     from mavfi.campaign.fingerprint import versions
     from mavfi.detectors.model import Model
 
-    here, mission = versions(), _mission(campaign)
+    here = versions()
     wanted = {
         "stack": mission.autopilot, "platform": mission.platform, "planner": mission.planner, "flights": flights,
     }  # fmt: skip

@@ -40,7 +40,7 @@ class Report:
         """Plain data: `campaign`, `findings`, `null_runs`, `unknown` runs, and `tables` by name."""
         tables = {table.name: table.to_json() for table in self.tables}
         # views that a report leaves out, because they say the same in more rows
-        more = {name: view.table(self.runs) for name, view in VIEWS.items() if name not in tables}
+        more = {name: view.table(self.runs) for name, view in VIEWS.items() if name not in tables and not view.of_model}
         tables |= {name: table.to_json() for name, table in more.items() if table.rows}
         data: dict[str, Any] = plain({
             "campaign": self.runs.campaign, "findings": self.findings,

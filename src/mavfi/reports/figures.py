@@ -18,7 +18,8 @@ from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.views import has
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.errors import BadInputError
-from mavfi.reports import style
+from mavfi.platforms.redundancy import shipped_designs
+from mavfi.reports import platform_figure, redundancy_figure, style
 
 _LEGEND: dict[str, Any] = {"ncols": 6, "columnspacing": 1.2, "fontsize": 8.5, "handlelength": 1.8}
 
@@ -28,15 +29,16 @@ def figure(runs: Runs, name: str) -> Figure:
 
     Args:
         runs: Of a campaign.
-        name: A key of `FIGURES`.
+        name: A key of `FIGURES` or `MODEL_FIGURES`.
 
     Raises:
         BadInputError: There is no such figure, or these runs have nothing to show in it.
     """
-    if name not in FIGURES:
-        raise BadInputError(f"figure {name!r}: not known; allowed: {', '.join(FIGURES)}")
+    every = FIGURES | MODEL_FIGURES
+    if name not in every:
+        raise BadInputError(f"figure {name!r}: not known; allowed: {', '.join(every)}")
     with style.house_style():
-        made = FIGURES[name][0](runs)
+        made = every[name][0](runs)
     if made is None:
         raise BadInputError(f"figure {name!r}: these runs have nothing to show in it; needed: runs with a fault")
     return made
@@ -262,5 +264,16 @@ FIGURES: dict[str, tuple[Callable[[Runs], Figure | None], str]] = {
         flight_time, "Share of missions that arrived, by flight time over the golden run's; failures never arrive."
     ),
     "sites": (sites, "Share of missions that fail or take more than 5 % longer, by what was injected."),
+    "platforms": (
+        platform_figure.flight_times, "Flight times on each platform; dashed: the paper's."
+    ),
 }  # fmt: skip
 """What draws each figure, and its caption."""
+MODEL_FIGURES: dict[str, tuple[Callable[[Runs], Figure | None], str]] = {
+    "redundancy": (
+        lambda _: redundancy_figure.redundancy(shipped_designs()),
+        "Flight time with redundant processors over that with a detector, by the visual performance model; black: the "
+        "paper's figure.",
+    ),
+}
+"""The same of figures that are computed by a model, whatever was flown."""

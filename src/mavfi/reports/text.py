@@ -6,7 +6,18 @@ from typing import Any
 
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import EventRate, Rate
-from mavfi.campaign.analysis.table import PER_HOUR, PERCENT, POINTS, RATE, SIGNED, SMALL, Cell, Column, Table
+from mavfi.campaign.analysis.table import (
+    ESTIMATE,
+    PER_HOUR,
+    PERCENT,
+    POINTS,
+    RATE,
+    SIGNED,
+    SMALL,
+    Cell,
+    Column,
+    Table,
+)
 
 ABSENT = "—"
 
@@ -59,6 +70,7 @@ FORMS: dict[str, Callable[[Any], str]] = {
     SMALL: _small_percent,
     "small percents": lambda shares: " / ".join(map(_small_percent, shares.values())),
     PER_HOUR: _per_hour,
+    ESTIMATE: lambda found: f"{found.value:.1e} [{found.low:.1e}, {found.high:.1e}]",
     "number .1f kJ": lambda joule: f"{joule / 1000:.1f} kJ",
 }
 """How a cell of a form is written; other forms are "number", digits as of Python's formats, unit."""

@@ -237,3 +237,24 @@ def test_the_plain_data_of_a_campaign_depend_on_what_is_flown():
     assert len({json.dumps(small(**change).to_json()) for change in changes}) == len(changes)
     assert small(mission={"stack": "hardened"}).to_json() == small(mission={"autopilot": "hardened"}).to_json()
     assert [arm.name for arm in arms_of(small())] == ["", "gaussian"]
+
+
+# ---- parts -------------------------------------------------------------------------------------------------------
+PARTS = {
+    "fast": {"environment": "dense", "platform": "i9-9940x"}, "slow": {"environment": "dense", "platform": "cortex-a57"}
+}  # fmt: skip
+
+
+def test_parts_are_environments_with_keys_of_their_own():
+    own = small(environments=["fast", "slow", "sparse"], parts=PARTS)
+    specs = [own.spec(name, 10_000) for name in own.environments]
+    assert [(spec.environment, spec.platform) for spec in specs] == [
+        ("dense", "i9-9940x"), ("dense", "cortex-a57"), ("sparse", "i9-9940x")
+    ]  # fmt: skip
+    assert Campaign.model_validate(own.to_json()) == own
+    assert "parts" not in small().to_json(), "campaigns without parts keep their identity"
+
+
+def test_a_part_that_is_not_flown_is_refused():
+    with pytest.raises(ValueError, match="parts: 'slow': not known; allowed: fast"):
+        small(environments=["fast"], parts=PARTS)

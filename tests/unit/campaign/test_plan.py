@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mavfi.campaign.plan import Plan, RunSpec, arms_of
+from mavfi.campaign.plan import Plan, RunSpec, arms_of, model_of
 from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Sampled
 from mavfi.campaign.shard import Shard
@@ -256,3 +256,9 @@ def test_shards_share_the_runs(missions, faults, nulls, shards):
         runs = [run for world in own for run in [*plan.golden(*world), *mission_runs(plan, *world, golden_of(1))]]
         assert plan.count(shard) == len(runs)
     assert sum(plan.count(Shard(number, shards)) for number in range(1, shards + 1)) == plan.count()
+
+
+def test_the_model_of_an_arm_may_depend_on_the_part():
+    held = {"sparse/gaussian": "of sparse", "other": "of all"}
+    assert model_of(held, "sparse", "gaussian") == "of sparse"
+    assert model_of(held, "dense", "other") == "of all" and model_of(held, "dense", "gaussian") == ""

@@ -140,3 +140,11 @@ def test_another_campaign_in_one_of_the_folders_is_refused_before_anything_is_wr
     assert run(arguments) == 2
     assert "holds another campaign (differs in: campaign)" in capsys.readouterr().err
     assert not {"models", "report.md"} & {path.name for path in (tmp_path / "out").iterdir()}
+
+
+def test_detectors_are_trained_for_each_platform_of_a_campaign():
+    from mavfi.campaign.config import load_campaign
+    from mavfi.cli.reproduce import _missions
+
+    assert [mission.platform for mission in _missions(load_campaign("platforms"))] == ["i9-9940x", "cortex-a57"]
+    assert [mission.environment for mission in _missions(load_campaign("table1"))] == ["factory"]

@@ -5,9 +5,12 @@
 
 from mavfi.campaign.analysis import (  # noqa: F401  (in the order of reports, they register their views)
     alarm_views,
+    failure_views,
     flight_views,
     kernel_views,
     node_views,
+    platform_views,
+    redundancy_views,
     scheme_views,
 )  # fmt: skip
 from mavfi.campaign.analysis.runs import Runs

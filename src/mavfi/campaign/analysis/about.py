@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from mavfi.campaign import overheads
 from mavfi.campaign.analysis.measures import POPULATIONS
 from mavfi.campaign.analysis.statistics import CONFIDENCE
 from mavfi.campaign.config import (
@@ -26,16 +27,18 @@ def describe(store: Store) -> dict[str, Any]:
 
     Returns:
         `title` and `lines` are text; views need `profile` (of the autopilot), `monitored_set`, `each` (what a number of
-        faults is of), `kernels` and `which`.
+        faults is of), `kernels` and `which`, `parts`, and measured `overheads`.
     """
     campaign, progress = stored_campaign(store), status(store.directory)
     return {
         "name": campaign.name, "environments": list(campaign.environments),
         "seeds": [campaign.seeds.start, campaign.seeds.stop - 1], "on_design_seeds": campaign.on_design_seeds,
         "missions": campaign.missions, "faults": campaign.faults, "monitored_set": campaign.monitored_set,
+        "parts": {name: part.model_dump(exclude_none=True) for name, part in campaign.parts.items()},
         "arms": {name: arm.model_dump(mode="json") for name, arm in campaign.arms.items()},
         "models": store.meta("identity")["models"], "confidence": CONFIDENCE, "versions": store.meta("versions") or {},
-        "digest": store.digest(), "done": progress.done, "total": progress.total, **drawn(campaign.sampling, campaign),
+        "overheads": overheads.load(store.directory), "digest": store.digest(), "done": progress.done,
+        "total": progress.total, **drawn(campaign.sampling, campaign),
     }  # fmt: skip
 
 
@@ -70,17 +73,22 @@ def _trials(campaign: Campaign, sampling: RegisterSampling) -> dict[str, Any]:
 def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
     mission = campaign.spec(campaign.environments[0], campaign.first_seed)
     speed = "" if mission.v_max is None else f" · {mission.v_max:g} m/s"
+    every = [campaign.spec(name, campaign.first_seed) for name in campaign.environments]
     seeds = f"seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}"
     lines = [f"{campaign.missions} missions per environment ({seeds}), {campaign.faults} faults per {each}, {how}"]
     if campaign.arms:
         arms = ", ".join(_arm(name, arm) for name, arm in sorted(campaign.arms.items()))
         lines.append(f"arms: {arms}; coupling {mission.coupling}; monitored set {campaign.monitored_set}")
+    if campaign.parts:
+        parts = (f"{name} = {part.environment}" for name, part in campaign.parts.items())
+        lines.append(f"parts: {', '.join(parts)}")
     own = [
         f"{key} {value}" for key in _NAMED if (value := getattr(mission, key)) != MissionSpec.model_fields[key].default
     ]
     lines += [f"mission: {', '.join(own)}"] * bool(own)
     title = (
-        f"campaign {campaign.name} · autopilot profile {mission.autopilot} · {mission.platform} · "
+        f"campaign {campaign.name} · autopilot profile {mission.autopilot} · "
+        f"{', '.join(dict.fromkeys(spec.platform for spec in every))} · "
         f"{mission.planner}{speed}"
     )
     return {"profile": mission.autopilot, "title": title, "lines": lines}

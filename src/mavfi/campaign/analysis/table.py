@@ -11,8 +11,8 @@ import polars as pl
 
 from mavfi.flight_record import plain
 
-RATE, PERCENT, SIGNED, SMALL, PER_HOUR, POINTS, NUMBER, TEXT = (
-    "rate", "percent", "signed percent", "small percent", "per hour", "points", "number", "text",
+RATE, PERCENT, SIGNED, SMALL, PER_HOUR, POINTS, ESTIMATE, NUMBER, TEXT = (
+    "rate", "percent", "signed percent", "small percent", "per hour", "points", "estimate", "number", "text",
 )  # fmt: skip
 """Forms of a cell; a number may carry digits and a unit: "number .1f s"."""
 UNKNOWN = "unknown"  # a cell whose measure raised

@@ -37,6 +37,7 @@ class View:
     least: int = 1  # rows of fewer runs are left out of the report
     leads: bool = False  # comes first in a report, and is its headline
     applies: Callable[[Runs], bool] = field(default=lambda _: True)  # whether the report of a campaign has the table
+    of_model: bool = False  # its rows are computed by a model, whatever was flown
 
     def table(self, runs: Runs) -> Table:
         """Answer the question; a measure that raises gives `UNKNOWN` in its cell, and a note says why."""
@@ -48,7 +49,7 @@ class View:
         notes = [*(self.notes(runs) if rows else ()), *(f"{name}: unknown ({why})" for name, why in raised.items())]
         return Table(
             self.name, self.title, tuple(columns), self._ordered(columns, rows), max(1, len(self.by)),
-            (*notes, *_flown_with(runs)),
+            (*notes, *_flown_with(chosen)),
         )  # fmt: skip
 
     def _measures(self, chosen: Runs) -> list[Measure]:

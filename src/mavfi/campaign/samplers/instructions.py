@@ -1,7 +1,8 @@
 """Instruction faults of a campaign, distributed equally over kernels, or over stages and their kernels.
 
 A mission's golden run counts the instructions of its kernels and draws the faults.  Faults in a planner other than the
-campaign's are drawn in separate missions with that planner.
+campaign's are drawn in separate missions with that planner.  Faults in a detector are drawn from the golden run of its
+arm, which counts kernels, recomputations included, and detector, and are injected in that arm alone.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,7 +17,7 @@ from mavfi.faults.fault import Fault
 from mavfi.faults.sampling import share_out
 from mavfi.faults.spec import InstructionRequest
 from mavfi.hosts.host import ArmSetup, MissionFlights
-from mavfi.states import KERNEL_STAGES, PLANNERS, PPC_STAGES
+from mavfi.states import DETECTORS, KERNEL_STAGES, PLANNERS, PPC_STAGES
 
 
 class InstructionSampler:
@@ -41,6 +42,7 @@ class InstructionSampler:
                 f"sampling.kernels: {others[0]!r}: detectors are trained with one planner; allowed with arms: kernels "
                 f"of missions with planner {planner!r}"
             )
+        self._watched = {name: _arm_with(campaign, name) for name in self._sampling.kernels if name in DETECTORS}
         _check_arms(campaign, self._sampling.kernels, {"planner": planner, "map": "octomap"})
         if campaign.nulls:
             raise BadInputError(f"null_runs: {campaign.nulls}; allowed: 0 with faults in instructions")
@@ -53,21 +55,26 @@ class InstructionSampler:
         return self._blocks[environment]
 
     def _block(self, environment: str, place: int, group: tuple[str, ...]) -> Block:
-        campaign, stage = self._campaign, KERNEL_STAGES[group[0]].value
+        campaign, stage = self._campaign, str(KERNEL_STAGES.get(group[0], group[0]))
         kernels = share_out(dict.fromkeys(group, 1.0), campaign.faults, campaign.first_seed, environment, stage)
 
         def draw_one(index: int) -> Draw:
-            variant = kernels[index] if kernels[index] in self.variants else ""
+            variant = self._flown_in(kernels[index])
             return Draw(kernels[index], index, campaign.first_seed + index % campaign.missions, variant)
 
         return Block(campaign.faults, draw_one, place * campaign.faults)
+
+    def _flown_in(self, kernel: str) -> str:
+        """Variant or arm in whose golden runs faults of a kernel are drawn; "" = the campaign's own mission."""
+        return kernel if kernel in self.variants else self._watched.get(kernel, "")
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
     ) -> Sampled:  # fmt: skip
         """Fly the golden run with instruction counters, and draw its faults."""
         targets = [draw.target for draw in draws]
-        kernels = [name for name in self._sampling.kernels if (name if name in self.variants else "") == arm]
+        places = (arm, "") if arm in self._watched.values() else (arm,)  # there kernels are counted, too
+        kernels = [name for name in self._sampling.kernels if self._flown_in(name) in places]
         if not kernels:
             return Sampled(flights.golden(arm))
         sampling, scenario = self._sampling, setup.scenario
@@ -75,9 +82,12 @@ class InstructionSampler:
             {name: targets.count(name) for name in kernels}, sampling.which, sampling.model, sampling.restart_s,
             sampling=sampling.scheme,
         )  # fmt: skip
-        drawn = draw_instruction_faults(scenario, request, environment, seed=scenario.seed)
+        drawn = draw_instruction_faults(
+            scenario, request, environment, seed=scenario.seed, recovery=setup.recovery,
+            detector=None if setup.make_detector is None else setup.make_detector(),
+        )  # fmt: skip
         flights.know(arm, drawn.golden)
-        return Sampled(drawn.golden, drawn.counts, drawn.faults)
+        return Sampled(drawn.golden, drawn.counts, {name: faults for name, faults in drawn.faults.items() if faults})
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
         """The faults drawn by `golden`, in order; None for each fault of a failed golden run."""
@@ -88,6 +98,16 @@ class InstructionSampler:
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
         """Not supported at this level."""
         raise BadInputError("null runs: allowed with faults in states")
+
+
+def _arm_with(campaign: Campaign, detector: str) -> str:
+    """The arm whose detector is injected."""
+    found = [name for name, arm in campaign.arms.items() if arm.detector == detector]
+    if len(found) != 1:
+        raise BadInputError(
+            f"sampling.kernels: {detector!r}: is the detector of {len(found)} arms; allowed: detectors of one arm"
+        )
+    return found[0]
 
 
 def _check_arms(campaign: Campaign, drawn: Sequence[str], kernels: Mapping[str, str]) -> None:
@@ -110,5 +130,5 @@ def kernel_groups(sampling: InstructionSampling) -> list[tuple[str, ...]]:
     """Kernels that share one number of faults: each kernel separately, or the kernels of each stage."""
     if sampling.share == "kernel":
         return [(name,) for name in sampling.kernels]
-    stages = [tuple(name for name in sampling.kernels if KERNEL_STAGES[name] is stage) for stage in PPC_STAGES]
-    return [group for group in stages if group]
+    stages = [tuple(name for name in sampling.kernels if KERNEL_STAGES.get(name) is stage) for stage in PPC_STAGES]
+    return [group for group in (*stages, *((name,) for name in sampling.kernels if name in DETECTORS)) if group]

@@ -19,7 +19,7 @@ class Draw:
     target: str  # stage, group, kernel or kind of registers: a row of a table
     index: int  # number of the fault within target and environment
     seed: int  # seed of its mission
-    variant: str = ""  # arm without a detector in whose golden run it is drawn; "" = the campaign's own mission
+    variant: str = ""  # arm in whose golden run it is drawn; "" = the campaign's own mission
     stratum: str = ""  # stratum of its bit; "" = none
 
 
@@ -93,7 +93,10 @@ class Sampler(Protocol):
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
     ) -> Sampled:  # fmt: skip
-        """Fly the golden run of a variant; `draws`: the draws of this mission and variant."""
+        """Fly the golden run of the campaign's own mission, of a variant, or of an arm whose detector is injected.
+
+        `draws`: the draws of this mission in it.
+        """
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
         """The faults of one mission, in the order of its draws; None = no fault can be drawn, and no run is planned.

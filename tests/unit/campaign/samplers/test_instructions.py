@@ -31,7 +31,7 @@ def requests(monkeypatch):
     """What was asked to be drawn; the faults are numbered, and those of `octomap` beyond the first have no site."""
     asked = []
 
-    def draw(scenario, request, *address, seed):
+    def draw(scenario, request, *address, seed, detector=None, recovery=None):
         asked.append((scenario.environment.name, seed, scenario.planner.name, address, request))
         faults = {
             kernel: [
@@ -136,7 +136,7 @@ def test_a_fault_without_a_site_is_planned_and_counted():
 
 
 def test_a_golden_run_that_ended_badly_gives_no_faults(tmp_path, monkeypatch):
-    def explode(scenario, *_, seed):
+    def explode(scenario, *_, seed, **__):
         raise ZeroDivisionError(seed)
 
     monkeypatch.setattr(instructions, "draw_instruction_faults", explode)
@@ -162,3 +162,49 @@ def test_the_ledger_does_not_depend_on_workers_or_deaths(tmp_path, monkeypatch):
             assert store.complete
             digests.append(store.digest())
     assert len(set(digests)) == 1
+
+
+# ---- faults in detectors -----------------------------------------------------------------------------------------
+def with_detectors(monkeypatch, **changes):
+    """Arms whose detector can be injected; the detector itself is made up."""
+    monkeypatch.setattr("mavfi.campaign.mission.detector_for", lambda *_: (fakes.FakeDetector(), ""))
+    arms = {"watched": {"detector": "gaussian"}, "other": {"detector": DETECTOR}}
+    return campaign("kernel", ("pid", "gaussian"), **{"arms": arms, "environments": ["sparse"], **changes})
+
+
+def test_a_fault_in_a_detector_is_flown_in_its_arm_alone(monkeypatch, requests):
+    c = with_detectors(monkeypatch)
+    runs, golden = flown(c)
+    by_target = Counter((run.target, run.setting) for run in runs)
+    assert by_target == {
+        ("pid", "fi"): 9,
+        ("pid", "dr_watched"): 9,
+        ("pid", "dr_other"): 9,
+        ("gaussian", "dr_watched"): 9,
+    }
+    assert Plan(c, sampler_for(c), arms_of(c), {}, {}).count() == len(golden) + len(runs)
+    positions = [run.position for run in [*golden, *runs]]
+    assert len(set(positions)) == len(positions)
+
+
+def test_the_golden_run_of_its_arm_counts_kernels_and_detector(monkeypatch, requests):
+    _, golden = flown(with_detectors(monkeypatch))
+    counted = {(spec.arm, spec.seed): set(record.counts) for spec, record in golden.items()}
+    assert all(counted["", seed] == {"pid"} for seed in range(10_000, 10_003))
+    assert all(counted["watched", seed] == {"pid", "gaussian"} for seed in range(10_000, 10_003))
+    assert all(counted["other", seed] == set() for seed in range(10_000, 10_003))
+    wanted = [request.kernels for *_, request in requests]
+    assert wanted == [{"pid": 3}, {"pid": 0, "gaussian": 3}] * 3, (
+        "faults of kernels are those of the campaign's mission"
+    )
+
+
+def test_a_detector_that_no_arm_or_several_arms_have_is_refused():
+    for arms, number in (
+        ({}, 0),
+        ({"a": {"detector": "gaussian"}, "b": {"detector": "gaussian", "profile": "tuned"}}, 2),
+    ):
+        with pytest.raises(
+            ValueError, match=f"'gaussian': is the detector of {number} arms; allowed: detectors of one arm"
+        ):
+            campaign("kernel", ("pid", "gaussian"), arms=arms)

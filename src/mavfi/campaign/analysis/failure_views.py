@@ -1,0 +1,156 @@
+"""Failures per flight hour of each setting, by kernel, from campaigns with faults in instructions."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import polars as pl
+
+from mavfi.campaign.analysis.failure_rate import (
+    Estimate,
+    Exposed,
+    UpsetConfig,
+    find_upsets,
+    total_failures,
+    upsets_per_instruction,
+)
+from mavfi.campaign.analysis.measures import Measure
+from mavfi.campaign.analysis.pairs import paired_difference
+from mavfi.campaign.analysis.runs import ALL, Runs
+from mavfi.campaign.analysis.statistics import Rate
+from mavfi.campaign.analysis.table import ESTIMATE, NUMBER, PERCENT, POINTS, Table
+from mavfi.campaign.analysis.views import View, has, register
+from mavfi.campaign.plan import FI
+
+INSTRUCTION = "instruction"
+
+
+def instructions_per_hour(golden: Runs) -> dict[str, float]:
+    """Dynamic instructions per flight hour, by kernel, of golden runs that were counted."""
+    counted = [record for record in golden.recorded() if record.counts]
+    hours = sum(record.flight_time_s for record in counted) / 3600
+    found: dict[str, float] = {}
+    for record in counted:
+        for kernel, counts in record.counts.items():
+            found[kernel] = found.get(kernel, 0.0) + counts["instructions"]
+    return {kernel: number / hours for kernel, number in found.items()} if hours > 0 else {}
+
+
+def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[str, tuple[int, Exposed]]]:
+    """Kernels by environment and setting, each with its number of faults.
+
+    Harm is measured against the golden run of the same arm and mission, by a column that says whether a mission
+    succeeds: as flown, or `success_if_ended`.  A setting whose golden runs were not counted is left out, and so is a
+    kernel without a fault.
+    """
+    golden = {(row["arm"], row["world"]): row["success"] for row in runs.golden.where("judged")}
+    found: dict[tuple[str, str], dict[str, tuple[int, Exposed]]] = {}
+    faulty = runs.injected.where("judged", level=INSTRUCTION)
+    for (environment, setting, arm), own in faulty.groups("environment", "setting", "arm").items():
+        counts = instructions_per_hour(runs.golden.where(environment=environment, arm=arm))
+        for (kernel,), part in own.groups("kernel").items():
+            known = [row for row in part if (row["arm"], row["world"]) in golden]
+            if kernel in counts and known:
+                before = [golden[row["arm"], row["world"]] for row in known]
+                harm = paired_difference(before, [row[success] for row in known], [row["world"] for row in known])
+                kernels = found.setdefault((environment, setting), {})
+                kernels[kernel] = len(known), Exposed(counts[kernel], Estimate(*harm))
+    return found
+
+
+def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
+    """One row for each kernel of a setting, and one for all of them."""
+    upset = upsets_per_instruction(upsets).value
+    every, ended = exposed(runs), exposed(runs, "success_if_ended")
+    for (environment, setting), kernels in every.items():
+        parts = [one for _, one in kernels.values()]
+        own = {"environment": environment, "setting": setting}
+        worse = {kernel: one for kernel, (_, one) in ended[environment, setting].items()}
+        for kernel, (n, one) in kernels.items():
+            numbers = _numbers(one.instructions, one.harm, one.failures(upset), worse[kernel].failures(upset))
+            yield {**own, "kernel": kernel, "n": n, **numbers}
+        whole = sum(one.instructions for one in parts)
+        total = total_failures(parts, upset)
+        harm = total.times(1 / (whole * upset)) if whole else Estimate(0.0, 0.0, 0.0)
+        base = every.get((environment, FI))
+        alone = total_failures([one for _, one in base.values()], upset).value if base else 0.0
+        against = total.value / alone if setting != FI and alone > 0 else None
+        faults = sum(n for n, _ in kernels.values())
+        yield {**own, "kernel": ALL, "n": faults, "against": against,
+               **_numbers(whole, harm, total, total_failures(worse.values(), upset))}  # fmt: skip
+
+
+def _numbers(instructions: float, harm: Estimate, failures: Estimate, ended: Estimate) -> dict[str, Any]:
+    return {
+        "instructions": instructions, "harm": harm.value, "harm_low": harm.low, "harm_high": harm.high,
+        "failures": failures.value, "failures_low": failures.low, "failures_high": failures.high,
+        "ended": ended.value, "ended_low": ended.low, "ended_high": ended.high,
+    }  # fmt: skip
+
+
+def _computed(runs: Runs, upsets: UpsetConfig) -> Runs:
+    rows = [{"against": None, **row} for row in _rows(runs, upsets)]
+    return replace(runs, frame=pl.DataFrame(rows, infer_schema_length=None) if rows else runs.frame.clear())
+
+
+def _harm(own: Runs) -> Rate:
+    return Rate(own.first("n"), own.first("harm"), own.first("harm_low"), own.first("harm_high"))
+
+
+def _estimate(key: str, heading: str) -> Measure:
+    names = (key, f"{key}_low", f"{key}_high")
+    return Measure(key, heading, ESTIMATE, lambda own: Estimate(*map(own.first, names)))
+
+
+def failure_notes(upsets: UpsetConfig) -> list[str]:
+    """What the numbers rest on."""
+    rate = upsets_per_instruction(upsets)
+    fit, altitude = upsets.fit_per_mbit, upsets.altitude
+    return [
+        "failures per flight hour = upsets per instruction x dynamic instructions per flight hour (golden runs of the "
+        "setting, recomputations and detector included) x harm; [95 % interval of the harm]; faults alone, not the "
+        "failures without a fault",
+        "harm: missions lost by the fault against the golden run of the same setting, in pairs; coverage = 1 – harm "
+        "rewards idle instructions and compares nothing (Schirmeier et al., DSN 2015): compare failures",
+        "against fi: ratio of the estimates; it says nothing where the intervals are wide; the kernel with most "
+        "instructions decides the width",
+        f"upsets {upsets.name}: {rate.value:.1e} per instruction, band {rate.low:.1e} to {rate.high:.1e}, which scales "
+        f"all rows alike: {fit.value:g} FIT/Mbit ({fit.low:g} to {fit.high:g}) x {upsets.unprotected_mbit:g} Mbit x "
+        f"{upsets.visible:g} visible at {altitude.value:g} m ({altitude.low:g} to {altitude.high:g}), "
+        f"{upsets.instructions_per_second:.1e} instructions/s",
+        *(f"{key}: {source}" for key, source in upsets.sources.items()),
+        "instructions are values that the kernels' LLVM IR writes; kernels that were not injected are not in the sum; "
+        "the machine's caches, memories and operating system are not in the fault space",
+    ]  # fmt: skip
+
+
+_VIEW = View(
+    "failures_per_hour", "Failures per flight hour by setting and kernel", ("environment", "setting", "kernel"),
+    (
+        _estimate("failures", "failures per flight hour"),
+        Measure("against", "against fi", "number .2f ×", lambda own: own.first("against")),
+        Measure("instructions", "instructions/h", "number .2e", lambda own: own.first("instructions")),
+        Measure("n", "faults", NUMBER, lambda own: own.first("n")), Measure("harm", "harm (points)", POINTS, _harm),
+        Measure("coverage", "coverage", PERCENT, lambda own: 1 - own.first("harm")),
+        _estimate("ended", "failures, dead node ends mission"),
+    ),
+    where=lambda runs: _computed(runs, find_upsets()), notes=lambda _: failure_notes(find_upsets()),
+    applies=lambda runs: has(runs.injected, level=INSTRUCTION) and all(w == 1.0 for w in runs.injected["weight"]),
+)  # fmt: skip
+register(_VIEW)
+
+
+def failure_table(runs: Runs, upsets: UpsetConfig) -> Table:
+    """The view with upset rates of one's own."""
+    made = replace(_VIEW, where=lambda own: _computed(own, upsets), notes=lambda _: failure_notes(upsets))
+    return made.table(runs)
+
+
+def summary(runs: Runs, upsets: UpsetConfig) -> list[str]:
+    """A sentence on each environment."""
+    upset = upsets_per_instruction(upsets).value
+    found: dict[str, list[str]] = {}
+    for (environment, setting), kernels in exposed(runs).items():
+        total = total_failures([one for _, one in kernels.values()], upset)
+        found.setdefault(environment, []).append(f"{setting} {total.value:.1e} [{total.low:.1e}, {total.high:.1e}]")
+    return [f"Failures per flight hour, {environment}: {'; '.join(told)}." for environment, told in found.items()]

@@ -1,0 +1,233 @@
+"""Time of detection and of recovery against the kernels', measured on this machine, in one process.
+
+The paper's Table II.  What a detector was shown in a flight it is shown again after it, several times and in blocks,
+since a timer around each call would take longer than the call.
+"""
+
+import json
+import platform
+import statistics
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from mavfi.campaign.config import Campaign
+from mavfi.detectors.detector import Detector
+from mavfi.errors import BadInputError, writing
+from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.recovery import SCANNING, Action
+from mavfi.hosts.watching import detector_for
+from mavfi.mission import Scenario
+from mavfi.pipeline.ppc import build_pipeline
+from mavfi.states import KERNELS, PPC_STAGES, Stage, State
+
+FILE = "overheads.json"
+"""In the folder of a campaign."""
+ALL = "all"
+"""Of all stages together."""
+STAGES = (*map(str, PPC_STAGES), ALL)
+_REPLAYS, _BLOCK = 5, 16
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """One flight with a detector; times by stage, and under `ALL` of all.
+
+    Attributes:
+        kernels: Time of all kernels, what they do with their inputs included (s).
+        detection: Time of `check` and `accept`, by stage of the publications (s).
+        recovery: Time of steps that were repeated, and of keeping memory for that (s).
+        shown: Publications that the detector was shown.
+        recomputed: Recomputations / computations, both in the platform's modelled time.
+    """
+
+    kernels: float
+    detection: Mapping[str, float]
+    recovery: Mapping[str, float]
+    shown: int
+    recomputed: float
+
+
+class _Clock:
+    """Wall time and calls by kernel and method."""
+
+    def __init__(self) -> None:
+        self.seconds: defaultdict[tuple[str, str], float] = defaultdict(float)
+        self.calls: Counter[tuple[str, str]] = Counter()
+
+    def timed(self, kernel: Any, method: str) -> None:
+        """Time a method of a kernel from now on."""
+        function, key, clock = getattr(kernel, method), (kernel.name, method), time.perf_counter
+
+        def call(*arguments: Any) -> Any:
+            start = clock()
+            result = function(*arguments)
+            self.seconds[key] += clock() - start
+            self.calls[key] += 1
+            return result
+
+        setattr(kernel, method, call)
+
+    def step(self, kernel: str) -> float:
+        """Mean time of a step (s)."""
+        key = kernel, "step"
+        return self.seconds[key] / self.calls[key] if self.calls[key] else 0.0
+
+
+def cost(scenario: Scenario, name: str, profile: str, models_dir: Path | None = None) -> Cost:
+    """Fly a golden mission with a detector, and show it the same publications again.
+
+    Raises:
+        BadInputError: The scenario cannot be flown, or there is no such detector or model.
+    """
+    clock = _Clock()
+
+    def build(config: Any) -> Any:
+        built: dict[str, Any] = build_pipeline(config)
+        for kernel in built.values():
+            for method in ("step", "receive", "mark", "rollback"):
+                clock.timed(kernel, method)
+        return built
+
+    detector = detector_for(scenario, name, profile, models_dir)[0]
+    loop = new_loop(scenario, make_kernels=build)
+    watch(loop, detector)
+    repeated: Counter[tuple[str, str]] = Counter()
+    recompute = loop.recompute
+
+    def counted(action: Action, now: int) -> None:
+        for kernel in SCANNING if action.kernel in SCANNING else (action.kernel,):
+            repeated[str(action.stage), kernel] += 1
+        recompute(action, now)
+
+    loop.recompute = counted  # type: ignore[method-assign]
+    states, shown = loop.taps.watched, list[tuple[State, int]]()
+    loop.taps.recorders.append(lambda state, now: shown.append((state, now)))
+    meta = loop.fly().log.meta
+    watched = [(state, now) for state, now in shown if states is None or state.spec.name in states]
+    kernels = sum(spent for (_, method), spent in clock.seconds.items() if method in ("step", "receive"))
+    return Cost(
+        kernels, _detection(detector, watched), _recovery(clock, repeated), len(watched),
+        sum(meta["recompute_us"].values()) / sum(meta["compute_us"].values()),
+    )  # fmt: skip
+
+
+def _detection(detector: Detector, publications: Sequence[tuple[State, int]]) -> dict[str, float]:
+    def spent(own: Sequence[tuple[State, int]]) -> float:
+        return statistics.median(replay(detector, own) for _ in range(_REPLAYS)) if own else 0.0
+
+    parts = {str(stage): spent([one for one in publications if one[0].spec.stage is stage]) for stage in PPC_STAGES}
+    return {**parts, ALL: spent(publications)}
+
+
+def _recovery(clock: _Clock, repeated: Mapping[tuple[str, str], int]) -> dict[str, float]:
+    found = dict.fromkeys(STAGES, 0.0)
+    for (kernel, method), spent in clock.seconds.items():
+        if method in ("mark", "rollback") and KERNELS[kernel].stage is not Stage.SENSOR:
+            found[str(KERNELS[kernel].stage)] += spent
+    for (stage, kernel), times in repeated.items():
+        found[stage] += times * clock.step(kernel)
+    return {**found, ALL: sum(found.values())}
+
+
+def replay(detector: Detector, publications: Sequence[tuple[State, int]]) -> float:
+    """Wall time (s) of judging publications and taking note of them.
+
+    In a flight a publication was just made, so those of a block are read once before the block is timed.
+    """
+    detector.start()
+    spent, clock = 0.0, time.perf_counter
+    for first in range(0, len(publications), _BLOCK):
+        block = publications[first : first + _BLOCK]
+        for state, _ in block:
+            state.header.tobytes()
+        start = clock()
+        for state, now in block:
+            detector.check(state, now)
+            detector.accept(state, now)
+        spent += clock() - start
+    return spent
+
+
+def processor() -> str:
+    """Name of the processor, as the system tells it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def measure(
+    campaign: Campaign, missions: int, models_dir: Path | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> dict[str, Any]:  # fmt: skip
+    """Measure every detector of a campaign in golden flights of each of its environments.
+
+    Args:
+        campaign: Names environments, mission and arms.
+        missions: Flights per environment and arm; one more, of the first environment, is flown before.
+        models_dir: Folder of trained models; None = the shipped ones.
+        progress: Called with flights done and in all.
+
+    Returns:
+        `processor`, `missions`, and `rows`: environment, arm, stage, and medians over flights of `detection` and
+        `recovery` as shares of the kernels' time.
+
+    Raises:
+        BadInputError: No arm has a detector, or a mission cannot be flown.
+    """
+    arms = {name: arm for name, arm in campaign.arms.items() if arm.detector}
+    if not arms:
+        raise BadInputError(f"campaign {campaign.name}: arms: none has a detector; needed: one at least")
+    seeds = range(campaign.first_seed, campaign.first_seed + missions)
+    total, done = len(campaign.environments) * len(arms) * missions, 0
+    rows: list[dict[str, Any]] = []
+    for environment in campaign.environments:
+        for name, arm in arms.items():
+            scenarios = [resolve(campaign.spec(environment, seed, arm.mission)) for seed in seeds]
+            if not rows:  # compiles, or reads the cache
+                cost(scenarios[0], arm.detector, arm.profile, models_dir)
+            costs = []
+            for scenario in scenarios:
+                costs.append(cost(scenario, arm.detector, arm.profile, models_dir))
+                done += 1
+                progress(done, total)
+            rows += [{"environment": environment, "arm": name, "stage": stage, **_shares(costs, stage)}
+                     for stage in STAGES]  # fmt: skip
+    return {"processor": processor(), "missions": missions, "rows": rows}
+
+
+def _shares(costs: Iterable[Cost], stage: str) -> dict[str, float]:
+    found = [(one.detection[stage] / one.kernels, one.recovery[stage] / one.kernels) for one in costs]
+    detection, recovery = zip(*found, strict=True)
+    return {"detection": statistics.median(detection), "recovery": statistics.median(recovery)}
+
+
+def save(measured: Mapping[str, Any], directory: Path) -> Path:
+    """Write measured overheads into the folder of a campaign, where its views find them."""
+    path = directory / FILE
+    with writing(path):
+        path.write_text(json.dumps(measured, indent=1) + "\n", encoding="utf-8")
+    return path
+
+
+def load(directory: Path) -> dict[str, Any]:
+    """Measured overheads in the folder of a campaign; empty where nothing was measured.
+
+    Raises:
+        BadInputError: The file is not what `save` writes.
+    """
+    path = directory / FILE
+    try:
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        {(row["environment"], row["arm"], row["stage"]): (row["detection"], row["recovery"]) for row in found["rows"]}
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, KeyError, TypeError):
+        raise BadInputError(f"{path}: is not a file of measured overheads; remove it, or measure again") from None
+    return found

@@ -1,0 +1,60 @@
+"""`mavfi redundancy`: what redundant processors cost a UAV in flight time and energy, against a detector."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mavfi.cli import options
+from mavfi.cli.console import PICTURES, check_file, console, write_json
+from mavfi.errors import BadInputError
+
+
+def redundancy(
+    vehicle: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME|FILE.yaml",
+            help="A shipped design (configs/redundancy), or a YAML file of your own; may be given several times. All "
+            "shipped ones by default.",
+        ),
+    ] = None,
+    picture: Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the comparison.")] = None,
+    as_csv: Annotated[bool, typer.Option("--csv", help="The comparison as comma-separated values.")] = False,
+    as_json: options.AsJson = False,
+) -> None:
+    """Compare redundant processors (DMR, TMR) with detection: flight time and energy by a performance model.
+
+    Nothing is flown. A vehicle file needs name, mass (kg) and max_thrust (N).
+
+    Example: [bold]mavfi redundancy --vehicle my_drone.yaml --picture redundancy.png[/bold]
+    """
+    from rich.text import Text
+
+    from mavfi.campaign.analysis.redundancy_views import redundancy_tables, summary
+    from mavfi.platforms.redundancy import find_design, shipped_designs
+    from mavfi.reports import redundancy_figure, style
+    from mavfi.reports.terminal import show_table
+
+    if as_csv and as_json:
+        raise BadInputError("--csv: allowed: without --json")
+    check_file("--picture", picture, PICTURES)
+    designs = [find_design(name) for name in vehicle] if vehicle else shipped_designs()
+    tables = redundancy_tables(designs)
+    if picture is not None:
+        with style.house_style():
+            style.write(redundancy_figure.redundancy(designs), picture)
+    if as_json:
+        write_json({"summary": summary(designs), "tables": {table.name: table.to_json() for table in tables}})
+        return
+    if as_csv:
+        typer.echo(tables[0].to_csv(), nl=False)
+        return
+    out = console()
+    for sentence in summary(designs):
+        out.print(Text(sentence))
+    out.print()
+    for table in tables:
+        show_table(table, out)
+    if picture is not None:
+        out.print(Text.assemble(("wrote ", "dim"), str(picture)))

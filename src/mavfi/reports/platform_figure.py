@@ -1,0 +1,53 @@
+"""Fig. 9 of the paper: flight times on each computing platform, without a fault, with one, and with each detector."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from mavfi.campaign.analysis import paper
+from mavfi.campaign.analysis.platform_views import compared, platforms
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.plan import GOLDEN
+from mavfi.reports import style
+
+
+def flight_times(runs: Runs) -> Figure | None:
+    """Every flight that succeeds as a point, and the quartiles; one panel for each platform.
+
+    The paper's flight time, of which it does not say what flights it is of, is a line.
+    """
+    known = platforms(runs)
+    flown = compared(runs)
+    settings = [GOLDEN, *flown.settings()]
+    if not known or len(settings) < 2:
+        return None
+    figure = Figure(figsize=(1.2 + 2.9 * len(known), 3.9), layout="constrained")
+    panels = figure.subplots(1, len(known), sharey=True, squeeze=False)[0]
+    looks = style.setting_looks(settings)
+    for axes, (environment, platform) in zip(panels, known.items(), strict=True):
+        for place, setting in enumerate(settings):
+            times = np.sort(flown.where(environment=environment, setting=setting).frame["flight_time_s"].to_numpy())
+            if not len(times):
+                continue
+            spread = place - 0.32 + 0.64 * ((np.arange(len(times)) * 0.618034) % 1.0)
+            axes.plot(spread, times, linestyle="", markersize=3, alpha=0.45, markeredgewidth=0, **looks[setting])
+            low, middle, high = np.quantile(times, (0.25, 0.5, 0.75))
+            axes.plot([place, place], [low, high], color=style.INK, linewidth=3.2, solid_capstyle="butt")
+            axes.plot(place, middle, "o", color="white", markeredgecolor=style.INK, markersize=5, zorder=5)
+            axes.annotate(f"{times[-1]:.0f}", (place, times[-1]), (0, 4), textcoords="offset points", ha="center",
+                          fontsize=7.5, color=style.INK)  # fmt: skip
+        if paper.comparable(runs.campaign, ""):
+            printed = paper.figure("platforms", quantity="flight_time_s", platform=platform)
+            if printed is not None:
+                axes.axhline(printed, color=style.INK, linestyle="--", linewidth=0.9)
+                axes.annotate(f"paper: {printed} s", (len(settings) - 0.5, printed), (0, 3), ha="right", fontsize=8,
+                              textcoords="offset points", color=style.INK)  # fmt: skip
+        names = [style.setting_label(setting).replace(" + ", " +\n") for setting in settings]
+        axes.set_xticks(range(len(settings)), names, fontsize=8)
+        axes.tick_params(axis="x", length=0)
+        axes.set_xlim(-0.5, len(settings) - 0.5)
+        axes.grid(axis="y")
+        axes.set_title(platform)
+    panels[0].set_ylim(0, None)
+    panels[0].set_ylabel("flight time (s) of missions that succeed")
+    figure.supxlabel("one fault per mission; bar: quartiles; number: worst", fontsize=8.5, color=style.GREY)
+    return figure

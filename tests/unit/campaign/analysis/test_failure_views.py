@@ -1,0 +1,80 @@
+from dataclasses import replace
+
+import pytest
+
+from mavfi.campaign.analysis import table
+from mavfi.campaign.analysis.failure_rate import find_upsets, upsets_per_instruction
+from mavfi.campaign.analysis.failure_views import exposed, failure_table, summary
+from tests.unit.campaign.analysis.handmade import GOLDEN, INSTRUCTION, died, flown, golden, injected, runs
+
+HOUR = {kernel: {"instructions": count, "calls": 1, "lines": []} for kernel, count in (("pid", 10), ("gaussian", 30))}
+IN_DETECTOR = replace(INSTRUCTION, kernel="gaussian", entry="judge")
+
+
+def counted(*kernels, seconds=1800.0):
+    return replace(GOLDEN, flight_time_s=seconds, counts={name: HOUR[name] for name in kernels})
+
+
+def campaign():
+    """Ten missions: the fault in `pid` loses four, under the detector one; that in the detector loses two."""
+    own = []
+    for seed in range(10):
+        own += [golden(seed, counted("pid")), golden(seed, counted("pid", "gaussian"), arm="gaussian")]
+        own.append(injected(seed, flown(seed >= 4), INSTRUCTION, target="pid"))
+        own.append(injected(seed, flown(seed >= 1), INSTRUCTION, arm="gaussian", target="pid"))
+        own.append(injected(seed, flown(seed >= 2), IN_DETECTOR, arm="gaussian", target="gaussian"))
+    return runs(*own)
+
+
+def test_instructions_harm_and_failures_by_hand():
+    rows = {(row["setting"], row["kernel"]): row for row in table(campaign(), "failures_per_hour").entries()}
+    upset = upsets_per_instruction(find_upsets()).value
+    # 10 values in half an hour of flight are 20 per hour
+    assert rows["fi", "pid"]["instructions"] == 20 and rows["dr_gaussian", "gaussian"]["instructions"] == 60
+    assert rows["fi", "pid"]["harm"].rate == pytest.approx(0.4)
+    assert rows["fi", "all"]["failures"].value == pytest.approx(20 * 0.4 * upset)
+    assert rows["dr_gaussian", "all"]["failures"].value == pytest.approx((20 * 0.1 + 60 * 0.2) * upset)
+    assert rows["dr_gaussian", "all"]["against"] == pytest.approx(14 / 8)
+    assert rows["fi", "all"]["against"] is None
+    assert rows["fi", "all"]["ended"] == rows["fi", "all"]["failures"], "no kernel died"
+    assert rows["fi", "all"]["n"] == 10 and rows["dr_gaussian", "all"]["n"] == 20
+
+
+def test_a_detector_that_looks_better_by_coverage_fails_more_often():
+    rows = {row["setting"]: row for row in table(campaign(), "failures_per_hour").entries() if row["kernel"] == "all"}
+    assert rows["dr_gaussian"]["coverage"] > rows["fi"]["coverage"]
+    assert rows["dr_gaussian"]["failures"].value > rows["fi"]["failures"].value
+
+
+def test_harm_is_that_beyond_the_golden_run_of_the_same_arm():
+    lost = replace(counted("pid"), status="collision")
+    faulty = (injected(seed, flown(False), INSTRUCTION) for seed in range(4))
+    own = runs(*(golden(seed, lost) for seed in range(4)), *faulty)
+    assert exposed(own)["sparse", "fi"]["pid"][1].harm.value == 0.0
+
+
+def test_settings_whose_golden_runs_were_not_counted_are_left_out():
+    own = runs(golden(1, counted("pid")), golden(1, arm="gaussian"), injected(1, flown(), INSTRUCTION),
+               injected(1, flown(), INSTRUCTION, arm="gaussian"))  # fmt: skip
+    assert list(exposed(own)) == [("sparse", "fi")]
+
+
+def test_upset_rates_of_ones_own_scale_all_rows_alike():
+    own, base = campaign(), find_upsets()
+    twice = base.model_copy(update={"visible": 2 * base.visible})
+    values = [[row["failures"].value for row in failure_table(own, chosen).entries()] for chosen in (base, twice)]
+    assert values[1] == pytest.approx([2 * value for value in values[0]])
+    assert summary(own, base)[0].startswith("Failures per flight hour, sparse: fi ")
+
+
+def test_the_assumptions_and_their_sources_are_printed():
+    notes = "\n".join(table(campaign(), "failures_per_hour").notes)
+    assert "JESD89A" in notes and "IEC 61508" in notes and "assumed" in notes and "coverage" in notes
+
+
+def test_a_dead_kernel_counts_as_a_failure_if_it_ends_the_mission():
+    own = [golden(seed, counted("pid")) for seed in range(4)]
+    own += [injected(seed, died() if seed else flown(), INSTRUCTION, target="pid") for seed in range(4)]
+    row = table(runs(*own), "failures_per_hour").entries()[0]
+    assert row["failures"].value == 0
+    assert row["ended"].value == pytest.approx(20 * 0.75 * upsets_per_instruction(find_upsets()).value)

@@ -1,0 +1,112 @@
+import json
+from types import SimpleNamespace
+
+import pytest
+
+from mavfi.campaign import overheads
+from mavfi.campaign.analysis import table
+from mavfi.campaign.config import Campaign
+from mavfi.errors import BadInputError
+from tests.unit.campaign.analysis.handmade import flown, golden, injected, runs
+
+ROW = {"environment": "sparse", "arm": "gaussian", "stage": "all", "detection": 0.01, "recovery": 0.02}
+MEASURED = {"processor": "a processor", "missions": 2, "rows": [ROW]}
+
+
+def campaign(**changes):
+    content = {"name": "x", "environments": ["sparse"], "arms": {"gaussian": {"detector": "gaussian"}}, **changes}
+    return Campaign.model_validate(content)
+
+
+def watched_runs(**about):
+    spent = {
+        "compute_us": {"pid": 900, "octomap": 300},
+        "recompute_us": {"perception": 200, "planning": 0, "control": 0},
+    }
+    return runs(golden(1), golden(1, arm="gaussian"), injected(1, flown(**spent), arm="gaussian"), **about)
+
+
+def test_modelled_shares_by_hand_beside_the_papers():
+    found = {row["stage"]: row for row in table(watched_runs(), "overheads_as_in_the_paper").entries()}
+    assert found["perception"]["modelled"] == found["all"]["modelled"] == pytest.approx(200 / 1000)
+    assert found["control"]["modelled"] == 0
+    assert found["perception"]["paper_recompute"] == 0.009788 and found["control"]["paper_detection"] == 0.000009
+    assert found["all"]["paper_sum"] == 0.019218 and found["control"]["paper_sum"] is None
+    assert found["all"]["paper_detection"] is found["all"]["paper_recompute"] is None, "it gives the sum alone"
+    assert found["all"]["measured_detection"] is None, "nothing was measured"
+
+
+def test_the_papers_autoencoder_has_one_row_for_all_stages():
+    own = runs(golden(1), injected(1, flown(compute_us={"pid": 9}, recompute_us={}), arm="autoencoder"))
+    found = {row["stage"]: row for row in table(own, "overheads_as_in_the_paper").entries()}
+    assert found["all"]["paper_detection"] == found["all"]["paper_sum"] == 0.000047
+    assert found["control"]["paper_detection"] is None
+
+
+def test_what_was_measured_stands_beside_what_is_modelled():
+    own = table(watched_runs(overheads=MEASURED), "overheads_as_in_the_paper")
+    found = {row["stage"]: row for row in own.entries()}
+    assert found["all"]["measured_detection"] == 0.01 and found["all"]["measured_recovery"] == 0.02
+    assert found["all"]["measured_sum"] == pytest.approx(0.03)
+    assert found["control"]["measured_sum"] is None
+    assert "one process on a processor" in "\n".join(own.notes)
+
+
+def test_medians_of_flights_are_divided_by_the_time_of_the_kernels(monkeypatch):
+    flights = iter([2.0, 2.0, 4.0, 8.0])  # the first one compiles
+
+    def cost(scenario, name, profile, models_dir):
+        kernels = next(flights)
+        return overheads.Cost(
+            kernels, dict.fromkeys(overheads.STAGES, 0.4), dict.fromkeys(overheads.STAGES, 0.8), 7, 0.0
+        )
+
+    monkeypatch.setattr(overheads, "cost", cost)
+    told = []
+    found = overheads.measure(campaign(), 3, progress=lambda *done: told.append(done))
+    assert [row["stage"] for row in found["rows"]] == ["perception", "planning", "control", "all"]
+    assert found["rows"][0]["detection"] == pytest.approx(0.1) and found["rows"][0]["recovery"] == pytest.approx(0.2)
+    assert told == [(1, 3), (2, 3), (3, 3)] and found["missions"] == 3
+
+
+def test_without_a_detector_there_is_nothing_to_measure():
+    with pytest.raises(BadInputError, match="campaign x: arms: none has a detector"):
+        overheads.measure(campaign(arms={}), 1)
+
+
+def test_measured_shares_are_kept_with_the_ledger(tmp_path):
+    assert overheads.load(tmp_path) == {}
+    overheads.save(MEASURED, tmp_path)
+    assert overheads.load(tmp_path) == MEASURED
+    for damaged in ("{", "[]", json.dumps({"rows": [{}]})):
+        (tmp_path / overheads.FILE).write_text(damaged)
+        with pytest.raises(BadInputError, match="overheads.json: is not a file of measured overheads"):
+            overheads.load(tmp_path)
+
+
+def test_repeated_steps_count_with_the_mean_time_of_a_step_and_memory_is_kept_by_stage():
+    clock = overheads._Clock()
+    clock.seconds |= {("octomap", "step"): 3.0, ("octomap", "mark"): 0.5, ("pid", "rollback"): 0.25}
+    clock.calls |= {("octomap", "step"): 6}
+    found = overheads._recovery(clock, {("perception", "octomap"): 2, ("planning", "planner"): 1})
+    assert found == {"perception": 0.5 + 2 * 0.5, "planning": 0.0, "control": 0.25, "all": 1.75}
+
+
+def test_timed_methods_do_what_they_did():
+    clock = overheads._Clock()
+    kernel = SimpleNamespace(name="pid", step=lambda now: now + 1)
+    clock.timed(kernel, "step")
+    assert [kernel.step(1), kernel.step(2)] == [2, 3]
+    assert clock.calls["pid", "step"] == 2 and clock.step("pid") == clock.seconds["pid", "step"] / 2
+
+
+@pytest.mark.slow
+def test_a_flight_is_measured_by_stage():
+    from mavfi.hosts.loop.compose import resolve
+    from mavfi.mission import MissionSpec
+
+    found = overheads.cost(resolve(MissionSpec(environment="sparse", seed=10_000)), "gaussian", "paper")
+    assert found.kernels > 0 and found.shown > 1000
+    assert all(found.detection[stage] > 0 for stage in overheads.STAGES)
+    assert found.detection["control"] > found.detection["planning"], "it publishes most"
+    assert found.recovery["all"] == pytest.approx(sum(found.recovery[stage] for stage in overheads.STAGES[:-1]))

@@ -1,0 +1,40 @@
+import json
+
+import pytest
+
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.run import run_campaign
+from mavfi.cli.commands import run
+from tests.unit.campaign.analysis.test_failure_views import campaign
+from tests.unit.campaign.fakes import small
+
+
+@pytest.fixture
+def ledger(tmp_path, monkeypatch):
+    """A folder whose runs are those made by hand."""
+    monkeypatch.setattr("mavfi.campaign.analysis.runs.Runs.read", lambda _: campaign())
+    return str(tmp_path)
+
+
+def test_the_answer_comes_first_and_the_assumptions_after_it(ledger, capsys):
+    assert run(["failures", ledger]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("Failures per flight hour, sparse: fi ")
+    assert text.index("dr_gaussian") < text.index("JESD89A")
+
+
+def test_as_csv_and_as_json(ledger, capsys):
+    assert run(["failures", ledger, "--csv"]) == 0
+    assert capsys.readouterr().out.splitlines()[0].startswith("environment,setting,kernel,failures_value,failures_low")
+    assert run(["failures", ledger, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["table"]["rows"][0]["kernel"] == "pid"
+
+
+def test_bad_input_is_one_line(tmp_path, capsys):
+    assert run(["failures", str(tmp_path), "--csv", "--json"]) == 2
+    run_campaign(small(missions=1, faults=1), tmp_path, executor=LocalExecutor(1))
+    capsys.readouterr()
+    assert run(["failures", str(tmp_path)]) == 2
+    assert "no faults in instructions whose golden runs were counted" in capsys.readouterr().err
+    assert run(["failures", str(tmp_path), "--upsets", "space"]) == 2
+    assert "upset 'space': not known; allowed: low_altitude" in capsys.readouterr().err
