@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from typing import Self
 
 from rich.console import Group
 from rich.live import Live
@@ -35,7 +36,7 @@ class Bar:
         self._held: int | None = None
         self._waits = True
 
-    def __enter__(self) -> "Bar":
+    def __enter__(self) -> Self:
         if self._console.is_terminal:
             self._live.start()
         return self
@@ -75,6 +76,31 @@ class Bar:
         if now - self._told >= _LINE_EVERY or done == total:
             self._told = now
             self._console.print(f"{self._label} {done}/{total} {self._unit}  {pace}".rstrip())
+
+
+class StudyBar(Bar):
+    """Progress over all parts of a study, flown one after the other; the time left is that of all of them."""
+
+    def __init__(self, label: str, parts: Mapping[str, tuple[int, int]]) -> None:
+        """With flights done and planned of each part, in the order of the study."""
+        super().__init__(label, "flights")
+        self._parts, self._part, self._name = dict(parts), "", label
+        self._before = sum(done for done, _ in parts.values())
+        self._started = time.perf_counter()
+
+    def begin(self, part: str, words: str) -> None:
+        """The next part begins."""
+        self._part = part
+        place = list(self._parts).index(part) + 1
+        self._label = f"{self._name}, {words} ({place} of {len(self._parts)})"
+        self._bar.update(self._task, description=self._label)
+
+    def _tell(self, done: int, total: int, pace: str) -> None:
+        self._parts[self._part] = done, total
+        all_done, all_total = (sum(counts) for counts in zip(*self._parts.values(), strict=True))
+        rate = (all_done - self._before) / (time.perf_counter() - self._started)
+        pace = f"{speed(rate, self._unit)} · {time_left((all_total - all_done) / rate)}" if rate > 0 else pace
+        super()._tell(all_done, all_total, pace)
 
 
 @contextmanager
