@@ -8,6 +8,7 @@ from mavfi.campaign.analysis import (  # noqa: F401  (in the order of reports, t
     flight_views,
     kernel_views,
     node_views,
+    paper_claims,
     paper_views,
     scheme_views,
 )  # fmt: skip

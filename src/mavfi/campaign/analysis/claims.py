@@ -9,7 +9,7 @@ from mavfi.errors import BadInputError
 
 
 @dataclass(frozen=True, slots=True)
-class Tested:
+class Evidence:
     """What a test says about a claim."""
 
     here: str  # what was measured, with n
@@ -26,7 +26,7 @@ class Claim:
     section: str  # of the paper
     campaign: str  # name of the campaign whose runs test it
     method: str  # of the test
-    test: Callable[[Runs], Tested]
+    test: Callable[[Runs], Evidence]
 
 
 CLAIMS: dict[str, Claim] = {}  # by name
@@ -66,6 +66,8 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
         notes=(
             f"confirmed, contradicted: two-sided p below {LEVEL:g} after Holm's correction over {count} tests (Holm "
             "1979), in or against the direction of the claim; undecided: at this n the data are compatible with both",
+            "p: two-sided randomization tests, random signs of the differences of worlds (of groups of different "
+            "worlds: worlds shuffled); flights of one world are not taken as independent",
             "published autopilot profile, faults and platforms of this project: see the fidelity page for differences",
         ),
     )  # fmt: skip
@@ -74,17 +76,18 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
 _COLUMNS = (
     Column("claim", "claim", TEXT, hidden=True), Column("statement", "the paper"), Column("section", "section"),
     Column("here", "here"), Column("p", "p", "number .2g"), Column("holm_p", "p (Holm)", "number .2g"),
-    Column("verdict", "verdict"), Column("method", "test"), Column("campaign", "campaign", TEXT, hidden=True),
+    Column("verdict", "verdict"), Column("method", "test", TEXT, hidden=True),
+    Column("campaign", "campaign", TEXT, hidden=True),
 )  # fmt: skip
 
 
-def _tested(claim: Claim, runs: Runs | None) -> Tested:
+def _tested(claim: Claim, runs: Runs | None) -> Evidence:
     if runs is None or not len(runs):
-        return Tested(f"no runs of campaign {claim.campaign}", None, supports=False)
+        return Evidence(f"no runs of campaign {claim.campaign}", None, supports=False)
     return claim.test(runs)
 
 
-def verdict(one: Tested, corrected: float | None) -> str:
+def verdict(one: Evidence, corrected: float | None) -> str:
     """Confirmed, contradicted or undecided, from the corrected p value."""
     if corrected is None or corrected >= LEVEL:
         return UNDECIDED

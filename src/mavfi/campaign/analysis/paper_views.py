@@ -8,7 +8,16 @@ import polars as pl
 
 from mavfi.campaign.analysis import measures as m
 from mavfi.campaign.analysis import paper
-from mavfi.campaign.analysis.flight_views import INTERVALS, ONE_FAULT, SETTING, named_populations, of_states, paired
+from mavfi.campaign.analysis.flight_views import (
+    INSTRUCTION,
+    INTERVALS,
+    ONE_FAULT,
+    SETTING,
+    named_populations,
+    of_states,
+    of_values,
+    paired,
+)
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import SIGNED, TEXT
@@ -37,7 +46,7 @@ def leading_faults(runs: Runs) -> Runs:
 
 def by_kernel(runs: Runs) -> Runs:
     """Fig. 3: golden runs, and those with one fault in one instruction of a kernel."""
-    return with_golden(runs.injected.where("judged", level="instruction", setting=FI), runs, "kernel")
+    return with_golden(runs.injected.where("judged", level=INSTRUCTION, setting=FI), runs, "kernel")
 
 
 def by_state(runs: Runs) -> Runs:
@@ -88,7 +97,7 @@ def _kernels_note() -> str:
 
 register(
     _shown("kernels_as_in_the_paper", "Fig. 3: flight time and success, one fault in one kernel", "kernel", by_kernel,
-           "kernel", lambda runs: has(runs.injected, level="instruction") and runs.campaign.get("each") == "kernel",
+           "kernel", lambda runs: has(runs.injected, level=INSTRUCTION) and runs.campaign.get("each") == "kernel",
            _kernels_note()),
     _shown("states_as_in_the_paper", "Fig. 4: flight time and success, one fault in one inter-kernel state", "target",
            by_state, "state", lambda runs: of_states(runs) and runs.campaign.get("each") == "group",
@@ -174,7 +183,7 @@ register(
                     lambda own: m.quantile_of(own.where("paired")["energy_inflation"], 1.0)),
             Measure("worst_run", "worst run", TEXT, lambda own: m.worst_run(own.where("paired")), hidden=True),
         ),
-        where=distribution, applies=lambda runs: len(runs.golden) > 0 and len(runs.injected) > 0 and runs.has_missions,
+        where=distribution, applies=lambda runs: of_values(runs) or has(runs.injected, level=INSTRUCTION),
         notes=lambda _: (
             "flight times of missions that succeed; CVaR 5 %: mean of the slowest 5 % of them, and of all missions "
             "with failures at the time limit, which bounds every worst case",

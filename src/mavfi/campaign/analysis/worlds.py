@@ -21,17 +21,13 @@ _SEED = 20
 class Difference:
     """A difference of means, first - second, and its test."""
 
-    first: float
+    first: float  # mean over runs
     second: float
     first_n: int  # runs
     second_n: int
     worlds: int  # in the test
+    difference: float  # first - second, mean over worlds
     p_value: float | None  # two-sided; None = fewer than two worlds
-
-    @property
-    def difference(self) -> float:
-        """First - second, of the means over runs."""
-        return self.first - self.second
 
 
 def within_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | None:
@@ -44,7 +40,8 @@ def within_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | Non
     if not shared:
         return None
     differences = np.array([np.mean(one[world]) - np.mean(other[world]) for world in shared])
-    return _found(one, other, len(shared), _p_value((differences,), np.mean, "samples"))
+    p_value = _p_value((differences,), np.mean, "samples")
+    return _found(one, other, len(shared), float(differences.mean()), p_value)
 
 
 def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | None:
@@ -53,7 +50,8 @@ def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | No
     if not one or not other:
         return None
     means = tuple(np.array([np.mean(values) for values in part.values()]) for part in (one, other))
-    return _found(one, other, len(one) + len(other), _p_value(means, _difference, "independent"))
+    difference = float(means[0].mean() - means[1].mean())
+    return _found(one, other, len(one) + len(other), difference, _p_value(means, _difference, "independent"))
 
 
 def _difference(first: np.ndarray, second: np.ndarray, axis: int = -1) -> np.ndarray:
@@ -68,18 +66,19 @@ def _by_world(runs: Runs, value: pl.Expr) -> dict[str, list[float]]:
 
 
 def _found(
-    one: dict[str, list[float]], other: dict[str, list[float]], worlds: int, p_value: float | None
+    one: dict[str, list[float]], other: dict[str, list[float]], worlds: int, difference: float, p_value: float | None
 ) -> Difference:  # fmt: skip
     first, second = ([value for values in part.values() for value in values] for part in (one, other))
-    return Difference(float(np.mean(first)), float(np.mean(second)), len(first), len(second), worlds, p_value)
+    means = float(np.mean(first)), float(np.mean(second))
+    return Difference(*means, len(first), len(second), worlds, difference, p_value)
 
 
 def _p_value(data: tuple[np.ndarray, ...], statistic: Callable[..., np.ndarray], kind: str) -> float | None:
     """Two-sided p value of a randomization test; the same for the same input."""
     if any(len(part) < 2 for part in data):
         return None
-    if all(np.ptp(part) == 0.0 for part in data) and len({float(part[0]) for part in data} | {0.0}) == 1:
-        return 1.0  # nothing differs
+    if not any(part.any() for part in data):
+        return 1.0
     found = permutation_test(
         data, statistic, permutation_type=kind, vectorized=True, n_resamples=_RESAMPLES,
         rng=np.random.default_rng(_SEED),

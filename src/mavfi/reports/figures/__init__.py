@@ -3,7 +3,7 @@
 `figure(runs, name)` makes one of them, `draw(runs, directory, names)` writes several.
 """
 
-from mavfi.reports.figures import campaign, paper  # noqa: F401  (in the order of reports, they register their figures)
+from mavfi.reports.figures import campaign, paper, trajectories  # noqa: F401  (in the order of reports, they register their figures)
 from mavfi.reports.figures.registry import FIGURES, Drawing, draw, drawing, figure, register
 
 __all__ = ["FIGURES", "Drawing", "draw", "drawing", "figure", "register"]
