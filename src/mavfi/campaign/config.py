@@ -203,6 +203,10 @@ class Campaign(Config):
     mission: dict[str, Any] = Field(default_factory=dict, description="keys of a mission, for all arms")
     sampling: Sampling = Field(default_factory=StateSampling)
     monitored_set: str = Field("paper-13", description="fields that count as watched")
+    until_halfwidth: float | None = Field(
+        None, ge=0.01, le=0.5,
+        description="of success rates: an environment is done when its confidence sequences are that narrow",
+    )  # fmt: skip
     null_runs: int | None = Field(
         None, ge=0, le=MOST_FAULTS, description="per environment; each arm in turn; default 3 for states"
     )
@@ -288,8 +292,10 @@ class Campaign(Config):
         return parse(MissionSpec, given, f"campaign {self.name}")
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; lifetimes that are not chosen are left out: campaigns without them keep their identity."""
+        """Plain data; what came later and is not chosen is left out: campaigns without it keep their identity."""
         data = self.model_dump(mode="json")
+        if self.until_halfwidth is None:
+            del data["until_halfwidth"]
         sampling = data["sampling"]
         if sampling.get("lifetime") == Lifetime().model_dump(mode="json"):
             del sampling["lifetime"]

@@ -5,6 +5,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Self
 
 from rich.console import Group
@@ -78,29 +79,42 @@ class Bar:
             self._console.print(f"{self._label} {done}/{total} {self._unit}  {pace}".rstrip())
 
 
+@dataclass(slots=True)
+class Part:
+    """A part of a study."""
+
+    done: int  # flights
+    total: int
+    seconds: float  # that a flight may take; decides how much a part counts in the time that is left
+
+
 class StudyBar(Bar):
     """Progress over all parts of a study, flown one after the other; the time left is that of all of them."""
 
-    def __init__(self, label: str, parts: Mapping[str, tuple[int, int]]) -> None:
-        """With flights done and planned of each part, in the order of the study."""
+    def __init__(self, label: str, parts: dict[str, Part]) -> None:
         super().__init__(label, "flights")
-        self._parts, self._part, self._name = dict(parts), "", label
-        self._before = sum(done for done, _ in parts.values())
-        self._started = time.perf_counter()
+        self._parts, self._part, self._name = parts, next(iter(parts.values())), label
+        self._started, self._at_start = time.perf_counter(), self._sum("done")
 
-    def begin(self, part: str, words: str) -> None:
+    def begin(self, name: str, words: str) -> None:
         """The next part begins."""
-        self._part = part
-        place = list(self._parts).index(part) + 1
+        self._part = self._parts[name]
+        place = list(self._parts).index(name) + 1
         self._label = f"{self._name}, {words} ({place} of {len(self._parts)})"
         self._bar.update(self._task, description=self._label)
 
     def _tell(self, done: int, total: int, pace: str) -> None:
-        self._parts[self._part] = done, total
-        all_done, all_total = (sum(counts) for counts in zip(*self._parts.values(), strict=True))
-        rate = (all_done - self._before) / (time.perf_counter() - self._started)
-        pace = f"{speed(rate, self._unit)} · {time_left((all_total - all_done) / rate)}" if rate > 0 else pace
-        super()._tell(all_done, all_total, pace)
+        self._part.done, self._part.total = done, total
+        seconds, worth = time.perf_counter() - self._started, self._sum("done") - self._at_start
+        if worth > 0:
+            left = self._sum("total") - self._sum("done")
+            pace = time_left(left * seconds / worth)
+        parts = self._parts.values()
+        super()._tell(sum(part.done for part in parts), sum(part.total for part in parts), pace)
+
+    def _sum(self, key: str) -> float:
+        """Flights of all parts, each as long as it may take (s)."""
+        return sum(float(getattr(part, key)) * part.seconds for part in self._parts.values())
 
 
 @contextmanager

@@ -15,6 +15,7 @@ from mavfi.errors import BadInputError
 if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
     from mavfi.campaign.study import Study
+    from mavfi.cli.progress import Part
     from mavfi.mission import MissionSpec
 
 MODELS = "models"
@@ -28,6 +29,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     ] = "quick",
     out: Annotated[Path, typer.Option(help="Folder of everything that is written.")] = Path("out/reproduce"),
     workers: options.Workers = 2,
+    until_halfwidth: options.UntilHalfwidth = None,
     show_all: options.AllTables = False,
     as_json: options.AsJson = False,
 ) -> None:
@@ -43,20 +45,22 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     from mavfi.campaign.run import run_campaign
     from mavfi.campaign.study import load_study
     from mavfi.campaign.training import train
-    from mavfi.cli.progress import StudyBar, duration
+    from mavfi.cli.progress import Part, StudyBar, duration
     from mavfi.reports.study_report import check_names
 
     begun = time.perf_counter()
     chosen = load_study(study)
     check_names(chosen, study)
-    campaigns = chosen.campaigns_at(scale)
+    found = chosen.campaigns_at(scale)
+    campaigns = {folder: options.until(campaign, until_halfwidth) for folder, campaign in found.items()}
     executor = LocalExecutor(workers)
     for folder, campaign in campaigns.items():
         _check_ledger(campaign, out / folder)
     check_folder(out)
     lacking = _untrained(campaigns.values(), out / MODELS, chosen.training_flights)
-    parts = {f"training {place}": (0, chosen.training_flights) for place in range(1, 1 + len(lacking))}
-    parts |= {folder: _runs_of(campaign, out / folder) for folder, campaign in campaigns.items()}
+    flights = chosen.training_flights
+    parts = {f"training {place}": Part(0, flights, 1.0 / workers) for place in range(1, 1 + len(lacking))}
+    parts |= {folder: _part(campaign, out / folder, workers) for folder, campaign in campaigns.items()}
     stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
     with stoppable(stopped), StudyBar(f"study {chosen.name}", parts) as bar:
         for place, campaign in enumerate(lacking, 1):
@@ -81,14 +85,15 @@ def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> l
     return found
 
 
-def _runs_of(campaign: "Campaign", folder: Path) -> tuple[int, int]:
-    """Runs that are done, and all that the campaign plans."""
+def _part(campaign: "Campaign", folder: Path, workers: int) -> "Part":
+    """What is done of a campaign, what it plans at most, and how long its flights may take."""
+    from mavfi.campaign.forecast import forecast
     from mavfi.campaign.mission import plan_of
-    from mavfi.campaign.run import status
-    from mavfi.campaign.store import FILE
+    from mavfi.cli.progress import Part
 
-    total = plan_of(campaign, {}, {}).count()
-    return (status(folder).done if (folder / FILE).is_file() else 0), total
+    found = forecast(plan_of(campaign, {}, {}), folder, workers)
+    total = found.golden + found.injected
+    return Part(found.done, total, (found.seconds or 0.0) / max(1, total - found.done))
 
 
 def _check_ledger(campaign: "Campaign", folder: Path) -> None:

@@ -11,6 +11,7 @@ from mavfi.campaign.analysis import (  # noqa: F401  (in the order of reports, t
     paper_claims,
     paper_views,
     scheme_views,
+    sequence_views,
 )  # fmt: skip
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Column, Table

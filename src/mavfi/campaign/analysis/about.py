@@ -14,6 +14,7 @@ from mavfi.campaign.config import (
     StateSampling,
 )
 from mavfi.campaign.run import status, stored_campaign
+from mavfi.campaign.sequential import Precision
 from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
 
@@ -35,7 +36,10 @@ def describe(store: Store) -> dict[str, Any]:
         "missions": campaign.missions, "faults": campaign.faults, "monitored_set": campaign.monitored_set,
         "arms": {name: arm.model_dump(mode="json") for name, arm in campaign.arms.items()},
         "models": store.meta("identity")["models"], "confidence": CONFIDENCE, "versions": store.meta("versions") or {},
-        "digest": store.digest(), "done": progress.done, "total": progress.total, **drawn(campaign.sampling, campaign),
+        "digest": store.digest(), "done": progress.done, "total": progress.total,
+        "until_halfwidth": campaign.until_halfwidth,
+        "sequence": list(Precision(campaign, store).rows()) if campaign.until_halfwidth else [],
+        **drawn(campaign.sampling, campaign),
     }  # fmt: skip
 
 
@@ -72,6 +76,8 @@ def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
     speed = "" if mission.v_max is None else f" · {mission.v_max:g} m/s"
     seeds = f"seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}"
     lines = [f"{campaign.missions} missions per environment ({seeds}), {campaign.faults} faults per {each}, {how}"]
+    if campaign.until_halfwidth:
+        lines[0] = f"at most {lines[0]}; until success is known to ±{100 * campaign.until_halfwidth:g} points"
     if campaign.arms:
         arms = ", ".join(_arm(name, arm) for name, arm in sorted(campaign.arms.items()))
         lines.append(f"arms: {arms}; coupling {mission.coupling}; monitored set {campaign.monitored_set}")
