@@ -29,7 +29,7 @@ from mavfi.campaign.checksums import BOUND, IDENTITY, checksum_of, meta_checksum
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.repair import repair
-from mavfi.campaign.replay import _setup_of_run
+from mavfi.campaign.replay import setup_of_run
 from mavfi.campaign.run import run_campaign, status
 from mavfi.campaign.shard import WHOLE
 from mavfi.campaign.soundness import PLANNED, TABLES
@@ -493,7 +493,7 @@ def read_ledger(path):
             table(runs, view)
     with Store.open(directory) as store:
         for run in itertools.islice(store.runs(), 2):
-            _setup_of_run(store, run.spec)
+            setup_of_run(store, run.spec)
 
 
 def read_damaged(path):

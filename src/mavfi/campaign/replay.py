@@ -48,7 +48,7 @@ def replay(directory: Path, run_id: str) -> Replay:
 
 def fly_again(store: Store, spec: RunSpec) -> Flight:
     """Fly any run of a ledger, for its whole log; errors as of `replay`."""
-    host, setup = _setup_of_run(store, spec)
+    host, setup = setup_of_run(store, spec)
     flights = host.mission({spec.arm: setup}, fast_forward=False)
     flown: Recorded | Exception
     if spec.fault is None:
@@ -61,7 +61,7 @@ def fly_again(store: Store, spec: RunSpec) -> Flight:
     return flown
 
 
-def _setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
+def setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
     """The host of a run, and the setup of the run's arm; errors as of `replay`."""
     campaign = stored_campaign(store)
     host = host_of(campaign)
@@ -119,7 +119,7 @@ def _recorded(store: Store, spec: RunSpec) -> tuple[Flight, list[Publication]]:
     seen: list[Publication] = []
     if not isinstance(spec.fault, StateFault | MemoryFault | None):
         return fly_again(store, spec), seen
-    _, setup = _setup_of_run(store, spec)
+    _, setup = setup_of_run(store, spec)
     detector = None if setup.make_detector is None else setup.make_detector()
 
     def note(state: State, time_us: int) -> None:

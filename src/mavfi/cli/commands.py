@@ -18,6 +18,7 @@ from mavfi.cli import (
     reproduce,
     ros,
     runs,
+    shrink,
     states,
     train,
     vulnerability,
@@ -39,7 +40,7 @@ app = typer.Typer(
 )
 for verb in (
     fly.fly, export.export, inject.inject, states.states, train.train, report.report, runs.runs, replay.replay,
-    explain.explain, vulnerability.vulnerability, reproduce.reproduce,
+    explain.explain, shrink.shrink, vulnerability.vulnerability, reproduce.reproduce,
 ):  # fmt: skip
     app.command(verb.__name__)(verb)
 for verb in (pack.pack, pack.unpack):
