@@ -3,7 +3,16 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mavfi.campaign.divergence import Departure, Difference, Publication, departure, first_difference
+from mavfi.campaign.divergence import (
+    Departure,
+    Difference,
+    Publication,
+    Spread,
+    departure,
+    first_difference,
+    spread,
+    spread_in_log,
+)
 from mavfi.campaign.mission import MissionPlan, host_of, setup_of
 from mavfi.campaign.plan import RunSpec, arms_of
 from mavfi.campaign.run import stored_campaign
@@ -86,6 +95,8 @@ class Explanation:
     """None = there is none, or a fault in an instruction: its flight ends in a forked process, and the kernel effect in
     its log has the first difference."""
     departure: Departure
+    spread: tuple[Spread, ...] = ()
+    """Which states differed, in the order in which they began to; of a fault in an instruction, parts of the log."""
 
     @property
     def effect(self) -> Effect:
@@ -111,7 +122,10 @@ def explain(directory: Path, run_id: str) -> Explanation:
         injected, seen = _recorded(store, run.spec)
     first = first_difference(seen_golden, seen) if seen else None
     same = injected.log.digest() == stored.digest
-    return Explanation(run.spec, injected, golden, same, first, departure(golden.log, injected.log))
+    spreading = spread(seen_golden, seen) if seen else spread_in_log(golden.log, injected.log)
+    return Explanation(
+        run.spec, injected, golden, same, first, departure(golden.log, injected.log), tuple(spreading)
+    )  # fmt: skip
 
 
 def _recorded(store: Store, spec: RunSpec) -> tuple[Flight, list[Publication]]:

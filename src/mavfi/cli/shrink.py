@@ -45,8 +45,8 @@ def shrink(
 def command(found: "Shrunk") -> str:
     """What flies the smallest fault: a command, or, of an instruction, which has no text, Python."""
     from mavfi.campaign.run import stored_campaign
+    from mavfi.campaign.samplers.request import text_of
     from mavfi.campaign.store import Store
-    from mavfi.faults.spec import text_of
     from mavfi.mission import MissionSpec
 
     spec, fault = found.spec, found.smallest.fault

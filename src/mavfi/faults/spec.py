@@ -9,7 +9,7 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import LIFETIME, MODELS, RESTART_S, Fault, FaultSite, MemoryFault, Model, StateFault
+from mavfi.faults.fault import LIFETIME, MODELS, RESTART_S, FaultSite, Model, StateFault
 from mavfi.faults.sampling import draw_publication, live_fields, stream
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight_log import Profile
@@ -164,23 +164,6 @@ def _only_states(text: str, _rest: str, _localization: str) -> NoReturn:
 
 def _not_understood(text: str, _rest: str, _localization: str) -> NoReturn:
     raise BadInputError(f"fault {text!r}: not understood; allowed: {FORM}")
-
-
-def text_of(fault: Fault) -> str | None:
-    """The text that names a fault in full, for `mavfi fly --fault`; None = its level has no such text."""
-    bit = "" if fault.bit is None else f":bit={fault.bit}"
-    if isinstance(fault, MemoryFault):
-        index = "" if fault.index is None else f"[{fault.index}]"
-        return f"memory:{fault.kernel}.{fault.field}{index}{bit}@{fault.time_us / 1e6}"
-    if not isinstance(fault, StateFault):
-        return None
-    state, rest = f"state:{fault.where.state}.{fault.where.field}", ""
-    element = "" if fault.where.element is None else f"[{fault.where.element}]"
-    for name in ("width", "times", "lasts_s", "share"):
-        value = getattr(fault, name)
-        if value != LIFETIME[name]:
-            rest += f":{name.removesuffix('_s')}={'inf' if value == float('inf') else value}"
-    return f"{state}{element}{bit}{rest}@{fault.time_us / 1e6}"
 
 
 def _parse_null(text: str, rest: str, localization: str) -> StateRequest:

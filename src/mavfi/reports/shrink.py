@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+from mavfi.campaign.samplers.request import text_of
 from mavfi.campaign.shrink import Shrunk, Trial
-from mavfi.faults.spec import text_of
 from mavfi.reports.text import change
 
 Lines = list[tuple[str, str]]

@@ -7,7 +7,8 @@ import pytest
 from mavfi.campaign.analysis import Runs
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
-from mavfi.campaign.shrink import change_of, shrink
+from mavfi.campaign.samplers.smaller import change_of
+from mavfi.campaign.shrink import shrink
 from mavfi.cli import run
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import StateFault

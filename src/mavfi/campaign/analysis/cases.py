@@ -11,11 +11,13 @@ from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.plan import FI
 
 ENVIRONMENT = "dense"
+LEAST = 0.01
+"""Part of the golden run's flight time from which a flight counts as shortened."""
 STAGES = ("perception", "planning")
 RULE = (
     "Of the activated faults of a stage with which the mission succeeds and the detector's flight does, too, the one "
-    "whose flight the detector shortens most; where it shortens none, of the missions that it saves the one with the "
-    "longest way; else the fault that lengthens its flight most."
+    "whose flight the detector shortens most; where it shortens none by 1 %, of the missions that it saves the one "
+    "with the longest way; else the fault that lengthens its flight most."
 )
 
 
@@ -53,7 +55,7 @@ def _case(own: Runs, stage: str) -> Case | None:
     row: dict[str, Any] | None = None
     if watched is not None and len(watched):
         gain = pl.col("inflation") - pl.col("dr_inflation")
-        shortened = watched.filter("fi_success", gain > 0).sort(-gain, "run_id")
+        shortened = watched.filter("fi_success", gain >= LEAST).sort(-gain, "run_id")
         saved = watched.filter(~pl.col("fi_success")).sort(-pl.col("distance_m"), "run_id")
         row = next((found.row(0, named=True) for found in (shortened, saved) if len(found)), None)
     if row is None:

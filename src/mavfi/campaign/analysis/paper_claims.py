@@ -134,7 +134,7 @@ _BITS = {name: (words, _of("bits", *bits)) for name, words, bits in (
     ("high", "sign and exponent", ("sign", "exponent")), ("low", "mantissa", ("mantissa",)))}  # fmt: skip
 
 
-def _claims() -> Iterable[Claim]:
+def _of_kernels() -> Iterable[Claim]:
     yield Claim(
         "perception_least_critical",
         "The perception stage is the least critical",
@@ -174,6 +174,9 @@ def _claims() -> Iterable[Claim]:
         _WITHIN,
         _lost(_LATER[1]),
     )
+
+
+def _of_states() -> Iterable[Claim]:
     yield Claim(
         "collision_seq_robust",
         "future_collision_seq is much more robust than time_to_collision",
@@ -197,6 +200,9 @@ def _claims() -> Iterable[Claim]:
         _WITHIN,
         _compared(by_bits, _BITS["high"], _BITS["low"], HURT, more=True, what=_HURT),
     )
+
+
+def _of_success() -> Iterable[Claim]:
     for campaign, level, end in ((INSTRUCTIONS, "instructions", ""), (VALUES, "states", "_in_states")):
         words = f"Table I, faults in {level}"
         yield Claim(
@@ -241,6 +247,9 @@ def _claims() -> Iterable[Claim]:
                 _WITHIN,
                 _paired(f"dr_{arm}", FI, "inflation", more=False, what="flight time over golden"),
             )
+
+
+def _of_overhead() -> Iterable[Claim]:
     for arm, short in (("gaussian", "GAD"), ("autoencoder", "AAD")):
         bound = _largest("recompute_overhead", "dr_gaussian") if arm == "gaussian" else paper.figure(
             "detection_overhead", setting="dr_autoencoder", environment="dense")  # fmt: skip
@@ -248,4 +257,4 @@ def _claims() -> Iterable[Claim]:
                     "VI-C", INSTRUCTIONS, _WITHIN, _overhead(f"dr_{arm}", bound))  # fmt: skip
 
 
-register(*_claims())
+register(*_of_kernels(), *_of_states(), *_of_success(), *_of_overhead())

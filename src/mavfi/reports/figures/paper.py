@@ -49,9 +49,9 @@ def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | N
             axes.set_ylim(len(names) - 0.5, -0.5)
             axes.tick_params(axis="y", length=0)
             axes.grid(axis="x")
-        right.set_xlim(right=1.0)
-    panels[-1][0].set_xlabel("flight time of missions that succeed (s): median, quartiles, each flight")
-    panels[-1][1].set_xlabel("missions that succeed, 95 % intervals")
+        right.set_xlim(right=1.02)
+    panels[-1][0].set_xlabel("flight time of missions that succeed (s)")
+    panels[-1][1].set_xlabel("missions that succeed")
     panels[-1][1].xaxis.set_major_formatter(PercentFormatter(1, 0, " %"))
     panels[-1][1].xaxis.set_major_locator(MaxNLocator(4))
     return figure
@@ -137,8 +137,8 @@ def _count(own: Runs, setting: str) -> str:
 
 def _drawings() -> Iterable[Drawing]:
     about = (
-        "left: flight times of missions that succeed (line: median of the golden run); right: success with 95 % "
-        "intervals; n missions each."
+        "left: flight times of missions that succeed, each flight, median and quartiles (dashed: median of the golden "
+        "run); right: success with 95 % intervals; n missions each."
     )
     for name, title, select, column in (
         ("kernels", "Fig. 3, one fault in one instruction of one kernel", by_kernel, "kernel"),

@@ -94,14 +94,7 @@ def _in_space(axes: Any, flights: Sequence[Flight]) -> None:
         axes.plot(*path.T, **look)
     axes.plot(*_injection(flights[1]).T, marker="*", linestyle="", color=style.AMBER, markeredgecolor=style.INK,
               markersize=13, zorder=9)  # fmt: skip
-    axes.set(
-        xlim=(lower[0], upper[0]),
-        ylim=(lower[1], upper[1]),
-        zlim=(lower[2], upper[2]),
-        xlabel="x (m)",
-        ylabel="y (m)",
-        zlabel="z (m)",
-    )
+    axes.set(xlim=(lower[0], upper[0]), ylim=(lower[1], upper[1]), zlim=(lower[2], upper[2]), zlabel="z (m)")
     for axis in (axes.yaxis, axes.zaxis):
         axis.set_major_locator(MaxNLocator(2))
     extent = upper - lower
