@@ -17,7 +17,7 @@ STAGES = ("perception", "planning")
 RULE = (
     "Of the activated faults of a stage with which the mission succeeds and the detector's flight does, too, the one "
     "whose flight the detector shortens most; where it shortens none by 1 %, of the missions that it saves the one "
-    "with the longest way; else the fault that lengthens its flight most."
+    "with the longest way; else, of the missions that are lost, that one; else the fault that adds most flight time."
 )
 
 
@@ -59,8 +59,9 @@ def _case(own: Runs, stage: str) -> Case | None:
         saved = watched.filter(~pl.col("fi_success")).sort(-pl.col("distance_m"), "run_id")
         row = next((found.row(0, named=True) for found in (shortened, saved) if len(found)), None)
     if row is None:
+        lost = alone.frame.filter(~pl.col("success")).sort(-pl.col("distance_m"), "run_id")
         slowest = alone.frame.sort("inflation", "run_id", descending=[True, False], nulls_last=True)
-        row = {**slowest.row(0, named=True), "dr_inflation": None}
+        row = {**(lost if len(lost) else slowest).row(0, named=True), "dr_inflation": None}
     golden = own.golden.where(arm="", world=row["world"])
     again = faults.where(arm=arm, target=row["target"], index=row["index"]) if arm else None
     recovered = again.first("run_id") if again is not None and len(again) else ""

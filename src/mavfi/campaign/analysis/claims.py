@@ -56,7 +56,7 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
     tested = [_tested(claim, runs.get(claim.campaign)) for claim in claims]
     adjusted = holm([one.p_value for one in tested])
     rows = [
-        (claim.name, claim.statement, claim.section, one.here, one.p_value, corrected, verdict(one, corrected),
+        (claim.name, claim.statement, verdict(one, corrected), claim.section, one.here, one.p_value, corrected,
          claim.method, claim.campaign)
         for claim, one, corrected in zip(claims, tested, adjusted, strict=True)
     ]  # fmt: skip
@@ -74,9 +74,9 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
 
 
 _COLUMNS = (
-    Column("claim", "claim", TEXT, hidden=True), Column("statement", "the paper"), Column("section", "section"),
-    Column("here", "here"), Column("p", "p", "number .2g"), Column("holm_p", "p (Holm)", "number .2g"),
-    Column("verdict", "verdict"), Column("method", "test", TEXT, hidden=True),
+    Column("claim", "claim", TEXT, hidden=True), Column("statement", "the paper"), Column("verdict", "verdict"),
+    Column("section", "section"), Column("here", "here"), Column("p", "p", "number .2g"),
+    Column("holm_p", "p (Holm)", "number .2g"), Column("method", "test", TEXT, hidden=True),
     Column("campaign", "campaign", TEXT, hidden=True),
 )  # fmt: skip
 

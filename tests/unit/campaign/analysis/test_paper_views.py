@@ -78,4 +78,7 @@ def test_cases_are_the_faults_that_the_detector_shortens_most():
     assert found.golden.startswith("dense-2-golden") and found.inflation == pytest.approx(0.1)
     lost = runs(*pair(1, 50.0, 50.0), *pair(4, 30.0, 51.0, success=False))
     assert path_cases(lost)[0].fault.startswith("dense-4"), "nothing is shortened: a mission that is saved"
+    both = runs(*pair(1, 55.0, 55.0), *pair(4, 30.0, 30.0, success=False)[:2])
+    assert path_cases(both)[0].fault.startswith("dense-4"), "nor saved: a mission that is lost"
+    assert path_cases(runs(*pair(1, 55.0, 55.0), *pair(2, 52.0, 52.0)))[0].fault.startswith("dense-1"), "the slowest"
     assert path_cases(runs(golden(1, GOLDEN))) == []
