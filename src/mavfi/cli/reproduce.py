@@ -157,9 +157,14 @@ def _report(study: "Study", out: Path, show_all: bool, as_json: bool) -> None:
         write_json(written.to_json())
         return
     for section in written.sections:
-        console().print(f"[bold]{section.section.title}[/bold]", soft_wrap=True)
-        for table in section.tables if show_all else section.tables[:1]:
+        tables, title = section.tables if show_all else section.tables[:1], section.section.title
+        if not tables or tables[0].title != title:
+            console().print(f"[bold]{title}[/bold]", soft_wrap=True)
+        for table in tables:
             show_table(table, console())
+        for file in section.captions if not tables else ():
+            console().print(str(out / file), soft_wrap=True)
+    show_table(written.times, console())
     for folder, report in reports.items():
         names = ", ".join(path.name for path in report.files)
         console().print(f"[bold]{out / folder}[/bold] holds the ledger, and: {names}", soft_wrap=True)

@@ -11,6 +11,7 @@ from mavfi.campaign.analysis import VIEWS, table, views_for
 from mavfi.campaign.analysis.claims import CLAIMS, claims_table
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Table
+from mavfi.campaign.analysis.times import time_table
 from mavfi.campaign.study import Section, Study
 from mavfi.campaign.telling import with_flights
 from mavfi.errors import BadInputError, writing
@@ -50,11 +51,17 @@ class StudyReport:
     sections: tuple[SectionReport, ...]
     files: tuple[Path, ...] = ()
 
+    @property
+    def times(self) -> Table:
+        """Where the time went."""
+        return time_table(self.campaigns)
+
     def to_json(self) -> dict[str, Any]:
-        """Plain data: name, campaigns by folder, sections."""
+        """Plain data: name, campaigns by folder, sections, times."""
         campaigns = {folder: dict(runs.campaign) for folder, runs in self.campaigns.items()}
         sections = [section.to_json() for section in self.sections]
-        data: dict[str, Any] = plain({"study": self.study.name, "campaigns": campaigns, "sections": sections})
+        data: dict[str, Any] = plain({"study": self.study.name, "campaigns": campaigns, "sections": sections,
+                                      "times": self.times.to_json()})  # fmt: skip
         return data
 
 
@@ -135,7 +142,7 @@ def _markdown(found: StudyReport, today: str) -> str:
         parts += [f"# {part.section.title}", part.section.text]
         parts += [f"![{name}]({name})\n\n{text}" for name, text in part.captions.items()]
         parts += [markdown_table(shown) for shown in part.tables]
-    parts += ["# Campaigns"]
+    parts += ["# Campaigns", markdown_table(found.times)]
     for runs in found.campaigns.values():
         first, *rest = header(runs.campaign)
         parts += [f"## {first[0].upper()}{first[1:]}", "\n".join(f"- {line}" for line in [*rest, *checks(runs)])]

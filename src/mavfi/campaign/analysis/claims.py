@@ -62,7 +62,7 @@ def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
     ]  # fmt: skip
     count = sum(p is not None for p in adjusted)
     return Table(
-        "claims", "Findings of the paper, tested", _COLUMNS, rows, keys=3,
+        "claims", "Findings of the paper, tested", _COLUMNS, rows, keys=4,
         notes=(
             f"confirmed, contradicted: two-sided p below {LEVEL:g} after Holm's correction over {count} tests (Holm "
             "1979), in or against the direction of the claim; undecided: at this n the data are compatible with both",
