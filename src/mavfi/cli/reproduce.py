@@ -57,15 +57,15 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     for folder, campaign in campaigns.items():
         _check_ledger(campaign, out / folder)
     check_folder(out)
-    lacking = _untrained(campaigns.values(), out / MODELS, chosen.training_flights)
     flights = chosen.training_flights
+    lacking = _untrained(campaigns.values(), out / MODELS, flights)
     parts = {f"training {place}": Part(0, flights, 1.0 / workers) for place in range(1, 1 + len(lacking))}
     parts |= {folder: _part(campaign, out / folder, workers) for folder, campaign in campaigns.items()}
     stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
     with stoppable(stopped), StudyBar(f"study {chosen.name}", parts) as bar:
-        for place, campaign in enumerate(lacking, 1):
+        for place, mission in enumerate(lacking, 1):
             bar.begin(f"training {place}", "training flights")
-            train(out / MODELS, chosen.training_flights, _mission(campaign), workers=workers, progress=bar.show)
+            train(out / MODELS, flights, mission, workers=workers, progress=bar.show)
         for folder, campaign in campaigns.items():
             bar.begin(folder, f"campaign {campaign.name}")
             show = bar.show_campaign
@@ -76,13 +76,14 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
         console().print(where, soft_wrap=True)
 
 
-def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["Campaign"]:
-    """Campaigns with detectors that must be trained first: one for each mission that these are trained for."""
-    found: list[Campaign] = []
+def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["MissionSpec"]:
+    """Missions for which detectors must be trained first, each once."""
+    found: dict[tuple[str, ...], MissionSpec] = {}
     for campaign in campaigns:
-        if any(arm.detector for arm in campaign.arms.values()) and not _trained(campaign, folder, flights):
-            found += [] if any(_trained_for(campaign) == _trained_for(other) for other in found) else [campaign]
-    return found
+        for mission in _missions(campaign) if any(arm.detector for arm in campaign.arms.values()) else ():
+            if not _trained(campaign, mission, folder, flights):
+                found.setdefault(tuple(_trained_for(mission).values()), mission)
+    return list(found.values())
 
 
 def _part(campaign: "Campaign", folder: Path, workers: int) -> "Part":
@@ -115,23 +116,26 @@ def _check_ledger(campaign: "Campaign", folder: Path) -> None:
         )
 
 
-def _mission(campaign: "Campaign") -> "MissionSpec":
-    """The mission that detectors are trained for."""
-    return campaign.spec(campaign.environments[0], campaign.first_seed)
+def _missions(campaign: "Campaign") -> list["MissionSpec"]:
+    """The missions that detectors of a campaign are trained for: one for each platform."""
+    found: dict[str, MissionSpec] = {}
+    for environment in campaign.environments:
+        mission = campaign.spec(environment, campaign.first_seed)
+        found.setdefault(mission.platform, mission)
+    return list(found.values())
 
 
-def _trained_for(campaign: "Campaign") -> dict[str, str | None]:
+def _trained_for(mission: "MissionSpec") -> dict[str, str]:
     """What of a mission decides the models of its detectors."""
-    mission = _mission(campaign)
     return {"stack": mission.autopilot, "platform": mission.platform, "planner": mission.planner}
 
 
-def _trained(campaign: "Campaign", folder: Path, flights: int) -> bool:
-    """Whether the folder holds the models that training would give."""
+def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights: int) -> bool:
+    """Whether the folder holds the models of a campaign's arms that training for a mission would give."""
     from mavfi.campaign.fingerprint import versions
     from mavfi.detectors.model import Model
 
-    here, wanted = versions(), {**_trained_for(campaign), "flights": flights}
+    here, wanted = versions(), {**_trained_for(mission), "flights": flights}
     held = set()
     for path in sorted(folder.glob("*.json")):
         try:
