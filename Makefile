@@ -34,7 +34,7 @@ $(STAMP): requirements.lock pyproject.toml
 	@$(BIN)/python -m pip install -qq --no-deps --no-build-isolation --editable .
 	@touch $@
 
-reproduce: setup  ## train, fly, print the success table at both levels, write $(OUT) (SCALE=quick|paper)
+reproduce: setup  ## train, fly, print the tables and tested findings of the paper, write $(OUT) (SCALE=quick|paper)
 	@$(BIN)/mavfi reproduce --scale $(SCALE) --out $(OUT)
 
 test: setup  ## run the tests

@@ -17,6 +17,7 @@ from pydantic.fields import FieldInfo
 from mavfi import config
 from mavfi.campaign import config as campaigns
 from mavfi.campaign.analysis.failure_rate import UpsetConfig
+from mavfi.campaign.study import Study
 from mavfi.detectors.registry import DetectorConfig
 from mavfi.faults.fault import LEVELS
 from mavfi.mission import MissionSpec
@@ -72,7 +73,7 @@ Files of `configs/`, and of one's own: every option that takes a name takes a pa
 """
 SECTIONS: dict[str, tuple[str, tuple[type[BaseModel], ...]]] = {
     "mission-keys.md": (MISSION, (MissionSpec,)),
-    "campaign-keys.md": (CAMPAIGN, (campaigns.Campaign, campaigns.Study)),
+    "campaign-keys.md": (CAMPAIGN, (campaigns.Campaign, Study)),
     "config-keys.md": (
         CONFIGS,
         (

@@ -17,7 +17,7 @@ _PUBLIC = {
     "Fault": "mavfi.faults.fault",
     "Injection": "mavfi.flight_log", "FlightLog": "mavfi.flight_log", "FlightRecord": "mavfi.flight_record",
     "Effect": "mavfi.outcomes", "QoF": "mavfi.qof", "STATES": "mavfi.states", "KERNELS": "mavfi.states",
-    "Campaign": "mavfi.campaign.config", "Study": "mavfi.campaign.config", "Runs": "mavfi.campaign.analysis.runs",
+    "Campaign": "mavfi.campaign.config", "Study": "mavfi.campaign.study", "Runs": "mavfi.campaign.analysis.runs",
     "Alarm": "mavfi.detectors.detector", "Detector": "mavfi.detectors.detector",
     "FlightResult": "mavfi.reports.flight_result", "BadInputError": "mavfi.errors", "MavfiError": "mavfi.errors",
 }  # fmt: skip
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from mavfi.api import table as table
     from mavfi.campaign.analysis.runs import Runs as Runs
     from mavfi.campaign.config import Campaign as Campaign
-    from mavfi.campaign.config import Study as Study
+    from mavfi.campaign.study import Study as Study
     from mavfi.detectors.detector import Alarm as Alarm
     from mavfi.detectors.detector import Detector as Detector
     from mavfi.errors import BadInputError as BadInputError

@@ -26,14 +26,15 @@ from rosbags.typesys import Stores, get_typestore
 
 from mavfi.campaign.analysis import VIEWS, Runs, table
 from mavfi.campaign.checksums import BOUND, IDENTITY, checksum_of, meta_checksum, mission_checksum, salt_of
-from mavfi.campaign.config import load_campaign, load_study
+from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.repair import repair
-from mavfi.campaign.replay import _setup_of_run
+from mavfi.campaign.replay import setup_of_run
 from mavfi.campaign.run import run_campaign, status
 from mavfi.campaign.shard import WHOLE
 from mavfi.campaign.soundness import PLANNED, TABLES
 from mavfi.campaign.store import SCHEMA, Store
+from mavfi.campaign.study import load_study
 from mavfi.campaign.training import KeptRecordings
 from mavfi.cli.campaign import _what
 from mavfi.cli.export import _write
@@ -135,8 +136,7 @@ def read_campaign(path):
 
 def read_study(path):
     """As `mavfi reproduce` begins."""
-    for name in load_study(path).campaigns.values():
-        load_campaign(name).at_scale("quick")
+    load_study(path).campaigns_at("quick")
 
 
 # ---- text on the command line --------------------------------------------------------------------------------------
@@ -493,7 +493,7 @@ def read_ledger(path):
             table(runs, view)
     with Store.open(directory) as store:
         for run in itertools.islice(store.runs(), 2):
-            _setup_of_run(store, run.spec)
+            setup_of_run(store, run.spec)
 
 
 def read_damaged(path):

@@ -1,4 +1,4 @@
-"""What a campaign is: the YAML files of configs/campaigns, as models; and studies, which are sets of campaigns."""
+"""What a campaign is: the YAML files of configs/campaigns, as models."""
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
@@ -210,6 +210,10 @@ class Campaign(Config):
     mission: dict[str, Any] = Field(default_factory=dict, description="keys of a mission, for all arms")
     sampling: Sampling = Field(default_factory=StateSampling)
     monitored_set: str = Field("paper-13", description="fields that count as watched")
+    until_halfwidth: float | None = Field(
+        None, ge=0.01, le=0.5,
+        description="of success rates: an environment is done when its confidence sequences are that narrow",
+    )  # fmt: skip
     null_runs: int | None = Field(
         None, ge=0, le=MOST_FAULTS, description="per environment; each arm in turn; default 3 for states"
     )
@@ -265,7 +269,11 @@ class Campaign(Config):
         if name not in self.scales:
             allowed = ", ".join(["quick", *self.scales])
             raise BadInputError(f"campaign {self.name}: scale {name!r}: not known; allowed: {allowed}")
-        return self.model_copy(update=self.scales[name].model_dump(exclude_none=True))
+        return self.resized(self.scales[name])
+
+    def resized(self, size: Scale) -> "Campaign":
+        """The campaign at a size."""
+        return self.model_copy(update=size.model_dump(exclude_none=True))
 
     @property
     def seeds(self) -> range:
@@ -294,10 +302,12 @@ class Campaign(Config):
         return parse(MissionSpec, given, f"campaign {self.name}")
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; parts and lifetimes are left out where there are none: such campaigns keep their identity."""
+        """Plain data without unset parts, lifetimes and half-width: campaigns without them keep their identity."""
         data = self.model_dump(mode="json")
         if not self.parts:
             del data["parts"]
+        if self.until_halfwidth is None:
+            del data["until_halfwidth"]
         sampling = data["sampling"]
         if sampling.get("lifetime") == Lifetime().model_dump(mode="json"):
             del sampling["lifetime"]
@@ -305,22 +315,6 @@ class Campaign(Config):
             if group.get("lifetime") is None:
                 group.pop("lifetime", None)
         return data
-
-
-class Study(Config):
-    """A set of campaigns, and the views that they feed."""
-
-    name: str
-    training_flights: int = Field(100, ge=0, description="error-free flights that the detectors are trained on")
-    campaigns: dict[str, str] = Field(min_length=1, description="name or path of a campaign, by folder of its ledger")
-    views: dict[str, tuple[str, ...]] = Field(
-        default_factory=dict, description="tables of the headline, by folder; by default the leading one of its report"
-    )
-
-    @model_validator(mode="after")
-    def _consistent(self) -> "Study":
-        _check_known("views", self.views, self.campaigns)
-        return self
 
 
 def _node_keys(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -375,19 +369,10 @@ def load_campaign(name: str | Path) -> Campaign:
     Raises:
         BadInputError: There is no such file, or something in it is wrong.
     """
-    return load(Campaign, _config_path("campaigns", name))
+    return load(Campaign, config_path("campaigns", name))
 
 
-def load_study(name: str | Path) -> Study:
-    """Read a study: a path, or the name of a shipped one, e.g. "paper".
-
-    Raises:
-        BadInputError: There is no such file, or something in it is wrong.
-    """
-    return load(Study, _config_path("studies", name))
-
-
-def _config_path(folder: str, name: str | Path) -> Path:
+def config_path(folder: str, name: str | Path) -> Path:
     """File of a shipped campaign or study (folder "campaigns" or "studies"), or the path that was given."""
     if Path(name).suffix in (".yaml", ".yml"):
         return Path(name)

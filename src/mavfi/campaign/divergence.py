@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mavfi.flight_log import FlightLog
-from mavfi.states import State
+from mavfi.flight_log import COLUMNS, FlightLog
+from mavfi.states import STATES, State
 
 LEFT = 0.1  # distance beyond which a flight has left the golden run's path (m)
 
@@ -51,6 +51,63 @@ def first_difference(golden: Sequence[Publication], injected: Sequence[Publicati
             continue
         found = _difference(key[0], first, second) or found
     return found
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """How long one state, or part of the flight log, differed from the golden run's."""
+
+    name: str  # state, or group of columns of the log
+    kernel: str  # that publishes it; "" = the vehicle
+    first_us: int  # of the first value that differs
+    last_us: int  # of the last one
+    differing: int  # values that differ
+    compared: int  # values that both flights have
+    to_the_end: bool  # whether the last value that both flights have differs
+
+
+def spread(golden: Sequence[Publication], injected: Sequence[Publication]) -> list[Spread]:
+    """How an error spread from state to state, in the order in which these first differed in value.
+
+    Publications are compared by state and number; instants alone do not count.
+    """
+    numbered = _numbered(golden), _numbered(injected)
+    values: dict[str, list[tuple[int, bool]]] = {}
+    for (name, number), publication in numbered[1].items():
+        other = numbered[0].get((name, number))
+        if other is not None:
+            values.setdefault(name, []).append((publication.time_us, not other.state.same_bits(publication.state)))
+    found = [_spread(name, STATES[name].writer, pairs) for name, pairs in values.items()]
+    return sorted((one for one in found if one is not None), key=lambda one: one.first_us)
+
+
+_LOGGED = {"reference point": ("reference", "pid"), "velocity command": ("command", "pid"), "vehicle": ("", "")}
+"""Parts of the log: how their columns begin ("" = the others), and the kernel that gives them."""
+
+
+def spread_in_log(golden: FlightLog, injected: FlightLog) -> list[Spread]:
+    """The same from what two logs hold at each control tick: where publications are not known."""
+    ticks = min(len(golden.rows), len(injected.rows))
+    times = np.round(1e6 * injected.column("time")[:ticks]).astype(np.int64)
+    begins = tuple(begin for begin, _ in _LOGGED.values() if begin)
+    found = []
+    for name, (begin, kernel) in _LOGGED.items():
+        columns = [
+            place for place, column in enumerate(COLUMNS)
+            if (column.startswith(begin) if begin else column != "time" and not column.startswith(begins))
+        ]  # fmt: skip
+        bits = [np.ascontiguousarray(log.rows[:ticks, columns]).view(np.int64) for log in (golden, injected)]
+        differs = (bits[0] != bits[1]).any(axis=1)
+        found.append(_spread(name, kernel, list(zip(times.tolist(), differs.tolist(), strict=True))))
+    return sorted((one for one in found if one is not None), key=lambda one: one.first_us)
+
+
+def _spread(name: str, kernel: str, values: Sequence[tuple[int, bool]]) -> Spread | None:
+    """From instants, and whether the value then differs; None where none does."""
+    times = [time_us for time_us, differs in values if differs]
+    if not times:
+        return None
+    return Spread(name, kernel, times[0], times[-1], len(times), len(values), values[-1][1])
 
 
 def _numbered(publications: Sequence[Publication]) -> dict[tuple[str, int], Publication]:

@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from mavfi.campaign.plan import Plan
-from mavfi.campaign.run import golden_done
+from mavfi.campaign.plan import Plan, golden_done
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import FILE, Store
 

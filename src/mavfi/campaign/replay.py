@@ -3,7 +3,16 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from mavfi.campaign.divergence import Departure, Difference, Publication, departure, first_difference
+from mavfi.campaign.divergence import (
+    Departure,
+    Difference,
+    Publication,
+    Spread,
+    departure,
+    first_difference,
+    spread,
+    spread_in_log,
+)
 from mavfi.campaign.mission import MissionPlan, host_of, setup_of
 from mavfi.campaign.plan import RunSpec, arms_of
 from mavfi.campaign.run import stored_campaign
@@ -48,7 +57,7 @@ def replay(directory: Path, run_id: str) -> Replay:
 
 def fly_again(store: Store, spec: RunSpec) -> Flight:
     """Replay any run of a ledger, for its complete log; raises the errors of `replay`."""
-    host, setup = _setup_of_run(store, spec)
+    host, setup = setup_of_run(store, spec)
     flights = host.mission({spec.arm: setup}, fast_forward=False)
     flown: Recorded | Exception
     if spec.fault is None:
@@ -61,7 +70,7 @@ def fly_again(store: Store, spec: RunSpec) -> Flight:
     return flown
 
 
-def _setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
+def setup_of_run(store: Store, spec: RunSpec) -> tuple[Host, ArmSetup]:
     """Host and arm setup of a run; raises the errors of `replay`."""
     campaign = stored_campaign(store)
     host = host_of(campaign)
@@ -86,6 +95,8 @@ class Explanation:
     """None = no difference, or an instruction fault: its flight ends in a forked process, and the kernel effect in its
     log has the first difference."""
     departure: Departure
+    spread: tuple[Spread, ...] = ()
+    """Which states differed, in the order in which they began to; of a fault in an instruction, parts of the log."""
 
     @property
     def effect(self) -> Effect:
@@ -111,7 +122,10 @@ def explain(directory: Path, run_id: str) -> Explanation:
         injected, seen = _recorded(store, run.spec)
     first = first_difference(seen_golden, seen) if seen else None
     same = injected.log.digest() == stored.digest
-    return Explanation(run.spec, injected, golden, same, first, departure(golden.log, injected.log))
+    spreading = spread(seen_golden, seen) if seen else spread_in_log(golden.log, injected.log)
+    return Explanation(
+        run.spec, injected, golden, same, first, departure(golden.log, injected.log), tuple(spreading)
+    )  # fmt: skip
 
 
 def _recorded(store: Store, spec: RunSpec) -> tuple[Flight, list[Publication]]:
@@ -119,7 +133,7 @@ def _recorded(store: Store, spec: RunSpec) -> tuple[Flight, list[Publication]]:
     seen: list[Publication] = []
     if not isinstance(spec.fault, StateFault | MemoryFault | None):
         return fly_again(store, spec), seen
-    _, setup = _setup_of_run(store, spec)
+    _, setup = setup_of_run(store, spec)
     detector = None if setup.make_detector is None else setup.make_detector()
 
     def note(state: State, time_us: int) -> None:

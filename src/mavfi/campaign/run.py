@@ -22,7 +22,8 @@ from mavfi.campaign.log import Log
 from mavfi.campaign.mission import MissionPlan, fly_mission, host_of, plan_of, scenarios_of
 from mavfi.campaign.outside import held
 from mavfi.campaign.pace import Pace
-from mavfi.campaign.plan import Flown, Plan, Planned, arms_of, is_golden
+from mavfi.campaign.plan import Flown, Plan, Planned, arms_of, golden_done, is_golden
+from mavfi.campaign.sequential import Precision
 from mavfi.campaign.shard import WHOLE, Shard
 from mavfi.campaign.store import Store
 from mavfi.campaign.warm_up import fly_mission_anywhere, warm_up
@@ -80,15 +81,20 @@ class _Session:
     report: Callable[[Progress], None]
     log: Log
     total: int  # runs of the shard
+    precision: Precision | None = None  # what decides that an environment has enough missions
     pace: Pace = field(default_factory=lambda: Pace(time.perf_counter()))
     flying: set[tuple[str, int]] = field(default_factory=set)
     flown: int = 0
     counts: dict[str, tuple[int, int, int]] = field(default_factory=dict)
 
     def missions(self) -> Iterator[MissionPlan]:
-        """Incomplete missions."""
-        worlds = self.shard.worlds(self.plan.campaign)
-        return (self._mission(world) for world in worlds if not self.store.is_complete(world))
+        """Incomplete missions, environment by environment; alternating if a half-width ends the campaign."""
+        worlds: Iterable[tuple[str, int]] = self.shard.worlds(self.plan.campaign)
+        if self.precision is not None:
+            worlds = sorted(worlds, key=lambda world: world[1])
+        for world in worlds:
+            if not self.store.is_complete(world) and not (self.precision and self.precision.met(world[0])):
+                yield self._mission(world)
 
     def _mission(self, world: tuple[str, int]) -> MissionPlan:
         plan = self.plan
@@ -188,7 +194,7 @@ class _Session:
             raise MachineError(f"mission {mission.environment}-{mission.seed}: {lost.reason}")
         self.log.note("gave_up", mission=f"{mission.environment}-{mission.seed}", reason=lost.reason)
         self._plan(mission, Planned.of(self.plan.golden(*mission.world), last=True))
-        for spec in [run.spec for run in self.store.runs(done=False) if run.spec.world == mission.world]:
+        for spec in [run.spec for run in self.store.runs(done=False, world=mission.world)]:
             end = End.DUE if lost.died and spec.kind == "golden" else End.UNKNOWN
             flown = Flown.of(spec.run_id, FlightRecord(end, error=lost.reason), lost.reason)
             self.log.flown(flown)
@@ -215,15 +221,15 @@ class _Session:
     def tell(self, *, compiling: bool = False) -> None:
         """Report the progress."""
         done, total = self._done, self.total
+        if self.precision is not None and self.flying:
+            total = max(done + 1, round(total * self.precision.expected() / self.plan.campaign.total_missions))
         golden_left = self.plan.golden_count(self.shard) - golden_done(self.counts)
         left = {True: golden_left, False: total - done - golden_left}
         remaining_s = self.pace.remaining_s(left, len(self.flying))
-        self.report(
-            Progress(
-                done, total, dict(self.counts), flown=self.flown, rate=self.pace.rate, remaining_s=remaining_s,
-                compiling=compiling,
-            )
-        )  # fmt: skip
+        self.report(Progress(
+            done, total, dict(self.counts), flown=self.flown, rate=self.pace.rate, remaining_s=remaining_s,
+            compiling=compiling,
+        ))  # fmt: skip
 
 
 def run_campaign(
@@ -262,7 +268,7 @@ def run_campaign(
         })  # fmt: skip
         session = _Session(
             plan, store, models_dir, fast_forward, shard, progress or (lambda _: None), Log(directory),
-            plan.count(shard), counts=store.counts(),
+            plan.count(shard), Precision.of(campaign, store, shard), counts=store.counts(),
         )  # fmt: skip
         with session.logged(executor):
             first = next(session.missions(), None)
@@ -273,6 +279,8 @@ def run_campaign(
                 if host.in_process and executor.forks:
                     warm_up(first)
             session.fly(executor)
+            if session.precision is not None:
+                store.write_meta({"missions": len(store.planned())})
         return status(directory)
 
 
@@ -339,11 +347,6 @@ def status(directory: Path) -> Status:
     """
     with Store.open(directory) as store:
         return status_of(store)
-
-
-def golden_done(counts: Mapping[str, tuple[int, int, int]]) -> int:
-    """Number of completed golden runs, from the counts by setting."""
-    return sum(done for setting, (_, done, _) in counts.items() if is_golden(setting))
 
 
 def status_of(store: Store) -> Status:

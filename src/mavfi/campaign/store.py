@@ -265,10 +265,11 @@ class Store:
         query = "SELECT 1 FROM runs WHERE environment = ? AND seed = ? AND record IS NULL"
         return self.is_planned(world) and self._connection.execute(query, world).fetchone() is None
 
-    def runs(self, *, done: bool | None = None) -> Iterator[Run]:
-        """Rows in plan order; `done` selects completed (True) or missing (False) ones."""
+    def runs(self, *, done: bool | None = None, world: tuple[str, int] | None = None) -> Iterator[Run]:
+        """Rows in plan order; `done` selects completed (True) or missing (False) ones, `world` those of a mission."""
         chosen = {None: "1", True: "record IS NOT NULL", False: "record IS NULL"}[done]
-        for row in self._connection.execute(f"SELECT {_RUN} FROM runs WHERE {chosen} ORDER BY position"):
+        chosen += " AND environment = ? AND seed = ?" * (world is not None)
+        for row in self._connection.execute(f"SELECT {_RUN} FROM runs WHERE {chosen} ORDER BY position", world or ()):
             yield self._run(*row)
 
     def planned(self) -> list[tuple[str, int]]:

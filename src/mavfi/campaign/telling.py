@@ -1,11 +1,13 @@
 """The run of a campaign that says most, flown again: injected, golden, and with a detector that saves the mission."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import polars as pl
 
+from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.plan import FI
 from mavfi.campaign.replay import fly_again
 from mavfi.campaign.store import Store
@@ -40,6 +42,20 @@ def fly_telling_run(store: Store, runs: pl.DataFrame) -> Telling | None:
     golden = fly_again(store, replace(spec, fault=None))
     recovered = None if saved is None else fly_again(store, store.run(saved["run_id"]).spec)
     return Telling(injected, saved, fly_again(store, spec), golden, recovered)
+
+
+def with_flights(runs: Runs, directory: Path, run_ids: Iterable[str]) -> Runs:
+    """The runs of a ledger, with some of them flown again as whole flights.
+
+    Raises:
+        BadInputError: There is no such run, or its host cannot fly it again.
+    """
+    wanted = list(dict.fromkeys(run_ids))
+    if not wanted:
+        return runs
+    with Store.open(directory) as store:
+        flights = {run_id: fly_again(store, store.run(run_id).spec) for run_id in wanted}
+    return replace(runs, flights={**runs.flights, **flights})
 
 
 def choose(runs: pl.DataFrame) -> tuple[Row, Row | None] | None:

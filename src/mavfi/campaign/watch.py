@@ -12,7 +12,8 @@ from mavfi.campaign.log import entries
 from mavfi.campaign.mission import plan_of
 from mavfi.campaign.outside import is_written
 from mavfi.campaign.pace import left_s
-from mavfi.campaign.run import Status, golden_done, shard_of, status_of, stored_campaign
+from mavfi.campaign.plan import golden_done
+from mavfi.campaign.run import Status, shard_of, status_of, stored_campaign
 from mavfi.campaign.store import Store
 
 WINDOW_S = 300.0

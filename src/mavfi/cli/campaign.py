@@ -38,6 +38,7 @@ def run(  # noqa: PLR0913 - options
     scheduler: options.Scheduler = "",
     shard: options.Shard = "1/1",
     scale: Annotated[str, typer.Option(help="quick, or another size that the campaign names, e.g. paper.")] = "quick",
+    until_halfwidth: options.UntilHalfwidth = None,
     models: Annotated[Path | None, typer.Option(help="Folder of trained models; the shipped ones by default.")] = None,
     fast_forward: Annotated[
         bool,
@@ -61,7 +62,7 @@ def run(  # noqa: PLR0913 - options
     from mavfi.campaign.shard import WHOLE, Shard
     from mavfi.cli.progress import Bar
 
-    campaign = load_campaign(config).at_scale(scale)
+    campaign = options.until(load_campaign(config).at_scale(scale), until_halfwidth)
     ledger = out or Path("out") / campaign.name
     flown_by, part = options.executor_of(executor, scheduler, workers), Shard.parse(shard, "--shard")
     if dry_run:

@@ -20,6 +20,7 @@ from mavfi.cli import (
     reproduce,
     ros,
     runs,
+    shrink,
     states,
     train,
     vulnerability,
@@ -41,7 +42,8 @@ app = typer.Typer(
 )
 for verb in (
     fly.fly, export.export, inject.inject, states.states, train.train, report.report, runs.runs, replay.replay,
-    explain.explain, failures.failures, vulnerability.vulnerability, redundancy.redundancy, reproduce.reproduce,
+    explain.explain, shrink.shrink, failures.failures, vulnerability.vulnerability, redundancy.redundancy,
+    reproduce.reproduce,
 ):  # fmt: skip
     app.command(verb.__name__)(verb)
 for verb in (pack.pack, pack.unpack):

@@ -5,6 +5,8 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Self
 
 from rich.console import Group
 from rich.live import Live
@@ -35,7 +37,7 @@ class Bar:
         self._held: int | None = None
         self._waits = True
 
-    def __enter__(self) -> "Bar":
+    def __enter__(self) -> Self:
         if self._console.is_terminal:
             self._live.start()
         return self
@@ -75,6 +77,44 @@ class Bar:
         if now - self._told >= _LINE_EVERY or done == total:
             self._told = now
             self._console.print(f"{self._label} {done}/{total} {self._unit}  {pace}".rstrip())
+
+
+@dataclass(slots=True)
+class Part:
+    """A part of a study."""
+
+    done: int  # flights
+    total: int
+    seconds: float  # that a flight may take; decides how much a part counts in the time that is left
+
+
+class StudyBar(Bar):
+    """Progress over all parts of a study, flown one after the other; the time left is that of all of them."""
+
+    def __init__(self, label: str, parts: dict[str, Part]) -> None:
+        super().__init__(label, "flights")
+        self._parts, self._part, self._name = parts, next(iter(parts.values())), label
+        self._started, self._at_start = time.perf_counter(), self._sum("done")
+
+    def begin(self, name: str, words: str) -> None:
+        """The next part begins."""
+        self._part = self._parts[name]
+        place = list(self._parts).index(name) + 1
+        self._label = f"{self._name}, {words} ({place} of {len(self._parts)})"
+        self._bar.update(self._task, description=self._label)
+
+    def _tell(self, done: int, total: int, pace: str) -> None:
+        self._part.done, self._part.total = done, total
+        seconds, worth = time.perf_counter() - self._started, self._sum("done") - self._at_start
+        if worth > 0:
+            left = self._sum("total") - self._sum("done")
+            pace = time_left(left * seconds / worth)
+        parts = self._parts.values()
+        super()._tell(sum(part.done for part in parts), sum(part.total for part in parts), pace)
+
+    def _sum(self, key: str) -> float:
+        """Flights of all parts, each as long as it may take (s)."""
+        return sum(float(getattr(part, key)) * part.seconds for part in self._parts.values())
 
 
 @contextmanager

@@ -33,7 +33,8 @@ def redundancy(
 
     from mavfi.campaign.analysis.redundancy_views import redundancy_tables, summary
     from mavfi.platforms.redundancy import find_design, shipped_designs
-    from mavfi.reports import redundancy_figure, style
+    from mavfi.reports import style
+    from mavfi.reports.figures.redundancy import redundancy as draw
     from mavfi.reports.terminal import show_table
 
     if as_csv and as_json:
@@ -43,7 +44,7 @@ def redundancy(
     tables = redundancy_tables(designs)
     if picture is not None:
         with style.house_style():
-            style.write(redundancy_figure.redundancy(designs), picture)
+            style.write(draw(designs), picture)
     if as_json:
         write_json({"summary": summary(designs), "tables": {table.name: table.to_json() for table in tables}})
         return

@@ -1,6 +1,7 @@
-"""`mavfi reproduce`: train the detectors, fly the campaigns of a study, write its reports, end with the headline."""
+"""`mavfi reproduce`: train the detectors, fly the campaigns of a study, write its reports, end with its tables."""
 
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +13,9 @@ from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
-    from mavfi.campaign.config import Campaign, Study
+    from mavfi.campaign.config import Campaign
+    from mavfi.campaign.study import Study
+    from mavfi.cli.progress import Part
     from mavfi.mission import MissionSpec
 
 MODELS = "models"
@@ -22,59 +25,76 @@ MODELS = "models"
 def reproduce(  # noqa: PLR0913 - one parameter per option
     study: Annotated[str, typer.Argument(metavar="[STUDY.yaml]", help="A YAML file, or a shipped study.")] = "paper",
     scale: Annotated[
-        str, typer.Option(help="quick: 30 missions per environment (instruction level: 13); paper: 100.")
+        str, typer.Option(help="quick: minutes on two cores; paper: as many missions as the paper, about 20,000.")
     ] = "quick",
     out: Annotated[Path, typer.Option(help="Folder of everything that is written.")] = Path("out/reproduce"),
     workers: options.Workers = 2,
+    until_halfwidth: options.UntilHalfwidth = None,
     show_all: options.AllTables = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Train the detectors, fly the paper's success table at both levels, write the reports.
+    """Train the detectors, fly the campaigns of a study, and show the paper's tables and findings beside them.
 
-    The campaigns of the study are flown one after the other, each into a folder of its own.
+    The campaigns are flown one after the other, each into a folder of its own.
 
     Ctrl-C stops (exit code 130); the same command resumes.
 
     Example: [bold]mavfi reproduce --scale quick --out out/reproduce[/bold]
     """
-    from mavfi.campaign.config import load_campaign, load_study
     from mavfi.campaign.executors.local import LocalExecutor
     from mavfi.campaign.run import run_campaign
-    from mavfi.cli.progress import Bar, duration
+    from mavfi.campaign.study import load_study
+    from mavfi.campaign.training import train
+    from mavfi.cli.progress import Part, StudyBar, duration
+    from mavfi.reports.study_report import check_names
 
     begun = time.perf_counter()
     chosen = load_study(study)
-    campaigns = {out / folder: load_campaign(name).at_scale(scale) for folder, name in chosen.campaigns.items()}
+    check_names(chosen, study)
+    found = chosen.campaigns_at(scale)
+    campaigns = {folder: options.until(campaign, until_halfwidth) for folder, campaign in found.items()}
     executor = LocalExecutor(workers)
-    _check_views(study, chosen)
     for folder, campaign in campaigns.items():
-        _check_ledger(campaign, folder)
+        _check_ledger(campaign, out / folder)
     check_folder(out)
-    watched = [campaign for campaign in campaigns.values() if any(arm.detector for arm in campaign.arms.values())]
-    with stoppable(f"Stopped. What is done is kept in {out}; the same command resumes."):
-        for campaign, mission in [(one, mission) for one in watched for mission in _missions(one)]:
-            if not _trained(campaign, mission, out / MODELS, chosen.training_flights):
-                from mavfi.campaign.training import train
-
-                with Bar("training flights") as bar:
-                    train(out / MODELS, chosen.training_flights, mission, workers=workers, progress=bar.show)
+    flights = chosen.training_flights
+    lacking = _untrained(campaigns.values(), out / MODELS, flights)
+    parts = {f"training {place}": Part(0, flights, 1.0 / workers) for place in range(1, 1 + len(lacking))}
+    parts |= {folder: _part(campaign, out / folder, workers) for folder, campaign in campaigns.items()}
+    stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
+    with stoppable(stopped), StudyBar(f"study {chosen.name}", parts) as bar:
+        for place, mission in enumerate(lacking, 1):
+            bar.begin(f"training {place}", "training flights")
+            train(out / MODELS, flights, mission, workers=workers, progress=bar.show)
         for folder, campaign in campaigns.items():
-            with Bar(f"{campaign.name}, {campaign.missions} missions per environment", "runs") as bar:
-                show = bar.show_campaign
-                run_campaign(campaign, folder, executor=executor, models_dir=out / MODELS, progress=show)
-    _report(campaigns, {out / folder: names for folder, names in chosen.views.items()}, show_all, as_json)
+            bar.begin(folder, f"campaign {campaign.name}")
+            show = bar.show_campaign
+            run_campaign(campaign, out / folder, executor=executor, models_dir=out / MODELS, progress=show)
+    _report(chosen, out, show_all, as_json)
     if not as_json:
         where = f"The models are in {out / MODELS}. It took {duration(time.perf_counter() - begun)}."
         console().print(where, soft_wrap=True)
 
 
-def _check_views(where: str, study: "Study") -> None:
-    from mavfi.campaign.analysis import VIEWS
+def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["MissionSpec"]:
+    """Missions for which detectors must be trained first, each once."""
+    found: dict[tuple[str, ...], MissionSpec] = {}
+    for campaign in campaigns:
+        for mission in _missions(campaign) if any(arm.detector for arm in campaign.arms.values()) else ():
+            if not _trained(campaign, mission, folder, flights):
+                found.setdefault(tuple(_trained_for(mission).values()), mission)
+    return list(found.values())
 
-    for folder, names in study.views.items():
-        for name in names:
-            if name not in VIEWS:
-                raise BadInputError(f"{where}: views: {folder}: {name!r}: not known; allowed: {', '.join(VIEWS)}")
+
+def _part(campaign: "Campaign", folder: Path, workers: int) -> "Part":
+    """What is done of a campaign, what it plans at most, and how long its flights may take."""
+    from mavfi.campaign.forecast import forecast
+    from mavfi.campaign.mission import plan_of
+    from mavfi.cli.progress import Part
+
+    found = forecast(plan_of(campaign, {}, {}), folder, workers)
+    total = found.golden + found.injected
+    return Part(found.done, total, (found.seconds or 0.0) / max(1, total - found.done))
 
 
 def _check_ledger(campaign: "Campaign", folder: Path) -> None:
@@ -97,7 +117,7 @@ def _check_ledger(campaign: "Campaign", folder: Path) -> None:
 
 
 def _missions(campaign: "Campaign") -> list["MissionSpec"]:
-    """The missions that detectors are trained for: one for each platform."""
+    """The missions that detectors of a campaign are trained for: one for each platform."""
     found: dict[str, MissionSpec] = {}
     for environment in campaign.environments:
         mission = campaign.spec(environment, campaign.first_seed)
@@ -105,15 +125,17 @@ def _missions(campaign: "Campaign") -> list["MissionSpec"]:
     return list(found.values())
 
 
+def _trained_for(mission: "MissionSpec") -> dict[str, str]:
+    """What of a mission decides the models of its detectors."""
+    return {"stack": mission.autopilot, "platform": mission.platform, "planner": mission.planner}
+
+
 def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights: int) -> bool:
     """Whether the folder holds the models of a campaign's arms that training for a mission would give."""
     from mavfi.campaign.fingerprint import versions
     from mavfi.detectors.model import Model
 
-    here = versions()
-    wanted = {
-        "stack": mission.autopilot, "platform": mission.platform, "planner": mission.planner, "flights": flights,
-    }  # fmt: skip
+    here, wanted = versions(), {**_trained_for(mission), "flights": flights}
     held = set()
     for path in sorted(folder.glob("*.json")):
         try:
@@ -127,19 +149,27 @@ def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights
     return all((arm.detector, arm.profile) in held for arm in campaign.arms.values() if arm.detector)
 
 
-def _report(
-    campaigns: dict[Path, "Campaign"], views: dict[Path, tuple[str, ...]], show_all: bool, as_json: bool
-) -> None:
-    """Write the report of each campaign, and print its headline, or its JSON by name of the campaign."""
-    from mavfi.cli.report import show_report
+def _report(study: "Study", out: Path, show_all: bool, as_json: bool) -> None:
+    """Write the reports of the campaigns and of the study; print the first table of each section, or all as JSON."""
     from mavfi.reports.campaign_report import write_report
+    from mavfi.reports.study_report import MARKDOWN, write_study
+    from mavfi.reports.terminal import show_table
 
-    written = {folder: write_report(folder) for folder in campaigns}
+    reports = {folder: write_report(out / folder) for folder in study.campaigns}
+    written = write_study(study, out)
     if as_json:
-        write_json({campaigns[folder].name: report.to_json() for folder, report in written.items()})
+        write_json(written.to_json())
         return
-    for folder, report in written.items():
-        show_report(report, show_all, views.get(folder, ()))
-    for folder, report in written.items():
+    for section in written.sections:
+        tables, title = section.tables if show_all else section.tables[:1], section.section.title
+        if not tables or tables[0].title != title:
+            console().print(f"[bold]{title}[/bold]", soft_wrap=True)
+        for table in tables:
+            show_table(table, console())
+        for file in section.captions if not tables else ():
+            console().print(str(out / file), soft_wrap=True)
+    show_table(written.times, console())
+    for folder, report in reports.items():
         names = ", ".join(path.name for path in report.files)
-        console().print(f"[bold]{folder}[/bold] holds the ledger, and: {names}", soft_wrap=True)
+        console().print(f"[bold]{out / folder}[/bold] holds the ledger, and: {names}", soft_wrap=True)
+    console().print(f"[bold]{out / MARKDOWN}[/bold] is the report of the study.", soft_wrap=True)

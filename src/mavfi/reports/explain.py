@@ -1,10 +1,10 @@
 """What a fault did, step by step, against the golden run: the same story for faults of every level."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from mavfi.campaign.divergence import LEFT, Departure, Difference
+from mavfi.campaign.divergence import LEFT, Departure, Difference, Spread
 from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import Explanation
 from mavfi.faults.fault import Fault
@@ -44,11 +44,28 @@ def lines(found: Explanation) -> Lines:
         story += injection_lines(injection, spec.fault, log)
     if log.kernel is None:
         story.append(("first difference", _difference(found.first)))
+    story += spread_lines(found.spread)
     story.append(("path", _path(found.departure)))
     story += alarm_lines(log, golden) or [("alarms", "none" if spec.detector else "none; no detector watched")]
     watching = ", with the detector on" if spec.detector else ""
     story.append(("golden run", f"the same mission without the fault{watching}: {_end(golden)}"))
     story.append(("end", _end(log)))
+    return story
+
+
+def spread_lines(found: Sequence[Spread]) -> Lines:
+    """Which values differed from the golden run's, kernel by kernel, from when on, and when that ended."""
+    if not found:
+        return []
+    ended = not any(one.to_the_end for one in found)
+    last = 1e-6 * max(one.last_us for one in found)
+    head = f"the error died out: nothing differs after {last:.3f} s" if ended else "the error lasted to the end"
+    story = [("spread", head)]
+    for one in found:
+        by = f" ({one.kernel})" if one.kernel else ""
+        end = "to the end" if one.to_the_end else f"to {1e-6 * one.last_us:.3f} s"
+        count = f"{one.differing} of {one.compared} values differ"
+        story.append(("", f"{1e-6 * one.first_us:.3f} s, {one.name}{by}: {count}, {end}"))
     return story
 
 
@@ -241,6 +258,7 @@ def to_json(found: Explanation) -> dict[str, Any]:
             "golden_time_s": _seconds(first.golden_us), "injected_time_s": _seconds(first.injected_us),
             "golden": first.golden, "injected": first.injected,
         },
+        "spread": [asdict(one) for one in found.spread],
         "left_path": {
             "threshold_m": LEFT, "time_s": parted.time_s, "position": parted.position,
             "largest_m": parted.largest_m, "largest_time_s": parted.largest_s, "behind_s": parted.behind_s,

@@ -100,20 +100,20 @@ def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None, de
         thin = {"color": style.BLUE, "linewidth": 1.2, "zorder": 6}
         wide = {"color": style.SKY, "linewidth": 6.0, "zorder": 4}  # seen even where all three are the same path
         look = thin if recovered is None else wide
-        courses.append(_Drawn("golden run", _positions(golden), look))
+        courses.append(_Drawn("golden run", positions(golden), look))
     injected = bool(flight.log.injections)
     watched = "" if recovered is not None or not detector else f"detector {detector}"
     label = " and ".join(part for part in ("with the fault" if injected else "", watched) if part) or "flight"
     look = {"color": style.ORANGE, "linewidth": 3.6} if injected else {"color": style.BLUE, "linewidth": 2.6}
-    courses.append(_Drawn(label, _positions(flight), look | {"zorder": 5, "path_effects": _HALO}))
+    courses.append(_Drawn(label, positions(flight), look | {"zorder": 5, "path_effects": _HALO}))
     if recovered is not None:
         look = {"color": style.GREEN, "linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 7}
         label = f"with the fault and detector {detector}".rstrip()
-        courses.append(_Drawn(label, _positions(recovered), look))
+        courses.append(_Drawn(label, positions(recovered), look))
     return courses
 
 
-def _positions(flight: Flight, times: list[float] | None = None) -> np.ndarray:
+def positions(flight: Flight, times: list[float] | None = None) -> np.ndarray:
     """Where the vehicle was, at all or some instants, without points that are not finite. Shape (n, 3)."""
     points = flight.log.columns("x", "y", "z")
     if times is not None:
@@ -159,7 +159,7 @@ def _draw_world(views: Views, world: World, course: np.ndarray) -> None:
         _draw_scan(views, world, course)
         return
     every = np.ones(len(world.lower), bool)
-    for (axes, index), kept in zip(views, (every, _near(world, course)), strict=True):
+    for (axes, index), kept in zip(views, (every, near_boxes(world, course)), strict=True):
         boxes = [
             Rectangle((low[0], low[index]), high[0] - low[0], high[index] - low[index])
             for low, high in zip(world.lower[kept], world.upper[kept], strict=True)
@@ -168,7 +168,7 @@ def _draw_world(views: Views, world: World, course: np.ndarray) -> None:
     views[1][0].axhline(0.0, color=_EDGE, linewidth=0.8, zorder=1)
 
 
-def _near(world: World, course: np.ndarray) -> np.ndarray:
+def near_boxes(world: World, course: np.ndarray) -> np.ndarray:
     """Mask of the boxes within about `NEAR` of the path, seen from above. Shape (boxes,), bool."""
     points = course[:: max(1, len(course) // 500), :2]
     below = world.lower[:, None, :2] - points[None]
@@ -216,7 +216,7 @@ def _draw_map(views: Views, flight: Flight, limits: tuple[np.ndarray, np.ndarray
     centres = corner + (np.stack([ix, iy, iz], axis=1) + 0.5) * grid.resolution
     lower, upper = limits
     centres = centres[((centres > lower) & (centres < upper)).all(axis=1)]
-    course = _positions(flight)[::10]
+    course = positions(flight)[::10]
     if flight.world.is_voxels:  # the same slices as of the world: the map of a corridor would cover all
         from_above = centres[np.abs(centres[:, 2] - np.median(course[:, 2])) < 1.5 * grid.resolution]
         from_side = centres[_distance(centres, course) < grid.resolution]
@@ -250,10 +250,10 @@ def _marks(flight: Flight) -> list[_Drawn]:
     times = [injection.time_s for injection in log.injections if injection.activated]
     if times:
         look = {"marker": "*", "markersize": 17, "color": style.AMBER, **_DARK_EDGE}
-        marks.append(_Drawn("injection", _positions(flight, times), look))
+        marks.append(_Drawn("injection", positions(flight, times), look))
     if log.status is not MissionStatus.SUCCESS:
         look = {"marker": "X", "markersize": 11, "color": style.ORANGE}
-        marks.append(_Drawn(log.status.label.replace("_", " "), _positions(flight)[-1:], look))
+        marks.append(_Drawn(log.status.label.replace("_", " "), positions(flight)[-1:], look))
     return marks
 
 
@@ -263,7 +263,7 @@ def _alarm_marks(flight: Flight) -> list[_Drawn]:
     kinds = (("other alarm" if near else "alarm", others, "white"), ("alarm at the injection", near, style.PURPLE))
     look: dict[str, Any] = {"marker": "v", "markersize": 9, **_DARK_EDGE}
     return [
-        _Drawn(label, _positions(flight, times), look | {"color": fill}, lift=14.0)
+        _Drawn(label, positions(flight, times), look | {"color": fill}, lift=14.0)
         for label, times, fill in kinds
         if times
     ]

@@ -3,7 +3,7 @@ import json
 import pytest
 import yaml
 
-from mavfi.campaign.config import Campaign, Study, load_campaign, load_study
+from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.mission import plan_of
 from mavfi.campaign.plan import arms_of
 from mavfi.config import config_root, parse
@@ -38,18 +38,6 @@ def test_shipped_campaigns_are_valid_and_survive_the_ledger(name):
     again = Campaign.model_validate(campaign.to_json())
     assert again == campaign
     assert count(campaign) > 0
-
-
-def test_shipped_studies_name_campaigns():
-    study = load_study("paper")
-    assert study.campaigns == {".": "table1", "instructions": "table1_instructions"}
-    for path in (config_root() / "studies").glob("*.yaml"):
-        for name in load_study(path.stem).campaigns.values():
-            load_campaign(name)
-    with pytest.raises(BadInputError, match="study 'table1': not known; allowed: paper, or a path"):
-        load_study("table1")
-    with pytest.raises(BadInputError, match="campaigns"):
-        parse(Study, {"name": "s", "campaigns": {}}, "s.yaml")
 
 
 def test_table1_has_the_size_of_the_paper():

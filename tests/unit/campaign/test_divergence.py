@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from mavfi.campaign.divergence import Publication, departure, first_difference
+from mavfi.campaign.divergence import Publication, departure, first_difference, spread, spread_in_log
 from mavfi.flight_log import COLUMNS, FlightLog
 from mavfi.mission import MissionStatus
-from mavfi.states import new_state
+from mavfi.states import STATES, new_state
 
 
 def _publication(time_us, x=1.0, name="planning.waypoint"):
@@ -118,3 +118,41 @@ def test_paths_that_stay_together_do_not_part():
     found = departure(_log([0, 0]), _log([0, 0.01]))
     assert found.time_s is None
     assert found.largest_m == pytest.approx(0.01)
+
+
+def test_an_error_spreads_from_state_to_state_and_may_die_out():
+    def odometry(time_us, x=1.0):
+        return _publication(time_us, x, "sensor.odometry")
+
+    golden = [_publication(0), odometry(1), _publication(2), odometry(3), _publication(4), odometry(5)]
+    injected = [_publication(0), odometry(1), _publication(2, 9.0), odometry(3, 8.0), _publication(4), odometry(5, 8.0)]
+    first, second = spread(golden, injected)
+    assert (first.name, first.first_us, first.last_us, first.differing, first.compared) == (
+        "planning.waypoint",
+        2,
+        2,
+        1,
+        3,
+    )
+    assert not first.to_the_end and second.to_the_end
+    assert (second.name, second.first_us, second.kernel) == ("sensor.odometry", 3, STATES["sensor.odometry"].writer)
+    late = [*golden[:-1], odometry(9)]
+    assert spread(golden, late) == [], "an instant is no value"
+
+
+def test_an_error_in_the_log_is_told_by_its_columns():
+    rows = np.zeros((10, len(COLUMNS)))
+    rows[:, 0] = np.arange(10) / 10
+    other = rows.copy()
+    other[3:5, COLUMNS.index("command_vx")] = 1.0
+    other[4:, COLUMNS.index("y")] = 0.1
+    logs = [FlightLog(part, MissionStatus.SUCCESS, [], [], [], {}) for part in (rows, other)]
+    first, second = spread_in_log(*logs)
+    assert (first.name, first.first_us, first.last_us, first.to_the_end) == (
+        "velocity command",
+        300_000,
+        400_000,
+        False,
+    )
+    assert (second.name, second.first_us, second.differing, second.to_the_end) == ("vehicle", 400_000, 6, True)
+    assert spread_in_log(logs[0], logs[0]) == []

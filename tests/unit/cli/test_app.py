@@ -15,7 +15,7 @@ from mavfi.version import __version__
 
 VERBS = (
     ["fly"], ["states"], ["train"], ["campaign"], ["campaign", "run"], ["campaign", "status"], ["campaign", "digest"],
-    ["report"], ["runs"], ["replay"], ["explain"], ["vulnerability"], ["reproduce"], ["export"], ["inject"],
+    ["report"], ["runs"], ["replay"], ["explain"], ["shrink"], ["vulnerability"], ["reproduce"], ["export"], ["inject"],
 )  # fmt: skip
 
 

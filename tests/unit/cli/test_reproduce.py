@@ -5,7 +5,7 @@ import yaml
 
 from mavfi.campaign.analysis import VIEWS
 from mavfi.cli import run
-from mavfi.cli.progress import Bar
+from mavfi.cli.progress import StudyBar
 from tests.unit.campaign.fakes import HOST
 
 
@@ -33,7 +33,9 @@ def test_it_trains_flies_prints_and_writes_and_resumes_where_it_stopped(capsys, 
     arguments = ["reproduce", study(tmp_path), "--out", str(out), "--workers", "1"]
     assert run(arguments) == 0
     text = capsys.readouterr().out
-    assert 0 <= text.index("campaign table1 ") < text.index("campaign table1_instructions ") < text.index("It took")
+    states, instructions = (VIEWS[name].title for name in ("success_as_in_the_paper", "instructions_as_in_the_paper"))
+    assert 0 <= text.index(states) < text.index(instructions) < text.index("It took")
+    assert {"study.md", "study.json"} <= {path.name for path in out.iterdir()}
     files = {"campaign.sqlite", "report.md", "readme_block.md", "summary.json"}
     assert files | {"models", "instructions"} <= {path.name for path in out.iterdir()}
     assert files <= {path.name for path in (out / "instructions").iterdir()}
@@ -44,38 +46,49 @@ def test_it_trains_flies_prints_and_writes_and_resumes_where_it_stopped(capsys, 
 
     monkeypatch.setattr("mavfi.campaign.training.train", never)
     assert run([*arguments, "--json"]) == 0
-    assert set(json.loads(capsys.readouterr().out)) == {"table1", "table1_instructions"}
+    assert set(json.loads(capsys.readouterr().out)["campaigns"]) == {".", "instructions"}
 
 
 @pytest.mark.slow
-def test_the_headline_of_a_study_is_the_one_it_names(capsys, tmp_path, monkeypatch):
+def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(capsys, tmp_path, monkeypatch):
     monkeypatch.setattr("mavfi.campaign.training.train", lambda *_, **__: None)
     changes = {name: {"arms": {}} for name in ("table1", "table1_instructions")}
-    changes["study"] = {"views": {".": ["outcomes", "golden_flights"]}}
-    assert run(["reproduce", study(tmp_path, **changes), "--out", str(tmp_path / "out"), "--workers", "1"]) == 0
-    states, _, instructions = " ".join(capsys.readouterr().out.split()).partition("campaign table1_instructions")
-    assert VIEWS["outcomes"].title in states and VIEWS["golden_flights"].title in states
-    assert VIEWS["success_as_in_the_paper"].title not in states
-    assert VIEWS["instructions_as_in_the_paper"].title in instructions
+    sections = [
+        {"title": "One", "campaign": "instructions", "views": ["kernel_effects", "kernel_missions"]},
+        {"title": "Two", "campaign": ".", "views": ["golden_flights"], "figures": ["sites"]},
+    ]
+    changes["study"] = {"sections": sections}
+    out = tmp_path / "out"
+    assert run(["reproduce", study(tmp_path, **changes), "--out", str(out), "--workers", "1"]) == 0
+    printed = capsys.readouterr().out
+    titles = ["One", VIEWS["kernel_effects"].title, "Two", VIEWS["golden_flights"].title]
+    assert sorted(titles, key=printed.index) == titles
+    assert VIEWS["kernel_missions"].title not in printed, "the first table of a section is printed"
+    report = (out / "study.md").read_text(encoding="utf-8")
+    assert VIEWS["kernel_missions"].title in report and "(figures/table1_sites.png)" in report
+    assert (out / "figures" / "table1_sites.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(
-    ("views", "told"),
+    ("section", "told"),
     [
-        ({".": ["nothing"]}, "small.yaml: views: .: 'nothing': not known; allowed: success_as_in_the_paper, "),
-        ({"elsewhere": ["success"]}, "views: 'elsewhere': not known; allowed: ., instructions"),
+        ({"campaign": ".", "views": ["none"]}, "small.yaml: section 'a': views: 'none': not known; allowed: success"),
+        ({"campaign": ".", "figures": ["none"]}, "section 'a': figures: 'none': not known; allowed: success"),
+        ({"claims": ["none"]}, "section 'a': claims: 'none': not known; allowed:"),
+        ({"campaign": "elsewhere", "views": ["success"]}, "campaign: 'elsewhere': not known; allowed: ., instructions"),
     ],
 )
-def test_wrong_views_are_refused_before_anything_is_flown(views, told, capsys, tmp_path):
+def test_wrong_names_are_refused_before_anything_is_flown(section, told, capsys, tmp_path):
     out = tmp_path / "out"
-    assert run(["reproduce", study(tmp_path, study={"views": views}), "--out", str(out)]) == 2
+    sections = [{"title": "a", **section}]
+    assert run(["reproduce", study(tmp_path, study={"sections": sections}), "--out", str(out)]) == 2
     assert told in capsys.readouterr().err and not out.exists()
 
 
 @pytest.mark.slow
 def test_training_that_is_stopped_resumes(capsys, tmp_path, monkeypatch):
     out, arguments = tmp_path / "out", ["reproduce", study(tmp_path), "--workers", "1"]
-    show, told = Bar.show, []
+    show, told = StudyBar.show, []
 
     def stop(bar, done, total):
         told.append((done, total))
@@ -83,7 +96,7 @@ def test_training_that_is_stopped_resumes(capsys, tmp_path, monkeypatch):
         if done == 2 and len(told) > 1:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(Bar, "show", stop)
+    monkeypatch.setattr(StudyBar, "show", stop)
     monkeypatch.setattr("mavfi.campaign.run.run_campaign", lambda *_, **__: None)
     monkeypatch.setattr("mavfi.cli.reproduce._report", lambda *_: None)
     assert run([*arguments, "--out", str(out)]) == 130

@@ -3,7 +3,8 @@ import pytest
 
 from mavfi.campaign.analysis.rows import SCHEMA
 from mavfi.campaign.analysis.runs import Runs
-from mavfi.reports import figures, style
+from mavfi.reports import style
+from mavfi.reports.figures import campaign as figures
 
 COMMON = {
     "kind": "injected", "setting": "fi", "arm": "", "detector": "", "detector_profile": "", "environment": "dense",

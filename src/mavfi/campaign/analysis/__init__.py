@@ -9,9 +9,12 @@ from mavfi.campaign.analysis import (  # noqa: F401  (in the order of reports, t
     flight_views,
     kernel_views,
     node_views,
+    paper_claims,
+    paper_views,
     platform_views,
     redundancy_views,
     scheme_views,
+    sequence_views,
 )  # fmt: skip
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Column, Table

@@ -15,6 +15,7 @@ from mavfi.campaign.config import (
     StateSampling,
 )
 from mavfi.campaign.run import status, stored_campaign
+from mavfi.campaign.sequential import Precision
 from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
 
@@ -38,7 +39,9 @@ def describe(store: Store) -> dict[str, Any]:
         "arms": {name: arm.model_dump(mode="json") for name, arm in campaign.arms.items()},
         "models": store.meta("identity")["models"], "confidence": CONFIDENCE, "versions": store.meta("versions") or {},
         "overheads": overheads.load(store.directory), "digest": store.digest(), "done": progress.done,
-        "total": progress.total, **drawn(campaign.sampling, campaign),
+        "total": progress.total, "until_halfwidth": campaign.until_halfwidth,
+        "sequence": list(Precision(campaign, store).rows()) if campaign.until_halfwidth else [],
+        **drawn(campaign.sampling, campaign),
     }  # fmt: skip
 
 
@@ -76,6 +79,8 @@ def _flights(campaign: Campaign, each: str, how: str) -> dict[str, Any]:
     every = [campaign.spec(name, campaign.first_seed) for name in campaign.environments]
     seeds = f"seeds {campaign.seeds.start} to {campaign.seeds.stop - 1}"
     lines = [f"{campaign.missions} missions per environment ({seeds}), {campaign.faults} faults per {each}, {how}"]
+    if campaign.until_halfwidth:
+        lines[0] = f"at most {lines[0]}; until success is known to ±{100 * campaign.until_halfwidth:g} points"
     if campaign.arms:
         arms = ", ".join(_arm(name, arm) for name, arm in sorted(campaign.arms.items()))
         lines.append(f"arms: {arms}; coupling {mission.coupling}; monitored set {campaign.monitored_set}")

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import polars as pl
 
 from mavfi.campaign.analysis import measures as m
+from mavfi.campaign.analysis.paper_views import leading_faults
 from mavfi.campaign.analysis.rows import ALL_BITS, KERNEL_DUE
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
@@ -19,13 +20,6 @@ def findings(runs: Runs) -> list[str]:
     return found[:MOST]
 
 
-def _leading(runs: Runs) -> Runs:
-    """Judged runs with a fault in the population that tables lead with."""
-    own = runs.injected.where("judged")
-    names = m.population_names(own, ())
-    return own.where(population=names[0]) if names else own
-
-
 def _bits(own: Runs) -> str:
     name = own.first("population")
     return "" if name == ALL_BITS else f" ({m.POPULATIONS.get(name, name)} bits)"
@@ -38,7 +32,7 @@ def _percent(rate: Rate) -> str:
 
 
 def _success(runs: Runs) -> list[str]:
-    golden, faulty = runs.golden.where("judged", setting=GOLDEN), _leading(runs).where(setting=FI)
+    golden, faulty = runs.golden.where("judged", setting=GOLDEN), leading_faults(runs).where(setting=FI)
     if not runs.has_missions or not len(golden) or not len(faulty):
         return []
     without, with_fault = m.rate_of(golden, "success"), m.rate_of(faulty, "success")
@@ -78,7 +72,7 @@ def _effects(runs: Runs) -> list[str]:
 
 
 def _worst_stage(runs: Runs) -> list[str]:
-    own = _leading(runs).where(setting=FI)
+    own = leading_faults(runs).where(setting=FI)
     rates = {stage: m.rate_of(part, m.FAILS_OR_SLOWER) for (stage,), part in own.groups("stage").items() if stage}
     if len(rates) < 2:
         return []

@@ -13,7 +13,7 @@ from mavfi.campaign.analysis.pairs import Recovery
 from mavfi.campaign.analysis.rows import ACTIVATED, KERNEL_DUE, NO_SITE, NOT_ACTIVATED
 from mavfi.campaign.analysis.runs import ALL, Runs
 from mavfi.campaign.analysis.statistics import Rate
-from mavfi.campaign.analysis.table import NUMBER, PERCENT, POINTS, RATE, SIGNED, TEXT
+from mavfi.campaign.analysis.table import NUMBER, PERCENT, POINTS, RATE
 from mavfi.campaign.analysis.views import View, has, register
 from mavfi.campaign.plan import FI
 
@@ -272,7 +272,7 @@ register(
 
 
 # ---- flight time -------------------------------------------------------------------------------------------------
-def _paired(runs: Runs) -> Runs:
+def paired(runs: Runs) -> Runs:
     """Judged injected runs; `paired`: the mission succeeds with this fault in every setting."""
     own = runs.injected.where("judged")
     pair, complete = ("environment", "target", "index"), pl.col("inflation").is_not_null().all()
@@ -280,33 +280,7 @@ def _paired(runs: Runs) -> Runs:
     return own.adding(paired=(pl.len().over(pair) == settings) & complete.over(pair))
 
 
-def _of_pairs(column: str, share: float, key: str, heading: str, **more: Any) -> Measure:
-    return Measure(key, heading, SIGNED, lambda own: m.quantile_of(own.where("paired")[column], share), **more)
-
-
 register(
-    View(
-        "flight_times", "Flight time", SETTING,
-        (
-            m.count("pairs", "pairs", "paired"),
-            _of_pairs("inflation", 0.5, "median", "median"),
-            _of_pairs("inflation", 0.75, "p75", "75 %", hidden=True),
-            _of_pairs("inflation", 0.95, "p95", "95 %"),
-            _of_pairs("inflation", 1.0, "worst", "worst"),
-            paper.beside(paper.worst_time, "paper's worst", SIGNED),
-            Measure("time_limit", "limit", "number .0f s", lambda own: own.frame["time_limit_s"].max()),
-            _of_pairs("energy_inflation", 1.0, "worst_energy", "worst energy"),
-            m.count("failing", "fail", ~pl.col("success")),
-            m.count("n", "of"),
-            Measure("worst_run", "worst run", TEXT, lambda own: m.worst_run(own.where("paired")), hidden=True),
-        ),
-        where=_paired,
-        notes=lambda _: (
-            "flight time / that of the golden flight of the same world – 1, on pairs that succeed in all settings; "
-            "failures have no flight time, see the last columns",
-            "the time limit bounds the worst case; the paper recovers percentage points of its worst case", ONE_FAULT,
-        ), applies=of_states,
-    ),
     View(
         "golden_flights", "Golden flights that succeed, medians", SETTING,
         (

@@ -11,6 +11,7 @@ from mavfi.campaign.analysis.rows import GOLDEN, INJECTED, NULL, SCHEMA, row_of
 from mavfi.campaign.plan import FI
 from mavfi.campaign.store import Run, Store
 from mavfi.flight_record import FlightRecord
+from mavfi.hosts.host import Flight
 from mavfi.states import MONITORED_SETS
 
 DEFAULT_MONITORED = "paper-13"
@@ -25,12 +26,14 @@ class Runs:
         frame: One row per run; columns as in `rows.SCHEMA`, and those that a view has added.
         records: Record of each run by its id.
         campaign: Description of the campaign as plain data, for headers and notes.
+        flights: Some of the runs, flown again as a whole, by their ids: for figures that draw paths.
         memo: Results of measures on these rows.
     """
 
     frame: pl.DataFrame
     records: Mapping[str, FlightRecord] = field(default_factory=dict)
     campaign: Mapping[str, Any] = field(default_factory=dict)
+    flights: Mapping[str, Flight] = field(default_factory=dict)
     memo: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @staticmethod

@@ -4,7 +4,7 @@ from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.campaign.samplers.memory import draw_memory
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import InstructionFault, MemoryFault, StateFault
+from mavfi.faults.fault import LIFETIME, Fault, InstructionFault, MemoryFault, StateFault
 from mavfi.faults.spec import MemoryRequest, Request, StateRequest
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local import fly
@@ -42,3 +42,20 @@ def draw_state(scenario: Scenario, request: StateRequest, seed: int) -> tuple[St
     """Draw a fault in a state; also returns the golden flight if one was flown for the draw."""
     golden = fly(scenario, profile=True) if request.needs_profile else None
     return request.resolve(seed, scenario.stack.name, None if golden is None else golden.profile), golden
+
+
+def text_of(fault: Fault) -> str | None:
+    """The text that names a fault in full, for `mavfi fly --fault`; None = its level has no such text."""
+    bit = "" if fault.bit is None else f":bit={fault.bit}"
+    if isinstance(fault, MemoryFault):
+        index = "" if fault.index is None else f"[{fault.index}]"
+        return f"memory:{fault.kernel}.{fault.field}{index}{bit}@{fault.time_us / 1e6}"
+    if not isinstance(fault, StateFault):
+        return None
+    state, rest = f"state:{fault.where.state}.{fault.where.field}", ""
+    element = "" if fault.where.element is None else f"[{fault.where.element}]"
+    for name in ("width", "times", "lasts_s", "share"):
+        value = getattr(fault, name)
+        if value != LIFETIME[name]:
+            rest += f":{name.removesuffix('_s')}={'inf' if value == float('inf') else value}"
+    return f"{state}{element}{bit}{rest}@{fault.time_us / 1e6}"

@@ -91,20 +91,6 @@ def test_undefined_recovery_is_said_so():
     assert (entry["recovery"], entry["lost"], entry["brought_back"], entry["newly_lost"]) == ("undefined", 0, 0, 0)
 
 
-def test_flight_times_are_of_pairs_that_succeed_in_all_settings(fake):
-    for environment in ("sparse", "dense"):
-        faulty, watched = entries(fake, "flight_times", environment=environment)
-        assert (faulty["setting"], watched["setting"]) == ("fi", "dr_gaussian")
-        failing = fake.where(~fake.frame["success"], environment=environment, setting="fi")
-        assert faulty["pairs"] == watched["pairs"] == 60 - len(failing)
-        assert faulty["failing"] == len(failing)
-        assert faulty["worst"] > 0.1 and watched["worst"] == pytest.approx(0)
-        [worst] = fake.where(run_id=faulty["worst_run"])["inflation"]
-        assert worst == faulty["worst"]
-        assert faulty["paper"] == paper.worst_time(environment, "fi")
-        assert faulty["time_limit"] == 150.0
-
-
 def test_false_alarms_have_exposure_and_bound(fake):
     [entry] = entries(fake, "false_alarms", environment="all", setting="golden_gaussian")
     watched = fake.where(setting="golden_gaussian")

@@ -70,7 +70,7 @@ def test_notes_say_what_explains_the_difference():
 def test_only_campaigns_whose_parts_are_platforms_have_the_table_and_the_figure():
     own = campaign()
     assert "platforms" in [found.name for found in views_for(own)]
-    assert len(figures.FIGURES["platforms"][0](own).axes) == 2
+    assert len(figures.FIGURES["platforms"].draw(own).axes) == 2
     for parts in ({}, {"fast": PARTS["fast"]}, {"fast": PARTS["fast"], "slow": PARTS["fast"]}):
         assert platforms(runs(golden(1), parts=parts)) == {}
-        assert figures.FIGURES["platforms"][0](runs(golden(1), parts=parts)) is None
+        assert figures.FIGURES["platforms"].draw(runs(golden(1), parts=parts)) is None

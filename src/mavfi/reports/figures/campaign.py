@@ -1,7 +1,6 @@
 """Figures of a report: success with intervals, flight times, and what each state or kernel costs."""
 
-from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -17,50 +16,10 @@ from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.views import has
 from mavfi.campaign.plan import FI, GOLDEN
-from mavfi.errors import BadInputError
-from mavfi.platforms.redundancy import shipped_designs
-from mavfi.reports import platform_figure, redundancy_figure, style
+from mavfi.reports import style
+from mavfi.reports.figures.registry import Drawing, register
 
 _LEGEND: dict[str, Any] = {"ncols": 6, "columnspacing": 1.2, "fontsize": 8.5, "handlelength": 1.8}
-
-
-def figure(runs: Runs, name: str) -> Figure:
-    """One figure of a report.
-
-    Args:
-        runs: Of a campaign.
-        name: A key of `FIGURES` or `MODEL_FIGURES`.
-
-    Raises:
-        BadInputError: There is no such figure, or these runs have nothing to show in it.
-    """
-    every = FIGURES | MODEL_FIGURES
-    if name not in every:
-        raise BadInputError(f"figure {name!r}: not known; allowed: {', '.join(every)}")
-    with style.house_style():
-        made = every[name][0](runs)
-    if made is None:
-        raise BadInputError(f"figure {name!r}: these runs have nothing to show in it; needed: runs with a fault")
-    return made
-
-
-def draw(runs: Runs, directory: Path) -> dict[str, str]:
-    """Draw every figure for which there is something to show.
-
-    Returns:
-        Captions by the name of the file in the directory.
-
-    Raises:
-        BadInputError: The directory cannot be written.
-    """
-    captions = {}
-    with style.house_style():
-        for name, (maker, caption) in FIGURES.items():
-            made = maker(runs)
-            if made is not None:
-                style.write(made, directory / f"{name}.png")
-                captions[f"{name}.png"] = caption
-    return captions
 
 
 # ---- success -----------------------------------------------------------------------------------------------------
@@ -258,22 +217,13 @@ def _shown(judged: Runs, column: str) -> dict[tuple[str, str], tuple[str, Rate]]
     return found
 
 
-FIGURES: dict[str, tuple[Callable[[Runs], Figure | None], str]] = {
-    "success": (success, "Success with 95 % intervals; black: the paper's figure."),
-    "flight_time": (
-        flight_time, "Share of missions that arrived, by flight time over the golden run's; failures never arrive."
+register(
+    Drawing("success", success, "Success with 95 % intervals; black: the paper's figure.", general=True),
+    Drawing(
+        "flight_time", flight_time,
+        "Share of missions that arrived, by flight time over the golden run's; failures never arrive.", general=True,
     ),
-    "sites": (sites, "Share of missions that fail or take more than 5 % longer, by what was injected."),
-    "platforms": (
-        platform_figure.flight_times, "Flight times on each platform; dashed: the paper's."
+    Drawing(
+        "sites", sites, "Share of missions that fail or take more than 5 % longer, by what was injected.", general=True
     ),
-}  # fmt: skip
-"""What draws each figure, and its caption."""
-MODEL_FIGURES: dict[str, tuple[Callable[[Runs], Figure | None], str]] = {
-    "redundancy": (
-        lambda _: redundancy_figure.redundancy(shipped_designs()),
-        "Flight time with redundant processors over that with a detector, by the visual performance model; black: the "
-        "paper's figure.",
-    ),
-}
-"""The same of figures that are computed by a model, whatever was flown."""
+)  # fmt: skip

@@ -8,6 +8,7 @@ from mavfi.campaign.analysis.platform_views import compared, platforms
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.plan import GOLDEN
 from mavfi.reports import style
+from mavfi.reports.figures.registry import Drawing, register
 
 
 def flight_times(runs: Runs) -> Figure | None:
@@ -51,3 +52,6 @@ def flight_times(runs: Runs) -> Figure | None:
     panels[0].set_ylabel("flight time (s) of missions that succeed")
     figure.supxlabel("one fault per mission; bar: quartiles; number: worst", fontsize=8.5, color=style.GREY)
     return figure
+
+
+register(Drawing("platforms", flight_times, "Flight times on each platform; dashed: the paper's.", general=True))

@@ -8,8 +8,9 @@ from matplotlib.lines import Line2D
 
 from mavfi.campaign.analysis import paper
 from mavfi.campaign.analysis.redundancy_views import AUTOENCODER, band, ratio, schemes
-from mavfi.platforms.redundancy import DesignConfig, energy_ratio, performance
+from mavfi.platforms.redundancy import DesignConfig, energy_ratio, performance, shipped_designs
 from mavfi.reports import style
+from mavfi.reports.figures.registry import Drawing, register
 
 _LOOKS = ((style.BLUE, "o"), (style.ORANGE, "s"), (style.GREEN, "^"), (style.PURPLE, "D"))
 
@@ -65,3 +66,12 @@ def redundancy(designs: Sequence[DesignConfig]) -> Figure:
 
 def _energy(design: DesignConfig, scheme: str) -> float:
     return energy_ratio(performance(design, *schemes()[scheme]), performance(design, *schemes()[AUTOENCODER]))
+
+
+register(
+    Drawing(
+        "redundancy", lambda _: redundancy(shipped_designs()),
+        "Flight time with redundant processors over that with a detector, by the visual performance model; black: the "
+        "paper's figure.",
+    )
+)  # fmt: skip

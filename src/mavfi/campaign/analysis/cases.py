@@ -1,0 +1,71 @@
+"""Fig. 7: which runs of a ledger are drawn as paths, by a rule, so that nobody picks them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import polars as pl
+
+from mavfi.campaign.analysis.measures import against_fi
+from mavfi.campaign.analysis.rows import ACTIVATED
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.plan import FI
+
+ENVIRONMENT = "dense"
+LEAST = 0.01
+"""Part of the golden run's flight time from which a flight counts as shortened."""
+STAGES = ("perception", "planning")
+RULE = (
+    "Of the activated faults of a stage with which the mission succeeds and the detector's flight does, too, the one "
+    "whose flight the detector shortens most; where it shortens none by 1 %, of the missions that it saves the one "
+    "with the longest way; else, of the missions that are lost, that one; else the fault that adds most flight time."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One fault, and the runs that show what it does; ids of runs."""
+
+    stage: str
+    environment: str
+    golden: str
+    fault: str
+    recovered: str  # "" = no detector flew
+    arm: str  # of `recovered`
+    inflation: float | None  # of flight time with the fault; None = the mission failed
+    recovered_inflation: float | None
+
+
+def path_cases(runs: Runs) -> list[Case]:
+    """One case for each of `STAGES`, by `RULE`, in Dense, or else in the last environment; the autoencoder's first."""
+    environments = runs.values("environment")
+    if not environments:
+        return []
+    own = runs.where(environment=ENVIRONMENT if ENVIRONMENT in environments else environments[-1])
+    return [case for stage in STAGES if (case := _case(own, stage)) is not None]
+
+
+def _case(own: Runs, stage: str) -> Case | None:
+    faults = own.where("judged", "golden_success", stage=stage, site_outcome=ACTIVATED)
+    alone = faults.where(setting=FI)
+    if not len(alone):
+        return None
+    arms = [arm for arm in faults.values("arm") if arm]
+    arm = "autoencoder" if "autoencoder" in arms else next(iter(arms), "")
+    watched = against_fi(faults.where(pl.col("arm").is_in(("", arm)))).frame.filter("dr_success") if arm else None
+    row: dict[str, Any] | None = None
+    if watched is not None and len(watched):
+        gain = pl.col("inflation") - pl.col("dr_inflation")
+        shortened = watched.filter("fi_success", gain >= LEAST).sort(-gain, "run_id")
+        saved = watched.filter(~pl.col("fi_success")).sort(-pl.col("distance_m"), "run_id")
+        row = next((found.row(0, named=True) for found in (shortened, saved) if len(found)), None)
+    if row is None:
+        lost = alone.frame.filter(~pl.col("success")).sort(-pl.col("distance_m"), "run_id")
+        slowest = alone.frame.sort("inflation", "run_id", descending=[True, False], nulls_last=True)
+        row = {**(lost if len(lost) else slowest).row(0, named=True), "dr_inflation": None}
+    golden = own.golden.where(arm="", world=row["world"])
+    again = faults.where(arm=arm, target=row["target"], index=row["index"]) if arm else None
+    recovered = again.first("run_id") if again is not None and len(again) else ""
+    return Case(
+        stage, own.first("environment"), golden.first("run_id"), str(row["run_id"]), recovered, arm,
+        row["inflation"], row["dr_inflation"],
+    )  # fmt: skip

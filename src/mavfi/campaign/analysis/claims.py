@@ -1,0 +1,105 @@
+"""Claims: statements of the paper, each tested on the runs of a campaign."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.table import TEXT, Column, Table
+from mavfi.errors import BadInputError
+
+
+@dataclass(frozen=True, slots=True)
+class Evidence:
+    """What a test says about a claim."""
+
+    here: str  # what was measured, with n
+    p_value: float | None  # two-sided; None = these runs cannot test it
+    supports: bool  # whether what was measured points in the direction of the claim
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """A statement of the paper that runs can confirm or contradict."""
+
+    name: str
+    statement: str
+    section: str  # of the paper
+    campaign: str  # name of the campaign whose runs test it
+    method: str  # of the test
+    test: Callable[[Runs], Evidence]
+
+
+CLAIMS: dict[str, Claim] = {}  # by name
+
+
+def register(*claims: Claim) -> None:
+    """Add claims; a later one of the same name replaces the earlier one."""
+    CLAIMS.update({claim.name: claim for claim in claims})
+
+
+LEVEL = 0.05
+"""Probability with which any claim of a table may be confirmed or contradicted wrongly."""
+CONFIRMED, CONTRADICTED, UNDECIDED = "confirmed", "contradicted", "undecided"
+
+
+def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
+    """Verdicts on claims, each tested on the campaign that it names, with Holm's correction over all of them.
+
+    Raises:
+        BadInputError: A name is not known.
+    """
+    unknown = next((name for name in names if name not in CLAIMS), None)
+    if unknown is not None:
+        raise BadInputError(f"claim {unknown!r}: not known; allowed: {', '.join(CLAIMS)}")
+    runs = {own.campaign["name"]: own for own in campaigns}
+    claims = [CLAIMS[name] for name in names]
+    tested = [_tested(claim, runs.get(claim.campaign)) for claim in claims]
+    adjusted = holm([one.p_value for one in tested])
+    rows = [
+        (claim.name, claim.statement, verdict(one, corrected), claim.section, one.here, one.p_value, corrected,
+         claim.method, claim.campaign)
+        for claim, one, corrected in zip(claims, tested, adjusted, strict=True)
+    ]  # fmt: skip
+    count = sum(p is not None for p in adjusted)
+    return Table(
+        "claims", "Findings of the paper, tested", _COLUMNS, rows, keys=4,
+        notes=(
+            f"confirmed, contradicted: two-sided p below {LEVEL:g} after Holm's correction over {count} tests (Holm "
+            "1979), in or against the direction of the claim; undecided: at this n the data are compatible with both",
+            "p: two-sided randomization tests, random signs of the differences of worlds (of groups of different "
+            "worlds: worlds shuffled); flights of one world are not taken as independent",
+            "published autopilot profile, faults and platforms of this project: see the fidelity page for differences",
+        ),
+    )  # fmt: skip
+
+
+_COLUMNS = (
+    Column("claim", "claim", TEXT, hidden=True), Column("statement", "the paper"), Column("verdict", "verdict"),
+    Column("section", "section"), Column("here", "here"), Column("p", "p", "number .2g"),
+    Column("holm_p", "p (Holm)", "number .2g"), Column("method", "test", TEXT, hidden=True),
+    Column("campaign", "campaign", TEXT, hidden=True),
+)  # fmt: skip
+
+
+def _tested(claim: Claim, runs: Runs | None) -> Evidence:
+    if runs is None or not len(runs):
+        return Evidence(f"no runs of campaign {claim.campaign}", None, supports=False)
+    return claim.test(runs)
+
+
+def verdict(one: Evidence, corrected: float | None) -> str:
+    """Confirmed, contradicted or undecided, from the corrected p value."""
+    if corrected is None or corrected >= LEVEL:
+        return UNDECIDED
+    return CONFIRMED if one.supports else CONTRADICTED
+
+
+def holm(p_values: Sequence[float | None]) -> list[float | None]:
+    """Holm's (1979) step-down correction for as many tests as have a p value; the others stay None."""
+    known = sorted((p, place) for place, p in enumerate(p_values) if p is not None)
+    adjusted: list[float | None] = [None] * len(p_values)
+    largest = 0.0
+    for rank, (p, place) in enumerate(known):
+        largest = max(largest, min(1.0, (len(known) - rank) * p))
+        adjusted[place] = largest
+    return adjusted

@@ -1,0 +1,197 @@
+"""Views of the paper's figures: flight time and success by kernel, state and bits; distributions of flight time."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from mavfi.campaign.analysis import measures as m
+from mavfi.campaign.analysis import paper
+from mavfi.campaign.analysis.flight_views import (
+    INSTRUCTION,
+    INTERVALS,
+    ONE_FAULT,
+    SETTING,
+    named_populations,
+    of_states,
+    of_values,
+    paired,
+)
+from mavfi.campaign.analysis.measures import Measure
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.table import SIGNED, TEXT
+from mavfi.campaign.analysis.views import View, has, register
+from mavfi.campaign.plan import FI, GOLDEN
+
+GOLDEN_ROW = "golden run"
+TAIL = 0.05
+"""Share of flights whose mean is the conditional value at risk (Rockafellar and Uryasev 2000)."""
+SECONDS = "number .1f s"
+_DETOURS = m.rate("hurt", "fails or > 5 % longer", m.FAILS_OR_SLOWER)
+
+
+def with_golden(faulty: Runs, runs: Runs, column: str) -> Runs:
+    """Runs with a fault, after the golden runs of their worlds, of which `column` says "golden run"."""
+    golden = runs.golden.where("judged", arm="").adding(**{column: pl.lit(GOLDEN_ROW)})
+    return Runs(pl.concat([golden.frame, faulty.frame], how="diagonal"), runs.records, runs.campaign, runs.flights)
+
+
+def leading_faults(runs: Runs) -> Runs:
+    """Judged runs with a fault in the population that tables lead with."""
+    judged = runs.injected.where("judged")
+    names = m.population_names(judged, ())
+    return judged.where(population=names[0]) if names else judged
+
+
+def by_kernel(runs: Runs) -> Runs:
+    """Fig. 3: golden runs, and those with one fault in one instruction of a kernel."""
+    return with_golden(runs.injected.where("judged", level=INSTRUCTION, setting=FI), runs, "kernel")
+
+
+def by_state(runs: Runs) -> Runs:
+    """Fig. 4: golden runs, and those with one fault in one group of fields, in the leading population."""
+    return with_golden(leading_faults(runs).where(level="state", setting=FI), runs, "target")
+
+
+def by_bits(runs: Runs) -> Runs:
+    """Section III-B: golden runs, and those with one fault by class of the flipped bit."""
+    own = named_populations(runs.injected.where("judged", level="state", setting=FI))
+    return with_golden(own, runs, "bits")
+
+
+_TIMES = (
+    Measure("median_s", "flight time, median", SECONDS, lambda own: _quantile(own, 0.5)),
+    Measure("p95_s", "95 %", SECONDS, lambda own: _quantile(own, 0.95)),
+    Measure("worst_s", "worst", SECONDS, lambda own: _quantile(own, 1.0)),
+    m.quantile("inflation", 1.0, "worst_time", "worst against golden"),
+    Measure("worst_run", "worst run", TEXT, m.worst_run, hidden=True),
+)
+
+
+def _quantile(own: Runs, share: float) -> float | None:
+    return m.quantile_of(own.where("success")["flight_time_s"], share)
+
+
+def _shown(
+    name: str, title: str, by: str, where: Callable[[Runs], Runs], heading: str, applies: Any, note: str
+) -> View:
+    return View(
+        name, title, ("environment", by),
+        (m.count("n", "n"), m.rate("success", "success %", "success"), _DETOURS, *_TIMES), where=where,
+        headings=("environment", heading), applies=applies,
+        notes=lambda _: (
+            note, f"rates: {INTERVALS.split(';')[0]}]; flight times of missions that succeed; against golden: of the "
+            "same world", ONE_FAULT,
+        ),
+    )  # fmt: skip
+
+
+def _kernels_note() -> str:
+    worst, lost = (paper.figure("kernels_worst", quantity=name) for name in ("flight_time", "success_loss"))
+    return (
+        f"the paper (Fig. 3, a drawing without numbers; section III-A): flight time up to {100 * worst:+.1f} %, "
+        f"success lower by up to {100 * lost:.0f} points, both in planning and control; a node that dies is restarted; "
+        "golden run: with the planner of the campaign, the other planners have golden runs of their own"
+    )
+
+
+register(
+    _shown("kernels_as_in_the_paper", "Fig. 3: flight time and success, one fault in one kernel", "kernel", by_kernel,
+           "kernel", lambda runs: has(runs.injected, level=INSTRUCTION) and runs.campaign.get("each") == "kernel",
+           _kernels_note()),
+    _shown("states_as_in_the_paper", "Fig. 4: flight time and success, one fault in one inter-kernel state", "target",
+           by_state, "state", lambda runs: of_states(runs) and runs.campaign.get("each") == "group",
+           "the paper's Fig. 4 is a drawing without numbers; faults in sign and exponent bits, where drawn apart"),
+    _shown("bits_as_in_the_paper", "Section III-B: flight time and success, by class of the flipped bit", "bits",
+           by_bits, "bits", lambda runs: {"sign", "exponent", "mantissa"} <= set(runs.injected.values("population")),
+           "section III-B: faults in sign and exponent fields have a greater impact"),
+)  # fmt: skip
+
+
+# ---- Fig. 6 ------------------------------------------------------------------------------------------------------
+def distribution(runs: Runs) -> Runs:
+    """Fig. 6: golden runs without a detector and leading faults; of pairs that succeed in all settings, `paired`.
+
+    `fi_worst` and `fi_tail` are the worst and the 95 % quantile of the increase in `fi`, in the environment.
+    """
+    faulty = paired(leading_faults(runs)).frame
+    golden = runs.golden.where("judged", arm="").frame.with_columns(paired=pl.col("inflation").is_not_null())
+    frame = pl.concat([golden, faulty], how="diagonal")
+    alone = pl.col("inflation").filter(pl.col("paired") & (pl.col("setting") == FI))
+    frame = frame.with_columns(
+        fi_worst=alone.max().over("environment"), fi_tail=alone.quantile(0.95, "linear").over("environment")
+    )
+    return Runs(frame, runs.records, runs.campaign, runs.flights)
+
+
+def value_at_risk(values: list[float]) -> float | None:
+    """Conditional value at risk: mean of the largest `TAIL` of the values, at least one."""
+    if not values:
+        return None
+    largest = np.sort(np.asarray(values, np.float64))[::-1]
+    return float(largest[: max(1, round(TAIL * len(largest)))].mean())
+
+
+def _censored(own: Runs) -> list[float]:
+    """Flight times (s), of failures the time limit."""
+    at = (
+        pl.when("success")
+        .then("flight_time_s")
+        .otherwise(pl.col("time_limit_s").fill_null(pl.col("time_limit_s").max()))
+    )
+    return own.frame.select(at.alias("s"))["s"].drop_nulls().to_list()
+
+
+def _increase(share: float) -> Callable[[Runs], float | None]:
+    return lambda own: m.quantile_of(own.where("paired")["inflation"], share)
+
+
+def _recovered(share: float, column: str) -> Callable[[Runs], float | None]:
+    def points(own: Runs) -> float | None:
+        left = _increase(share)(own)
+        known = own.first("setting") not in (GOLDEN, FI) and left is not None and own.first(column) is not None
+        return own.first(column) - left if known else None
+
+    return points
+
+
+def _papers(own: Runs) -> float | None:
+    if not paper.comparable(own.campaign, own.first("detector_profile")):
+        return None
+    place = {key: own.first(key) for key in SETTING}
+    found: float | None = paper.figure("worst_time_recovered", **place)
+    return found
+
+
+register(
+    View(
+        "flight_times", "Flight time: worst cases, and what detection and recovery take from them",
+        SETTING,
+        (
+            m.count("n", "n"), m.rate("success", "success %", "success"), *_TIMES[:3],
+            Measure("time_limit", "limit", "number .0f s", lambda own: own.frame["time_limit_s"].max()),
+            Measure("cvar_s", "CVaR 5 %", SECONDS, lambda own: value_at_risk(own.where("success")["flight_time_s"])),
+            Measure("cvar_limit_s", "CVaR, failures at the limit", SECONDS, lambda own: value_at_risk(_censored(own))),
+            m.count("pairs", "pairs", "paired"),
+            Measure("p95", "95 % increase", SIGNED, _increase(0.95)),
+            Measure("worst", "worst increase", SIGNED, _increase(1.0)),
+            paper.beside(paper.worst_time, "paper's worst", SIGNED),
+            Measure("recovered", "recovered by", "signed points", _recovered(1.0, "fi_worst")),
+            Measure("paper_recovered", "paper's", "signed points", _papers),
+            Measure("recovered_p95", "of the 95 %", "signed points", _recovered(0.95, "fi_tail")),
+            Measure("worst_energy", "worst energy", SIGNED,
+                    lambda own: m.quantile_of(own.where("paired")["energy_inflation"], 1.0)),
+            Measure("worst_run", "worst run", TEXT, lambda own: m.worst_run(own.where("paired")), hidden=True),
+        ),
+        where=distribution, applies=lambda runs: of_values(runs) or has(runs.injected, level=INSTRUCTION),
+        notes=lambda _: (
+            "flight times of missions that succeed; CVaR 5 %: mean of the slowest 5 % of them, and of all missions "
+            "with failures at the time limit, which bounds every worst case",
+            "increase: flight time / that of the golden run of the same world - 1, on pairs that succeed in all "
+            "settings, faults in the leading bits; recovered by: the increase with the fault less that with the "
+            "detector, in percentage points, as the paper counts; a maximum grows with n: compare it at equal n",
+            ONE_FAULT,
+        ),
+    ),
+)  # fmt: skip

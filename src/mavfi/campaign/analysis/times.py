@@ -1,0 +1,39 @@
+"""Where the time of a study goes, from the wall times in its ledgers."""
+
+from collections.abc import Mapping
+
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.table import Column, Table
+
+_MINUTES = "number .1f min"
+
+
+def time_table(campaigns: Mapping[str, Runs]) -> Table:
+    """Flights and worker time of each campaign, golden runs and runs with a fault apart, and of all together."""
+    rows = [_row(str(runs.campaign["name"]), [runs]) for runs in campaigns.values()]
+    rows.append(_row("all", list(campaigns.values())))
+    return Table(
+        "times", "Where the time goes", _COLUMNS, rows,
+        notes=(
+            "time of worker processes, added over workers: with two workers about twice the wall time; golden runs "
+            "include the counting of instructions, and those with a fault begin at checkpoints of golden runs",
+        ),
+    )  # fmt: skip
+
+
+_COLUMNS = (
+    Column("campaign", "campaign"), Column("golden", "golden runs", "number"), Column("golden_s", "time", _MINUTES),
+    Column("golden_mean_s", "each", "number .2f s"), Column("faulty", "with a fault", "number"),
+    Column("faulty_s", "time", _MINUTES), Column("faulty_mean_s", "each", "number .2f s"),
+    Column("all_s", "together", _MINUTES),
+)  # fmt: skip
+
+
+def _row(name: str, parts: list[Runs]) -> tuple[object, ...]:
+    golden = [wall for runs in parts for wall in runs.golden["wall_s"] if wall is not None]
+    every = [wall for runs in parts for wall in runs["wall_s"] if wall is not None]
+    faulty, faulty_s = len(every) - len(golden), sum(every) - sum(golden)
+    return (
+        name, len(golden), sum(golden) / 60, sum(golden) / len(golden) if golden else None,
+        faulty, faulty_s / 60, faulty_s / faulty if faulty else None, sum(every) / 60,
+    )  # fmt: skip

@@ -1,0 +1,86 @@
+"""Tests on differences between worlds' means: worlds are independent, flights of one world are not.
+
+The null distribution is that of random signs of each world's difference, or of worlds shuffled between two groups
+(Fisher's randomization test; exact where there are few worlds), so nothing is assumed of the distribution.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+from scipy.stats import permutation_test
+
+from mavfi.campaign.analysis.runs import Runs
+
+_RESAMPLES = 9999
+_SEED = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A difference of means, first - second, and its test."""
+
+    first: float  # mean over runs
+    second: float
+    first_n: int  # runs
+    second_n: int
+    worlds: int  # in the test
+    difference: float  # first - second, mean over worlds
+    p_value: float | None  # two-sided; None = fewer than two worlds
+
+
+def within_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | None:
+    """Difference of two groups of runs in the same worlds: random signs of each world's difference.
+
+    Runs whose value is null are left out; None if a group has none in a world of the other.
+    """
+    one, other = _by_world(first, value), _by_world(second, value)
+    shared = [world for world in one if world in other]
+    if not shared:
+        return None
+    differences = np.array([np.mean(one[world]) - np.mean(other[world]) for world in shared])
+    p_value = _p_value((differences,), np.mean, "samples")
+    return _found(one, other, len(shared), float(differences.mean()), p_value)
+
+
+def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | None:
+    """Difference of two groups of runs in different worlds: worlds are shuffled; None if a group has none."""
+    one, other = _by_world(first, value), _by_world(second, value)
+    if not one or not other:
+        return None
+    means = tuple(np.array([np.mean(values) for values in part.values()]) for part in (one, other))
+    difference = float(means[0].mean() - means[1].mean())
+    return _found(one, other, len(one) + len(other), difference, _p_value(means, _difference, "independent"))
+
+
+def _difference(first: np.ndarray, second: np.ndarray, axis: int = -1) -> np.ndarray:
+    difference: np.ndarray = np.mean(first, axis=axis) - np.mean(second, axis=axis)
+    return difference
+
+
+def _by_world(runs: Runs, value: pl.Expr) -> dict[str, list[float]]:
+    rows = runs.frame.select("world", value=value.cast(pl.Float64)).drop_nulls()
+    parts = rows.partition_by("world", maintain_order=True, as_dict=True)
+    return {str(world): part["value"].to_list() for (world,), part in parts.items()}
+
+
+def _found(
+    one: dict[str, list[float]], other: dict[str, list[float]], worlds: int, difference: float, p_value: float | None
+) -> Difference:  # fmt: skip
+    first, second = ([value for values in part.values() for value in values] for part in (one, other))
+    means = float(np.mean(first)), float(np.mean(second))
+    return Difference(*means, len(first), len(second), worlds, difference, p_value)
+
+
+def _p_value(data: tuple[np.ndarray, ...], statistic: Callable[..., np.ndarray], kind: str) -> float | None:
+    """Two-sided p value of a randomization test; the same for the same input."""
+    if any(len(part) < 2 for part in data):
+        return None
+    if not any(part.any() for part in data):
+        return 1.0
+    found = permutation_test(
+        data, statistic, permutation_type=kind, vectorized=True, n_resamples=_RESAMPLES,
+        rng=np.random.default_rng(_SEED),
+    )  # fmt: skip
+    return float(min(1.0, found.pvalue))

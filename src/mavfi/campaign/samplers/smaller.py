@@ -1,0 +1,83 @@
+"""Smaller faults than a given one: candidates of `campaign.shrink`, of each level, smallest first.
+
+`fewer`, `narrower` and `lower` are given a fault and what its injection changed (None = not known).
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, StateFault
+from mavfi.faults.strata import WORD_BITS
+from mavfi.flight_log import Injection
+from mavfi.hosts.host import Flight
+from mavfi.states import STATES
+
+_SHORTER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
+"""Numbers of wrong publications that are tried."""
+
+
+def can_be_smaller(fault: Fault) -> bool:
+    """Whether there are candidates for faults of its level."""
+    return isinstance(fault, (StateFault, MemoryFault, InstructionFault))
+
+
+def fewer(fault: Fault, _: Injection | None) -> Iterator[Fault]:
+    """Of a fault that lasts: once, then in more and more publications, then for shorter times."""
+    if not isinstance(fault, StateFault) or not fault.lasting:
+        return
+    once = replace(fault, lasts_s=0.0, share=1.0, times=1)
+    yield from (replace(once, times=times) for times in _SHORTER if fault.lasts_s > 0 or times < fault.times)
+    if 0 < fault.lasts_s < float("inf"):
+        yield from (replace(fault, lasts_s=round(fault.lasts_s * part, 3)) for part in (0.125, 0.25, 0.5))
+
+
+def narrower(fault: Fault, _: Injection | None) -> Iterator[Fault]:
+    """Of a fault in several bits: each of them alone."""
+    if isinstance(fault, StateFault) and fault.bit is not None and fault.width > 1:
+        yield from (replace(fault, bit=fault.bit + place, width=1) for place in range(fault.width))
+    if isinstance(fault, InstructionFault) and len(fault.bits) > 1:
+        yield from (replace(fault, bits=(bit,)) for bit in sorted(fault.bits))
+
+
+def lower(fault: Fault, injection: Injection | None) -> Iterator[Fault]:
+    """Other bits of the same word that change its value less; of instructions, lower ones."""
+    if isinstance(fault, InstructionFault):
+        yield from (replace(fault, bits=(bit,), stratum="") for bit in range(fault.bit or 0))
+    elif isinstance(fault, (StateFault, MemoryFault)) and fault.bit is not None:
+        dtype = fault.dtype if isinstance(fault, MemoryFault) else _dtype(fault)
+        before = None if injection is None else injection.before
+        sizes = {bit: change_of(before, dtype, bit) for bit in range(WORD_BITS[dtype])}
+        smaller = [bit for bit, size in sizes.items() if size < sizes[fault.bit]]
+        yield from (
+            replace(fault, bit=bit, stratum="", weight=1.0) for bit in sorted(smaller, key=lambda bit: sizes[bit])
+        )
+
+
+def _dtype(fault: StateFault) -> str:
+    return STATES[fault.where.state].find(fault.where.field).dtype
+
+
+def change_of(before: object, dtype: str, bit: int) -> float:
+    """By how much flipping a bit changes a value; infinite where that is no number, the bit if the value is unknown."""
+    if not isinstance(before, (int, float)):
+        return float(bit)
+    size = np.dtype("u1" if dtype == "?" else dtype).itemsize
+    word = np.array([before]).astype("u1" if dtype == "?" else dtype)
+    flipped = (word.view(f"u{size}") ^ np.array(1 << bit, f"u{size}")).view(word.dtype)
+    change = abs(float(flipped[0]) - float(word[0]))
+    return change if np.isfinite(change) else float("inf")
+
+
+def elsewhere(fault: Fault, golden: Flight, count: int) -> list[Fault]:
+    """The fault at evenly spaced instants of its site in the golden flight; none for instructions."""
+    if isinstance(fault, StateFault) and golden.profile is not None:
+        every = golden.profile.times_us.get(fault.where.state, np.zeros(0, np.int64))
+    elif isinstance(fault, MemoryFault):
+        every = np.round(1e6 * golden.log.column("time")).astype(np.int64)
+    else:
+        return []
+    chosen = every[np.unique(np.linspace(0, len(every) - 1, min(count, len(every))).round().astype(int))]
+    assert isinstance(fault, (StateFault, MemoryFault))
+    return [replace(fault, time_us=int(time_us)) for time_us in chosen if time_us != fault.time_us]

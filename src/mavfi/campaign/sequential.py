@@ -1,0 +1,188 @@
+"""Sequential sampling: missions are flown until the success rates of a table are known to a half-width.
+
+The bounds are a confidence sequence: with probability 95 % they hold the true rate at every number of missions at once,
+so it does not matter when one looks or stops.  It is the beta-binomial mixture (Robbins 1970; Howard, Ramdas, McAuliffe
+and Sekhon 2021, "Time-uniform, nonparametric, nonasymptotic confidence sequences", sub-Bernoulli case).  One
+observation is the share of successes of one mission in one cell, between 0 and 1: flights of one world are alike,
+worlds are independent.  For such shares the likelihood ratio stays a supermartingale, by convexity.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.special import betaln, xlog1py, xlogy
+
+from mavfi.campaign.config import MOST_FAULTS, Campaign, StateSampling
+from mavfi.campaign.plan import RunSpec
+from mavfi.campaign.shard import WHOLE, Shard
+from mavfi.campaign.store import Store
+from mavfi.errors import BadInputError
+from mavfi.faults.strata import HEADLINE
+from mavfi.flight_record import End
+from mavfi.mission import MissionStatus
+
+ALPHA = 0.05
+_PRIOR = 0.5
+"""Both parameters of the mixture (Jeffreys): about as narrow near 0 and 1 as in between."""
+_HALVINGS = 50
+Cell = tuple[str, str, str]
+"""Setting, target and stratum; "" = all of them together."""
+
+
+def log_mixture(total: Any, n: Any, rate: Any) -> Any:
+    """Logarithm of the mixture's likelihood ratio against a rate; the rate is in the sequence while it is small.
+
+    Args:
+        total: Sum of n observations between 0 and 1; arrays broadcast.
+        n: Number of observations.
+        rate: Rate to test, from 0 to 1.
+    """
+    mixed = betaln(_PRIOR + total, _PRIOR + n - total) - betaln(_PRIOR, _PRIOR)
+    return mixed - xlogy(total, rate) - xlog1py(n - total, -np.asarray(rate))
+
+
+def sequence_bounds(total: Any, n: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper bounds of the 95 % confidence sequence, arguments as of `log_mixture`; 0 and 1 for n = 0."""
+    total, n = np.broadcast_arrays(np.asarray(total, np.float64), np.asarray(n, np.float64))
+    mean = np.where(n > 0, total / np.maximum(n, 1), 0.5)
+    return _bound(total, n, mean, 0.0), _bound(total, n, mean, 1.0)
+
+
+def _bound(total: np.ndarray, n: np.ndarray, inside: np.ndarray, outside: float) -> np.ndarray:
+    """Bisection between the mean, which is in the sequence, and an end of the unit interval."""
+    far = np.full_like(inside, outside)
+    near = inside.astype(np.float64)
+    for _ in range(_HALVINGS):
+        middle = (near + far) / 2
+        held = log_mixture(total, n, middle) < np.log(1 / ALPHA)
+        near, far = np.where(held, middle, near), np.where(held, far, middle)
+    return far  # not narrower than the sequence
+
+
+def half_width(total: Any, n: Any) -> np.ndarray:
+    """Half of the distance between the bounds."""
+    low, high = sequence_bounds(total, n)
+    found: np.ndarray = (high - low) / 2
+    return found
+
+
+def missions_needed(target: float) -> int:
+    """Number of missions after which the half-width is at most `target`, whatever the rate."""
+    low, high = 1, 2
+    while half_width(high / 2, high) > target:
+        low, high = high, 2 * high
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if half_width(middle / 2, middle) <= target else (middle, high)
+    return high
+
+
+def until(campaign: Campaign, target: float) -> Campaign:
+    """The campaign with as many missions as a half-width can need, with the same number of faults in each.
+
+    It ends earlier where all rates of an environment are known to the half-width.
+
+    Raises:
+        BadInputError: It would need too many faults.
+    """
+    missions = missions_needed(target)
+    faults = -(-campaign.faults * missions // campaign.missions)
+    if faults > MOST_FAULTS:
+        raise BadInputError(
+            f"campaign {campaign.name}: half-width {target:g}: needs up to {faults} faults per target; allowed: "
+            f"{MOST_FAULTS}, so a larger half-width"
+        )
+    return campaign.model_copy(update={"until_halfwidth": target, "missions": missions, "faults": faults})
+
+
+@dataclass(slots=True)
+class Precision:
+    """How well the success rates of a campaign are known, from the missions of its ledger."""
+
+    campaign: Campaign
+    store: Store
+    _sums: dict[str, dict[Cell, tuple[float, int]]] = field(default_factory=dict)  # total and n, by environment
+    _read: dict[str, int] = field(default_factory=dict)  # missions that are in the sums, by environment
+    _widest: dict[str, float] = field(default_factory=dict)  # largest half-width, by environment
+
+    @staticmethod
+    def of(campaign: Campaign, store: Store, shard: Shard) -> "Precision | None":
+        """What decides when a campaign has enough missions; None = it flies a fixed number.
+
+        Raises:
+            BadInputError: A shard does not know the missions of the others.
+        """
+        if campaign.until_halfwidth is None:
+            return None
+        if shard != WHOLE:
+            raise BadInputError(f"shard {shard}: not with until_halfwidth; allowed: the whole campaign")
+        return Precision(campaign, store)
+
+    def met(self, environment: str) -> bool:
+        """Whether every rate of an environment is known to the half-width that the campaign asks for.
+
+        Only missions before the first one that is not complete count, so that no order of completion chooses them.
+        """
+        self._add(environment)
+        return self._widest[environment] <= float(self.campaign.until_halfwidth or 0.0)
+
+    def expected(self) -> int:
+        """About how many missions are needed in all: the half-width falls with the square root of their number."""
+        total = 0
+        for environment in self.campaign.environments:
+            self._add(environment)
+            ratio = self._widest[environment] / float(self.campaign.until_halfwidth or 1.0)
+            flown = self._read[environment]
+            total += min(self.campaign.missions, max(flown, round(max(1, flown) * ratio**2)))
+        return total
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Environment, setting, target, stratum, n (missions), mean and bounds of each rate."""
+        for environment in self.campaign.environments:
+            self._add(environment)
+            for (setting, target, stratum), (total, n) in self._sums[environment].items():
+                low, high = sequence_bounds(total, n)
+                yield {
+                    "environment": environment, "setting": setting, "target": target, "stratum": stratum, "n": n,
+                    "mean": total / n, "low": float(low), "high": float(high),
+                }  # fmt: skip
+
+    def _add(self, environment: str) -> None:
+        sums, seeds = self._sums.setdefault(environment, {}), self.campaign.seeds
+        before = read = self._read.setdefault(environment, 0)
+        self._widest.setdefault(environment, 1.0)
+        while read < len(seeds) and self.store.is_complete((environment, seeds[read])):
+            for cell, outcomes in self._outcomes(environment, seeds[read]).items():
+                total, n = sums.get(cell, (0.0, 0))
+                sums[cell] = total + sum(outcomes) / len(outcomes), n + 1
+            read += 1
+        if read > before:
+            totals, counts = np.array(list(sums.values())).T
+            self._read[environment], self._widest[environment] = read, float(half_width(totals, counts).max())
+
+    def _outcomes(self, environment: str, seed: int) -> dict[Cell, list[bool]]:
+        found: dict[Cell, list[bool]] = {}
+        for run in self.store.runs(done=True, world=(environment, seed)):
+            cell = cell_of(self.campaign, run.spec)
+            if cell is not None and run.record is not None and run.record.end is not End.UNKNOWN:
+                found.setdefault(cell, []).append(run.record.status == MissionStatus.SUCCESS.label)
+        return found
+
+
+def cell_of(campaign: Campaign, spec: RunSpec) -> Cell | None:
+    """Which rate of a table a run counts in; None = none, e.g. null runs, and bits that tables do not lead with."""
+    sampling = campaign.sampling
+    if spec.kind == "null":
+        return None
+    if spec.fault is None:
+        return spec.setting, "", ""
+    strata = list(sampling.strata) if isinstance(sampling, StateSampling) else []
+    if HEADLINE in strata:
+        if spec.fault.stratum != HEADLINE:
+            return None
+    elif len(strata) > 1:
+        return spec.setting, "", spec.fault.stratum
+    apart = bool(getattr(sampling, "groups", ())) or getattr(sampling, "share", "") == "kernel"
+    return spec.setting, spec.target if apart else "", ""

@@ -1,0 +1,136 @@
+"""The smallest fault that still loses a mission: delta debugging of one run (Zeller and Hildebrandt 2002).
+
+A fault is made smaller in steps; each takes the smallest candidate with which the mission still fails, since failing is
+not monotone in the size of a change.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from mavfi.campaign.plan import RunSpec
+from mavfi.campaign.replay import setup_of_run
+from mavfi.campaign.samplers.smaller import can_be_smaller, elsewhere, fewer, lower, narrower
+from mavfi.campaign.store import Store
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import Fault
+from mavfi.flight_log import Injection
+from mavfi.hosts.host import Flight, MissionFlights
+from mavfi.mission import MissionStatus
+
+INSTANTS = 12
+"""Instants of the same site that are tried."""
+_BATCH = 8
+"""Candidates flown at once: instruction faults share a flight up to their calls."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A candidate, and what became of the mission."""
+
+    fault: Fault
+    status: str  # of the mission; "" = the flight could not be judged
+    time_s: float  # at which it ended
+    injection: Injection | None
+
+    @property
+    def lost(self) -> bool:
+        """Whether the mission fails."""
+        return self.status not in ("", MissionStatus.SUCCESS.label)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One way in which the fault was made smaller."""
+
+    what: str  # "publications", "width", "bit"
+    tried: int  # candidates that were flown
+    found: Trial | None  # the smallest that loses the mission; None = only the fault before
+
+
+@dataclass(frozen=True, slots=True)
+class Shrunk:
+    """What is left of a fault."""
+
+    directory: Path  # of its ledger
+    spec: RunSpec
+    original: Trial
+    smallest: Trial
+    steps: tuple[Step, ...]
+    instants: tuple[Trial, ...]  # of the same site, with the smallest fault; in order of time
+    golden: Flight
+
+
+def shrink(
+    directory: Path, run_id: str, *, instants: int = INSTANTS, report: Callable[[int], None] | None = None
+) -> Shrunk:
+    """Make the fault of a run smaller, as long as it loses the mission.
+
+    Args:
+        directory: Folder of the ledger.
+        run_id: The run, or an unambiguous beginning of its id.
+        instants: How many other instants of the site are tried in the end.
+        report: Called with the number of flights so far.
+
+    Raises:
+        BadInputError: No such campaign or run; a run without a fault, or of a level that has no bits to choose from;
+            a mission that succeeds with the fault, or fails without it.
+    """
+    with Store.open(directory) as store:
+        spec = store.run(run_id).spec
+        host, setup = setup_of_run(store, spec)
+    fault = spec.fault
+    if fault is None or not can_be_smaller(fault):
+        raise BadInputError(
+            f"{directory}: run {spec.run_id}: no fault to make smaller; allowed: runs with a fault in a state, a "
+            "memory or an instruction"
+        )
+    trials = _Trials(host.mission({spec.arm: setup}), spec.arm, report or (lambda _: None))
+    golden = trials.flights.golden(spec.arm, profile=True)
+    assert isinstance(golden, Flight)  # as every deterministic host gives it
+    original = next(trials.of([fault]))
+    if golden.log.status is not MissionStatus.SUCCESS or not original.lost:
+        how = "fails without its fault, too" if original.lost else f"ends in {original.status or 'an error'}"
+        raise BadInputError(
+            f"{directory}: run {spec.run_id}: {how}; allowed: runs whose fault loses the mission (mavfi runs "
+            f"{directory} --failed)"
+        )
+    smallest, steps = original, []
+    for what, candidates in (("publications", fewer), ("width", narrower), ("bit", lower)):
+        smaller = list(candidates(smallest.fault, smallest.injection))
+        if smaller:
+            found = next((trial for trial in trials.of(smaller) if trial.lost), None)
+            steps.append(Step(what, trials.count, found))
+            smallest = found or smallest
+    others = tuple(trials.of(elsewhere(smallest.fault, golden, instants)))
+    return Shrunk(directory, spec, original, smallest, tuple(steps), others, golden)
+
+
+@dataclass(slots=True)
+class _Trials:
+    """Flies candidates of one mission and arm."""
+
+    flights: MissionFlights
+    arm: str
+    report: Callable[[int], None]
+    flown: int = 0
+    count: int = 0  # of the last list, as far as it was asked for
+
+    def of(self, faults: Sequence[Fault]) -> Iterator[Trial]:
+        """Fly candidates in their order, as far as the caller wants."""
+        self.count = 0
+        for first in range(0, len(faults), _BATCH):
+            batch = faults[first : first + _BATCH]
+            ends = dict(self.flights.injected([(self.arm, fault) for fault in batch]))
+            self.flown += len(batch)
+            self.report(self.flown)
+            for place, fault in enumerate(batch):
+                self.count += 1
+                yield _trial(fault, ends[place])
+
+
+def _trial(fault: Fault, end: object) -> Trial:
+    if not isinstance(end, Flight):
+        return Trial(fault, "", 0.0, None)
+    injection = next(iter(end.log.injections), None)
+    return Trial(fault, end.log.status.label, float(end.log.column("time")[-1]), injection)

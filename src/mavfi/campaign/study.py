@@ -1,0 +1,76 @@
+"""What a study is: campaigns, their sizes, and the sections of its report; the YAML files of configs/studies."""
+
+from collections.abc import Collection, Iterable
+from pathlib import Path
+
+from pydantic import Field, model_validator
+
+from mavfi.campaign.config import Campaign, Scale, config_path, load_campaign
+from mavfi.config import Config, load
+
+
+class Section(Config):
+    """A part of the report of a study: tables and figures of one of its campaigns, or claims about all."""
+
+    title: str
+    text: str = Field("", description="a paragraph below the title")
+    campaign: str = Field("", description="folder of its ledger, a key of campaigns; not needed for claims")
+    views: tuple[str, ...] = Field((), description="tables, in this order; the first one is also printed")
+    figures: tuple[str, ...] = Field((), description="in this order")
+    claims: tuple[str, ...] = Field((), description="statements of the paper that are tested")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Section":
+        if (self.views or self.figures) and not self.campaign:
+            raise ValueError(f"section {self.title!r}: views and figures are of a campaign; needed: key campaign")
+        return self
+
+
+class Study(Config):
+    """A set of campaigns, and the tables, figures and tested claims that they feed."""
+
+    name: str
+    training_flights: int = Field(100, ge=0, description="error-free flights that the detectors are trained on")
+    campaigns: dict[str, str] = Field(min_length=1, description="name or path of a campaign, by folder of its ledger")
+    scales: dict[str, dict[str, Scale]] = Field(
+        default_factory=dict, description="sizes of campaigns by folder, where they differ from those of the campaign"
+    )
+    sections: tuple[Section, ...] = Field(
+        (), description="of its report, in this order; by default the leading table of each campaign"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "Study":
+        named = [section.campaign for section in self.sections if section.campaign]
+        _check_known("sections: campaign", named, self.campaigns)
+        for scale, sizes in self.scales.items():
+            _check_known(f"scales: {scale}", sizes, self.campaigns)
+        return self
+
+    def campaigns_at(self, scale: str) -> dict[str, Campaign]:
+        """Campaigns by folder, at one of the sizes.
+
+        Raises:
+            BadInputError: A campaign that is not there, or has no such size.
+        """
+        found = {folder: load_campaign(name) for folder, name in self.campaigns.items()}
+        sizes = self.scales.get(scale, {})
+        return {
+            folder: campaign.resized(sizes[folder]) if folder in sizes else campaign.at_scale(scale)
+            for folder, campaign in found.items()
+        }
+
+
+def load_study(name: str | Path) -> Study:
+    """Read a study: a path, or the name of a shipped one, e.g. "paper".
+
+    Raises:
+        BadInputError: There is no such file, or something in it is wrong.
+    """
+    return load(Study, config_path("studies", name))
+
+
+def _check_known(key: str, names: Iterable[str], allowed: Collection[str]) -> None:
+    for name in names:
+        if name not in allowed:
+            raise ValueError(f"{key}: {name!r}: not known; allowed: {', '.join(allowed)}")

@@ -1,0 +1,71 @@
+"""`mavfi shrink`: the smallest fault that still loses the mission."""
+
+import shlex
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mavfi.cli import options
+from mavfi.cli.console import check_number, console, write_json
+
+if TYPE_CHECKING:
+    from mavfi.campaign.shrink import Shrunk
+
+
+def shrink(
+    directory: options.Ledger,
+    run_id: options.RunId,
+    instants: Annotated[
+        int, typer.Option(help="Other instants of the same site to try, with the smallest fault.")
+    ] = 12,
+    as_json: options.AsJson = False,
+) -> None:
+    """Make the fault of a lost mission smaller: shorter, narrower, a bit that changes less; then try other instants.
+
+    Ends with a command that flies the smallest fault that still loses the mission.
+
+    Example: [bold]mavfi shrink out/reproduce dense-10000-fi-planning-0[/bold]
+    """
+    check_number("--instants", instants, 0, 1000)
+    from mavfi.campaign.shrink import shrink as make_smaller
+    from mavfi.cli.flight_text import story_table
+    from mavfi.reports.shrink import lines, to_json
+
+    progress = console(error=True)
+    with progress.status("flying candidates ..." if progress.is_terminal else "") as shown:
+        found = make_smaller(
+            directory, run_id, instants=instants, report=lambda count: shown.update(f"{count} candidates flown")
+        )
+    if as_json:
+        write_json({**to_json(found), "command": command(found)})
+        return
+    console().print(story_table([*lines(found), ("to fly it", command(found))]))
+
+
+def command(found: "Shrunk") -> str:
+    """What flies the smallest fault: a command, or, of an instruction, which has no text, Python."""
+    from mavfi.campaign.run import stored_campaign
+    from mavfi.campaign.samplers.request import text_of
+    from mavfi.campaign.store import Store
+    from mavfi.mission import MissionSpec
+
+    spec, fault = found.spec, found.smallest.fault
+    with Store.open(found.directory) as store:
+        campaign = stored_campaign(store)
+    arm = campaign.arms[spec.arm].mission if spec.arm in campaign.arms else {}
+    asked = campaign.spec(spec.environment, spec.seed, arm)
+    chosen: dict[str, Any] = {
+        name: value
+        for name in MissionSpec.model_fields
+        if (value := getattr(asked, name)) != MissionSpec.model_fields[name].default
+    }
+    text = text_of(fault)
+    if text is None:
+        keys = ", ".join(f"{name}={value!r}" for name, value in chosen.items())
+        return f"mavfi.fly(fault=fault_from_json({fault.to_json()!r}), {keys})"
+    words = ["mavfi", "fly"]
+    for name, value in chosen.items():
+        words += [options.option_name(name), *map(str, value if isinstance(value, (tuple, list)) else [value])]
+    if spec.detector:
+        words += ["--detector", spec.detector, *(["--profile", spec.detector_profile] if spec.model else [])]
+    return shlex.join([*words, "--fault", text])

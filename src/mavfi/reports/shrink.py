@@ -1,0 +1,69 @@
+"""What is left of a fault that was made smaller, in words and as data."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from mavfi.campaign.samplers.request import text_of
+from mavfi.campaign.shrink import Shrunk, Trial
+from mavfi.reports.text import change
+
+Lines = list[tuple[str, str]]
+_WHAT = {"publications": "fewer wrong publications", "width": "one bit instead of several",
+         "bit": "a bit that changes the value less"}  # fmt: skip
+
+
+def lines(found: Shrunk) -> Lines:
+    """The smallest fault first, then how it was found; headings and sentences."""
+    told = [("smallest", _trial(found.smallest)), ("original", _trial(found.original))]
+    for place, step in enumerate(found.steps):
+        heading = "steps" if place == 0 else ""
+        end = "none loses the mission" if step.found is None else _trial(step.found)
+        told.append((heading, f"{_WHAT[step.what]}, {step.tried} tried: {end}"))
+    if found.instants:
+        lost = [trial for trial in found.instants if trial.lost]
+        when = ", ".join(f"{_time(trial):.2f} s ({trial.status.replace('_', ' ')})" for trial in lost)
+        told.append(("instants", f"at {len(lost)} of {len(found.instants)} others the mission is lost, too"
+                     + (f": {when}" if when else "")))  # fmt: skip
+    elif hasattr(found.smallest.fault, "time_us"):
+        told.append(("instants", "the golden run has no other one of this site, or none was asked for"))
+    golden = found.golden.log
+    told.append(("golden run", f"{golden.status.label} after {float(golden.column('time')[-1]):.2f} s"))
+    return told
+
+
+def _time(trial: Trial) -> float:
+    return float(getattr(trial.fault, "time_us", 0)) / 1e6
+
+
+def _trial(trial: Trial) -> str:
+    text = text_of(trial.fault) or f"{trial.fault.site}, bit {trial.fault.bit}"
+    end = f"{trial.status.replace('_', ' ')} after {trial.time_s:.2f} s"
+    if trial.injection is None:
+        return f"{text}: {end}"
+    before, after = change(trial.injection.before, trial.injection.after)
+    return f"{text}: {before} → {after}, {end}"
+
+
+def to_json(found: Shrunk) -> dict[str, Any]:
+    """Plain data: the run, the faults, the steps, the instants."""
+    return {
+        "run_id": found.spec.run_id, "smallest": _plain(found.smallest), "original": _plain(found.original),
+        "steps": [
+            {"what": step.what, "tried": step.tried, "found": None if step.found is None else _plain(step.found)}
+            for step in found.steps
+        ],
+        "instants": _all(found.instants),
+    }  # fmt: skip
+
+
+def _all(trials: Sequence[Trial]) -> list[dict[str, Any]]:
+    return [_plain(trial) for trial in trials]
+
+
+def _plain(trial: Trial) -> dict[str, Any]:
+    injection = trial.injection
+    return {
+        "fault": trial.fault.to_json(), "text": text_of(trial.fault), "status": trial.status, "lost": trial.lost,
+        "time_s": trial.time_s, "before": None if injection is None else injection.before,
+        "after": None if injection is None else injection.after,
+    }  # fmt: skip

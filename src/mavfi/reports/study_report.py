@@ -1,0 +1,149 @@
+"""The report of a study: its sections in their order, each with tables, figures and tested claims."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from mavfi.campaign.analysis import VIEWS, table, views_for
+from mavfi.campaign.analysis.claims import CLAIMS, claims_table
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.table import Table
+from mavfi.campaign.analysis.times import time_table
+from mavfi.campaign.study import Section, Study
+from mavfi.campaign.telling import with_flights
+from mavfi.errors import BadInputError, writing
+from mavfi.flight_record import plain
+from mavfi.reports.campaign_report import markdown_table
+from mavfi.reports.figures import FIGURES, draw, drawing
+from mavfi.reports.text import checks, header
+
+FIGURES_FOLDER = "figures"
+MARKDOWN, JSON = "study.md", "study.json"
+
+
+@dataclass(frozen=True, slots=True)
+class SectionReport:
+    """One section: what was asked for, and what came of it."""
+
+    section: Section
+    runs: Runs | None  # of its campaign
+    tables: tuple[Table, ...]  # in the order of the section; those without rows are left out
+    captions: Mapping[str, str] = field(default_factory=dict)  # by file of a figure, relative to the study's folder
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        data: dict[str, Any] = plain({
+            **self.section.model_dump(mode="json"), "tables": [table.to_json() for table in self.tables],
+            "captions": dict(self.captions),
+        })  # fmt: skip
+        return data
+
+
+@dataclass(frozen=True, slots=True)
+class StudyReport:
+    """A study, its campaigns, and its sections."""
+
+    study: Study
+    campaigns: Mapping[str, Runs]  # by folder
+    sections: tuple[SectionReport, ...]
+    files: tuple[Path, ...] = ()
+
+    @property
+    def times(self) -> Table:
+        """Where the time went."""
+        return time_table(self.campaigns)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data: name, campaigns by folder, sections, times."""
+        campaigns = {folder: dict(runs.campaign) for folder, runs in self.campaigns.items()}
+        sections = [section.to_json() for section in self.sections]
+        data: dict[str, Any] = plain({"study": self.study.name, "campaigns": campaigns, "sections": sections,
+                                      "times": self.times.to_json()})  # fmt: skip
+        return data
+
+
+def check_names(study: Study, where: str) -> None:
+    """Check that all views, figures and claims that a study names are known.
+
+    Raises:
+        BadInputError: One is not; `where` names the study.
+    """
+    known: dict[str, Mapping[str, Any]] = {"views": VIEWS, "figures": FIGURES, "claims": CLAIMS}
+    for section in study.sections:
+        for key, allowed in known.items():
+            for name in getattr(section, key):
+                if name not in allowed:
+                    raise BadInputError(
+                        f"{where}: section {section.title!r}: {key}: {name!r}: not known; allowed: {', '.join(allowed)}"
+                    )
+
+
+def study_report(study: Study, folder: Path, *, fly: bool = True) -> StudyReport:
+    """Tables of a study from its ledgers, and its figures as files; nothing else is written.
+
+    Args:
+        study: What is shown, in this order.
+        folder: Where its ledgers are; figures go into a folder of their own there.
+        fly: Whether runs that a figure draws as whole flights are flown again; else these figures are left out.
+
+    Raises:
+        BadInputError: A campaign is not there, a name is not known, or the folder cannot be written.
+    """
+    campaigns = {name: Runs.read(folder / name) for name in study.campaigns}
+    sections = study.sections or tuple(
+        Section(title=found[0].title, campaign=name, views=(found[0].name,))
+        for name, runs in campaigns.items()
+        if (found := views_for(runs))
+    )
+    reports = tuple(_section(section, campaigns, folder, fly=fly) for section in sections)
+    return StudyReport(study, campaigns, reports)
+
+
+def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path, *, fly: bool) -> SectionReport:
+    runs = campaigns.get(section.campaign)
+    tables = [claims_table(section.claims, campaigns.values())] if section.claims else []
+    captions: dict[str, str] = {}
+    if runs is not None:
+        tables += [table(runs, name) for name in section.views]
+        cases = {name: tuple(drawing(name).cases(runs)) for name in section.figures}
+        names = [name for name in section.figures if fly or not cases[name]]
+        wanted = [run_id for name in names for run_id in cases[name]]
+        shown = with_flights(runs, folder / section.campaign, wanted)
+        pictures = folder / FIGURES_FOLDER
+        if names:
+            with writing(pictures):
+                pictures.mkdir(parents=True, exist_ok=True)
+        start = f"{runs.campaign['name']}_"
+        captions = {f"{FIGURES_FOLDER}/{file}": text for file, text in draw(shown, pictures, names, start).items()}
+    return SectionReport(section, runs, tuple(table for table in tables if table.rows), captions)
+
+
+def write_study(study: Study, folder: Path, *, fly: bool = True) -> StudyReport:
+    """Analyse a study, and write study.md, study.json and its figures into its folder; errors as of `study_report`."""
+    found = study_report(study, folder, fly=fly)
+    today = date.today().isoformat()
+    texts = {
+        MARKDOWN: _markdown(found, today),
+        JSON: json.dumps({"date": today, **found.to_json()}, indent=1, allow_nan=False) + "\n",
+    }
+    for name, content in texts.items():
+        with writing(folder / name):
+            (folder / name).write_text(content, encoding="utf-8")
+    files = [*texts, *(name for section in found.sections for name in section.captions)]
+    return StudyReport(study, found.campaigns, found.sections, tuple(folder / name for name in files))
+
+
+def _markdown(found: StudyReport, today: str) -> str:
+    parts = [f"# Study {found.study.name}", f"Report of {today}."]
+    for part in found.sections:
+        parts += [f"# {part.section.title}", part.section.text]
+        parts += [f"![{name}]({name})\n\n{text}" for name, text in part.captions.items()]
+        parts += [markdown_table(shown) for shown in part.tables]
+    parts += ["# Campaigns", markdown_table(found.times)]
+    for runs in found.campaigns.values():
+        first, *rest = header(runs.campaign)
+        parts += [f"## {first[0].upper()}{first[1:]}", "\n".join(f"- {line}" for line in [*rest, *checks(runs)])]
+    return "\n\n".join(part for part in parts if part) + "\n"

@@ -1,0 +1,69 @@
+import pytest
+
+from mavfi.campaign.analysis.claims import CLAIMS, Claim, Evidence, claims_table, holm, register, verdict
+from mavfi.errors import BadInputError
+from tests.unit.campaign.analysis.handmade import flown, golden, injected, runs
+
+
+def test_holm_is_that_of_the_textbook():
+    # Holm (1979): ordered 0.005, 0.01, 0.03, 0.04 -> 4 x 0.005, 3 x 0.01, 2 x 0.03, then no smaller than before
+    assert holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert holm([None, 0.2, None]) == [None, 0.2, None]
+    assert holm([0.9, 0.8]) == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("corrected", "supports", "told"),
+    [(0.01, True, "confirmed"), (0.01, False, "contradicted"), (0.05, True, "undecided"), (None, True, "undecided")],
+)
+def test_verdicts(corrected, supports, told):
+    assert verdict(Evidence("", 0.001, supports=supports), corrected) == told
+
+
+def test_the_correction_is_over_all_claims_of_the_table():
+    name = "of_this_test"
+    register(Claim(name, "It holds", "I", "handmade", "by hand", lambda _: Evidence("seen", 0.03, supports=True)))
+    try:
+        own = [runs(golden(1), injected(1, flown()))]
+        [alone] = claims_table([name], own).entries()
+        assert (alone["verdict"], alone["holm_p"]) == ("confirmed", 0.03)
+        first, second = claims_table([name, name], own).entries()
+        assert first["holm_p"] == second["holm_p"] == 0.06 and first["verdict"] == "undecided"
+        [absent] = claims_table([name], []).entries()
+        assert (absent["verdict"], absent["p"]) == ("undecided", None) and "no runs of campaign" in absent["here"]
+    finally:
+        del CLAIMS[name]
+    with pytest.raises(BadInputError, match="claim 'none': not known; allowed: perception_least_critical"):
+        claims_table(["none"], [])
+
+
+def states(stage_lost, arm_saves=True):
+    """Ten missions with one fault each: those of a stage are lost without the detector `gaussian`."""
+    own = []
+    for seed in range(10):
+        own += [golden(seed), injected(seed, flown(not stage_lost)), injected(seed, flown(arm_saves), arm="gaussian")]
+    return runs(*own, name="table1")
+
+
+@pytest.mark.parametrize(
+    ("name", "stage_lost", "arm_saves", "told"),
+    [
+        ("fault_loses_missions_in_states", True, True, "confirmed"),
+        ("fault_loses_missions_in_states", False, True, "undecided"),
+        ("gaussian_recovers_in_states", True, True, "confirmed"),
+        ("gaussian_recovers_in_states", False, False, "contradicted"),
+    ],
+)
+def test_claims_of_the_paper_follow_the_runs(name, stage_lost, arm_saves, told):
+    [found] = claims_table([name], [states(stage_lost, arm_saves)]).entries()
+    assert found["verdict"] == told, found["here"]
+
+
+def test_a_bound_is_tested_on_recomputation_over_compute_time():
+    def flight(spent):
+        return flown(recompute_us={"control": spent}, compute_us={"pid": 1_000_000 + spent})
+
+    for spent, told in ((10_000, "confirmed"), (100_000, "contradicted")):
+        own = [injected(seed, flight(spent), arm="gaussian") for seed in range(10)]
+        [found] = claims_table(["gaussian_overhead"], [runs(*own, name="table1_instructions")]).entries()
+        assert found["verdict"] == told and "10 runs" in found["here"]

@@ -1,0 +1,49 @@
+import numpy as np
+import polars as pl
+import pytest
+
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.worlds import between_worlds, within_worlds
+
+VALUE = pl.col("value")
+
+
+def runs(worlds, values):
+    return Runs(pl.DataFrame({"world": worlds, "value": values}, schema={"world": pl.String, "value": pl.Float64}))
+
+
+def test_signs_of_differences_of_worlds():
+    worlds = [f"w{place}" for place in range(6)]
+    found = within_worlds(runs(worlds, [1.0] * 6), runs(worlds, [0.0] * 6), VALUE)
+    assert (found.first, found.second, found.worlds, found.difference) == (1.0, 0.0, 6, 1.0)
+    assert found.p_value == pytest.approx(2 / 2**6), "exact: two of 64 patterns of signs are as extreme"
+
+
+def test_many_flights_of_one_world_prove_nothing():
+    one = runs(["w"] * 100, [1.0] * 100)
+    assert within_worlds(one, runs(["w"] * 100, [0.0] * 100), VALUE).p_value is None
+    assert within_worlds(one, runs(["other"], [0.0]), VALUE) is None, "no world in common"
+
+
+def test_worlds_that_do_not_differ_have_p_1():
+    worlds = ["a", "b", "c"]
+    assert within_worlds(runs(worlds, [1.0] * 3), runs(worlds, [1.0] * 3), VALUE).p_value == 1.0
+
+
+def test_values_that_are_not_known_are_left_out():
+    found = within_worlds(runs(["a", "a", "b"], [1.0, None, 1.0]), runs(["a", "b"], [0.0, 0.0]), VALUE)
+    assert (found.first_n, found.second_n) == (2, 2)
+
+
+def test_different_worlds_are_shuffled():
+    found = between_worlds(runs(list("abcd"), [1.0] * 4), runs(list("efgh"), [0.0] * 4), VALUE)
+    assert found.difference == 1.0
+    assert found.p_value == pytest.approx(2 / 70), "exact: two of the 70 divisions"
+
+
+def test_the_level_is_kept_where_nothing_differs():
+    random = np.random.default_rng(1)
+    worlds = [f"w{place}" for place in range(12)]
+    values = random.random((200, 2, 12)) < 0.8
+    found = [within_worlds(runs(worlds, one), runs(worlds, other), VALUE) for one, other in values.astype(float)]
+    assert np.mean([one.p_value < 0.05 for one in found]) <= 0.08

@@ -1,0 +1,91 @@
+import json
+
+import numpy as np
+import polars as pl
+import pytest
+
+from mavfi.campaign.analysis import Runs
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.run import run_campaign
+from mavfi.campaign.samplers.smaller import change_of
+from mavfi.campaign.shrink import shrink
+from mavfi.cli import run
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import StateFault
+from mavfi.faults.spec import parse
+from mavfi.faults.strata import WORD_BITS
+from mavfi.states import STATES
+from tests.unit.campaign.fakes import fly, small
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("campaign")
+    lasting = {"strata": {"sign_exponent": 1}, "lifetime": {"times": 5, "width": 2}}
+    run_campaign(small(environments=["dense"], sampling=lasting), directory, executor=LocalExecutor(1))
+    return directory
+
+
+@pytest.fixture(scope="module")
+def lost(directory):
+    runs = Runs.read(directory)
+    return runs.where(~pl.col("success"), setting="fi")["run_id"]
+
+
+def test_the_smallest_fault_loses_the_mission_and_no_smaller_one_does(directory, lost):
+    from mavfi.campaign.replay import setup_of_run
+    from mavfi.campaign.store import Store
+
+    for run_id in lost:
+        found = shrink(directory, run_id)
+        original, smallest = found.original.fault, found.smallest.fault
+        assert found.smallest.lost and (smallest.times, smallest.width) == (1, 1)
+        assert (smallest.where, smallest.time_us) == (original.where, original.time_us), "the same site and instant"
+        with Store.open(directory) as store:
+            _, setup = setup_of_run(store, found.spec)
+        dtype, before = STATES[smallest.where.state].find(smallest.where.field).dtype, found.smallest.injection.before
+        size = change_of(before, dtype, smallest.bit)
+        for bit in range(WORD_BITS[dtype]):
+            if change_of(before, dtype, bit) < size:
+                smaller = StateFault(smallest.where, smallest.time_us, bit)
+                assert fly(setup, None, smaller).log.status.label == "success", f"bit {bit} is smaller and loses, too"
+
+
+def test_the_steps_and_other_instants_are_told(directory, lost):
+    found = shrink(directory, lost[0], instants=4)
+    assert [step.what for step in found.steps][:2] == ["publications", "width"]
+    assert found.steps[0].tried == 1, "once is enough here"
+    assert 1 <= len(found.instants) <= 4
+    times = [trial.fault.time_us for trial in found.instants]
+    assert times == sorted(set(times)) and found.smallest.fault.time_us not in times
+    assert all(trial.lost for trial in found.instants), "here the instant plays no part"
+
+
+def test_it_ends_with_a_command_that_flies_the_smallest_fault(capsys, directory, lost):
+    assert run(["shrink", str(directory), lost[0], "--instants", "0", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    text = data["smallest"]["text"]
+    assert data["command"].startswith("mavfi fly --environment dense --seed") and text in data["command"]
+    assert parse(text).resolve(0, "published").bit == data["smallest"]["fault"]["bit"]
+    assert run(["shrink", str(directory), lost[0], "--instants", "0"]) == 0
+    assert capsys.readouterr().out.startswith("smallest")
+
+
+def test_missions_that_are_not_lost_by_their_fault_are_refused(directory):
+    runs = Runs.read(directory)
+    fine = runs.where("success", setting="fi").first("run_id")
+    with pytest.raises(BadInputError, match="ends in success; allowed: runs whose fault loses the mission"):
+        shrink(directory, fine)
+    with pytest.raises(BadInputError, match="no fault to make smaller"):
+        shrink(directory, runs.golden.first("run_id"))
+
+
+@pytest.mark.parametrize(
+    ("before", "dtype", "bit", "size"),
+    [
+        (2.0, "f8", 63, 4.0), (1.0, "f8", 51, 0.5), (1.0, "f8", 62, np.inf), (5, "i4", 1, 2.0), (1, "i4", 31, 2.0**31),
+        (True, "?", 0, 1.0), (None, "f8", 7, 7.0),
+    ],
+)  # fmt: skip
+def test_sizes_of_changes(before, dtype, bit, size):
+    assert change_of(before, dtype, bit) == size

@@ -1,0 +1,37 @@
+import re
+
+import pytest
+
+from mavfi.cli import progress
+from mavfi.cli.progress import Part, StudyBar
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """Seconds that the test sets."""
+    now = [0.0]
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])
+    return now
+
+
+def test_the_time_left_is_that_of_all_parts_by_what_their_flights_take(capsys, clock):
+    parts = {"states": Part(40, 100, 1.0), "instructions": Part(0, 60, 10.0)}
+    with StudyBar("study paper", parts) as bar:
+        bar.begin("states", "campaign table1")
+        clock[0] = 60.0
+        bar.show(70, 100)  # 30 flights took 60 s: 2 s for one of this part, so 20 s for one of the next
+    line = capsys.readouterr().err.strip().splitlines()[-1]
+    assert line.startswith("study paper, campaign table1 (1 of 2) 70/160 flights")
+    assert "21 min 00 s left" in line, "30 x 2 s + 60 x 20 s"
+
+
+def test_parts_follow_each_other_in_one_count(capsys, clock):
+    parts = {"states": Part(0, 10, 1.0), "bits": Part(5, 10, 1.0)}
+    with StudyBar("study s", parts) as bar:
+        for place, (name, start) in enumerate({"states": 0, "bits": 5}.items()):
+            bar.begin(name, name)
+            clock[0] = 20.0 * (place + 1)
+            bar.show(start + 1, 10)
+            bar.show(10, 10)
+    counts = re.findall(r"(\d+)/20 flights", capsys.readouterr().err)
+    assert counts[-1] == "20" and [int(count) for count in counts] == sorted(map(int, counts))
