@@ -1,5 +1,6 @@
 """Flies stored runs again from their specs: one alone, or one and its golden run with all that they published."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -86,6 +87,8 @@ class Explanation:
     """None = there is none, or a fault in an instruction: its flight ends in a forked process, and the kernel effect in
     its log has the first difference."""
     departure: Departure
+    published: Sequence[Publication] = ()  # by the flight, in order; none of a flight that ends in a forked process
+    golden_published: Sequence[Publication] = ()
 
     @property
     def effect(self) -> Effect:
@@ -111,19 +114,28 @@ def explain(directory: Path, run_id: str) -> Explanation:
         injected, seen = _recorded(store, run.spec)
     first = first_difference(seen_golden, seen) if seen else None
     same = injected.log.digest() == stored.digest
-    return Explanation(run.spec, injected, golden, same, first, departure(golden.log, injected.log))
+    parted = departure(golden.log, injected.log)
+    return Explanation(run.spec, injected, golden, same, first, parted, seen, seen_golden)
 
 
 def _recorded(store: Store, spec: RunSpec) -> tuple[Flight, list[Publication]]:
     """A run and its publications in order; none for a run that ends in a forked process."""
+    if not isinstance(spec.fault, RECORDED):
+        return fly_again(store, spec), []
+    return fly_recorded(_setup_of_run(store, spec)[1], spec.fault)
+
+
+RECORDED = StateFault | MemoryFault | None
+"""Faults of flights whose publications can be recorded; others end in a forked process."""
+
+
+def fly_recorded(setup: ArmSetup, fault: StateFault | MemoryFault | None) -> tuple[Flight, list[Publication]]:
+    """Fly one mission on the deterministic host, and record what is published, in order."""
     seen: list[Publication] = []
-    if not isinstance(spec.fault, StateFault | MemoryFault | None):
-        return fly_again(store, spec), seen
-    _, setup = _setup_of_run(store, spec)
-    detector = None if setup.make_detector is None else setup.make_detector()
 
     def note(state: State, time_us: int) -> None:
         seen.append(Publication(time_us, state.copy()))
 
-    flight = fly(setup.scenario, spec.fault, detector, recovery=setup.recovery, recorders=(note,))
+    detector = None if setup.make_detector is None else setup.make_detector()
+    flight = fly(setup.scenario, fault, detector, recovery=setup.recovery, recorders=(note,))
     return flight, seen

@@ -19,7 +19,7 @@ WIDE = 140
 """Columns where the output is no terminal: tables in a file are not folded."""
 LONGEST_LINE = 2000
 """Characters of an error's line."""
-FLIGHTS, PICTURES = (".npz",), (".png", ".svg", ".pdf")
+FLIGHTS, PICTURES, PAGES = (".npz",), (".png", ".svg", ".pdf"), (".html",)
 """Endings of files."""
 
 
