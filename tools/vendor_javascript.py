@@ -5,6 +5,7 @@ Run it as `python -m tools.vendor_javascript`; it writes src/mavfi/reports/html/
 """
 
 import platform
+import shutil
 import subprocess
 import tarfile
 import tempfile
@@ -62,6 +63,7 @@ def main() -> None:
         uplot = (packages["uplot"] / "dist" / "uPlot.iife.min.js").read_text(encoding="utf-8")
         style = (packages["uplot"] / "dist" / "uPlot.min.css").read_text(encoding="utf-8")
         for name, package, code in (("three", "three", bundle), ("uplot", "uplot", uplot)):
+            shutil.copy(packages[package] / "LICENSE", VENDOR / f"{name}.LICENSE")
             (VENDOR / f"{name}.min.js").write_text(with_licence(name, packages[package], code), encoding="utf-8")
         (VENDOR / "uplot.min.css").write_text(style, encoding="utf-8")
 

@@ -13,6 +13,7 @@ from mavfi.mission import RECOVERY, MissionSpec
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
     from mavfi.mission import Scenario
+    from mavfi.reports.flight_result import FlightResult
 
 DEFAULT_PROFILE = "paper"
 
@@ -61,12 +62,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     if save is not None:
         result.log.save(save)
     if picture is not None:
-        from mavfi.reports.picture import draw_flight
-
-        if result.unwatched is None:
-            draw_flight(picture, result.flight, result.golden, detector=result.detector)
-        else:
-            draw_flight(picture, result.unwatched, result.golden, result.flight, detector=result.detector)
+        _draw(picture, result)
     if html is not None:
         from mavfi.cli.flight_pages import fly_command, page_of_result
         from mavfi.reports.html.flight_page import write_flight_page
@@ -83,6 +79,15 @@ def fly(  # noqa: PLR0913 - one parameter per option
     for path in (save, picture, html):
         if path is not None:
             out.print(f"wrote {path}", style="dim", markup=False)
+
+
+def _draw(picture: Path, result: FlightResult) -> None:
+    from mavfi.reports.picture import draw_flight
+
+    if result.unwatched is None:
+        draw_flight(picture, result.flight, result.golden, detector=result.detector)
+    else:
+        draw_flight(picture, result.unwatched, result.golden, result.flight, detector=result.detector)
 
 
 def check_company(

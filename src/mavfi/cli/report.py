@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.text import Text
 
-from mavfi.cli import options
 from mavfi.campaign.executors.local import MOST_WORKERS
+from mavfi.cli import options
 from mavfi.cli.console import PAGES, check_file, check_folder, check_number, console, write_json
 from mavfi.errors import BadInputError
 

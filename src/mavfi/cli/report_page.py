@@ -1,6 +1,6 @@
 """The HTML report for `mavfi report`: chooses runs, flies them again, hands all to the page."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
@@ -53,18 +53,17 @@ def _cases(directory: Path, report: Report, most: int | None) -> list[Case]:
 
 def _flown(
     directory: Path, cases: Sequence[Case], executor: LocalExecutor, bar: Bar
-) -> Iterator[tuple[str, FlightPage]]:  # fmt: skip
+) -> Generator[tuple[str, FlightPage], None, None]:  # fmt: skip
     """Pages in the order of the cases, whichever worker is done first."""
     done: dict[Case, FlightPage] = {}
     waiting = iter(cases)
     case = next(waiting, None)
-    with closing(map_each(executor, partial(_page, directory), cases)) as found:
-        for count, (flown, page) in enumerate(found, start=1):
-            done[flown] = page
-            bar.show(count, len(cases))
-            while case is not None and case in done:
-                yield case[0], done.pop(case)
-                case = next(waiting, None)
+    for count, (flown, page) in enumerate(map_each(executor, partial(_page, directory), cases), start=1):
+        done[flown] = page
+        bar.show(count, len(cases))
+        while case is not None and case in done:
+            yield case[0], done.pop(case)
+            case = next(waiting, None)
 
 
 def _page(directory: Path, case: Case) -> FlightPage:

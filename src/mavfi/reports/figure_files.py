@@ -3,6 +3,7 @@
 import csv
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,17 @@ from matplotlib.container import BarContainer, ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 
 from mavfi.errors import writing
 
 COLUMN, PAGE = 3.5, 7.16
 """Width of one column, and of both (in), of IEEE's two-column format."""
-_LARGEST_LETTERS, _SMALLEST_LETTERS = 8.0, 6.0  # points of typography
+LETTERS = 7.0
+"""Size of letters (points)."""
+_LETTER, _ENTRY = 0.062, 1.15
+"""About what a letter and an entry of a legend take (in)."""
 _PANELS = 2  # side by side in one column
 _DOTS_PER_INCH = 600
 _FIELDS = ("panel", "series", "x", "x_label", "y", "y_label", "low", "high")
@@ -45,19 +50,48 @@ def write_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
 
 
 def fit_to_column(figure: Figure) -> None:
-    """Give a figure the width of a column, or of the page where it has more than two panels side by side."""
+    """Give a figure the width of a column, or of the page where it has more than two panels side by side.
+
+    Letters, marks and lines shrink to what journals ask for, legends and long labels are folded; a single panel loses
+    its title, since a caption says it.
+    """
     width, height = figure.get_size_inches()
-    columns = max((axes.get_subplotspec().get_gridspec().ncols for axes in figure.axes if axes.get_subplotspec()),
-                  default=1)  # fmt: skip
+    panels = [axes for axes in figure.axes if axes.get_subplotspec() is not None]
+    columns = max((axes.get_subplotspec().get_gridspec().ncols for axes in panels), default=1)  # type: ignore[union-attr]
     target = COLUMN if columns <= _PANELS else PAGE
-    if target >= width:
-        return
-    figure.set_size_inches(target, max(height * target / width, min(height, 0.75 * target)))
-    letters = _LARGEST_LETTERS if target == PAGE else 0.9 * _LARGEST_LETTERS
+    figure.set_size_inches(target, min(height, max(height * target / width, 0.7 * target / columns)))
     for text in figure.findobj(Text):
-        text.set_fontsize(max(_SMALLEST_LETTERS, min(text.get_fontsize(), letters)))
+        text.set_fontsize(LETTERS)
+    for line in figure.findobj(Line2D):
+        line.set_markersize(min(line.get_markersize(), 3.5))
+        line.set_linewidth(min(line.get_linewidth(), 1.4))
     for legend in figure.findobj(Legend):
-        legend.set_ncols(max(1, int(target / 1.25)))
+        _fold(figure, legend, max(1, int(target / _ENTRY)))
+    if len(panels) == 1:
+        panels[0].set_title("", loc="left")
+    labels = {axes.get_xlabel() for axes in panels}
+    if len(labels) == 1:  # those of narrow panels would run into each other, or over the edge
+        for axes in panels:
+            axes.set_xlabel("")
+        figure.supxlabel(_folded(labels.pop(), target), fontsize=LETTERS)
+    for axes in panels:
+        axes.set_xlabel(_folded(axes.get_xlabel(), target / columns))
+
+
+def _folded(label: str, width: float) -> str:
+    """A label in lines that fit a width (in)."""
+    return "\n".join(line for part in label.splitlines() for line in wrap(part, int(width / _LETTER)))
+
+
+def _fold(figure: Figure, legend: Legend, columns: int) -> None:
+    """The same legend above the panels, in fewer columns."""
+    labels = [text.get_text() for text in legend.get_texts()]
+    handles = [handle for handle in legend.legend_handles if handle is not None]
+    legend.remove()
+    figure.legend(
+        handles, labels, loc="outside upper left", ncols=min(columns, len(labels)), fontsize=LETTERS, frameon=False,
+        handlelength=1.6, columnspacing=1.0, borderpad=0.2, labelspacing=0.3,
+    )  # fmt: skip
 
 
 def drawn_data(figure: Figure) -> Iterator[Row]:
@@ -99,19 +133,32 @@ def _points(axes: Axes) -> Iterator[Row]:
             held |= {id(one) for one in (line, *caps)}
             yield from _with_intervals(line, bars, labels)
         elif isinstance(container, BarContainer):
-            for bar in container.patches:
-                x, y = bar.get_x() + bar.get_width() / 2, bar.get_y() + bar.get_height()
-                yield {"series": str(container.get_label()).lstrip("_"), "x": x, "y": y, "low": bar.get_y()}
+            yield from map(_bar, container.patches, [_named(container)] * len(container.patches))
     for line in axes.lines:
         if id(line) not in held and line.get_transform() == axes.transData:
             yield from _rows(_series(line, labels), np.column_stack([line.get_xdata(), line.get_ydata()]))
     for collection in axes.collections:
         if isinstance(collection, PathCollection) and collection.get_alpha() != 0:
-            yield from _rows(str(collection.get_label()).lstrip("_"), np.asarray(collection.get_offsets()))
+            yield from _rows(_named(collection), np.asarray(collection.get_offsets()))
     for image in axes.images:
-        cells = np.ma.filled(np.ma.asarray(image.get_array(), np.float64), np.nan)
-        for (row, column), value in np.ndenumerate(cells) if cells.ndim == 2 else ():
-            yield {"series": f"{value:.6g}", "x": float(column), "y": float(row)}
+        yield from _cells(np.ma.filled(np.ma.asarray(image.get_array(), np.float64), np.nan))
+
+
+def _named(artist: Any) -> str:
+    """Label of a series; "" = none was given."""
+    label = str(artist.get_label())
+    return "" if label.startswith("_") else label
+
+
+def _bar(bar: Rectangle, series: str) -> Row:
+    x, low = bar.get_x() + bar.get_width() / 2, bar.get_y()
+    return {"series": series, "x": x, "y": low + bar.get_height(), "low": low}
+
+
+def _cells(cells: np.ndarray) -> Iterator[Row]:
+    """Cells of a map of numbers, the value as series; pictures have none."""
+    for (row, column), value in np.ndenumerate(cells) if cells.ndim == 2 else ():
+        yield {"series": f"{value:.6g}", "x": float(column), "y": float(row)}
 
 
 def _colours(axes: Axes) -> dict[str, str]:

@@ -35,7 +35,7 @@ def svg_of(figure: Figure, name: str, caption: str) -> Markup:
     text = re.sub(r'(\bid="|url\(#|href="#)(?!runs\?)', rf"\g<1>{name}-", text)
     for colour, variable in _COLOURS.items():
         text = re.sub(re.escape(colour), f"var(--{variable})", text, flags=re.IGNORECASE)
-    text = re.sub(r'<a xlink:href="#runs\?([^"]*)"', _link, text)
+    text = re.sub(r'<a xlink:href="#runs\?([^"]*)" target="_blank"', _link, text)
     text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
     label = escape(caption, quote=True)
     return Markup(text.replace("<svg ", f'<svg role="group" aria-label="{label}" ', 1))  # noqa: S704 - of matplotlib

@@ -95,9 +95,10 @@ def write_report_page(
     listed = run_list({str(part.directory): part.report.runs for part in parts})
     sets = RunSets({run_id: place for place, run_id in enumerate(listed["ids"])})
     numbered = list(_section_data(sections, sets))
-    (title, *lines), *others = (header(report.runs.campaign) for report in reports)
+    (named, *lines), *others = (header(report.runs.campaign) for report in reports)
+    title, _, mission = named.partition(" · ")
     values: dict[str, Any] = {
-        "title": title[0].upper() + title[1:], "lines": [*lines, *(line for more in others for line in more)],
+        "title": title[0].upper() + title[1:], "lines": [mission, *lines, *(line for more in others for line in more)],
         "findings": [line for report in reports for line in report.findings], "commands": commands,
         "checks": [*(line for report in reports for line in checks(report.runs)), *REMARKS], "sections": numbered,
         "csv": {table["id"]: table.pop("csv") for section in numbered for table in section["tables"]},
@@ -116,7 +117,9 @@ def _section_data(sections: Sequence[Section], sets: RunSets) -> Iterator[dict[s
         tables = [table_data(table, sets) for table in section.tables]
         yield {
             "id": f"section-{place}", "title": section.title, "text": section.text,
-            "tables": [table | {"id": f"{place}-{table['name']}", "long": len(table["rows"]) > _LONG} for table in tables],
+            "tables": [
+                table | {"id": f"{place}-{table['name']}", "long": len(table["rows"]) > _LONG} for table in tables
+            ],
             "figures": [
                 {"svg": svg_of(one.figure, f"s{place}-{one.name}", one.caption), "caption": one.caption}
                 for one in section.figures

@@ -8,13 +8,14 @@ import polars as pl
 from mavfi.campaign.analysis.runs import Runs
 
 FILTERS = {
-    "folder": "ledger", "environment": "environment", "setting": "arm", "level": "level", "stage": "stage", "place": "kernel or state",
-    "field": "field", "bit": "bit", "bit_class": "bit class", "effect": "effect", "status": "status",
+    "folder": "ledger", "environment": "environment", "setting": "arm", "level": "level", "stage": "stage",
+    "place": "kernel or state", "field": "field", "bit": "bit", "bit_class": "bit class", "effect": "effect",
+    "status": "status",
 }  # fmt: skip
 """Columns that can be selected by, and what they are called."""
 NUMBERS = {"flight_time_s": 2, "inflation": 4, "alarms_total": 0, "time_s": 3}
 """Columns of numbers, and the digits that are kept."""
-HIDDEN = ("population", "kind")
+HIDDEN = ("population", "kind", "target", "site")
 """Columns that links of figures select by."""
 
 

@@ -10,7 +10,6 @@ class RunList {
     this.form = document.querySelector(".filters");
     this.shownFilters = Object.keys(data.filters).filter((name) => data.texts[name].values.length > 1);
     this.buildForm();
-    this.buildHead();
   }
 
   text(name, run) {
@@ -43,7 +42,7 @@ class RunList {
   }
 
   buildHead() {
-    const headings = ["run", ...this.shownFilters.map((name) => this.data.filters[name]), ...Object.values(NUMBER_HEADINGS)];
+    const headings = ["run", ...this.columns.map((name) => this.data.filters[name]), ...Object.values(NUMBER_HEADINGS)];
     const cells = headings.map((heading) => element("th", { scope: "col" }, heading));
     document.querySelector(".runs thead").replaceChildren(element("tr", {}, ...cells));
   }
@@ -81,6 +80,8 @@ class RunList {
       `${this.found.length} of ${this.data.ids.length} runs${source}${filters.length ? `; ${filters.join(", ")}` : ""}.`
       + ` ${this.stored.size} have their flight in this file (●).`;
     const rows = this.found.slice(ROWS * this.page, ROWS * (this.page + 1));
+    this.columns = this.shownFilters.filter((name) => this.found.some((run) => this.text(name, run) !== ""));
+    this.buildHead();
     document.querySelector(".runs tbody").replaceChildren(...rows.map((run) => this.row(run)));
     this.showPager();
   }
@@ -89,7 +90,7 @@ class RunList {
     const id = this.data.ids[run];
     const link = element("a", { href: `#run/${encodeURIComponent(id)}` }, id);
     const mark = this.stored.has(id) ? element("span", { class: "has", title: "with its flight" }, " ●") : "";
-    const texts = this.shownFilters.map((name) => {
+    const texts = this.columns.map((name) => {
       const bad = name === "status" && this.text(name, run) !== "success";
       return element("td", bad ? { class: "bad" } : {}, this.text(name, run));
     });

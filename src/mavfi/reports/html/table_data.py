@@ -42,27 +42,29 @@ def _ranges(places: Sequence[int]) -> str:
 def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
     """Headings, rows of cells (text, interval, link), notes and CSV of a table."""
     shown = [place for place, column in enumerate(table.columns) if not column.hidden]
+    kinds = {place: _kind(table, place) for place in shown}
     behind = table.behind or [((),) * len(table.columns)] * len(table.rows)
     rows = []
-    before: list[str] = []
-    for row, ids in zip(table.rows, behind, strict=True):
+    for place, (row, ids) in enumerate(zip(table.rows, behind, strict=True)):
         cells = []
-        for place in shown:
-            column = table.columns[place]
-            text = cell(row[place], column.form)
-            is_key = place < table.keys
+        for column in shown:
+            text = cell(row[column], table.columns[column].form)
             value, interval = _split(text)
-            link = "" if is_key or text == ABSENT or column.form == TEXT else sets.link(ids[place])
-            cells.append({"key": is_key, "value": value, "interval": interval, "link": link})
-        texts = [entry["value"] for entry in cells]
-        repeated = bool(before) and table.keys > 1 and texts[0] == before[0]
-        rows.append({"cells": cells, "repeated": repeated})
-        before = texts
-    columns = [{"heading": table.columns[place].heading, "key": place < table.keys} for place in shown]
+            link = sets.link(ids[column]) if kinds[column] == "number" and text != ABSENT else ""
+            cells.append({"kind": kinds[column], "value": value, "interval": interval, "link": link})
+        rows.append({"cells": cells, "repeated": place > 0 and row[0] == table.rows[place - 1][0]})
+    columns = [{"heading": table.columns[place].heading, "kind": kinds[place]} for place in shown]
     return {
         "name": table.name, "title": table.title, "columns": columns, "rows": rows, "notes": table.notes,
         "csv": table.to_csv(),
     }  # fmt: skip
+
+
+def _kind(table: Table, place: int) -> str:
+    """What a column holds: "key" names the row, "text" has no runs behind it, "number" has."""
+    if place < table.keys:
+        return "key"
+    return "text" if table.columns[place].form == TEXT else "number"
 
 
 def _split(text: str) -> tuple[str, str]:
