@@ -81,7 +81,8 @@ def page_of_explanation(directory: Path, found: Explanation, partner: str | None
             log = fly_again(store, other).log
         role, label = _role(other.detector, detector_name(other))
         courses.append(Course(role, label, log))
-        story.append((label, f"{end_of(log)}, run {partner}"))
+        what = f"with {detector_name(other)}" if other.detector else "without a detector"
+        story.append((what, f"{end_of(log)}, run {partner}"))
     courses.sort(key=lambda course: (GOLDEN, INJECTED, RECOVERED).index(course.role))
     commands = [
         ("fly it again, compare digests", f"mavfi replay {shown} {spec.run_id}"),

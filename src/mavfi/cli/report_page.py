@@ -16,10 +16,13 @@ from mavfi.cli.flight_pages import page_of_explanation
 from mavfi.cli.progress import Bar
 from mavfi.reports.campaign_report import Report
 from mavfi.reports.html.flight_page import FlightPage
-from mavfi.reports.html.report_page import Part, sections_of, write_report_page
+from mavfi.reports.html.report_page import LARGEST, Part, sections_of, write_report_page
 
 Case = tuple[str, str | None]
 """A run, and one with the same fault in another setting; None = there is none."""
+
+_SMALLEST = 30_000
+"""About the smallest page of a flight with its golden run (bytes)."""
 
 
 def write_html(path: Path, directory: Path, report: Report, flights: int | None, workers: int) -> int:
@@ -47,6 +50,7 @@ def _cases(directory: Path, report: Report, most: int | None) -> list[Case]:
     frame = report.runs.frame
     with Store.open(directory) as store:
         deterministic = host_of(stored_campaign(store)).deterministic
+    most = LARGEST // _SMALLEST if most is None else most
     chosen = ordered(frame)[:most] if deterministic and report.runs.has_missions else []
     return [(run_id, partner(frame, run_id)) for run_id in chosen]
 

@@ -9,6 +9,7 @@ class Player {
     this.end = Math.max(...this.paths.map((path) => path.end));
     this.find = (selector) => root.querySelector(selector);
     this.fillTexts(flight);
+    this.tellLines();
     this.find(".stage").insertAdjacentHTML("beforeend", planView(this.flight.world, this.paths));
     this.scene = this.makeScene(flight);
     this.charts = new Charts(this.find(".charts"), this.flight, this.paths, (time) => this.seek(time));
@@ -34,6 +35,12 @@ class Player {
       element("dt", {}, heading), element("dd", {}, sentence)]));
     this.find(".commands").replaceChildren(...flight.commands.flatMap(([what, command]) => [
       element("p", {}, what), element("code", { class: "command", tabindex: "0" }, command)]));
+  }
+
+  tellLines() {
+    if (!this.flight.lines.length) return;
+    this.find(".lines-title").textContent = "Around the fault";
+    this.find(".lines-told").hidden = false;
   }
 
   flightRow(path) {

@@ -7,6 +7,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from mavfi.reports.html.flight_data import Course
+from mavfi.reports.html.flight_page import FlightPage, write_flight_page
+from tests.unit.reports.html.made import scene, straight
+
 pytestmark = pytest.mark.slow  # starts a browser, and draws in software
 
 
@@ -58,6 +62,20 @@ def test_the_camera_and_the_colours_change(browser, flight_html):
     light = browser.run(paper)
     browser.click(".theme")
     assert browser.run(paper) != light
+    assert browser.complaints() == []
+
+
+def test_a_scan_is_drawn_as_voxels(browser, tmp_path):
+    occupied = np.zeros((60, 20, 12), bool)
+    occupied[20:22, 8:12, :8] = True
+    scan = scene(occupied=occupied, origin=np.array([0.0, -10, 0]), resolution=1.0)
+    flown = FlightPage.of(
+        "scan", [("verdict", "reached the goal")], [], [Course("golden", "golden run", straight(900))], scan
+    )
+    browser.open(write_flight_page(tmp_path / "scan.html", flown))
+    assert colours(browser, ".stage canvas") > 30
+    assert browser.count(".plan rect") == 8
+    assert browser.text(".lines-title") == "Speed and height"
     assert browser.complaints() == []
 
 
