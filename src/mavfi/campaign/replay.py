@@ -10,7 +10,7 @@ from mavfi.campaign.plan import RunSpec, arms_of
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import MemoryFault, StateFault
+from mavfi.faults.fault import Fault, MemoryFault, StateFault
 from mavfi.flight_record import record_of
 from mavfi.hosts.host import ArmSetup, Flight, Host, Recorded
 from mavfi.hosts.local import fly
@@ -120,17 +120,17 @@ def explain(directory: Path, run_id: str) -> Explanation:
 
 def _recorded(store: Store, spec: RunSpec) -> tuple[Flight, list[Publication]]:
     """A run and its publications in order; none for a run that ends in a forked process."""
-    if not isinstance(spec.fault, RECORDED):
-        return fly_again(store, spec), []
-    return fly_recorded(_setup_of_run(store, spec)[1], spec.fault)
+    return fly_recorded(_setup_of_run(store, spec)[1], spec.fault) or (fly_again(store, spec), [])
 
 
-RECORDED = StateFault | MemoryFault | None
-"""Faults of flights whose publications can be recorded; others end in a forked process."""
+def fly_recorded(setup: ArmSetup, fault: Fault | None) -> tuple[Flight, list[Publication]] | None:
+    """Fly one mission on the deterministic host, and record what is published, in order.
 
-
-def fly_recorded(setup: ArmSetup, fault: StateFault | MemoryFault | None) -> tuple[Flight, list[Publication]]:
-    """Fly one mission on the deterministic host, and record what is published, in order."""
+    Returns:
+        None for a fault whose flight ends in a forked process.
+    """
+    if not isinstance(fault, StateFault | MemoryFault | None):
+        return None
     seen: list[Publication] = []
 
     def note(state: State, time_us: int) -> None:

@@ -4,7 +4,7 @@ import shlex
 from pathlib import Path
 
 from mavfi.campaign.divergence import departure, first_difference
-from mavfi.campaign.replay import RECORDED, Explanation, fly_again, fly_recorded
+from mavfi.campaign.replay import Explanation, fly_again, fly_recorded
 from mavfi.campaign.store import Store
 from mavfi.faults.fault import Fault
 from mavfi.hosts.host import ArmSetup, Flight
@@ -53,13 +53,17 @@ def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, comman
     )  # fmt: skip
     if result.unwatched is not None:
         story.append(("without the detector", end_of(result.unwatched.log)))
-    return FlightPage.of(context, story, commands, courses, result.flight.world, result.fault)
+    return FlightPage.of(context, story, commands, courses, result.flight.world, _site(result.fault))
 
 
 def _course(role: str, label: str, setup: ArmSetup, fault: Fault | None, flight: Flight) -> Course:
     """A flight, with what it publishes where that can be recorded."""
-    published = fly_recorded(setup, fault)[1] if isinstance(fault, RECORDED) else []
-    return Course(role, label, flight.log, published)
+    recorded = fly_recorded(setup, fault)
+    return Course(role, label, flight.log, [] if recorded is None else recorded[1])
+
+
+def _site(fault: Fault | None) -> str:
+    return "" if fault is None else fault.site
 
 
 def page_of_explanation(directory: Path, found: Explanation, partner: str | None, shown: Path) -> FlightPage:
@@ -90,7 +94,7 @@ def page_of_explanation(directory: Path, found: Explanation, partner: str | None
         ("draw it", f"mavfi explain {shown} {spec.run_id} --picture flight.png"),
     ]
     context = f"{spec.environment} · seed {spec.seed} · {spec.setting} · {spec.run_id}"
-    return FlightPage.of(context, story, commands, courses, found.flight.world, spec.fault)
+    return FlightPage.of(context, story, commands, courses, found.flight.world, _site(spec.fault))
 
 
 def _role(detector: str, name: str) -> tuple[str, str]:

@@ -5,6 +5,7 @@ from contextlib import closing
 from functools import partial
 from pathlib import Path
 
+from mavfi.campaign.config import Campaign, load_campaign
 from mavfi.campaign.executors.executor import map_each
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.mission import host_of
@@ -14,6 +15,7 @@ from mavfi.campaign.store import FILE, Store
 from mavfi.campaign.telling import ordered, partner
 from mavfi.cli.flight_pages import page_of_explanation
 from mavfi.cli.progress import Bar
+from mavfi.errors import BadInputError
 from mavfi.reports.campaign_report import Report
 from mavfi.reports.html.flight_page import FlightPage
 from mavfi.reports.html.report_page import LARGEST, Part, sections_of, write_report_page
@@ -42,7 +44,7 @@ def write_html(path: Path, directory: Path, report: Report, flights: int | None,
     executor = LocalExecutor(min(workers, max(1, len(cases))))
     part = Part(directory, report)
     with Bar("flights of the page") as bar, closing(_flown(directory, cases, executor, bar)) as pages:
-        return write_report_page(path, [part], sections_of(report), commands(directory, report), pages)
+        return write_report_page(path, [part], sections_of(report), commands(directory), pages)
 
 
 def _cases(directory: Path, report: Report, most: int | None) -> list[Case]:
@@ -75,11 +77,30 @@ def _page(directory: Path, case: Case) -> FlightPage:
     return page_of_explanation(directory, explain(directory, run_id), other, directory)
 
 
-def commands(directory: Path, report: Report) -> list[tuple[str, str]]:
+def commands(directory: Path) -> list[tuple[str, str]]:
     """How to repeat a campaign and its report."""
-    campaign = report.runs.campaign
     return [
-        ("Fly the campaign, or what is left of it", f"mavfi campaign run {campaign['name']} --out {directory}"),
-        (f"Check the ledger ({FILE}) against its digest", f"mavfi campaign verify {directory}"),
+        *_flying(directory),
+        (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {directory} --share 0.02"),
         ("Write this page", f"mavfi report {directory} --html report.html"),
     ]
+
+
+def _flying(directory: Path) -> list[tuple[str, str]]:
+    """The command that flies a campaign, where it is a shipped one at one of its sizes."""
+    with Store.open(directory) as store:
+        held = stored_campaign(store)
+    try:
+        shipped = load_campaign(held.name)
+    except BadInputError:
+        return []
+    for scale in ("quick", *shipped.scales):
+        if _same(shipped.at_scale(scale), held):
+            command = f"mavfi campaign run {held.name} --scale {scale} --out {directory}"
+            return [("Fly the campaign, or what is left of it", command)]
+    return []
+
+
+def _same(first: Campaign, second: Campaign) -> bool:
+    """Whether two campaigns fly the same; the sizes that they could have do not matter."""
+    return first.model_dump(exclude={"scales"}) == second.model_dump(exclude={"scales"})

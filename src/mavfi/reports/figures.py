@@ -275,7 +275,7 @@ def _shown(judged: Runs, column: str) -> dict[tuple[str, str], tuple[str, Rate]]
 
 
 FIGURES: dict[str, tuple[Callable[[Runs], Figure | None], str]] = {
-    "success": (success, "Success with 95 % intervals; black: the paper's figure."),
+    "success": (success, "Success with 95 % intervals; horizontal bars: the paper's figures."),
     "flight_time": (
         flight_time, "Share of missions that arrived, by flight time over the golden run's; failures never arrive."
     ),

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mavfi.campaign.divergence import Publication
-from mavfi.faults.fault import Fault
 from mavfi.flight_log import FlightLog
 from mavfi.mission import MissionStatus
 from mavfi.reports.explain import around
@@ -45,19 +44,19 @@ class Course:
     published: Sequence[Publication] = ()
 
 
-def flight_data(courses: Sequence[Course], world: World, fault: Fault | None = None) -> dict[str, Any]:
+def flight_data(courses: Sequence[Course], world: World, site: str = "") -> dict[str, Any]:
     """World, paths and time lines of flights of one mission.
 
     Args:
         courses: Each role at most once; the golden run first.
         world: Where they were flown.
-        fault: What was injected; its field is the first time line.
+        site: Of the fault, as text; a field of a state is the first time line.
     """
     paths = [course_data(course) for course in courses]
     at = next((path["fault"] for path in paths if path["fault"] is not None), None)
     return {
         "world": world_data(world, courses), "paths": paths, "fault": at,
-        "lines": [] if at is None else time_lines({course.role: course.published for course in courses}, at, fault),
+        "lines": [] if at is None else time_lines({course.role: course.published for course in courses}, at, site),
     }  # fmt: skip
 
 

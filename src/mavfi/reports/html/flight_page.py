@@ -5,7 +5,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from mavfi.faults.fault import Fault
 from mavfi.reports.explain import Lines
 from mavfi.reports.html import page
 from mavfi.reports.html.flight_data import Course, flight_data
@@ -35,12 +34,12 @@ class FlightPage:
     @staticmethod
     def of(
         context: str, story: Lines, commands: Sequence[tuple[str, str]], courses: Sequence[Course], world: World,
-        fault: Fault | None = None,
+        site: str = "",
     ) -> "FlightPage":  # fmt: skip
         """The page of flights of one mission; the first sentence of the story is the verdict."""
         (_, verdict), *rest = story
-        title = "A flight without a fault" if fault is None else f"Fault in {fault.site}"
-        return FlightPage(title, context, verdict, rest, commands, flight_data(courses, world, fault))
+        title = f"Fault in {site}" if site else "A flight without a fault"
+        return FlightPage(title, context, verdict, rest, commands, flight_data(courses, world, site))
 
     def to_json(self) -> dict[str, Any]:
         """What scripts show."""

@@ -8,9 +8,9 @@ import polars as pl
 from mavfi.campaign.analysis.runs import Runs
 
 FILTERS = {
-    "folder": "ledger", "environment": "environment", "setting": "arm", "level": "level", "stage": "stage",
-    "place": "kernel or state", "field": "field", "bit": "bit", "bit_class": "bit class", "effect": "effect",
-    "status": "status",
+    "folder": "ledger", "environment": "environment", "setting": "arm", "status": "status", "effect": "effect",
+    "level": "level", "stage": "stage", "place": "kernel or state", "field": "field", "bit": "bit",
+    "bit_class": "bit class",
 }  # fmt: skip
 """Columns that can be selected by, and what they are called."""
 NUMBERS = {"flight_time_s": 2, "inflation": 4, "alarms_total": 0, "time_s": 3}

@@ -8,7 +8,8 @@ class RunList {
   constructor(data, stored) {
     Object.assign(this, { data, stored, page: 0, chosen: {}, set: null });
     this.form = document.querySelector(".filters");
-    this.shownFilters = Object.keys(data.filters).filter((name) => data.texts[name].values.length > 1);
+    const differs = (name) => data.texts[name].values.filter((value) => value !== "").length > 1;
+    this.shownFilters = Object.keys(data.filters).filter(differs);
     this.buildForm();
   }
 

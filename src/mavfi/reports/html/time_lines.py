@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mavfi.campaign.divergence import Publication
-from mavfi.faults.fault import Fault, StateFault
 from mavfi.states import STATES, Stage
 
 BEFORE, AFTER = 1.0, 4.0
@@ -36,19 +35,19 @@ Line = tuple[np.ndarray, np.ndarray]
 """Instants (s) and values, shapes (n,)."""
 
 
-def time_lines(published: Mapping[str, Sequence[Publication]], at: float, fault: Fault | None) -> list[dict[str, Any]]:
+def time_lines(published: Mapping[str, Sequence[Publication]], at: float, site: str) -> list[dict[str, Any]]:
     """The injected field, then those that differ most from the golden run, in the order of the data flow.
 
     Args:
         published: Publications by role of the flight; there are none where "golden" or "injected" is missing.
         at: Instant of the fault (s).
-        fault: What was injected.
+        site: Of the fault, as text.
     """
     near = {role: _near(publications, at) for role, publications in published.items() if publications}
     if "golden" not in near or len(near) < 2:
         return []
     injected = near.get("injected") or near["recovered"]
-    first = [] if (site := _site(fault)) is None else [site]
+    first = [] if (own := _site(site)) is None else [own]
     scores = {site: _difference(near["golden"], injected, site) for site in _candidates() if site not in first}
     worst = sorted((site for site in scores if scores[site] > 0), key=lambda site: -scores[site])[: MOST - len(first)]
     shown = first + [site for site in scores if site in worst]
@@ -69,12 +68,13 @@ def _near(publications: Sequence[Publication], at: float) -> dict[str, list[Publ
     return found
 
 
-def _site(fault: Fault | None) -> Site | None:
-    if not isinstance(fault, StateFault) or not fault.has_site:
+def _site(text: str) -> Site | None:
+    """A field of a state from its text, e.g. "planning.trajectory.x[3]"; None for sites of other kinds."""
+    found = re.fullmatch(r"(\w+\.\w+)\.(\w+)(?:\[(\d+)\])?", text)
+    if found is None or found[1] not in STATES:
         return None
-    where = fault.where
-    in_elements = STATES[where.state].in_elements(where.field)
-    return Site(where.state, re.sub(r"\[.*", "", where.field), where.element if in_elements else None)
+    in_elements = STATES[found[1]].in_elements(found[2])
+    return Site(found[1], found[2], int(found[3] or 0) if in_elements else None)
 
 
 def _candidates() -> list[Site]:
