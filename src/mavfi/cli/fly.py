@@ -67,7 +67,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         from mavfi.cli.flight_pages import fly_command, page_of_result
         from mavfi.reports.html.flight_page import write_flight_page
 
-        command = fly_command(asked, fault, fault_seed, detector, profile)
+        command = fly_command(asked, fault, fault_seed, detector, profile, models)
         write_flight_page(html, page_of_result(result, setup, bare, command))
     if as_json:
         write_json(result.to_json())

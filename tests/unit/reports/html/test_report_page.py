@@ -114,7 +114,7 @@ def test_the_list_of_runs_has_every_run(runs):
 
 def test_the_command_of_a_flight_names_what_differs_from_the_defaults():
     mission = MissionSpec(environment="dense", seed=3, wind=1.5, goal=(1.0, 2.0, 3.0))
-    command = fly_command(mission, "state:planning.waypoint.x", 2, "gaussian", None)
+    command = fly_command(mission, "state:planning.waypoint.x", 2, "gaussian", None, None)
     assert command == (
         "mavfi fly --environment dense --seed 3 --goal 1.0 2.0 3.0 --wind 1.5 --fault state:planning.waypoint.x "
         "--fault-seed 2 --detector gaussian"
