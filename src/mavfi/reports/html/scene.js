@@ -144,12 +144,20 @@ class FlightScene {
     return ring;
   }
 
+  /** A cross that faces the camera. */
   addCross(path) {
     const point = path.point(path.n - 1);
+    const cross = new THREE.Group();
+    const material = new THREE.MeshBasicMaterial({ color: css(path.role) });
     for (const angle of [Math.PI / 4, -Math.PI / 4]) {
-      const bar = this.addMark(new THREE.BoxGeometry(3, 0.4, 0.4), css(path.role), point, "", path.role);
-      bar.rotation.set(0, angle, 0);
+      const bar = new THREE.Mesh(new THREE.BoxGeometry(3, 0.45, 0.45), material);
+      bar.rotation.z = angle;
+      cross.add(bar);
     }
+    cross.position.set(...point);
+    cross.userData.facesCamera = true;
+    this.marks.push(cross);
+    this.lines.get(path.role).group.add(cross);
     this.addLabel(path.status, point);
   }
 
@@ -191,7 +199,7 @@ class FlightScene {
     const narrow = Math.max(1, 1.75 / this.camera.aspect);
     const span = narrow * Math.max(high[0] - low[0], 1.5 * (high[1] - low[1]), 20);
     const offsets = {
-      overview: [-0.28 * span, -0.8 * span, 0.52 * span], above: [0, -0.01, 1.3 * span],
+      overview: [-0.28 * span, -0.8 * span, 0.52 * span], above: [0, -0.01, 1.2 * span],
       side: [0, -1.2 * span, 0.08 * span], follow: [-14, -9, 9],
     };
     this.following = name === "follow";
@@ -233,6 +241,7 @@ class FlightScene {
       for (const mark of this.marks) {
         const size = DRONE_SIZE * this.camera.position.distanceTo(mark.position);
         mark.scale.setScalar(Math.min(3.5, Math.max(0.5, size)));
+        if (mark.userData.facesCamera) mark.quaternion.copy(this.camera.quaternion);
       }
       this.renderer.render(this.scene, this.camera);
       this.placeLabels();
