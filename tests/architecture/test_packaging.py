@@ -5,14 +5,16 @@ import subprocess
 import sys
 import tomllib
 from importlib.metadata import packages_distributions
+from pathlib import Path
 
 import pytest
+from hatchling.builders.wheel import WheelBuilder
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 import mavfi
 from mavfi.hosts.ros1 import finder
-from tests.architecture.source import ROOT, imports, modules
+from tests.architecture.source import PACKAGE, ROOT, imports, modules
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 LOCK = [
@@ -37,6 +39,14 @@ def test_the_lock_satisfies_every_requirement(wanted):
 def test_the_version_is_in_the_changelog_and_the_citation():
     assert f"## [{mavfi.__version__}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert f"version: {mavfi.__version__}" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_the_wheel_has_what_html_pages_inline():
+    folder = PACKAGE / "reports" / "html"
+    wanted = {path for path in folder.rglob("*") if path.suffix in (".j2", ".js", ".css", ".LICENSE")}
+    builder = WheelBuilder(str(ROOT))
+    packed = {Path(included.path) for included in builder.recurse_included_files()}
+    assert len(wanted) > 10 and wanted <= packed
 
 
 def test_whatever_is_imported_is_asked_for():

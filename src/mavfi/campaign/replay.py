@@ -1,5 +1,6 @@
 """Replays stored runs from their specifications: one run, or a run and its golden run with all publications."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from mavfi.campaign.plan import RunSpec, arms_of
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import MemoryFault, StateFault
+from mavfi.faults.fault import Fault, MemoryFault, StateFault
 from mavfi.flight_record import record_of
 from mavfi.hosts.host import ArmSetup, Flight, Host, Recorded
 from mavfi.hosts.local import fly
@@ -96,7 +97,9 @@ class Explanation:
     log has the first difference."""
     departure: Departure
     spread: tuple[Spread, ...] = ()
-    """Which states differed, in the order in which they began to; of a fault in an instruction, parts of the log."""
+    """States that differed, in the order of their first difference; for an instruction fault, parts of the log."""
+    published: Sequence[Publication] = ()  # of the flight, in order; empty if it ends in a forked process
+    golden_published: Sequence[Publication] = ()
 
     @property
     def effect(self) -> Effect:
@@ -122,22 +125,29 @@ def explain(directory: Path, run_id: str) -> Explanation:
         injected, seen = _recorded(store, run.spec)
     first = first_difference(seen_golden, seen) if seen else None
     same = injected.log.digest() == stored.digest
-    spreading = spread(seen_golden, seen) if seen else spread_in_log(golden.log, injected.log)
-    return Explanation(
-        run.spec, injected, golden, same, first, departure(golden.log, injected.log), tuple(spreading)
-    )  # fmt: skip
+    spreading = tuple(spread(seen_golden, seen) if seen else spread_in_log(golden.log, injected.log))
+    parted = departure(golden.log, injected.log)
+    return Explanation(run.spec, injected, golden, same, first, parted, spreading, seen, seen_golden)
 
 
 def _recorded(store: Store, spec: RunSpec) -> tuple[Flight, list[Publication]]:
     """Replay a run with its publications in order; the list is empty if the run ends in a forked process."""
+    return fly_recorded(setup_of_run(store, spec)[1], spec.fault) or (fly_again(store, spec), [])
+
+
+def fly_recorded(setup: ArmSetup, fault: Fault | None) -> tuple[Flight, list[Publication]] | None:
+    """Fly one mission on the deterministic host and record its publications, in order.
+
+    Returns:
+        None for a fault whose flight ends in a forked process.
+    """
+    if not isinstance(fault, StateFault | MemoryFault | None):
+        return None
     seen: list[Publication] = []
-    if not isinstance(spec.fault, StateFault | MemoryFault | None):
-        return fly_again(store, spec), seen
-    _, setup = setup_of_run(store, spec)
-    detector = None if setup.make_detector is None else setup.make_detector()
 
     def note(state: State, time_us: int) -> None:
         seen.append(Publication(time_us, state.copy()))
 
-    flight = fly(setup.scenario, spec.fault, detector, recovery=setup.recovery, recorders=(note,))
+    detector = None if setup.make_detector is None else setup.make_detector()
+    flight = fly(setup.scenario, fault, detector, recovery=setup.recovery, recorders=(note,))
     return flight, seen

@@ -15,9 +15,10 @@ class Section(Config):
     title: str
     text: str = Field("", description="a paragraph below the title")
     campaign: str = Field("", description="folder of its ledger, a key of campaigns; not needed for claims")
-    views: tuple[str, ...] = Field((), description="tables, in this order; the first one is also printed")
+    views: tuple[str, ...] = Field((), description="tables, in this order")
     figures: tuple[str, ...] = Field((), description="in this order")
     claims: tuple[str, ...] = Field((), description="statements of the paper that are tested")
+    headline: bool = Field(False, description="its first table is printed, and leads the page; all, if none is marked")
 
     @model_validator(mode="after")
     def _consistent(self) -> "Section":

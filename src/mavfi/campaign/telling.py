@@ -11,6 +11,7 @@ from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.plan import FI
 from mavfi.campaign.replay import fly_again
 from mavfi.campaign.store import Store
+from mavfi.flight_record import End
 from mavfi.hosts.host import Flight
 
 _INTERESTING = 0.02  # flight time over the golden run's from which a run that succeeds is worth a picture
@@ -81,6 +82,38 @@ def choose(runs: pl.DataFrame) -> tuple[Row, Row | None] | None:
         return None
     faster = [row for row in watched.get(_pair(slowest), []) if _inflation(row) < _INTERESTING]
     return slowest, faster[0] if faster else None
+
+
+def ordered(runs: pl.DataFrame) -> list[str]:
+    """Ids of runs that can be explained, those first that say most.
+
+    Lost missions come first, then slower ones, then other changed flights, then masked faults; of each, one for each
+    environment and target in turn.
+    """
+    own = runs.filter(kind="injected", judged=True, end=str(End.FLOWN), site_outcome="activated")
+    lost = ~pl.col("success") & pl.col("golden_success")
+    slower = pl.col("inflation").fill_null(0.0) > _INTERESTING
+    own = own.with_columns(
+        sort=pl.when(lost).then(0).when(slower).then(1).when(pl.col("effect") != "masked").then(2).otherwise(3)
+    )
+    turn = pl.int_range(pl.len()).over("sort", "setting", "environment", "target")
+    found: list[str] = own.with_columns(turn=turn).sort("sort", "turn", maintain_order=True)["run_id"].to_list()
+    return found
+
+
+def partner(runs: pl.DataFrame, run_id: str) -> str | None:
+    """The run with the same fault in another setting, of the rows of a ledger.
+
+    Returns:
+        Of a run without a detector, the id of one with a detector, one that succeeds where there is one; of a run with
+        a detector, that without one; None where there is none.
+    """
+    (row,) = runs.filter(run_id=run_id).to_dicts()
+    same = runs.filter(
+        kind=row["kind"], world=row["world"], target=row["target"], index=row["index"], judged=True, end=str(End.FLOWN)
+    ).filter((pl.col("detector") != "") if not row["detector"] else (pl.col("setting") == FI))
+    found: list[str] = same.sort("success", descending=True, maintain_order=True)["run_id"].to_list()
+    return found[0] if found else None
 
 
 def _inflation(row: Row) -> float:

@@ -19,7 +19,7 @@ WIDE = 140
 """Width in columns if the output is not a terminal, so that tables in a file are not wrapped."""
 LONGEST_LINE = 2000
 """Maximum length of an error message (characters)."""
-FLIGHTS, PICTURES = (".npz",), (".png", ".svg", ".pdf")
+FLIGHTS, PICTURES, PAGES = (".npz",), (".png", ".svg", ".pdf"), (".html",)
 """File name extensions."""
 
 

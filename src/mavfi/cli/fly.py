@@ -6,13 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mavfi.cli import options
-from mavfi.cli.console import FLIGHTS, PICTURES, check_file, check_seed, console, write_json
+from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
 from mavfi.mission import RECOVERY, MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
     from mavfi.mission import Scenario
+    from mavfi.reports.flight_result import FlightResult
 
 DEFAULT_PROFILE = "paper"
 
@@ -28,6 +29,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     as_json: options.AsJson = False,
     save: options.Save = None,
     picture: options.Picture = None,
+    html: options.Html = None,
 ) -> None:
     """Fly one mission, and report how it went; with a fault, compared with its golden run.
 
@@ -39,6 +41,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         raise BadInputError(f"--dead-node: {mission.dead_node}: {text}")
     check_file("--save", save, FLIGHTS)
     check_file("--picture", picture, PICTURES)
+    check_file("--html", html, PAGES)
     from mavfi.faults.spec import parse
 
     request = None if fault is None else parse(fault, mission.localization)
@@ -51,7 +54,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         from mavfi.hosts.loop.recovery import Recovery
         from mavfi.hosts.watching import with_keys_of
 
-        bare, mission = resolve(mission), with_keys_of(mission, detector)
+        asked, bare, mission = mission, resolve(mission), with_keys_of(mission, detector)
         scenario = resolve(mission)
         watching, label = load_watcher(detector, profile, models, scenario)
         setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
@@ -59,12 +62,13 @@ def fly(  # noqa: PLR0913 - one parameter per option
     if save is not None:
         result.log.save(save)
     if picture is not None:
-        from mavfi.reports.picture import draw_flight
+        _draw(picture, result)
+    if html is not None:
+        from mavfi.cli.flight_pages import fly_command, page_of_result
+        from mavfi.reports.html.flight_page import write_flight_page
 
-        if result.unwatched is None:
-            draw_flight(picture, result.flight, result.golden, detector=result.detector)
-        else:
-            draw_flight(picture, result.unwatched, result.golden, result.flight, detector=result.detector)
+        command = fly_command(asked, fault, fault_seed, detector, profile, models)
+        write_flight_page(html, page_of_result(result, setup, bare, command))
     if as_json:
         write_json(result.to_json())
         return
@@ -72,9 +76,18 @@ def fly(  # noqa: PLR0913 - one parameter per option
 
     out = console()
     out.print(panel(result))
-    for path in (save, picture):
+    for path in (save, picture, html):
         if path is not None:
             out.print(f"wrote {path}", style="dim", markup=False)
+
+
+def _draw(picture: Path, result: FlightResult) -> None:
+    from mavfi.reports.picture import draw_flight
+
+    if result.unwatched is None:
+        draw_flight(picture, result.flight, result.golden, detector=result.detector)
+    else:
+        draw_flight(picture, result.unwatched, result.golden, result.flight, detector=result.detector)
 
 
 def check_company(

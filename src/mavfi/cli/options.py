@@ -44,6 +44,10 @@ Models = Annotated[Path | None, typer.Option(help="Folder of trained models; the
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object instead of text.")]
 Save = Annotated[Path | None, typer.Option(metavar="FILE.npz", help="Write the whole record of the flight.")]
 Picture = Annotated[Path | None, typer.Option(metavar="FILE.png", help="Draw the flight from above and from the side.")]
+Html = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE.html", help="Write a page with the flight in 3-D, its time lines, the story."),
+]
 Ledger = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the ledger.")]
 RunId = Annotated[str, typer.Argument(metavar="RUN_ID", help="The run, or an unambiguous beginning of its id.")]
 AllTables = Annotated[bool, typer.Option("--all", help="Print all tables, not only the headline.")]

@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.text import Text
 
+from mavfi.campaign.executors.local import MOST_WORKERS
 from mavfi.cli import options
-from mavfi.cli.console import check_folder, console, write_json
+from mavfi.cli.console import PAGES, check_file, check_folder, check_number, console, write_json
 from mavfi.errors import BadInputError
+
+MOST_FLIGHTS = 10_000
 
 if TYPE_CHECKING:
     from mavfi.reports.campaign_report import Report
@@ -24,6 +27,16 @@ def report(  # noqa: PLR0913 - one parameter per option
     as_csv: Annotated[bool, typer.Option("--csv", help="The table as comma-separated values (with --view).")] = False,
     as_json: options.AsJson = False,
     draw_run: Annotated[bool, typer.Option(help="Fly a telling run again and draw it.")] = True,
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write all of it, with runs and flights, as one page.")
+    ] = None,
+    flights: Annotated[
+        int | None, typer.Option(help="Flights in the page, flown again for it; as many as fit by default.")
+    ] = None,
+    figures: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Write each figure as PDF and PNG in column width, and CSV.")
+    ] = None,
+    workers: options.Workers = 2,
 ) -> None:
     """Print the headline of a campaign, and write report.md, its figures and summary.json into its folder.
 
@@ -33,6 +46,7 @@ def report(  # noqa: PLR0913 - one parameter per option
 
     if as_csv and not view:
         raise BadInputError("--csv: allowed: with --view NAME")
+    _check_files(html, flights, figures, workers)
     Store.open(directory).close()  # what is no campaign is left as it is
     if view:
         _show_view(directory, view, as_csv=as_csv, as_json=as_json)
@@ -41,12 +55,47 @@ def report(  # noqa: PLR0913 - one parameter per option
 
     check_folder(directory)
     written = write_report(directory, draw_run=draw_run)
+    made = _write_more(directory, written, html, flights, figures, workers)
     if as_json:
         write_json(written.to_json())
         return
     show_report(written, show_all)
     names = ", ".join(path.name for path in written.files)
     console().print(f"[dim]wrote[/dim] {names} [dim]in[/dim] {directory}", soft_wrap=True)
+    for line in made:
+        console().print(f"wrote {line}", style="dim", markup=False, soft_wrap=True)
+
+
+def _check_files(html: Path | None, flights: int | None, figures: Path | None, workers: int) -> None:
+    """Refuse what could not be written before anything is flown."""
+    check_file("--html", html, PAGES)
+    check_number("--flights", flights, 0, MOST_FLIGHTS)
+    if flights is not None and html is None:
+        raise BadInputError(f"--flights: {flights}: there is no page; allowed: together with --html")
+    check_number("--workers", workers, 1, MOST_WORKERS)
+    if figures is not None:
+        check_folder(figures)
+
+
+def _write_more(
+    directory: Path, report: "Report", html: Path | None, flights: int | None, figures: Path | None, workers: int
+) -> list[str]:  # fmt: skip
+    """Write the page and the figures that were asked for; says what was written."""
+    made = []
+    if html is not None:
+        from mavfi.cli.report_page import commands, write_html
+        from mavfi.reports.html.report_page import Part, sections_of
+
+        part = Part(directory, report)
+        count = write_html(html, [part], sections_of(report), commands(directory), flights, workers)
+        made.append(f"{html}, with {count} flights, {html.stat().st_size / 1e6:.1f} MB")
+    if figures is not None:
+        from mavfi.reports.figure_files import write_figure
+        from mavfi.reports.html.report_page import drawn
+
+        paths = [path for one in drawn(report.runs) for path in write_figure(one.figure, figures, one.name)]
+        made.append(f"{', '.join(path.name for path in paths) or 'no figure'} in {figures}")
+    return made
 
 
 def show_report(found: "Report", show_all: bool, views: Sequence[str] = ()) -> None:

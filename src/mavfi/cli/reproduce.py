@@ -1,4 +1,4 @@
-"""`mavfi reproduce`: train the detectors, fly the campaigns of a study, write its reports, end with its tables."""
+"""`mavfi reproduce`: train the detectors, fly the campaigns of a study, write its reports, print its headline."""
 
 import time
 from collections.abc import Iterable
@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.text import Text
 
 from mavfi.cli import options
 from mavfi.cli.console import check_folder, console, write_json
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 MODELS = "models"
 """Folder of the trained models, in the folder of the study."""
+PAGE, FLIGHTS = "report.html", 12
+"""The page of the study, and the number of flights in it; `mavfi report DIR --html` writes as many as fit."""
 
 
 def reproduce(  # noqa: PLR0913 - one parameter per option
@@ -70,7 +73,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
             bar.begin(folder, f"campaign {campaign.name}")
             show = bar.show_campaign
             run_campaign(campaign, out / folder, executor=executor, models_dir=out / MODELS, progress=show)
-    _report(chosen, out, show_all, as_json)
+    _report(chosen, out, workers, show_all, as_json)
     if not as_json:
         where = f"The models are in {out / MODELS}. It took {duration(time.perf_counter() - begun)}."
         console().print(where, soft_wrap=True)
@@ -149,27 +152,28 @@ def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights
     return all((arm.detector, arm.profile) in held for arm in campaign.arms.values() if arm.detector)
 
 
-def _report(study: "Study", out: Path, show_all: bool, as_json: bool) -> None:
-    """Write the reports of the campaigns and of the study; print the first table of each section, or all as JSON."""
+def _report(study: "Study", out: Path, workers: int, show_all: bool, as_json: bool) -> None:
+    """Write the reports of the campaigns and of the study; print its headline, all tables, or JSON."""
+    from mavfi.cli.report_page import write_study_html
     from mavfi.reports.campaign_report import write_report
     from mavfi.reports.study_report import MARKDOWN, write_study
     from mavfi.reports.terminal import show_table
 
-    reports = {folder: write_report(out / folder) for folder in study.campaigns}
+    reports = {out / folder: write_report(out / folder) for folder in study.campaigns}
     written = write_study(study, out)
+    write_study_html(out / PAGE, written, reports, FLIGHTS, workers)
     if as_json:
         write_json(written.to_json())
         return
-    for section in written.sections:
-        tables, title = section.tables if show_all else section.tables[:1], section.section.title
-        if not tables or tables[0].title != title:
-            console().print(f"[bold]{title}[/bold]", soft_wrap=True)
-        for table in tables:
-            show_table(table, console())
-        for file in section.captions if not tables else ():
-            console().print(str(out / file), soft_wrap=True)
-    show_table(written.times, console())
-    for folder, report in reports.items():
-        names = ", ".join(path.name for path in report.files)
-        console().print(f"[bold]{out / folder}[/bold] holds the ledger, and: {names}", soft_wrap=True)
-    console().print(f"[bold]{out / MARKDOWN}[/bold] is the report of the study.", soft_wrap=True)
+    terminal = console()
+    for section in written.sections if show_all else written.headline:
+        terminal.print(Text(section.section.title, "bold"))
+        for table in section.tables if show_all else section.tables[:1]:
+            show_table(table, terminal)
+    if show_all:
+        show_table(written.times, terminal)
+    for line in written.findings:
+        terminal.print(Text(f"· {line}"))
+    terminal.print(Text(f"The report: {out / PAGE} (tables, figures, runs, flights), {out / MARKDOWN} as text."))
+    ledgers = ", ".join(str(folder) for folder in reports)
+    terminal.print(Text(f"The ledgers: {ledgers}."), soft_wrap=True)

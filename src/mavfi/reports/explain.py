@@ -40,16 +40,23 @@ def lines(found: Explanation) -> Lines:
     story.append(("run", f"{spec.run_id}: {spec.environment}, seed {spec.seed}, setting {spec.setting}{watched}"))
     if not found.same:
         story.append(("note", "another digest than the stored one: other versions or another machine flew it"))
-    for injection in log.injections:
-        story += injection_lines(injection, spec.fault, log)
+    return story + steps(log, golden, spec.fault, spec.detector, found.first, found.departure, found.spread)
+
+
+def steps(
+    log: FlightLog, golden: FlightLog, fault: Fault | None, detector: str, first: Difference | None, parted: Departure,
+    spread: Sequence[Spread] = (),
+) -> Lines:  # fmt: skip
+    """The story without the verdict: the fault, what it changed first, the path, the alarms, both ends."""
+    story = [line for injection in log.injections for line in injection_lines(injection, fault, log)]
     if log.kernel is None:
-        story.append(("first difference", _difference(found.first)))
-    story += spread_lines(found.spread)
-    story.append(("path", _path(found.departure)))
-    story += alarm_lines(log, golden) or [("alarms", "none" if spec.detector else "none; no detector watched")]
-    watching = ", with the detector on" if spec.detector else ""
-    story.append(("golden run", f"the same mission without the fault{watching}: {_end(golden)}"))
-    story.append(("end", _end(log)))
+        story.append(("first difference", _difference(first)))
+    story += spread_lines(spread)
+    story.append(("path", _path(parted)))
+    story += alarm_lines(log, golden) or [("alarms", "none" if detector else "none; no detector watched")]
+    watching = ", with the detector on" if detector else ""
+    story.append(("golden run", f"the same mission without the fault{watching}: {end_of(golden)}"))
+    story.append(("end", end_of(log)))
     return story
 
 
@@ -231,7 +238,8 @@ def _alarm(alarm: AlarmRecord, *, also: bool) -> str:
     return f"{text}; also in the golden run" if also else text
 
 
-def _end(log: FlightLog) -> str:
+def end_of(log: FlightLog) -> str:
+    """How a flight ended, and when."""
     return f"{log.status.value} ({log.status.label}) after {_duration(log):.2f} s"
 
 

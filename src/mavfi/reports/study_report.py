@@ -1,6 +1,7 @@
 """The report of a study: its sections in their order, each with tables, figures and tested claims."""
 
 import json
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import date
@@ -9,6 +10,7 @@ from typing import Any
 
 from mavfi.campaign.analysis import VIEWS, table, views_for
 from mavfi.campaign.analysis.claims import CLAIMS, claims_table
+from mavfi.campaign.analysis.findings import findings
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import Table
 from mavfi.campaign.analysis.times import time_table
@@ -29,7 +31,7 @@ class SectionReport:
     """One section: what was asked for, and what came of it."""
 
     section: Section
-    runs: Runs | None  # of its campaign
+    runs: Runs | None  # of its campaign, with the flights that its figures draw
     tables: tuple[Table, ...]  # in the order of the section; those without rows are left out
     captions: Mapping[str, str] = field(default_factory=dict)  # by file of a figure, relative to the study's folder
 
@@ -50,6 +52,20 @@ class StudyReport:
     campaigns: Mapping[str, Runs]  # by folder
     sections: tuple[SectionReport, ...]
     files: tuple[Path, ...] = ()
+
+    @property
+    def headline(self) -> list[SectionReport]:
+        """Sections that are shown first; all, if none is marked."""
+        return [one for one in self.sections if one.section.headline and one.tables] or list(self.sections)
+
+    @property
+    def findings(self) -> list[str]:
+        """Sentences on the headline's campaigns, and how many of the paper's findings were confirmed."""
+        lines = [line for one in self.headline if one.runs is not None for line in findings(one.runs)]
+        verdicts = Counter(entry["verdict"] for one in self.sections for table in one.tables
+                           if table.name == "claims" for entry in table.entries())  # fmt: skip
+        counts = ", ".join(f"{verdicts[verdict]} {verdict}" for verdict in sorted(verdicts))
+        return [*lines, *([f"Findings of the paper, tested: {counts}."] if counts else [])]
 
     @property
     def times(self) -> Table:
@@ -106,6 +122,7 @@ def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path, *, f
     runs = campaigns.get(section.campaign)
     tables = [claims_table(section.claims, campaigns.values())] if section.claims else []
     captions: dict[str, str] = {}
+    shown = runs
     if runs is not None:
         tables += [table(runs, name) for name in section.views]
         cases = {name: tuple(drawing(name).cases(runs)) for name in section.figures}
@@ -118,7 +135,7 @@ def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path, *, f
                 pictures.mkdir(parents=True, exist_ok=True)
         start = f"{runs.campaign['name']}_"
         captions = {f"{FIGURES_FOLDER}/{file}": text for file, text in draw(shown, pictures, names, start).items()}
-    return SectionReport(section, runs, tuple(table for table in tables if table.rows), captions)
+    return SectionReport(section, shown, tuple(table for table in tables if table.rows), captions)
 
 
 def write_study(study: Study, folder: Path, *, fly: bool = True) -> StudyReport:

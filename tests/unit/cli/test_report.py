@@ -84,3 +84,31 @@ def test_what_is_not_there_is_one_line(capsys, flown, tmp_path, arguments, messa
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_the_html_report_of_a_campaign_without_flights(capsys, flown, tmp_path):
+    page = tmp_path / "report.html"
+    text = told(capsys, "report", flown, "--no-draw-run", "--html", page, "--flights", "0")
+    assert f"wrote {page}, with 0 flights" in text
+    assert "Campaign small" in page.read_text(encoding="utf-8")
+
+
+def test_figures_for_papers(capsys, flown, tmp_path):
+    folder = tmp_path / "figures"
+    assert "success.pdf" in told(capsys, "report", flown, "--no-draw-run", "--figures", folder)
+    assert {path.suffix for path in folder.iterdir()} == {".pdf", ".png", ".csv"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--html", "report.pdf"], "--html: report.pdf: allowed ending: .html"),
+        (["--html", "/nowhere/report.html"], "/nowhere/report.html"),
+        (["--flights", "3"], "--flights: 3: there is no page; allowed: together with --html"),
+        (["--html", "r.html", "--flights", "-1"], "--flights: -1: allowed: 0 to 10000"),
+    ],
+)
+def test_bad_options_of_the_page_are_refused_in_one_line(capsys, flown, arguments, line):
+    assert run(["report", str(flown), *arguments]) == 2
+    error = capsys.readouterr().err
+    assert line in error and len(error.splitlines()) == 1

@@ -97,7 +97,8 @@ register(
     View(
         "success_as_in_the_paper", "State level: success rates, one fault per mission", ("row",),
         (
-            Measure("here", "here", RATE, lambda own: m.leading(own, m.population_names(own, ()), "success")),
+            Measure("here", "here", RATE, lambda own: m.leading(own, m.population_names(own, ()), "success"),
+                    counted=lambda own: m.in_leading(own, m.population_names(own, ()))),
             paper.beside(paper.success),
         ),
         where=faulty_and_bare, across="environment", headings=("",),

@@ -47,6 +47,7 @@ class Measure:
     form: str  # how cells are written for people, see `table`
     of: Callable[[Runs], Cell]  # rows of a group -> cell
     hidden: bool = False  # in CSV and JSON only
+    counted: Callable[[Runs], Runs] = lambda own: own  # rows of a group that the cell is computed from
 
     @property
     def column(self) -> Column:
@@ -61,7 +62,10 @@ Spread = Callable[[Runs, tuple[str, ...]], Iterable[Measure]]
 # ---- plain ones --------------------------------------------------------------------------------------------------
 def count(key: str, heading: str, *tests: pl.Expr | str, **values: Any) -> Measure:
     """How many rows pass tests."""
-    return Measure(key, heading, NUMBER, lambda own: len(own.where(*tests, **values)))
+    return Measure(
+        key, heading, NUMBER, lambda own: len(own.where(*tests, **values)),
+        counted=lambda own: own.where(*tests, **values),
+    )  # fmt: skip
 
 
 def first(column: str, heading: str) -> Measure:
@@ -87,7 +91,10 @@ def quantile_of(values: Iterable[float | None], share: float) -> float | None:
 
 def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str, weighted: bool = False) -> Measure:
     """Share of rows that pass a test, among those that pass `where`, with Wilson's interval by clusters."""
-    return Measure(key, heading, RATE, lambda own: rate_of(own.where(*where), test, weighted=weighted))
+    return Measure(
+        key, heading, RATE, lambda own: rate_of(own.where(*where), test, weighted=weighted),
+        counted=lambda own: own.where(*where),
+    )  # fmt: skip
 
 
 def rate_of(own: Runs, test: pl.Expr | str, *, weighted: bool = False) -> Rate:
@@ -131,11 +138,21 @@ def leading(own: Runs, names: Sequence[str], test: pl.Expr | str) -> Rate | None
     return rates.get("all", rates.get(names[0]) if names else None)
 
 
+def in_leading(own: Runs, names: Sequence[str]) -> Runs:
+    """The rows of which `leading` gives the rate."""
+    judged = own.where("judged")
+    held = judged.values("population")
+    if "all" in held or not names:
+        return judged.where(population="all")
+    return judged.where(population=names[0])
+
+
 def leading_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     """Success in the leading population; golden runs are in the same column."""
     names = population_names(runs, by)
     heading = f"success %, {POPULATIONS.get(names[0], names[0])}" if names else "success %"
-    yield Measure("success", heading, RATE, lambda own: leading(own, names, "success"))
+    yield Measure("success", heading, RATE, lambda own: leading(own, names, "success"),
+                  counted=lambda own: in_leading(own, names))  # fmt: skip
 
 
 def other_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
@@ -144,8 +161,11 @@ def other_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
     def within(name: str) -> Callable[[Runs], Cell]:
         return lambda own: populations(own, "success").get(name)
 
+    def counted(name: str) -> Callable[[Runs], Runs]:
+        return lambda own: own.where("judged", *([] if name == WHOLE_WORD else [pl.col("population") == name]))
+
     for name in population_names(runs, by)[1:]:
-        yield Measure(f"success_{name}", POPULATIONS.get(name, name), RATE, within(name))
+        yield Measure(f"success_{name}", POPULATIONS.get(name, name), RATE, within(name), counted=counted(name))
 
 
 FAILS_OR_SLOWER = ~pl.col("success") | (pl.col("inflation") > SLOWER).fill_null(value=False)

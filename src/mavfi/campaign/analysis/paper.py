@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
+import polars as pl
+
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.table import PERCENT
@@ -56,7 +58,7 @@ def beside(find: Any, heading: str = "paper", form: str = PERCENT) -> Measure:
             return None
         return find(own.first("environment"), own.first("setting"))
 
-    return Measure("paper", heading, form, of)
+    return Measure("paper", heading, form, of, counted=lambda own: own.where(pl.lit(value=False)))  # of no run of ours
 
 
 def success(environment: str, setting: str) -> float | None:

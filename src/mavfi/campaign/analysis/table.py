@@ -39,6 +39,8 @@ class Table:
     rows: Sequence[tuple[Cell, ...]]
     keys: int = 1  # how many of the first columns name the row
     notes: tuple[str, ...] = ()  # lines below it
+    behind: Sequence[tuple[tuple[str, ...], ...]] = ()
+    """Ids of the runs from which each cell of each row was computed; () = not known."""
 
     @staticmethod
     def of_text(title: str, headings: Sequence[str], rows: Sequence[tuple[str, ...]], notes: Sequence[str]) -> "Table":

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from mavfi.campaign.analysis.measures import Measure, Spread
 from mavfi.campaign.analysis.runs import Runs
@@ -14,6 +14,13 @@ DEVIATIONS = (
     "leg to the first point checked"
 )
 _PROFILES = {"published": DEVIATIONS, "hardened": "not the paper's: what a careful team would fly"}
+
+
+class _Row(NamedTuple):
+    """Cells of a row, and the ids of the runs behind each of them."""
+
+    cells: tuple[Cell, ...]
+    behind: tuple[tuple[str, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -47,9 +54,10 @@ class View:
         raised: dict[str, str] = {}
         columns, rows = (self._across if self.across else self._down)(chosen, raised)
         notes = [*(self.notes(runs) if rows else ()), *(f"{name}: unknown ({why})" for name, why in raised.items())]
+        ordered = self._ordered(columns, rows)
         return Table(
-            self.name, self.title, tuple(columns), self._ordered(columns, rows), max(1, len(self.by)),
-            (*notes, *_flown_with(chosen)),
+            self.name, self.title, tuple(columns), [row.cells for row in ordered], max(1, len(self.by)),
+            (*notes, *_flown_with(chosen)), [row.behind for row in ordered],
         )  # fmt: skip
 
     def _measures(self, chosen: Runs) -> list[Measure]:
@@ -62,14 +70,20 @@ class View:
         headings = self.headings or tuple(name.replace("_", " ") for name in self.by)
         return [Column(name, heading) for name, heading in zip(self.by, headings, strict=True)]
 
-    def _down(self, chosen: Runs, raised: dict[str, str]) -> tuple[list[Column], list[tuple[Cell, ...]]]:
+    def _down(self, chosen: Runs, raised: dict[str, str]) -> tuple[list[Column], list[_Row]]:
         """One row for each group."""
         measures = self._measures(chosen)
         groups = {key: own for key, own in chosen.groups(*self.by).items() if len(own) >= self.least}
-        rows = [(*key, *(_cell(measure, own, raised) for measure in measures)) for key, own in groups.items()]
+        rows = [
+            _Row(
+                (*key, *(_cell(measure, own, raised) for measure in measures)),
+                (*[_ids(own)] * len(key), *(_behind(measure, own) for measure in measures)),
+            )
+            for key, own in groups.items()
+        ]
         return [*self._keys(), *(measure.column for measure in measures)], rows
 
-    def _across(self, chosen: Runs, raised: dict[str, str]) -> tuple[list[Column], list[tuple[Cell, ...]]]:
+    def _across(self, chosen: Runs, raised: dict[str, str]) -> tuple[list[Column], list[_Row]]:
         """One row for each group and measure, one column for each value of `across`; rows without a number left out."""
         values = chosen.values(self.across) if len(chosen) else []
         measures = self._measures(chosen)
@@ -79,20 +93,21 @@ class View:
             for measure in measures:
                 cells = [_cell(measure, parts[(value,)], raised) if (value,) in parts else None for value in values]
                 if any(cell is not None for cell in cells):
-                    rows.append((*key, measure.heading, *cells))
+                    behind = (_behind(measure, parts[(value,)]) if (value,) in parts else () for value in values)
+                    rows.append(_Row((*key, measure.heading, *cells), (*[_ids(own)] * (len(key) + 1), *behind)))
         return [*self._keys(), Column("measure", ""), *(Column(str(value), str(value), RATE) for value in values)], rows
 
-    def _ordered(self, columns: list[Column], rows: list[tuple[Cell, ...]]) -> list[tuple[Cell, ...]]:
+    def _ordered(self, columns: list[Column], rows: list[_Row]) -> list[_Row]:
         """Rows that begin with the same cell one below the other, in the order in which these cells first appear."""
         keys = [column.key for column in columns]
         if self.largest and rows:
             place = keys.index(self.largest)
-            return sorted(rows, key=lambda row: (-row[place], row[0]))[: self.limit]
-        first = list(dict.fromkeys(row[0] for row in rows))
+            return sorted(rows, key=lambda row: (-row.cells[place], row.cells[0]))[: self.limit]
+        first = list(dict.fromkeys(row.cells[0] for row in rows))
         if self.most and rows:
             place = keys.index(self.most)
-            return sorted(rows, key=lambda row: (first.index(row[0]), -row[place]))[: self.limit]
-        return sorted(rows, key=lambda row: first.index(row[0]))[: self.limit]
+            return sorted(rows, key=lambda row: (first.index(row.cells[0]), -row.cells[place]))[: self.limit]
+        return sorted(rows, key=lambda row: first.index(row.cells[0]))[: self.limit]
 
 
 def _cell(measure: Measure, own: Runs, raised: dict[str, str]) -> Cell:
@@ -101,6 +116,16 @@ def _cell(measure: Measure, own: Runs, raised: dict[str, str]) -> Cell:
     except Exception as error:  # one measure does not take the report with it; the cell and a note say so
         raised.setdefault(measure.heading or measure.key, f"{type(error).__name__}: {error}"[:100])
         return UNKNOWN
+
+
+def _ids(own: Runs) -> tuple[str, ...]:
+    """Ids of rows, each once."""
+    return tuple(own.values("run_id"))
+
+
+def _behind(measure: Measure, own: Runs) -> tuple[str, ...]:
+    """Ids of the rows from which a cell is computed."""
+    return _ids(measure.counted(own))
 
 
 def _flown_with(runs: Runs) -> tuple[str, ...]:

@@ -39,7 +39,9 @@ def success(runs: Runs) -> Figure | None:
         at = np.array([environments.index(name) for name in found]) - 0.4 + (place + 0.5) * width
         rates = list(found.values())
         look = looks[setting]
-        _points(axes, at, rates, look, vertical=True)
+        links = [style.runs_link(environment=name, setting=setting, population=_population(chosen, setting, names))
+                 for name in found]  # fmt: skip
+        _points(axes, at, rates, look, links, vertical=True)
         handles.append(_handle(setting, look, 7))
         lowest = min([lowest, *(rate.low for rate in rates if rate.low is not None)])
         for x, (environment, rate) in zip(at, found.items(), strict=True):
@@ -79,6 +81,12 @@ def _flown(runs: Runs) -> Runs:
     return judged.where(pl.col("setting").is_in(kept))
 
 
+def _population(runs: Runs, setting: str, names: list[str]) -> str:
+    """Population whose rates are shown in a setting."""
+    own = runs.where(setting=setting).values("population")
+    return "all" if "all" in own or not names else names[0]
+
+
 def _settings(runs: Runs) -> list[str]:
     """Golden first, then faults without a detector, then the arms."""
     injected = runs.settings()
@@ -104,8 +112,10 @@ def _handle(setting: str, look: Mapping[str, Any], size: float) -> Line2D:
     return Line2D([], [], label=style.setting_label(setting), linestyle="", markersize=size, **look)
 
 
-def _points(axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, Any], *, vertical: bool) -> None:
-    """Rates with intervals, upright or along the x axis."""
+def _points(
+    axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, Any], links: list[str], *, vertical: bool
+) -> None:  # fmt: skip
+    """Rates with intervals, upright or along the x axis, each with a link to its runs."""
     values = np.array([rate.rate or 0.0 for rate in rates])
     bounds = np.array([[rate.low or 0.0, rate.high or 0.0] for rate in rates]).reshape(-1, 2)
     errors = np.abs(bounds.T - values)
@@ -115,6 +125,7 @@ def _points(axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, An
         axes.errorbar(at, values, yerr=errors, **common)
     else:
         axes.errorbar(values, at, xerr=errors, capsize=2, **common)
+    style.link(axes, *((at, values) if vertical else (values, at)), links)
 
 
 # ---- flight time -------------------------------------------------------------------------------------------------
@@ -171,6 +182,10 @@ _SITES = {"state": "state", "memory": "kernel", "instruction": "kernel", "messag
 """Column whose values are compared, by level."""
 
 
+_LISTED = {"state": "place", "kernel": "place"}
+"""Name of a column in the list of runs of a page, where it differs."""
+
+
 def sites(runs: Runs) -> Figure | None:
     """What each state, group of fields or kernel costs: share of missions that fail or take more than 5 % longer."""
     judged = runs.injected.where("judged")
@@ -186,10 +201,13 @@ def sites(runs: Runs) -> Figure | None:
     looks = style.setting_looks(settings)
     handles = []
     for place, setting in enumerate(settings):
+        populations_of = {name: population for (name, flown), (population, _) in shown.items() if flown == setting}
         own = {name: rate for (name, flown), (_, rate) in shown.items() if flown == setting}
+        listed = _LISTED.get(column, column)
+        links = [style.runs_link(setting=setting, population=populations_of[name], **{listed: name}) for name in own]
         offset = 0.7 * (place - (len(settings) - 1) / 2) / len(settings)
         _points(axes, np.array([names.index(name) for name in own]) + offset, list(own.values()), looks[setting],
-                vertical=False)  # fmt: skip
+                links, vertical=False)  # fmt: skip
         handles.append(_handle(setting, looks[setting], 6))
     axes.set_yticks(range(len(names)), [f"{name}  (n = {count})" for name, count in zip(names, counts, strict=True)])
     axes.set_ylim(len(names) - 0.5, -0.5)
@@ -218,7 +236,7 @@ def _shown(judged: Runs, column: str) -> dict[tuple[str, str], tuple[str, Rate]]
 
 
 register(
-    Drawing("success", success, "Success with 95 % intervals; black: the paper's figure.", general=True),
+    Drawing("success", success, "Success with 95 % intervals; horizontal bars: the paper's figures.", general=True),
     Drawing(
         "flight_time", flight_time,
         "Share of missions that arrived, by flight time over the golden run's; failures never arrive.", general=True,

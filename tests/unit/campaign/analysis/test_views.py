@@ -4,6 +4,7 @@ import csv
 import io
 import json
 
+import polars as pl
 import pytest
 
 from mavfi.campaign.analysis import VIEWS, View, paper, table, views_for
@@ -51,6 +52,22 @@ def test_order_and_limit(own):
         "x", "X", ("environment", "seed"), (Measure("s", "s", NUMBER, lambda own: own.first("seed")),), most="s"
     ).table(own)
     assert [row[1] for row in within.rows] == [2, 1, 1]
+
+
+def test_each_cell_knows_the_runs_that_it_was_computed_from(own):
+    measures = (rate("success", "success", "success", pl.col("seed") == 1), count("lost", "lost", ~pl.col("success")))
+    found = View("x", "X", ("environment",), measures, most="lost").table(own)
+    ids = dict(zip(zip(own["environment"], own["seed"], strict=True), own["run_id"], strict=True))
+    sparse = (ids["sparse", 1], ids["sparse", 2])
+    assert found.behind[0] == (sparse, (ids["sparse", 1],), (ids["sparse", 2],))
+    assert [len(row) for row in found.behind] == [len(row) for row in found.rows]
+    across = View("x", "X", ("setting",), measures, across="environment").table(own)
+    assert across.behind[1] == (tuple(own["run_id"]),) * 2 + ((ids["sparse", 2],), (ids["dense", 1],))
+
+
+def test_no_run_is_behind_a_figure_of_the_paper(own):
+    found = View("x", "X", ("environment",), (count("n", "n"), paper.beside(paper.success))).table(own)
+    assert [len(ids) for ids in found.behind[0]] == [2, 2, 0]
 
 
 def test_least_leaves_small_groups_out(own):

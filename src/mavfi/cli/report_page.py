@@ -1,0 +1,130 @@
+"""The HTML report for `mavfi report`: chooses runs, flies them again, hands all to the page."""
+
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import closing
+from itertools import zip_longest
+from pathlib import Path
+
+from mavfi.campaign.config import Campaign, load_campaign
+from mavfi.campaign.executors.executor import map_each
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.mission import host_of
+from mavfi.campaign.replay import explain
+from mavfi.campaign.run import stored_campaign
+from mavfi.campaign.store import FILE, Store
+from mavfi.campaign.telling import ordered, partner
+from mavfi.cli.flight_pages import page_of_explanation
+from mavfi.cli.progress import Bar
+from mavfi.errors import BadInputError
+from mavfi.reports.campaign_report import Report
+from mavfi.reports.html.flight_page import FlightPage
+from mavfi.reports.html.report_page import LARGEST, Part, Section, sections_of_study, write_report_page
+from mavfi.reports.study_report import StudyReport
+
+Case = tuple[Path, str, str | None]
+"""Folder of a ledger, a run, and one with the same fault in another setting; None = there is none."""
+
+_SMALLEST = 30_000
+"""About the smallest page of a flight with its golden run (bytes)."""
+
+
+def write_html(
+    path: Path, parts: Sequence[Part], sections: Sequence[Section], commands: Sequence[tuple[str, str]],
+    flights: int | None, workers: int, *, title: str = "", findings: Sequence[str] | None = None,
+) -> int:  # fmt: skip
+    """Write the page of campaigns, with runs that are flown again.
+
+    Args:
+        path: File to write.
+        parts: The campaigns.
+        sections: In their order, the headline first.
+        commands: How to repeat it.
+        flights: Maximum number; None = as many as fit.
+        workers: Processes that fly.
+        title: See `write_report_page`.
+        findings: See `write_report_page`.
+
+    Returns:
+        Number of flights in the page.
+    """
+    cases = _cases(parts, LARGEST // _SMALLEST if flights is None else flights)
+    executor = LocalExecutor(min(workers, max(1, len(cases))))
+    with Bar("flights of the page") as bar, closing(_flown(cases, executor, bar)) as pages:
+        return write_report_page(path, parts, sections, commands, pages, title=title, findings=findings)
+
+
+def _cases(parts: Sequence[Part], most: int) -> list[Case]:
+    """Runs for the page, the most informative ones of each campaign in turn; none where runs cannot be replayed."""
+    chosen = []
+    for part in parts:
+        frame = part.report.runs.frame
+        with Store.open(part.directory) as store:
+            deterministic = host_of(stored_campaign(store)).deterministic
+        ids = ordered(frame)[:most] if deterministic and part.report.runs.has_missions else []
+        chosen.append([(part.directory, run_id) for run_id in ids])
+    turns = [case for turn in zip_longest(*chosen) for case in turn if case is not None][:most]
+    frames = {part.directory: part.report.runs.frame for part in parts}
+    return [(directory, run_id, partner(frames[directory], run_id)) for directory, run_id in turns]
+
+
+def _flown(
+    cases: Sequence[Case], executor: LocalExecutor, bar: Bar
+) -> Generator[tuple[str, FlightPage], None, None]:  # fmt: skip
+    """Pages in the order of the cases, whichever worker is done first."""
+    done: dict[Case, FlightPage] = {}
+    waiting = iter(cases)
+    case = next(waiting, None)
+    for count, (flown, page) in enumerate(map_each(executor, _page, cases), start=1):
+        done[flown] = page
+        bar.show(count, len(cases))
+        while case is not None and case in done:
+            yield case[1], done.pop(case)
+            case = next(waiting, None)
+
+
+def _page(case: Case) -> FlightPage:
+    directory, run_id, other = case
+    return page_of_explanation(directory, explain(directory, run_id), other, directory)
+
+
+def write_study_html(path: Path, study: StudyReport, reports: Mapping[Path, Report], flights: int, workers: int) -> int:
+    """Write the page of a study; arguments as of `write_html`, `reports` by the folder of the ledger."""
+    parts = [Part(directory, report) for directory, report in reports.items()]
+    root = path.parent
+    repeat = [
+        ("Fly the study, or what is left of it", f"mavfi reproduce {study.study.name} --out {root}"),
+        (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {root} --share 0.02"),
+    ]
+    return write_html(
+        path, parts, sections_of_study(study), repeat, flights, workers, title=f"Study {study.study.name}",
+        findings=study.findings,
+    )  # fmt: skip
+
+
+def commands(directory: Path) -> list[tuple[str, str]]:
+    """How to repeat a campaign and its report."""
+    return [
+        *_flying(directory),
+        (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {directory} --share 0.02"),
+        ("Write this page", f"mavfi report {directory} --html report.html"),
+    ]
+
+
+def _flying(directory: Path) -> list[tuple[str, str]]:
+    """The command that flies a campaign, where it is a shipped one at one of its sizes."""
+    with Store.open(directory) as store:
+        held = stored_campaign(store)
+    try:
+        shipped = load_campaign(held.name)
+    except BadInputError:
+        return []
+    for scale in ("quick", *shipped.scales):
+        if _same(shipped.at_scale(scale), held):
+            command = f"mavfi campaign run {held.name} --scale {scale} --out {directory}"
+            return [("Fly the campaign, or what is left of it", command)]
+    return []
+
+
+def _same(first: Campaign, second: Campaign) -> bool:
+    """Whether two campaigns fly the same; the sizes that they could have do not matter."""
+    return first.model_dump(exclude={"scales"}) == second.model_dump(exclude={"scales"})

@@ -1,0 +1,197 @@
+"""Figures for papers: PDF and PNG in the width of a column, with what is drawn as CSV."""
+
+import csv
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from textwrap import wrap
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
+from matplotlib.container import BarContainer, ErrorbarContainer
+from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from matplotlib.text import Text
+
+from mavfi.errors import writing
+
+COLUMN, PAGE = 3.5, 7.16
+"""Width of one column, and of both (in), of IEEE's two-column format."""
+LETTERS = 7.0
+"""Size of letters (points)."""
+_LETTER, _ENTRY = 0.062, 1.15
+"""About what a letter and an entry of a legend take (in)."""
+_PANELS = 2  # side by side in one column
+_DOTS_PER_INCH = 600
+_FIELDS = ("panel", "series", "x", "x_label", "y", "y_label", "low", "high")
+Row = dict[str, Any]
+
+
+def write_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
+    """Write NAME.pdf, NAME.png and NAME.csv; the figure is made narrow for it.
+
+    Raises:
+        BadInputError: A file cannot be written.
+    """
+    rows = list(drawn_data(figure))
+    fit_to_column(figure)
+    paths = [directory / f"{name}{ending}" for ending in (".pdf", ".png", ".csv")]
+    for path in paths[:2]:
+        with writing(path):
+            figure.savefig(path, dpi=_DOTS_PER_INCH)
+    with writing(paths[2]), paths[2].open("w", encoding="utf-8", newline="") as file:
+        table = csv.DictWriter(file, _FIELDS, lineterminator="\n", restval="")
+        table.writeheader()
+        table.writerows(rows)
+    return paths
+
+
+def fit_to_column(figure: Figure) -> None:
+    """Give a figure the width of a column, or of the page where it has more than two panels side by side.
+
+    Letters, marks and lines shrink to what journals ask for, legends and long labels are folded; a single panel loses
+    its title, since a caption says it.
+    """
+    width, height = figure.get_size_inches()
+    panels = [axes for axes in figure.axes if axes.get_subplotspec() is not None]
+    columns = max((axes.get_subplotspec().get_gridspec().ncols for axes in panels), default=1)  # type: ignore[union-attr]
+    target = COLUMN if columns <= _PANELS else PAGE
+    figure.set_size_inches(target, min(height, max(height * target / width, 0.7 * target / columns)))
+    for text in figure.findobj(Text):
+        text.set_fontsize(LETTERS)
+    for line in figure.findobj(Line2D):
+        line.set_markersize(min(line.get_markersize(), 3.5))
+        line.set_linewidth(min(line.get_linewidth(), 1.4))
+    for legend in figure.findobj(Legend):
+        _fold(figure, legend, max(1, int(target / _ENTRY)))
+    if len(panels) == 1:
+        panels[0].set_title("", loc="left")
+    labels = {axes.get_xlabel() for axes in panels}
+    if len(labels) == 1:  # those of narrow panels would run into each other, or over the edge
+        for axes in panels:
+            axes.set_xlabel("")
+        figure.supxlabel(_folded(labels.pop(), target), fontsize=LETTERS)
+    for axes in panels:
+        axes.set_xlabel(_folded(axes.get_xlabel(), target / columns))
+
+
+def _folded(label: str, width: float) -> str:
+    """A label in lines that fit a width (in)."""
+    return "\n".join(line for part in label.splitlines() for line in wrap(part, int(width / _LETTER)))
+
+
+def _fold(figure: Figure, legend: Legend, columns: int) -> None:
+    """The same legend above the panels, in fewer columns."""
+    labels = [text.get_text() for text in legend.get_texts()]
+    handles = [handle for handle in legend.legend_handles if handle is not None]
+    legend.remove()
+    figure.legend(
+        handles, labels, loc="outside upper left", ncols=min(columns, len(labels)), fontsize=LETTERS, frameon=False,
+        handlelength=1.6, columnspacing=1.0, borderpad=0.2, labelspacing=0.3,
+    )  # fmt: skip
+
+
+def drawn_data(figure: Figure) -> Iterator[Row]:
+    """What a figure shows: one row for each point, with its panel, series, interval, and the names of its places."""
+    for place, axes in enumerate(figure.axes):
+        panel = axes.get_title(loc="left") or axes.get_title() or str(place)
+        names = _names(axes)
+        for row in _points(axes):
+            yield {"panel": panel, **row, "x_label": names[0].get(round(row["x"]), ""),
+                   "y_label": names[1].get(round(row["y"]), "")}  # fmt: skip
+
+
+def _names(axes: Axes) -> tuple[dict[int, str], dict[int, str]]:
+    """Names of places on axes of categories; empty on axes of numbers."""
+    found = []
+    for axis in (axes.xaxis, axes.yaxis):
+        texts = [text.get_text() for text in axis.get_ticklabels()]
+        ticks = axis.get_ticklocs()
+        named = any(text and not _is_number(text) for text in texts)
+        found.append({round(tick): text for tick, text in zip(ticks, texts, strict=False)} if named else {})
+    return found[0], found[1]
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace("−", "-").replace(" ", "").rstrip("%"))
+    except ValueError:
+        return False
+    return True
+
+
+def _points(axes: Axes) -> Iterator[Row]:
+    """Points of error bars, bars, lines, scattered marks and images of a panel."""
+    held: set[int] = set()
+    labels = _colours(axes)
+    for container in axes.containers:
+        if isinstance(container, ErrorbarContainer):
+            line, caps, bars = container
+            held |= {id(one) for one in (line, *caps)}
+            yield from _with_intervals(line, bars, labels)
+        elif isinstance(container, BarContainer):
+            yield from map(_bar, container.patches, [_named(container)] * len(container.patches))
+    for line in axes.lines:
+        if id(line) not in held and line.get_transform() == axes.transData:
+            yield from _rows(_series(line, labels), np.column_stack([line.get_xdata(), line.get_ydata()]))
+    for collection in axes.collections:
+        if isinstance(collection, PathCollection) and collection.get_alpha() != 0:
+            yield from _rows(_named(collection), np.asarray(collection.get_offsets()))
+    for image in axes.images:
+        yield from _cells(np.ma.filled(np.ma.asarray(image.get_array(), np.float64), np.nan))
+
+
+def _named(artist: Any) -> str:
+    """Label of a series; "" = none was given."""
+    label = str(artist.get_label())
+    return "" if label.startswith("_") else label
+
+
+def _bar(bar: Rectangle, series: str) -> Row:
+    x, low = bar.get_x() + bar.get_width() / 2, bar.get_y()
+    return {"series": series, "x": x, "y": low + bar.get_height(), "low": low}
+
+
+def _cells(cells: np.ndarray) -> Iterator[Row]:
+    """Cells of a map of numbers, the value as series; pictures have none."""
+    for (row, column), value in np.ndenumerate(cells) if cells.ndim == 2 else ():
+        yield {"series": f"{value:.6g}", "x": float(column), "y": float(row)}
+
+
+def _colours(axes: Axes) -> dict[str, str]:
+    """Names of series by colour, of the legends of the figure."""
+    legends = [*axes.findobj(Legend), *axes.get_figure().legends]  # type: ignore[union-attr]
+    return {
+        str(handle.get_color()): text.get_text()
+        for legend in legends
+        for handle, text in zip(legend.legend_handles, legend.get_texts(), strict=False)
+        if isinstance(handle, Line2D)
+    }
+
+
+def _series(line: Line2D | None, labels: dict[str, str]) -> str:
+    if line is None:
+        return ""
+    own = str(line.get_label())
+    return labels.get(str(line.get_color()), "") if own.startswith("_") else own
+
+
+def _with_intervals(line: Line2D | None, bars: Sequence[Any], labels: dict[str, str]) -> Iterator[Row]:
+    if line is None:
+        return
+    points = np.column_stack([line.get_xdata(), line.get_ydata()])
+    segments = bars[0].get_segments() if bars else []
+    for place, row in enumerate(_rows(_series(line, labels), points)):
+        if place < len(segments):
+            (x0, y0), (x1, y1) = segments[place]
+            low, high = (y0, y1) if x0 == x1 else (x0, x1)
+            row |= {"low": float(low), "high": float(high)}
+        yield row
+
+
+def _rows(series: str, points: np.ndarray) -> Iterator[Row]:
+    for x, y in np.asarray(points, np.float64).reshape(-1, 2):
+        yield {"series": series, "x": float(x), "y": float(y)}

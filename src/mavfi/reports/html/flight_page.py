@@ -1,0 +1,51 @@
+"""The page of one flight: a scene to scrub through, time lines around the fault, the story, commands to repeat it."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from mavfi.reports.explain import Lines
+from mavfi.reports.html import page
+from mavfi.reports.html.flight_data import Course, flight_data
+from mavfi.sim.environments import World
+
+
+@dataclass(frozen=True, slots=True)
+class FlightPage:
+    """Text and plain data of one page.
+
+    Attributes:
+        title: What was injected.
+        context: What was flown.
+        verdict: What became of it, in a sentence.
+        story: Headings and sentences.
+        commands: What a command does, and the command.
+        data: As of `flight_data`.
+    """
+
+    title: str
+    context: str
+    verdict: str
+    story: Lines
+    commands: Sequence[tuple[str, str]]
+    data: dict[str, Any]
+
+    @staticmethod
+    def of(
+        context: str, story: Lines, commands: Sequence[tuple[str, str]], courses: Sequence[Course], world: World,
+        site: str = "",
+    ) -> "FlightPage":  # fmt: skip
+        """The page of flights of one mission; the first sentence of the story is the verdict."""
+        (_, verdict), *rest = story
+        title = f"Fault in {site}" if site else "A flight without a fault"
+        return FlightPage(title, context, verdict, rest, commands, flight_data(courses, world, site))
+
+    def to_json(self) -> dict[str, Any]:
+        """What scripts show."""
+        return asdict(self)
+
+
+def write_flight_page(path: Path, flight: FlightPage) -> Path:
+    """Write the page of one flight; a BadInputError where the file cannot be written."""
+    return page.write(path, page.render("flight.html.j2", flight=flight.to_json()))

@@ -1,0 +1,68 @@
+"""How pages are put together: Jinja2 templates, with style sheet, scripts and data inlined."""
+
+import base64
+import json
+from collections.abc import Sequence
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from mavfi.errors import writing
+from mavfi.flight_record import plain
+from mavfi.reports.html.time_lines import AFTER, BEFORE
+from mavfi.version import __version__
+
+
+def encoded(values: np.ndarray, kind: str) -> str:
+    """An array as base64 of little-endian numbers of a NumPy kind, e.g. "f4"; scripts decode it."""
+    return base64.b64encode(np.ascontiguousarray(values, f"<{kind}").tobytes()).decode()
+
+
+def as_json(data: Any) -> Markup:
+    """Plain data as JSON that may stand in a `<script>` element."""
+    text = json.dumps(plain(data), separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+    return Markup(text.replace("<", "\\u003c"))  # noqa: S704 - no "<" is left that could end the element
+
+
+@cache
+def _resource(name: str) -> Markup:
+    """A file of this package that is inlined as it is."""
+    text = files(__package__).joinpath(name).read_text(encoding="utf-8")
+    return Markup(text)  # noqa: S704 - own and vendored files; see `vendor`
+
+
+@cache
+def _environment() -> Environment:
+    found = Environment(
+        loader=PackageLoader("mavfi.reports", "html"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    found.globals |= {"resource": _resource, "version": __version__, "before": f"{BEFORE:g}", "after": f"{AFTER:g}"}
+    found.filters["as_json"] = as_json
+    return found
+
+
+def render(template: str, **values: Any) -> str:
+    """A page as text."""
+    return _environment().get_template(template).render(**values)
+
+
+def write(path: Path, content: str) -> Path:
+    """Write a page.
+
+    Raises:
+        BadInputError: The file cannot be written.
+    """
+    with writing(path):
+        path.write_text(content, encoding="utf-8")
+    return path
+
+
+def size_of(data: Sequence[Any] | dict[str, Any]) -> int:
+    """Bytes that plain data takes in a page."""
+    return len(as_json(data).encode())

@@ -1,0 +1,81 @@
+"use strict";
+// What an address of the page shows: the report, its runs with filters, or one run.
+
+const stored = new Map(Array.from(document.querySelectorAll(".flight-data"), (node) => [node.dataset.run, node]));
+const runList = new RunList(pageData("runs-data"), stored);
+const csvTexts = pageData("csv-data");
+let shownPlayer = null;
+
+function route() {
+  const [name, rest = ""] = location.hash.slice(1).split(/[/?](.*)/s);
+  const isRun = name === "run" && rest !== "";
+  document.getElementById("report").hidden = isRun;
+  document.getElementById("run").hidden = !isRun;
+  if (shownPlayer) shownPlayer.dispose();
+  shownPlayer = null;
+  if (isRun) showRun(decodeURIComponent(rest));
+  if (name === "runs") showRuns(new URLSearchParams(rest));
+}
+
+function showRuns(query) {
+  const { set = null, ...filters } = Object.fromEntries(query);
+  if ([...query].length) runList.choose(filters, set === null ? null : Number(set));
+  document.getElementById("runs").scrollIntoView();
+  document.getElementById("runs-title").focus({ preventScroll: true });
+}
+
+function showRun(id) {
+  const run = runList.data.ids.indexOf(id);
+  const article = document.getElementById("run-template").content.cloneNode(true);
+  const flight = stored.has(id) ? JSON.parse(stored.get(id).textContent) : null;
+  article.querySelector(".over").textContent = id;
+  article.querySelector("h1").textContent = flight ? flight.title : run < 0 ? "No such run" : "Run";
+  article.querySelector(".lead").textContent = flight ? `${flight.verdict[0].toUpperCase()}${flight.verdict.slice(1)}.` : "";
+  if (run >= 0) article.querySelector(".row").append(...rowFacts(run));
+  document.getElementById("run").replaceChildren(article);
+  const place = document.querySelector("#run .place");
+  if (flight) {
+    place.append(document.getElementById("flight-template").content.cloneNode(true));
+    shownPlayer = new Player(place.querySelector(".flight"), flight);
+  } else if (run >= 0) {
+    place.append(element("p", {}, "This flight is not stored in this file. These commands fly it again:"));
+    const folder = runList.text("folder", run);
+    for (const verb of ["replay", "explain"]) {
+      const html = verb === "explain" ? " --html flight.html" : "";
+      place.append(element("code", { class: "command", tabindex: "0" }, `mavfi ${verb} ${folder} ${id}${html}`));
+    }
+  }
+  scrollTo(0, 0);
+  document.querySelector("#run h1").focus({ preventScroll: true });
+}
+
+function rowFacts(run) {
+  const texts = Object.entries(runList.data.filters).map(([name, heading]) => [heading, runList.text(name, run)]);
+  const numbers = Object.entries(NUMBER_HEADINGS).map(([name, heading]) => [heading, runList.number(name, run)]);
+  const told = [...texts, ...numbers].filter(([, value]) => value !== "" && value !== "—");
+  return told.map(([heading, value]) => element("div", {}, element("dt", {}, heading), element("dd", {}, value)));
+}
+
+/** Mark the section that is read in the table of contents. */
+function watchSections() {
+  const links = new Map(Array.from(document.querySelectorAll(".toc a"), (link) => [link.hash.slice(1), link]));
+  const observer = new IntersectionObserver((entries) => {
+    for (const entry of entries.filter((one) => one.isIntersecting)) {
+      document.querySelector(".toc a[aria-current]")?.removeAttribute("aria-current");
+      links.get(entry.target.id || "main")?.setAttribute("aria-current", "true");
+    }
+  }, { rootMargin: "0px 0px -75% 0px" });
+  document.querySelectorAll("#report > section").forEach((section) => observer.observe(section));
+}
+
+document.addEventListener("click", (event) => {
+  const button = event.target.closest("button.csv");
+  if (button) download(button.dataset.file, csvTexts[button.dataset.table]);
+});
+addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((details) => { details.open = true; }));
+startTheme();
+themeListeners.push(() => shownPlayer?.recolour());
+runList.choose({}, null);
+watchSections();
+addEventListener("hashchange", route);
+route();

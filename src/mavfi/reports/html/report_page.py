@@ -1,0 +1,161 @@
+"""The report of one or several campaigns as one HTML file: headline, sections, runs, flights."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.table import Table
+from mavfi.errors import BadInputError
+from mavfi.reports import style
+from mavfi.reports.campaign_report import REMARKS, Report
+from mavfi.reports.figures import FIGURES
+from mavfi.reports.html import page
+from mavfi.reports.html.figure_svg import svg_of
+from mavfi.reports.html.flight_page import FlightPage
+from mavfi.reports.html.run_list import run_list
+from mavfi.reports.html.table_data import RunSets, table_data
+from mavfi.reports.study_report import StudyReport
+from mavfi.reports.text import checks, header
+
+LARGEST = 15_000_000
+"""Bytes of a page."""
+_LONG = 30
+"""Rows from which a table is folded."""
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A figure of a section."""
+
+    name: str
+    figure: Figure
+    caption: str
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A part of the page, in the order in which a study or a campaign has it."""
+
+    title: str
+    tables: Sequence[Table] = ()
+    figures: Sequence[Drawn] = ()
+    text: str = ""
+
+
+def drawn(runs: Runs) -> list[Drawn]:
+    """The figures for which these runs have something to show."""
+    if not runs.has_missions:
+        return []
+    return _drawn(runs, [name for name, found in FIGURES.items() if found.general])
+
+
+def _drawn(runs: Runs, names: Iterable[str]) -> list[Drawn]:
+    with style.house_style():
+        made = [(name, FIGURES[name].draw(runs)) for name in names]
+    return [Drawn(name, figure, FIGURES[name].caption_of(runs)) for name, figure in made if figure is not None]
+
+
+def sections_of_study(study: StudyReport) -> list[Section]:
+    """Sections of a study: the headline, then all sections in their order."""
+    found = [
+        Section(one.section.title, one.tables, _drawn(one.runs, one.section.figures) if one.runs else (),
+                one.section.text)
+        for one in study.sections
+    ]  # fmt: skip
+    leading = [found[study.sections.index(one)] for one in study.headline]
+    first = [Section(one.title, one.tables[:1], one.figures[:1]) for one in leading[:1]]
+    return [*first, *found, Section(study.times.title, [study.times])]
+
+
+def sections_of(report: Report) -> list[Section]:
+    """Sections of a campaign: the leading table with the leading figure, other figures, a section for each table."""
+    figures, (leading, *others) = drawn(report.runs), report.tables or (None,)
+    sections = [] if leading is None else [Section(leading.title, [leading], figures[:1])]
+    sections += [Section("Figures", (), figures[1:])] if figures[1:] else []
+    return sections + [Section(table.title, [table]) for table in others]
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A campaign of the page, and the folder that commands name."""
+
+    directory: Path
+    report: Report
+
+
+def write_report_page(
+    path: Path, parts: Sequence[Part], sections: Sequence[Section], commands: Sequence[tuple[str, str]],
+    flights: Iterable[tuple[str, FlightPage]] = (), *, title: str = "", findings: Sequence[str] | None = None,
+    largest: int = LARGEST,
+) -> int:  # fmt: skip
+    """Write the page of one or several campaigns.
+
+    Args:
+        path: File to write.
+        parts: The campaigns.
+        sections: In their order; the first one is the headline.
+        commands: How to repeat it: what a command does, and the command.
+        flights: Pages of runs by id, those first that say most; taken while they fit.
+        title: Of the page; that of the first campaign by default.
+        findings: Sentences of the first screen; those of all campaigns by default.
+        largest: Size of the file (bytes).
+
+    Returns:
+        Number of flights in the page.
+
+    Raises:
+        BadInputError: The file cannot be written, or is too large without any flight.
+    """
+    reports = [part.report for part in parts]
+    listed = run_list({str(part.directory): part.report.runs for part in parts})
+    sets = RunSets({run_id: place for place, run_id in enumerate(listed["ids"])})
+    numbered = list(_section_data(sections, sets))
+    (named, *lines), *others = (header(report.runs.campaign) for report in reports)
+    campaign, _, mission = named.partition(" · ")
+    title = title or campaign[0].upper() + campaign[1:]
+    findings = [line for report in reports for line in report.findings] if findings is None else findings
+    values: dict[str, Any] = {
+        "title": title, "lines": [mission, *lines, *(line for more in others for line in more)],
+        "findings": findings, "commands": commands,
+        "checks": [*(line for report in reports for line in checks(report.runs)), *REMARKS], "sections": numbered,
+        "csv": {table["id"]: table.pop("csv") for section in numbered for table in section["tables"]},
+        "runs": listed | {"sets": list(sets.texts)},
+    }  # fmt: skip
+    left = largest - len(page.render("report.html.j2", **values, flights={}).encode())
+    if left < 0:
+        raise BadInputError(f"{path}: the report takes {largest - left} bytes without any flight; allowed: {largest}")
+    stored = _as_fit(flights, left)
+    page.write(path, page.render("report.html.j2", **values, flights=stored))
+    return len(stored)
+
+
+def _section_data(sections: Sequence[Section], sets: RunSets) -> Iterator[dict[str, Any]]:
+    for place, section in enumerate(sections):
+        tables = [table_data(table, sets) for table in section.tables]
+        yield {
+            "id": f"section-{place}", "title": section.title, "text": section.text,
+            "tables": [
+                table | {"id": f"{place}-{table['name']}", "long": len(table["rows"]) > _LONG} for table in tables
+            ],
+            "figures": [
+                {"svg": svg_of(one.figure, f"s{place}-{one.name}", one.caption), "caption": one.caption}
+                for one in section.figures
+            ],
+        }  # fmt: skip
+
+
+def _as_fit(flights: Iterable[tuple[str, FlightPage]], left: int) -> Mapping[str, Markup]:
+    """JSON of flights by run, until the next one does not fit; no more are asked for then."""
+    stored: dict[str, Markup] = {}
+    for run_id, flight in flights:
+        text = page.as_json(flight.to_json())
+        left -= len(text.encode()) + len(run_id) + 100  # with its element
+        if left < 0:
+            break
+        stored[run_id] = text
+    return stored

@@ -1,0 +1,41 @@
+"""The list of runs of a page, column by column: texts as numbers into a list of distinct values."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import polars as pl
+
+from mavfi.campaign.analysis.runs import Runs
+
+FILTERS = {
+    "folder": "ledger", "environment": "environment", "setting": "arm", "status": "status", "effect": "effect",
+    "level": "level", "stage": "stage", "place": "kernel or state", "field": "field", "bit": "bit",
+    "bit_class": "bit class",
+}  # fmt: skip
+"""Columns that can be selected by, and what they are called."""
+NUMBERS = {"flight_time_s": 2, "inflation": 4, "alarms_total": 0, "time_s": 3}
+"""Columns of numbers, and the digits that are kept."""
+HIDDEN = ("population", "kind", "target", "site")
+"""Columns that links of figures select by."""
+
+
+def run_list(ledgers: Mapping[str, Runs]) -> dict[str, Any]:
+    """Ids, and the columns of `FILTERS`, `HIDDEN` and `NUMBERS`, in the order of the runs of ledgers by folder."""
+    frames = [runs.frame.with_columns(folder=pl.lit(folder)) for folder, runs in ledgers.items()]
+    frame = pl.concat(frames).with_columns(
+        place=pl.when(pl.col("state") != "").then(pl.col("state")).otherwise(pl.col("kernel")),
+        bit=pl.col("bit").cast(pl.String).fill_null(""),
+    )
+    texts = {name: _coded(frame[name]) for name in (*FILTERS, *HIDDEN)}
+    numbers = {name: _rounded(frame[name], digits) for name, digits in NUMBERS.items()}
+    return {"ids": frame["run_id"].to_list(), "texts": texts, "numbers": numbers, "filters": FILTERS}
+
+
+def _coded(column: pl.Series) -> dict[str, Any]:
+    values = column.unique(maintain_order=True).to_list()
+    places = {value: place for place, value in enumerate(values)}
+    return {"values": values, "codes": [places[value] for value in column]}
+
+
+def _rounded(column: pl.Series, digits: int) -> list[float | None]:
+    return [None if value is None else round(value, digits) if digits else int(value) for value in column]

@@ -1,0 +1,73 @@
+"""Tables as a page shows them: cells as text, each with a link to the runs behind it."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from mavfi.campaign.analysis.table import TEXT, Table
+from mavfi.reports.text import ABSENT, cell
+
+_INTERVAL = re.compile(r"^(\S+) (\[.*)$")
+
+
+@dataclass(slots=True)
+class RunSets:
+    """Sets of runs that cells link to, each stored once.
+
+    Attributes:
+        places: Place of each run in the list of runs, by id.
+    """
+
+    places: Mapping[str, int]
+    texts: dict[str, int] = field(default_factory=dict)
+
+    def link(self, run_ids: Sequence[str]) -> str:
+        """Address of a set within the page; "" = no run."""
+        places = sorted(self.places[run_id] for run_id in run_ids if run_id in self.places)
+        return f"#runs?set={self.texts.setdefault(_ranges(places), len(self.texts))}" if places else ""
+
+
+def _ranges(places: Sequence[int]) -> str:
+    """Ascending numbers as ranges: "0-29 45"."""
+    found: list[list[int]] = []
+    for place in places:
+        if found and place == found[-1][1] + 1:
+            found[-1][1] = place
+        else:
+            found.append([place, place])
+    return " ".join(f"{low}" if low == high else f"{low}-{high}" for low, high in found)
+
+
+def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
+    """Headings, rows of cells (text, interval, link), notes and CSV of a table."""
+    shown = [place for place, column in enumerate(table.columns) if not column.hidden]
+    kinds = {place: _kind(table, place) for place in shown}
+    behind = table.behind or [((),) * len(table.columns)] * len(table.rows)
+    rows = []
+    for place, (row, ids) in enumerate(zip(table.rows, behind, strict=True)):
+        cells = []
+        for column in shown:
+            text = cell(row[column], table.columns[column].form)
+            value, interval = _split(text)
+            link = sets.link(ids[column]) if kinds[column] == "number" and text != ABSENT else ""
+            cells.append({"kind": kinds[column], "value": value, "interval": interval, "link": link})
+        rows.append({"cells": cells, "repeated": place > 0 and row[0] == table.rows[place - 1][0]})
+    columns = [{"heading": table.columns[place].heading, "kind": kinds[place]} for place in shown]
+    return {
+        "name": table.name, "title": table.title, "columns": columns, "rows": rows, "notes": table.notes,
+        "csv": table.to_csv(),
+    }  # fmt: skip
+
+
+def _kind(table: Table, place: int) -> str:
+    """What a column holds: "key" names the row, "text" has no runs behind it, "number" has."""
+    if place < table.keys:
+        return "key"
+    return "text" if table.columns[place].form == TEXT else "number"
+
+
+def _split(text: str) -> tuple[str, str]:
+    """A rate and the rest: interval and n."""
+    found = _INTERVAL.match(text)
+    return (found[1], found[2]) if found else (text, "")

@@ -1,0 +1,143 @@
+"""Time lines of published fields around a fault: which ones say most, and their samples."""
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mavfi.campaign.divergence import Publication
+from mavfi.states import STATES, Stage
+
+BEFORE, AFTER = 1.0, 4.0
+"""Part of a flight that is shown, before and after the fault (s)."""
+MOST = 6
+"""Time lines."""
+SAMPLES = 260
+"""Most samples of a line."""
+_LARGEST = 1e300  # what infinite values are drawn as, off every scale
+
+
+class Site(NamedTuple):
+    """A number that is published again and again."""
+
+    state: str
+    field: str
+    element: int | None = None
+
+    @property
+    def label(self) -> str:
+        """For people."""
+        return f"{self.state}.{self.field}" + ("" if self.element is None else f"[{self.element}]")
+
+
+Line = tuple[np.ndarray, np.ndarray]
+"""Instants (s) and values, shapes (n,)."""
+
+
+def time_lines(published: Mapping[str, Sequence[Publication]], at: float, site: str) -> list[dict[str, Any]]:
+    """The injected field, then those that differ most from the golden run, in the order of the data flow.
+
+    Args:
+        published: Publications by role of the flight; there are none where "golden" or "injected" is missing.
+        at: Instant of the fault (s).
+        site: Of the fault, as text.
+    """
+    near = {role: _near(publications, at) for role, publications in published.items() if publications}
+    if "golden" not in near or len(near) < 2:
+        return []
+    injected = near.get("injected") or near["recovered"]
+    first = [] if (own := _site(site)) is None else [own]
+    scores = {site: _difference(near["golden"], injected, site) for site in _candidates() if site not in first}
+    worst = sorted((site for site in scores if scores[site] > 0), key=lambda site: -scores[site])[: MOST - len(first)]
+    shown = first + [site for site in scores if site in worst]
+    return [_line(site, near, is_site=site in first) for site in shown]
+
+
+def _near(publications: Sequence[Publication], at: float) -> dict[str, list[Publication]]:
+    """Publications around an instant by state, with the last one before it."""
+    found: dict[str, list[Publication]] = {}
+    for publication in publications:
+        time_s = 1e-6 * publication.time_us
+        if time_s > at + AFTER:
+            break
+        own = found.setdefault(publication.state.spec.name, [])
+        if time_s < at - BEFORE:
+            own.clear()
+        own.append(publication)
+    return found
+
+
+def _site(text: str) -> Site | None:
+    """A field of a state from its text, e.g. "planning.trajectory.x[3]"; None for sites of other kinds."""
+    found = re.fullmatch(r"(\w+\.\w+)\.(\w+)(?:\[(\d+)\])?", text)
+    if found is None or found[1] not in STATES:
+        return None
+    in_elements = STATES[found[1]].in_elements(found[2])
+    return Site(found[1], found[2], int(found[3] or 0) if in_elements else None)
+
+
+def _candidates() -> list[Site]:
+    """Scalar fields of what kernels publish, in the order of the data flow."""
+    return [
+        Site(spec.name, field.name)
+        for spec in STATES.values()
+        if spec.stage is not Stage.SENSOR
+        for field in spec.header
+        if field.name != "scan"
+    ]
+
+
+def _samples(own: Mapping[str, Sequence[Publication]], site: Site) -> Line:
+    publications = own.get(site.state, ())
+    times, values = [], []
+    for publication in publications:
+        part = publication.state.header if site.element is None else publication.state.elements
+        place = site.element or 0
+        if place < len(part):
+            times.append(1e-6 * publication.time_us)
+            values.append(float(part[site.field][place]))
+    return np.array(times), np.array(values, np.float64)
+
+
+def _difference(golden: Mapping[str, Any], injected: Mapping[str, Any], site: Site) -> float:
+    """Largest difference at equal instants over the golden run's span; infinite where one is not finite."""
+    (first_t, first), (second_t, second) = _samples(golden, site), _samples(injected, site)
+    if len(first) == 0 or len(second) == 0:
+        return 0.0
+    held = first[np.clip(np.searchsorted(first_t, second_t + 1e-9, side="right") - 1, 0, None)]
+    with np.errstate(invalid="ignore", over="ignore"):
+        apart = np.abs(second - held)
+        apart[(second == held) | (np.isnan(second) & np.isnan(held))] = 0.0
+        span = float(np.ptp(first[np.isfinite(first)])) if np.isfinite(first).any() else 0.0
+    largest = float(np.nan_to_num(apart, nan=np.inf).max())
+    return largest / (span + 1e-3)
+
+
+def _line(site: Site, near: Mapping[str, Mapping[str, Sequence[Publication]]], *, is_site: bool) -> dict[str, Any]:
+    unit = STATES[site.state].find(site.field).unit
+    lines = {role: _thinned(*_samples(own, site)) for role, own in near.items()}
+    return {
+        "label": site.label, "unit": "" if unit == "-" else unit, "site": is_site,
+        "data": {role: [[round(t, 4) for t in line[0].tolist()], [_number(v) for v in line[1].tolist()]]
+                 for role, line in lines.items()},
+    }  # fmt: skip
+
+
+def _thinned(times: np.ndarray, values: np.ndarray) -> Line:
+    """At most `SAMPLES`: every n-th, and those next to a change of more than half the span."""
+    step = -(-len(times) // SAMPLES)
+    if step <= 1:
+        return times, values
+    with np.errstate(invalid="ignore", over="ignore"):
+        jump = np.abs(np.diff(values, prepend=values[0])) > 0.5 * np.nanstd(values)
+    kept = jump | np.append(jump[1:], False)
+    kept[::step] = True
+    return times[kept], values[kept]
+
+
+def _number(value: float) -> float | None:
+    """With 6 digits; None for NaN."""
+    if np.isnan(value):
+        return None
+    return float(f"{np.clip(value, -_LARGEST, _LARGEST):.6g}")
