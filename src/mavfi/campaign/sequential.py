@@ -27,6 +27,8 @@ ALPHA = 0.05
 _PRIOR = 0.5
 """Both parameters of the mixture (Jeffreys): about as narrow near 0 and 1 as in between."""
 _HALVINGS = 50
+_RATES = 501
+"""Rates at which the widest sequence is looked for."""
 Cell = tuple[str, str, str]
 """Setting, target and stratum; "" = all of them together."""
 
@@ -70,12 +72,16 @@ def half_width(total: Any, n: Any) -> np.ndarray:
 
 def missions_needed(target: float) -> int:
     """Number of missions after which the half-width is at most `target`, whatever the rate."""
+
+    def enough(n: int) -> bool:  # with few missions the widest is not that of a rate of one half
+        return bool(half_width(n * np.linspace(0.5, 1.0, _RATES), n).max() <= target)
+
     low, high = 1, 2
-    while half_width(high / 2, high) > target:
+    while not enough(high):
         low, high = high, 2 * high
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if half_width(middle / 2, middle) <= target else (middle, high)
+        low, high = (low, middle) if enough(middle) else (middle, high)
     return high
 
 

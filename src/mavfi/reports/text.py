@@ -68,6 +68,7 @@ FORMS: dict[str, Callable[[Any], str]] = {
     POINTS: lambda found: f"{100 * (found.rate or 0.0):+.1f} {_interval(found)}",
     SIGNED: signed_percent,
     "signed points": lambda share: f"{100 * share:+.1f}",
+    "points each way": lambda share: f"{100 * share:.1f}",
     SMALL: _small_percent,
     "small percents": lambda shares: " / ".join(map(_small_percent, shares.values())),
     PER_HOUR: _per_hour,

@@ -59,10 +59,11 @@ def test_bounds():
         assert log_mixture(50.0, 100, bound) == pytest.approx(np.log(1 / ALPHA))
 
 
-@pytest.mark.parametrize("target", [0.2, 0.05])
+@pytest.mark.parametrize("target", [0.25, 0.2, 0.05, 0.02])
 def test_the_most_missions_are_enough_for_every_rate_and_one_less_is_not(target):
     n = missions_needed(target)
-    assert half_width(np.linspace(0, n, 101), n).max() <= target < half_width((n - 1) / 2, n - 1)
+    assert half_width(np.linspace(0, n, 1001), n).max() <= target * 1.001
+    assert half_width(np.linspace(0, n - 1, 1001), n - 1).max() > target * 0.999
 
 
 def test_what_counts_in_which_rate():

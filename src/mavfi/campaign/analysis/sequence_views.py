@@ -42,7 +42,7 @@ register(
             m.first("n", "n"),
             Measure("success", "success %", RATE,
                     lambda own: Rate(own.first("n"), own.first("mean"), own.first("low"), own.first("high"))),
-            Measure("half_width", "± points", "signed points", _half_width),
+            Measure("half_width", "± points", "points each way", _half_width),
         ),
         where=_cells,
         headings=("environment", "setting", "target", "bits"), notes=_notes,
