@@ -119,8 +119,8 @@ def _cell(measure: Measure, own: Runs, raised: dict[str, str]) -> Cell:
 
 
 def _ids(own: Runs) -> tuple[str, ...]:
-    """Ids of rows, each once."""
-    return tuple(own.values("run_id"))
+    """Ids of runs, each once; none where rows are not runs (models, estimates)."""
+    return tuple(own.values("run_id")) if "run_id" in own.frame.columns else ()
 
 
 def _behind(measure: Measure, own: Runs) -> tuple[str, ...]:
