@@ -1,9 +1,10 @@
-"""Copy the results of `mavfi reproduce` to docs/results.md, and their headline to README.md.
+"""Copy the results of `mavfi reproduce` to docs/results.md and docs/results/, and their headline to README.md.
 
     python -m tools.build_readme out/reproduce
 
-The reports write `readme_block.md` and, optionally, `flight.png` to their folders. The tables are copied verbatim, and
-the figures of the README are parsed from them, so that none is entered by hand.
+The reports write `readme_block.md` and, optionally, `flight.png` to their folders; the study writes `study.md`, its
+figures and `report.html`. All are copied verbatim, and the figures of the README are parsed from the tables, so that
+none is entered by hand.
 """
 
 import re
@@ -11,7 +12,7 @@ import shutil
 import sys
 from pathlib import Path
 
-from tools.markers import DOCS, IMAGES, ROOT, fill
+from tools.markers import DOCS, IMAGES, ROOT, banner, fill
 
 BLOCKS = {"table": "readme_block.md", "instruction_table": "instructions/readme_block.md"}
 """File of each table, by marker name."""
@@ -70,8 +71,18 @@ def headline(block: str) -> str:
     )
 
 
+def copy_study(out: Path) -> None:
+    """Copy the report of a study, its figures and its page to docs/results/, in the place of the former ones."""
+    results = DOCS / "results"
+    shutil.rmtree(results, ignore_errors=True)
+    shutil.copytree(out / "figures", results / "figures")
+    shutil.copyfile(out / "report.html", results / "report.html")
+    text = (out / "study.md").read_text(encoding="utf-8")
+    (results / "study.md").write_text(banner("make reproduce readme") + text, encoding="utf-8")
+
+
 def main(out: Path) -> int:
-    """Update README.md, docs/results.md and the picture from the folder of a report; returns the exit code."""
+    """Update README.md, docs/results.md, docs/results/ and the picture from a study folder; returns the exit code."""
     for block in BLOCKS.values():
         if not (out / block).is_file():
             print(f"{out / block}: not there; run `make reproduce` first", file=sys.stderr)
@@ -79,6 +90,8 @@ def main(out: Path) -> int:
     blocks = {name: (out / file).read_text(encoding="utf-8") for name, file in BLOCKS.items()}
     fill(DOCS / "results.md", blocks)
     fill(ROOT / "README.md", {"headline": headline(blocks["instruction_table"])})
+    if (out / "study.md").is_file():
+        copy_study(out)
     picture = out / "flight.png"
     if picture.is_file():
         shutil.copyfile(picture, IMAGES / "flight.png")
