@@ -83,11 +83,9 @@ def _write_more(
     """Write the page and the figures that were asked for; says what was written."""
     made = []
     if html is not None:
-        from mavfi.cli.report_page import commands, write_html
-        from mavfi.reports.html.report_page import Part, sections_of
+        from mavfi.cli.report_page import write_html
 
-        part = Part(directory, report)
-        count = write_html(html, [part], sections_of(report), commands(directory), flights, workers)
+        count = write_html(html, directory, report, flights, workers)
         made.append(f"{html}, with {count} flights, {html.stat().st_size / 1e6:.1f} MB")
     if figures is not None:
         from mavfi.reports.figure_files import write_figure

@@ -18,7 +18,7 @@ from mavfi.cli.progress import Bar
 from mavfi.errors import BadInputError
 from mavfi.reports.campaign_report import Report
 from mavfi.reports.html.flight_page import FlightPage
-from mavfi.reports.html.report_page import LARGEST, Part, Section, sections_of_study, write_report_page
+from mavfi.reports.html.report_page import LARGEST, Part, Section, sections_of, sections_of_study, write_report_page
 from mavfi.reports.study_report import StudyReport
 
 Case = tuple[Path, str, str | None]
@@ -28,7 +28,7 @@ _SMALLEST = 30_000
 """About the smallest page of a flight with its golden run (bytes)."""
 
 
-def write_html(
+def _write(
     path: Path, parts: Sequence[Part], sections: Sequence[Section], commands: Sequence[tuple[str, str]],
     flights: int | None, workers: int, *, title: str = "", findings: Sequence[str] | None = None,
 ) -> int:  # fmt: skip
@@ -87,15 +87,20 @@ def _page(case: Case) -> FlightPage:
     return page_of_explanation(directory, explain(directory, run_id), other, directory)
 
 
+def write_html(path: Path, directory: Path, report: Report, flights: int | None, workers: int) -> int:
+    """Write the page of a campaign; arguments as of `_write`, `directory` of its ledger."""
+    return _write(path, [Part(directory, report)], sections_of(report), commands(directory), flights, workers)
+
+
 def write_study_html(path: Path, study: StudyReport, reports: Mapping[Path, Report], flights: int, workers: int) -> int:
-    """Write the page of a study; arguments as of `write_html`, `reports` by the folder of the ledger."""
+    """Write the page of a study; arguments as of `_write`, `reports` by the folder of the ledger."""
     parts = [Part(directory, report) for directory, report in reports.items()]
     root = path.parent
     repeat = [
         ("Fly the study, or what is left of it", f"mavfi reproduce {study.study.name} --out {root}"),
         (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {root} --share 0.02"),
     ]
-    return write_html(
+    return _write(
         path, parts, sections_of_study(study), repeat, flights, workers, title=f"Study {study.study.name}",
         findings=study.findings,
     )  # fmt: skip
