@@ -4,8 +4,10 @@ import pytest
 import yaml
 
 from mavfi.campaign.analysis import VIEWS
+from mavfi.campaign.study import load_study
 from mavfi.cli import run
 from mavfi.cli.progress import StudyBar
+from mavfi.reports.study_report import study_report
 from tests.unit.campaign.fakes import HOST
 
 
@@ -67,6 +69,14 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
     report = (out / "study.md").read_text(encoding="utf-8")
     assert VIEWS["kernel_missions"].title in report and "(figures/table1_sites.png)" in report
     assert (out / "figures" / "table1_sites.png").stat().st_size > 10_000
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "Study small" in page and "<svg" in page and all(f">{title}<" in page for title in ("One", "Two"))
+    assert all(line in page for line in study_report(load_study(tmp_path / "small.yaml"), out, fly=False).findings)
+
+    sections[1]["headline"] = True
+    assert run(["reproduce", study(tmp_path, **changes), "--out", str(out), "--workers", "1"]) == 0
+    printed = capsys.readouterr().out
+    assert VIEWS["golden_flights"].title in printed and VIEWS["kernel_effects"].title not in printed
 
 
 @pytest.mark.parametrize(
