@@ -213,7 +213,7 @@ def _stop_at(search: _Search, space: AddressSpace, cleanup: ExitStack) -> tuple[
                 held[thread].follow_threads()
             held[thread].set_breakpoint(address)
             held[thread].resume()
-        except (ProcessLookupError, TargetGoneError):
+        except (ProcessLookupError, PermissionError, TargetGoneError):  # no permission: it is ending
             if thread in (pid, fault.thread):
                 raise
             held.pop(thread, None)  # a thread that has ended since it was listed

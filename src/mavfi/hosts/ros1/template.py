@@ -66,6 +66,7 @@ class Template:
                 self.end()
                 raise
         if not told:
+            self.end()  # its socket can be closed before its process has exited
             raise MavfiError("ROS: the process that starts the nodes has ended")
         return Supervision(self._channel, int(told))
 

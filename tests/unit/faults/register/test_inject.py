@@ -133,6 +133,27 @@ def test_a_symbol_is_watched_in_threads_that_come_up_later(targets):
     assert target.poll() is None
 
 
+ENDING = """
+import os, sys, time
+from mavfi.faults.fault import RegisterFault
+from mavfi.faults.register import injector
+ending = os.posix_spawn("/bin/true", ["true"], {})
+while " Z " not in open(f"/proc/{ending}/stat").read():
+    time.sleep(0.01)
+listed = injector.threads_of
+injector.threads_of = lambda pid: [ending, *listed(pid)]
+fault = RegisterFault(null=True, symbol="brief", walk=1)
+print(injector.inject_once(int(sys.argv[1]), fault, 0, os.getppid(), lambda: False).details["symbol"])
+"""
+
+
+@pytest.mark.slow
+def test_a_thread_that_is_ending_is_passed_over(targets):
+    target, _ = targets.start("threads")
+    done = subprocess.run([sys.executable, "-c", ENDING, str(target.pid)], capture_output=True, text=True, timeout=60)
+    assert done.stdout.startswith("brief"), done.stderr
+
+
 @pytest.mark.slow
 def test_no_signal_is_lost(targets):
     target, _ = targets.start("signals")
