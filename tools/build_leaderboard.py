@@ -1,6 +1,9 @@
 """Write the leaderboard, the benefit of each rule in docs/engineers.md, and the frozen faults, from a completed bench.
 
 python -m tools.build_leaderboard out/bench [quick|paper]
+
+Scale quick is docs/generated/leaderboard.md, scale paper leaderboard-paper.md.  A bench without the paper's detectors
+leaves engineers.md and README.md as they are.
 """
 
 import shutil
@@ -88,8 +91,12 @@ def main(arguments: list[str]) -> int:
         print("bad input: usage: python -m tools.build_leaderboard DIR [SCALE]", file=sys.stderr)
         return 2
     bench, scale = Path(arguments[0]), arguments[1] if len(arguments) == 2 else "quick"
+    name = "leaderboard" if scale == "quick" else f"leaderboard-{scale}"
     try:
-        worth, told = rules(bench / "sites", bench / "instruction"), headline(bench / "sites")
+        compared = load(bench / "sites").values("arm")
+        worth = told = ""
+        if {PAPERS, PAPERS_OTHER, OURS}.issubset(compared):
+            worth, told = rules(bench / "sites", bench / "instruction"), headline(bench / "sites")
         page = (bench / "leaderboard.md").read_text(encoding="utf-8")
         freeze(bench, scale)
     except (BadInputError, OSError) as error:
@@ -97,11 +104,13 @@ def main(arguments: list[str]) -> int:
         return 2
     picture = ""
     if (bench / "curves.png").is_file():
-        picture = "\n![Detection against false alarms](../images/curves.png)\n"
-        shutil.copy(bench / "curves.png", IMAGES / "curves.png")
-    (GENERATED / "leaderboard.md").write_text(banner(COMMAND) + page + picture, encoding="utf-8")
-    fill(DOCS / "engineers.md", {"rules": worth})
-    fill(ROOT / "README.md", {"recovery": told})
+        image = name.replace("leaderboard", "curves")
+        picture = f"\n![Detection against false alarms](../images/{image}.png)\n"
+        shutil.copy(bench / "curves.png", IMAGES / f"{image}.png")
+    (GENERATED / f"{name}.md").write_text(banner(COMMAND) + page + picture, encoding="utf-8")
+    if worth:
+        fill(DOCS / "engineers.md", {"rules": worth})
+        fill(ROOT / "README.md", {"recovery": told})
     return 0
 
 
