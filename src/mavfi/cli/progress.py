@@ -19,6 +19,8 @@ from mavfi.cli.console import console
 
 _LINE_EVERY = 15.0
 """Seconds between two lines where the output is no terminal."""
+_FEW = 10
+"""Flights of a study after which the time left is estimated."""
 
 
 class Bar:
@@ -94,7 +96,7 @@ class StudyBar(Bar):
     def __init__(self, label: str, parts: dict[str, Part]) -> None:
         super().__init__(label, "flights")
         self._parts, self._part, self._name = parts, next(iter(parts.values())), label
-        self._started, self._at_start = time.perf_counter(), self._sum("done")
+        self._at_start, self._first = self._flights(), (math.inf, 0.0)
 
     def begin(self, name: str, words: str) -> None:
         """The next part begins."""
@@ -105,12 +107,16 @@ class StudyBar(Bar):
 
     def _tell(self, done: int, total: int, pace: str) -> None:
         self._part.done, self._part.total = done, total
-        seconds, worth = time.perf_counter() - self._started, self._sum("done") - self._at_start
-        if worth > 0:
-            left = self._sum("total") - self._sum("done")
-            pace = time_left(left * seconds / worth)
-        parts = self._parts.values()
-        super()._tell(sum(part.done for part in parts), sum(part.total for part in parts), pace)
+        now, work, flown = time.perf_counter(), self._sum("done"), self._flights() - self._at_start
+        if flown:
+            self._first = min(self._first, (now, work))  # kernels are compiled before it
+            known = flown > _FEW and work > self._first[1]
+            rate = (now - self._first[0]) / (work - self._first[1]) if known else math.inf
+            pace = time_left((self._sum("total") - work) * rate)
+        super()._tell(self._flights(), sum(part.total for part in self._parts.values()), pace)
+
+    def _flights(self) -> int:
+        return sum(part.done for part in self._parts.values())
 
     def _sum(self, key: str) -> float:
         """Flights of all parts, each as long as it may take (s)."""

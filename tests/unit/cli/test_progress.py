@@ -18,11 +18,22 @@ def test_the_time_left_is_that_of_all_parts_by_what_their_flights_take(capsys, c
     parts = {"states": Part(40, 100, 1.0), "instructions": Part(0, 60, 10.0)}
     with StudyBar("study paper", parts) as bar:
         bar.begin("states", "campaign table1")
-        clock[0] = 60.0
-        bar.show(70, 100)  # 30 flights took 60 s: 2 s for one of this part, so 20 s for one of the next
+        clock[0] = 500.0
+        bar.show(41, 100)  # kernels were compiled first
+        clock[0] = 560.0
+        bar.show(71, 100)  # 30 flights took 60 s: 2 s for one of this part, so 20 s for one of the next
     line = capsys.readouterr().err.strip().splitlines()[-1]
-    assert line.startswith("study paper, campaign table1 (1 of 2) 70/160 flights")
-    assert "21 min 00 s left" in line, "30 x 2 s + 60 x 20 s"
+    assert line.startswith("study paper, campaign table1 (1 of 2) 71/160 flights")
+    assert "20 min 58 s left" in line, "29 x 2 s + 60 x 20 s"
+
+
+def test_a_few_flights_give_no_estimate(capsys, clock):
+    with StudyBar("study paper", {"states": Part(40, 100, 1.0)}) as bar:
+        for done in (41, 42, 50):
+            clock[0] += 20.0
+            bar.show(done, 100)
+    told = capsys.readouterr().err
+    assert "50/100 flights  estimating the time left" in told and "min" not in told
 
 
 def test_parts_follow_each_other_in_one_count(capsys, clock):
