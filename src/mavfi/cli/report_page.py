@@ -18,7 +18,16 @@ from mavfi.cli.progress import Bar
 from mavfi.errors import BadInputError
 from mavfi.reports.campaign_report import Report
 from mavfi.reports.html.flight_page import FlightPage
-from mavfi.reports.html.report_page import LARGEST, Part, Section, sections_of, sections_of_study, write_report_page
+from mavfi.reports.html.report_page import (
+    LARGEST,
+    Headline,
+    Part,
+    Section,
+    headline_of_study,
+    sections_of,
+    sections_of_study,
+    write_report_page,
+)
 from mavfi.reports.study_report import StudyReport
 
 Case = tuple[Path, str, str | None]
@@ -30,7 +39,7 @@ _SMALLEST = 30_000
 
 def _write(
     path: Path, parts: Sequence[Part], sections: Sequence[Section], commands: Sequence[tuple[str, str]],
-    flights: int | None, workers: int, *, title: str = "", findings: Sequence[str] | None = None,
+    flights: int | None, workers: int, headline: Headline | None = None,
 ) -> int:  # fmt: skip
     """Write the page of campaigns, with runs that are flown again.
 
@@ -41,8 +50,7 @@ def _write(
         commands: How to repeat it.
         flights: Maximum number; None = as many as fit.
         workers: Processes that fly.
-        title: See `write_report_page`.
-        findings: See `write_report_page`.
+        headline: See `write_report_page`.
 
     Returns:
         Number of flights in the page.
@@ -50,7 +58,7 @@ def _write(
     cases = _cases(parts, LARGEST // _SMALLEST if flights is None else flights)
     executor = LocalExecutor(min(workers, max(1, len(cases))))
     with Bar("flights of the page") as bar, closing(_flown(cases, executor, bar)) as pages:
-        return write_report_page(path, parts, sections, commands, pages, title=title, findings=findings)
+        return write_report_page(path, parts, sections, commands, pages, headline=headline)
 
 
 def _cases(parts: Sequence[Part], most: int) -> list[Case]:
@@ -100,10 +108,7 @@ def write_study_html(path: Path, study: StudyReport, reports: Mapping[Path, Repo
         ("Fly the study, or what is left of it", f"mavfi reproduce {study.study.name} --out {root}"),
         (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {root} --share 0.02"),
     ]
-    return _write(
-        path, parts, sections_of_study(study), repeat, flights, workers, title=f"Study {study.study.name}",
-        findings=study.findings,
-    )  # fmt: skip
+    return _write(path, parts, sections_of_study(study), repeat, flights, workers, headline_of_study(study))
 
 
 def commands(directory: Path) -> list[tuple[str, str]]:

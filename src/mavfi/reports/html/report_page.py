@@ -20,7 +20,7 @@ from mavfi.reports.html.flight_page import FlightPage
 from mavfi.reports.html.run_list import run_list
 from mavfi.reports.html.table_data import RunSets, table_data
 from mavfi.reports.study_report import StudyReport
-from mavfi.reports.text import checks, header
+from mavfi.reports.text import checks, header, versions
 
 LARGEST = 15_000_000
 """Bytes of a page."""
@@ -88,10 +88,34 @@ class Part:
     report: Report
 
 
+@dataclass(frozen=True, slots=True)
+class Headline:
+    """Text of the first screen."""
+
+    kind: str
+    title: str
+    lines: Sequence[str]
+    findings: Sequence[str]
+
+
+def headline_of(report: Report) -> Headline:
+    """Headline of a campaign."""
+    named, *lines = header(report.runs.campaign)
+    campaign, _, mission = named.partition(" · ")
+    return Headline("campaign", campaign[0].upper() + campaign[1:], [mission, *lines], report.findings)
+
+
+def headline_of_study(study: StudyReport) -> Headline:
+    """Headline of a study; its campaigns are described among the remarks."""
+    campaigns = [runs.campaign for runs in study.campaigns.values()]
+    done, total = (sum(campaign[key] for campaign in campaigns) for key in ("done", "total"))
+    lines = [f"{len(campaigns)} campaigns · {done:,} of {total:,} runs done", " · ".join(versions(campaigns[0]))]
+    return Headline("study", f"Study {study.study.name}", lines, study.findings)
+
+
 def write_report_page(
     path: Path, parts: Sequence[Part], sections: Sequence[Section], commands: Sequence[tuple[str, str]],
-    flights: Iterable[tuple[str, FlightPage]] = (), *, title: str = "", findings: Sequence[str] | None = None,
-    largest: int = LARGEST,
+    flights: Iterable[tuple[str, FlightPage]] = (), *, headline: Headline | None = None, largest: int = LARGEST,
 ) -> int:  # fmt: skip
     """Write the page of one or several campaigns.
 
@@ -101,8 +125,7 @@ def write_report_page(
         sections: In their order; the first one is the headline.
         commands: How to repeat it: what a command does, and the command.
         flights: Pages of runs by id, those first that say most; taken while they fit.
-        title: Of the page; that of the first campaign by default.
-        findings: Sentences of the first screen; those of all campaigns by default.
+        headline: Text of the first screen; that of the first campaign by default.
         largest: Size of the file (bytes).
 
     Returns:
@@ -115,14 +138,10 @@ def write_report_page(
     listed = run_list({str(part.directory): part.report.runs for part in parts})
     sets = RunSets({run_id: place for place, run_id in enumerate(listed["ids"])})
     numbered = list(_section_data(sections, sets))
-    (named, *lines), *others = (header(report.runs.campaign) for report in reports)
-    campaign, _, mission = named.partition(" · ")
-    title = title or campaign[0].upper() + campaign[1:]
-    findings = [line for report in reports for line in report.findings] if findings is None else findings
+    remarks = ["; ".join(header(report.runs.campaign)) for report in reports] if len(reports) > 1 else []
     values: dict[str, Any] = {
-        "title": title, "lines": [mission, *lines, *(line for more in others for line in more)],
-        "findings": findings, "commands": commands,
-        "checks": [*(line for report in reports for line in checks(report.runs)), *REMARKS], "sections": numbered,
+        "headline": headline or headline_of(reports[0]), "commands": commands, "sections": numbered,
+        "checks": [*remarks, *(line for report in reports for line in checks(report.runs)), *REMARKS],
         "csv": {table["id"]: table.pop("csv") for section in numbered for table in section["tables"]},
         "runs": listed | {"sets": list(sets.texts)},
     }  # fmt: skip
