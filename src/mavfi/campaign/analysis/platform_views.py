@@ -18,7 +18,7 @@ _SECONDS, _KJ, _TIMES = "number .1f s", "number .1f kJ", "number .2f ×"
 
 
 def platforms(runs: Runs) -> dict[str, str]:
-    """Platform by environment, for a campaign whose parts are distinct platforms, in order; empty for other campaigns."""
+    """Platform by environment, in order, for a campaign whose parts are distinct platforms; empty for others."""
     parts = runs.campaign.get("parts", {})
     found = {name: part["platform"] for name, part in parts.items() if part.get("platform")}
     return found if len(found) > 1 and len(set(found.values())) == len(found) else {}

@@ -1,4 +1,4 @@
-"""`Table`: the result of a view.  Cells hold numbers; renderers (`mavfi.reports`) format them as text, HTML or files."""
+"""`Table`: the result of a view.  Cells hold numbers; `mavfi.reports` renders them as text, HTML or files."""
 
 import csv
 import io

@@ -38,7 +38,8 @@ class View:
     total: tuple[str, str] | None = None  # column for which a total row is added, and the label of that row
     headings: tuple[str, ...] = ()  # headings of the columns in `by`; () = their names
     notes: Callable[[Runs], Iterable[str]] = field(default=lambda _: ())  # lines below the table
-    most: str = ""  # measure that sorts rows with equal first cells, in descending order; "" = plan order    largest: str = ""  # measure that sorts all rows, in descending order; ties by the first cell
+    most: str = ""  # measure that sorts rows with equal first cells, in descending order; "" = plan order
+    largest: str = ""  # measure that sorts all rows, in descending order; ties by the first cell
     limit: int | None = None  # maximum number of rows
     least: int = 1  # minimum number of runs per row
     leads: bool = False  # placed first in reports, as the headline
