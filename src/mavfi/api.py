@@ -1,4 +1,4 @@
-"""Public Python API: fly missions, inject faults, run campaigns, query views; the command line uses the same.
+"""Public Python API: fly missions, inject faults, run campaigns, query views; shared with the command line.
 
     import mavfi
 
@@ -45,19 +45,19 @@ def fly(
     mission: MissionSpec | None = None, *, fault: Fault | str | None = None, fault_seed: int = 0,
     detector: Detector | str | None = None, profile: str = "paper", models: Path | str | None = None, **options: Any,
 ) -> FlightResult:  # fmt: skip
-    """Fly one mission; with a fault, also its golden run; with a detector, also the same fault without it.
+    """Fly one mission; with a fault, also its golden run; with a fault and a detector, also the fault without detector.
 
     Args:
         mission: The mission; None = as given by the options.
-        fault: A fault, or its text as for `mavfi fly --fault`; anything that the text omits is drawn.
+        fault: A fault, or its text as for `mavfi fly --fault`; properties omitted in the text are drawn.
         fault_seed: Seed of that draw.
-        detector: A detector, or the name of one; None = no detector.
+        detector: A detector or its name; None = no detector.
         profile: Profile of a named detector.
         models: Folder of trained models; None = the shipped ones.
         options: Keys of `MissionSpec`, e.g. environment, seed, wind; they override those of `mission`.
 
     Returns:
-        Status, record, quality, effect, log, and the frame of the flight; equal arguments give equal bytes.
+        Status, record, quality, effect, log, and the frame of the flight; deterministic for equal arguments.
 
     Raises:
         BadInputError: Unknown or inconsistent arguments.
@@ -73,7 +73,7 @@ def fly(
 
 
 def draw(fault: str, mission: MissionSpec | None = None, *, seed: int = 0, **options: Any) -> Fault:
-    """Draw whatever a fault's text omits, from the golden run of a mission.
+    """Complete a fault by drawing the properties omitted in its text, from the golden run of a mission.
 
     Args:
         fault: As for `mavfi fly --fault`.
@@ -92,11 +92,11 @@ def run(
     campaign: Campaign | str | Path, directory: Path | str, *, workers: int = 2, models: Path | str | None = None,
     executor: Executor | None = None, progress: Callable[[Progress], None] | None = None,
 ) -> Runs:  # fmt: skip
-    """Fly a campaign, or its remaining runs, and load its ledger.
+    """Fly a campaign or its remaining runs, and load its ledger.
 
     Args:
         campaign: A campaign, the name of a shipped one, or a path.
-        directory: Folder of its existing or new ledger.
+        directory: Folder of its new or existing ledger.
         workers: Number of processes; the ledger does not depend on it.
         models: Folder of trained models; None = that of the ledger, or the shipped ones.
         executor: Alternative executor, e.g. a `campaign.executors.dask.DaskExecutor`.
@@ -114,16 +114,16 @@ def run(
 
 
 def load(directory: Path | str) -> Runs:
-    """The runs of a ledger: `frame` has one row per run.
+    """Load the runs of a ledger; `frame` has one row per run.
 
     Raises:
-        BadInputError: There is no ledger.
+        BadInputError: The folder has no ledger.
     """
     return Runs.read(Path(directory))
 
 
 def table(runs: Runs, view: str) -> "Table":
-    """One of the tables of a report.
+    """Compute a table of a report.
 
     Args:
         runs: See `load`.
@@ -138,7 +138,7 @@ def table(runs: Runs, view: str) -> "Table":
 
 
 def figure(runs: Runs, name: str) -> "Figure":
-    """One of the figures of a report, as a matplotlib figure; a notebook shows it, `savefig` writes it.
+    """Draw a figure of a report as a matplotlib figure, for display in a notebook or `savefig`.
 
     Args:
         runs: See `load`.
@@ -153,14 +153,14 @@ def figure(runs: Runs, name: str) -> "Figure":
 
 
 def fly_request(setup: ArmSetup, request: Request | None, seed: int, label: str, bare: Scenario) -> FlightResult:
-    """Fly the golden run, draw the requested fault (None = only the golden run) from it, and fly that.
+    """Fly the golden run, draw the requested fault from it, and fly the fault; without a request, the golden run only.
 
     Args:
         setup: Mission, detector and recovery.
         request: The fault.
         seed: Seed of the draw.
         label: Name of the detector; "" = none.
-        bare: The mission without the detector and its mission keys; the fault is flown there as well.
+        bare: The mission without the detector and its mission keys, in which the fault is flown as well.
 
     Raises:
         BadInputError: The mission has no such site.
@@ -181,13 +181,13 @@ def _fly_fault(
         return FlightResult(setup.scenario, flight, own, fault)
     flight, own = _flown(setup, fault)
     known = golden if bare == setup.scenario else None
-    of_detector = getattr(fault, "kernel", "") in DETECTORS  # injectable only with the detector
+    of_detector = getattr(fault, "kernel", "") in DETECTORS  # such faults exist only with the detector
     alone = None if fault is None or of_detector else _flown(ArmSetup(bare), fault, known)[0]
     return FlightResult(setup.scenario, flight, own, fault, label, alone)
 
 
 def _flown(setup: ArmSetup, fault: Fault | None, golden: Flight | None = None) -> tuple[Flight, Flight | None]:
-    """The flight and its golden run; without a fault the golden run only."""
+    """Return the flight and its golden run; without a fault, the golden run and None."""
     flights = LocalHost().mission({"": setup}, fast_forward=False)
     if golden is not None:
         flights.know("", golden)
@@ -201,7 +201,7 @@ def _flown(setup: ArmSetup, fault: Fault | None, golden: Flight | None = None) -
 
 
 def _spec(mission: MissionSpec | None, options: dict[str, Any]) -> MissionSpec:
-    """The mission with the options replaced."""
+    """The mission with the given options replaced."""
     allow_typed(options.values())
     return parse_config(MissionSpec, {**({} if mission is None else mission.model_dump()), **options}, "mission")
 

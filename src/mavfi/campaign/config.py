@@ -1,4 +1,4 @@
-"""What a campaign is: the YAML files of configs/campaigns, as models."""
+"""Model of a campaign: the YAML files in configs/campaigns."""
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
@@ -15,10 +15,10 @@ from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
 from mavfi.states import DETECTORS, INJECTABLE, MONITORED_SETS, PLANNERS
 
-DESIGN_SEEDS = range(10_000)  # seeds that the autopilot profiles were tuned on
-TRAINING_SEED = 1_000_000  # first seed of the flights that detectors are trained on; no campaign flies these
+DESIGN_SEEDS = range(10_000)  # seeds used for tuning the autopilot profiles
+TRAINING_SEED = 1_000_000  # first seed of the training flights of detectors; never used by campaigns
 MOST_FAULTS = 100_000  # per environment and target
-NULL_RUNS = 3  # null runs per environment, where faults are in states and the campaign does not say
+NULL_RUNS = 3  # default number of null runs per environment, except for instruction faults
 
 _RENAMED = {
     "law": "sampling.scheme", "strata": "sampling.strata", "groups": "sampling.groups", "sites": "sampling.sites",
@@ -27,11 +27,11 @@ _RENAMED = {
        for name in ("stack", "platform", "planner", "map", "vehicle", "v_max")},
     "kind": "host", "trials": "faults", "command": "node.command",
 }  # fmt: skip
-"""Keys of campaigns of schema 1, and where they went."""
+"""Keys of campaign schema 1, with their replacements."""
 
 
 class Lifetime(Config):
-    """How long faults in states last, and how many bits they have; by default one bit of one publication."""
+    """Duration and width of state faults; by default one bit of one publication."""
 
     lasts_s: Annotated[float, Field(ge=0)] | Literal["inf"] = Field(
         0.0, description="stuck in every publication for this time (s, from 0 on); inf = for ever"
@@ -42,7 +42,7 @@ class Lifetime(Config):
 
 
 class SiteGroup(Config):
-    """Fields that are injected as one row of a table; one of them per fault, uniform."""
+    """Fields that share a row of a table; each fault is in one of them, drawn uniformly."""
 
     name: str
     sites: tuple[str, ...] = Field(min_length=1, description="state.field; of memories kernel.field")
@@ -78,7 +78,7 @@ class StateSampling(Config):
 
 
 class MemorySampling(Config):
-    """Faults in what kernels remember: one bit of a word, uniform over bits and instants of the golden flight."""
+    """Faults in kernel memory: one bit of a word, uniform over bits and instants of the golden flight."""
 
     null_runs: ClassVar[int] = NULL_RUNS
     level: Literal["memory"]
@@ -153,13 +153,13 @@ Sampling = Annotated[
     | Annotated[RegisterSampling, Tag("register")],
     Discriminator(_level_of),
 ]
-"""How faults are drawn; `level` says which model it is."""
+"""How faults are drawn; `level` selects the model."""
 
 
 class ArmConfig(Config):
-    """What is compared: every mission is flown again, and every fault injected again, with these differences.
+    """An arm of a comparison: all missions are flown and all faults injected once more, with these settings.
 
-    In addition to the keys below an arm takes any key of a mission but `environment` and `seed`.
+    In addition to the keys below, an arm accepts any key of a mission except `environment` and `seed`.
     """
 
     detector: str = Field("", description="entry point of the group mavfi.detectors, or package:Class")
@@ -175,29 +175,30 @@ class ArmConfig(Config):
         rest = {key: value for key, value in data.items() if key not in beside}
         mission = rest.get("mission", {})
         if not isinstance(mission, dict):
-            return data  # is refused
+            return data  # rejected by validation
         return {**rest, "mission": _mission_keys({**mission, **beside}, "arms")}
 
 
 class Part(Config):
-    """An environment of a campaign under a name of its own, with keys of the mission that hold there."""
+    """A named variant of an environment in a campaign, e.g. with another platform."""
 
     environment: str
     platform: str | None = None
 
 
 class Scale(Config):
-    """Another size of a campaign."""
+    """An alternative size of a campaign."""
 
     missions: int | None = Field(None, ge=1)
     faults: int | None = Field(None, ge=1, le=MOST_FAULTS)
 
 
 class Campaign(Config):
-    """A campaign as a user writes it.
+    """A campaign as written by the user.
 
-    `missions` per environment, with seeds from `first_seed` on.  `faults` per environment for each target of the
-    sampling scheme (stage, group, kernel, kind of registers); fault i is injected in mission i modulo `missions`.
+    Each environment has `missions` missions, with consecutive seeds from `first_seed`, and `faults` faults for each
+    target of the sampling scheme (stage, group, kernel, kind of registers); fault i is injected in mission i modulo
+    `missions`.
     """
 
     name: str
@@ -259,10 +260,10 @@ class Campaign(Config):
         return self
 
     def at_scale(self, name: str) -> "Campaign":
-        """The campaign at another size; "quick" is the one written at its top level.
+        """The campaign at a scale; "quick" is the size given by its top-level keys.
 
         Raises:
-            BadInputError: It has no such size.
+            BadInputError: The scale is not defined.
         """
         if name == "quick":
             return self
@@ -272,37 +273,37 @@ class Campaign(Config):
         return self.resized(self.scales[name])
 
     def resized(self, size: Scale) -> "Campaign":
-        """The campaign at a size."""
+        """The campaign with the missions and faults of a scale."""
         return self.model_copy(update=size.model_dump(exclude_none=True))
 
     @property
     def seeds(self) -> range:
-        """Seeds of the missions in each environment."""
+        """Mission seeds, the same in each environment."""
         return range(self.first_seed, self.first_seed + self.missions)
 
     @property
     def total_missions(self) -> int:
-        """Number of missions in all environments."""
+        """Number of missions over all environments."""
         return len(self.environments) * self.missions
 
     @property
     def nulls(self) -> int:
-        """Null runs per environment."""
+        """Number of null runs per environment."""
         return self.sampling.null_runs if self.null_runs is None else self.null_runs
 
     @property
     def on_design_seeds(self) -> bool:
-        """Whether a mission has one of the seeds that the autopilot profiles were tuned on: no published figure."""
+        """Whether any mission seed was used for tuning the autopilot profiles; such results are not published."""
         return self.first_seed < DESIGN_SEEDS.stop
 
     def spec(self, environment: str, seed: int, overrides: Mapping[str, Any] | None = None) -> MissionSpec:
-        """The mission of an environment and seed, with the overrides of an arm."""
+        """The mission for an environment and seed, with the overrides of an arm."""
         part = self.parts.get(environment, Part(environment=environment)).model_dump(exclude_none=True)
         given = {**self.mission, **(overrides or {}), **part, "seed": seed}
         return parse(MissionSpec, given, f"campaign {self.name}")
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data without unset parts, lifetimes and half-width: campaigns without them keep their identity."""
+        """Plain data; unset parts, lifetimes and half-width are omitted so that older campaigns keep their identity."""
         data = self.model_dump(mode="json")
         if not self.parts:
             del data["parts"]
@@ -318,7 +319,7 @@ class Campaign(Config):
 
 
 def _node_keys(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Keys of `host: node`, from the older spelling `kind: ros_node`."""
+    """Convert the older spelling `kind: ros_node` to keys of `host: node`."""
     given = {key: value for key, value in data.items() if key != "kind"}
     node = {"name": given.pop("node", "")}
     node |= {key: given.pop(key) for key in NodeConfig.model_fields if key != "name" and key in given}
@@ -333,7 +334,7 @@ def _node_keys(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _mission_keys(given: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Keys and values of a mission, checked; `stack` becomes `autopilot`."""
+    """Validate keys and values of a mission; `stack` is renamed to `autopilot`."""
     data = {("autopilot" if key == "stack" else key): value for key, value in given.items()}
     for key in ("environment", "seed"):
         if key in data:
@@ -364,16 +365,16 @@ def _check_strata(strata: Mapping[str, float]) -> None:
 
 
 def load_campaign(name: str | Path) -> Campaign:
-    """Read a campaign: a path, or the name of a shipped one, e.g. "table1".
+    """Read a campaign from a path, or a shipped one by name, e.g. "table1".
 
     Raises:
-        BadInputError: There is no such file, or something in it is wrong.
+        BadInputError: The file does not exist or is invalid.
     """
     return load(Campaign, config_path("campaigns", name))
 
 
 def config_path(folder: str, name: str | Path) -> Path:
-    """File of a shipped campaign or study (folder "campaigns" or "studies"), or the path that was given."""
+    """Path of a shipped campaign or study (folder "campaigns" or "studies"); a YAML path is returned unchanged."""
     if Path(name).suffix in (".yaml", ".yml"):
         return Path(name)
     shipped = {file.stem: file for file in sorted((config_root() / folder).glob("*.yaml"))}

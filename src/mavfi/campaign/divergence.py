@@ -25,7 +25,7 @@ class Difference:
     """The first publication in which two flights differ; publications are paired by state and number."""
 
     state: str
-    field: str  # with its element; "" where only the instant differs, or one flight has no such publication
+    field: str  # with its element; "" if only the instant differs or one flight lacks the publication
     golden_us: int | None  # instant in the golden run; None = not published
     injected_us: int | None  # instant in the injected run; None = not published
     golden: object = None  # value in the golden run; None without a field
@@ -55,21 +55,21 @@ def first_difference(golden: Sequence[Publication], injected: Sequence[Publicati
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """How long one state, or part of the flight log, differed from the golden run's."""
+    """Interval in which a state, or a part of the flight log, differs from the golden run."""
 
     name: str  # state, or group of columns of the log
-    kernel: str  # that publishes it; "" = the vehicle
-    first_us: int  # of the first value that differs
-    last_us: int  # of the last one
-    differing: int  # values that differ
-    compared: int  # values that both flights have
-    to_the_end: bool  # whether the last value that both flights have differs
+    kernel: str  # its writer; "" = the vehicle
+    first_us: int  # instant of the first value that differs
+    last_us: int  # instant of the last value that differs
+    differing: int  # number of values that differ
+    compared: int  # number of values present in both flights
+    to_the_end: bool  # whether the last value present in both flights differs
 
 
 def spread(golden: Sequence[Publication], injected: Sequence[Publication]) -> list[Spread]:
-    """How an error spread from state to state, in the order in which these first differed in value.
+    """Propagation of an error: the affected states, in the order in which they first differ in value.
 
-    Publications are compared by state and number; instants alone do not count.
+    Publications are paired by state and number; differences in time only are ignored.
     """
     numbered = _numbered(golden), _numbered(injected)
     values: dict[str, list[tuple[int, bool]]] = {}
@@ -82,11 +82,11 @@ def spread(golden: Sequence[Publication], injected: Sequence[Publication]) -> li
 
 
 _LOGGED = {"reference point": ("reference", "pid"), "velocity command": ("command", "pid"), "vehicle": ("", "")}
-"""Parts of the log: how their columns begin ("" = the others), and the kernel that gives them."""
+"""Parts of the log: prefix of their columns ("" = all others), and the kernel that writes them."""
 
 
 def spread_in_log(golden: FlightLog, injected: FlightLog) -> list[Spread]:
-    """The same from what two logs hold at each control tick: where publications are not known."""
+    """Propagation of an error between two flight logs, at control ticks; for flights without recorded publications."""
     ticks = min(len(golden.rows), len(injected.rows))
     times = np.round(1e6 * injected.column("time")[:ticks]).astype(np.int64)
     begins = tuple(begin for begin, _ in _LOGGED.values() if begin)
@@ -103,7 +103,7 @@ def spread_in_log(golden: FlightLog, injected: FlightLog) -> list[Spread]:
 
 
 def _spread(name: str, kernel: str, values: Sequence[tuple[int, bool]]) -> Spread | None:
-    """From instants, and whether the value then differs; None where none does."""
+    """Summarize pairs of instant (us) and whether the value differs; None = no value differs."""
     times = [time_us for time_us, differs in values if differs]
     if not times:
         return None
@@ -133,7 +133,7 @@ def _difference(name: str, first: Publication | None, second: Publication | None
 
 
 def _field(first: State, second: State) -> tuple[str, object, object]:
-    """First field whose bits differ, with both values; or the numbers of elements, if these differ."""
+    """Name and both values of the first field that differs bitwise; or the numbers of elements, if these differ."""
     if len(first.elements) != len(second.elements):
         return "number of elements", len(first.elements), len(second.elements)
     for before, after, is_list in ((first.header, second.header, False), (first.elements, second.elements, True)):
@@ -145,7 +145,7 @@ def _field(first: State, second: State) -> tuple[str, object, object]:
 
 
 def _first_row(before: np.ndarray, after: np.ndarray) -> int | None:
-    """First element whose bits differ; NaNs and zeros compare as bits."""
+    """Index of the first element that differs bitwise (NaNs and signed zeros included); None = no difference."""
     size = before.dtype.itemsize
     bits = [np.ascontiguousarray(values).view(np.uint8).reshape(-1, size) for values in (before, after)]
     rows = np.flatnonzero((bits[0] != bits[1]).any(axis=1))

@@ -1,7 +1,7 @@
-"""Time of detection and of recovery against the kernels', measured on this machine, in one process.
+"""Time of detection and recovery relative to that of the kernels, measured on this machine in one process.
 
-The paper's Table II.  What a detector was shown in a flight it is shown again after it, several times and in blocks,
-since a timer around each call would take longer than the call.
+The paper's Table II.  The publications that a detector checks are recorded in flight and replayed to it afterwards,
+several times and in blocks, since a timer around each call would take longer than the call.
 """
 
 import json
@@ -26,22 +26,22 @@ from mavfi.pipeline.ppc import build_pipeline
 from mavfi.states import KERNELS, PPC_STAGES, Stage, State
 
 FILE = "overheads.json"
-"""In the folder of a campaign."""
+"""Name of the file in the folder of a campaign."""
 ALL = "all"
-"""Of all stages together."""
+"""Key of the sum over all stages."""
 STAGES = (*map(str, PPC_STAGES), ALL)
 _REPLAYS, _BLOCK = 5, 16
 
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """One flight with a detector; times by stage, and under `ALL` of all.
+    """Times of one flight with a detector, by stage and, under `ALL`, in total.
 
     Attributes:
-        kernels: Time of all kernels, what they do with their inputs included (s).
+        kernels: Time of all kernels, including the reception of their inputs (s).
         detection: Time of `check` and `accept`, by stage of the publications (s).
-        recovery: Time of steps that were repeated, and of keeping memory for that (s).
-        shown: Publications that the detector was shown.
+        recovery: Time of repeated steps, and of saving and restoring memory for them (s).
+        shown: Number of publications that the detector checked.
         recomputed: Recomputations / computations, both in the platform's modelled time.
     """
 
@@ -60,7 +60,7 @@ class _Clock:
         self.calls: Counter[tuple[str, str]] = Counter()
 
     def timed(self, kernel: Any, method: str) -> None:
-        """Time a method of a kernel from now on."""
+        """Wrap a method of a kernel in a timer."""
         function, key, clock = getattr(kernel, method), (kernel.name, method), time.perf_counter
 
         def call(*arguments: Any) -> Any:
@@ -79,10 +79,10 @@ class _Clock:
 
 
 def cost(scenario: Scenario, name: str, profile: str, models_dir: Path | None = None) -> Cost:
-    """Fly a golden mission with a detector, and show it the same publications again.
+    """Fly a golden mission with a detector, then replay its publications to the detector.
 
     Raises:
-        BadInputError: The scenario cannot be flown, or there is no such detector or model.
+        BadInputError: The scenario cannot be flown, or the detector or its model does not exist.
     """
     clock = _Clock()
 
@@ -135,9 +135,9 @@ def _recovery(clock: _Clock, repeated: Mapping[tuple[str, str], int]) -> dict[st
 
 
 def replay(detector: Detector, publications: Sequence[tuple[State, int]]) -> float:
-    """Wall time (s) of judging publications and taking note of them.
+    """Wall time (s) of `check` and `accept` over publications.
 
-    In a flight a publication was just made, so those of a block are read once before the block is timed.
+    In flight a publication has just been written, so each block is read once before timing to warm the CPU cache.
     """
     detector.start()
     spent, clock = 0.0, time.perf_counter
@@ -154,7 +154,7 @@ def replay(detector: Detector, publications: Sequence[tuple[State, int]]) -> flo
 
 
 def processor() -> str:
-    """Name of the processor, as the system tells it."""
+    """Model name of the processor, as reported by the operating system."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -166,13 +166,13 @@ def measure(
     campaign: Campaign, missions: int, models_dir: Path | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Measure every detector of a campaign in golden flights of each of its environments.
+    """Measure every detector of a campaign on golden flights in each of its environments.
 
     Args:
-        campaign: Names environments, mission and arms.
-        missions: Flights per environment and arm; one more, of the first environment, is flown before.
+        campaign: Environments, mission and arms.
+        missions: Flights per environment and arm; an additional warm-up flight precedes them.
         models_dir: Folder of trained models; None = the shipped ones.
-        progress: Called with flights done and in all.
+        progress: Called with the numbers of completed and of all flights.
 
     Returns:
         `processor`, `missions`, and `rows`: environment, arm, stage, and medians over flights of `detection` and
@@ -190,7 +190,7 @@ def measure(
     for environment in campaign.environments:
         for name, arm in arms.items():
             scenarios = [resolve(campaign.spec(environment, seed, arm.mission)) for seed in seeds]
-            if not rows:  # compiles, or reads the cache
+            if not rows:  # warm-up: compiles, or reads the cache
                 cost(scenarios[0], arm.detector, arm.profile, models_dir)
             costs = []
             for scenario in scenarios:
@@ -209,7 +209,7 @@ def _shares(costs: Iterable[Cost], stage: str) -> dict[str, float]:
 
 
 def save(measured: Mapping[str, Any], directory: Path) -> Path:
-    """Write measured overheads into the folder of a campaign, where its views find them."""
+    """Write measured overheads to the folder of a campaign, from which its views read them."""
     path = directory / FILE
     with writing(path):
         path.write_text(json.dumps(measured, indent=1) + "\n", encoding="utf-8")
@@ -217,10 +217,10 @@ def save(measured: Mapping[str, Any], directory: Path) -> Path:
 
 
 def load(directory: Path) -> dict[str, Any]:
-    """Measured overheads in the folder of a campaign; empty where nothing was measured.
+    """Read measured overheads from the folder of a campaign; empty if there are none.
 
     Raises:
-        BadInputError: The file is not what `save` writes.
+        BadInputError: The file is invalid.
     """
     path = directory / FILE
     try:

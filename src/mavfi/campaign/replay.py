@@ -1,4 +1,4 @@
-"""Replays stored runs from their specifications: one run, or a run and its golden run with all publications."""
+"""Replay of stored runs from their specifications: a single run, or a run and its golden run with all publications."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -45,7 +45,7 @@ def replay(directory: Path, run_id: str) -> Replay:
     """Replay a run, given by an unambiguous prefix of its id.
 
     Raises:
-        BadInputError: No such campaign or run, the run is not flown yet, or its host does not support replays.
+        BadInputError: The campaign or run does not exist, the run is not flown yet, or its host is not deterministic.
         SpecMismatchError: The detector's model has changed since the run.
     """
     with Store.open(directory) as store:
@@ -57,7 +57,7 @@ def replay(directory: Path, run_id: str) -> Replay:
 
 
 def fly_again(store: Store, spec: RunSpec) -> Flight:
-    """Replay any run of a ledger, for its complete log; raises the errors of `replay`."""
+    """Replay a run of a ledger in full, without fast-forward; raises the errors of `replay`."""
     host, setup = setup_of_run(store, spec)
     flights = host.mission({spec.arm: setup}, fast_forward=False)
     flown: Recorded | Exception
@@ -111,7 +111,7 @@ def explain(directory: Path, run_id: str) -> Explanation:
     """Replay a run (given by a prefix of its id) and its golden run, and compare all publications.
 
     Raises:
-        BadInputError: No such campaign or run, a run without a fault, or one without a flight.
+        BadInputError: The campaign or run does not exist, or the run has no fault or no flight.
         SpecMismatchError: The detector's model has changed since the run.
     """
     with Store.open(directory) as store:

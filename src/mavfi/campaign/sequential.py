@@ -1,10 +1,10 @@
-"""Sequential sampling: missions are flown until the success rates of a table are known to a half-width.
+"""Sequential sampling: missions are flown until the success rates of a table reach a target half-width.
 
-The bounds are a confidence sequence: with probability 95 % they hold the true rate at every number of missions at once,
-so it does not matter when one looks or stops.  It is the beta-binomial mixture (Robbins 1970; Howard, Ramdas, McAuliffe
-and Sekhon 2021, "Time-uniform, nonparametric, nonasymptotic confidence sequences", sub-Bernoulli case).  One
-observation is the share of successes of one mission in one cell, between 0 and 1: flights of one world are alike,
-worlds are independent.  For such shares the likelihood ratio stays a supermartingale, by convexity.
+The bounds form a confidence sequence: with probability 95 % they contain the true rate at all sample sizes
+simultaneously, so optional stopping preserves coverage.  It is the beta-binomial mixture (Robbins 1970; Howard, Ramdas,
+McAuliffe and Sekhon 2021, "Time-uniform, nonparametric, nonasymptotic confidence sequences", sub-Bernoulli case).  An
+observation is the share of successes of one mission in one cell, between 0 and 1: flights in one world are correlated,
+worlds are independent.  For such shares the likelihood ratio remains a supermartingale, by convexity.
 """
 
 from collections.abc import Iterator
@@ -25,16 +25,16 @@ from mavfi.mission import MissionStatus
 
 ALPHA = 0.05
 _PRIOR = 0.5
-"""Both parameters of the mixture (Jeffreys): about as narrow near 0 and 1 as in between."""
+"""Both parameters of the beta mixture (Jeffreys): widths are similar near 0 and 1 and in between."""
 _HALVINGS = 50
 _RATES = 501
-"""Rates at which the widest sequence is looked for."""
+"""Number of rates in the search for the widest sequence."""
 Cell = tuple[str, str, str]
-"""Setting, target and stratum; "" = all of them together."""
+"""Setting, target and stratum; "" = pooled."""
 
 
 def log_mixture(total: Any, n: Any, rate: Any) -> Any:
-    """Logarithm of the mixture's likelihood ratio against a rate; the rate is in the sequence while it is small.
+    """Log likelihood ratio of the mixture against a rate; the rate is in the sequence while it is below log(1 / ALPHA).
 
     Args:
         total: Sum of n observations between 0 and 1; arrays broadcast.
@@ -46,34 +46,34 @@ def log_mixture(total: Any, n: Any, rate: Any) -> Any:
 
 
 def sequence_bounds(total: Any, n: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper bounds of the 95 % confidence sequence, arguments as of `log_mixture`; 0 and 1 for n = 0."""
+    """Lower and upper bounds of the 95 % confidence sequence (arguments: see `log_mixture`); 0 and 1 for n = 0."""
     total, n = np.broadcast_arrays(np.asarray(total, np.float64), np.asarray(n, np.float64))
     mean = np.where(n > 0, total / np.maximum(n, 1), 0.5)
     return _bound(total, n, mean, 0.0), _bound(total, n, mean, 1.0)
 
 
 def _bound(total: np.ndarray, n: np.ndarray, inside: np.ndarray, outside: float) -> np.ndarray:
-    """Bisection between the mean, which is in the sequence, and an end of the unit interval."""
+    """Find a bound by bisection between the mean, which is in the sequence, and an end of the unit interval."""
     far = np.full_like(inside, outside)
     near = inside.astype(np.float64)
     for _ in range(_HALVINGS):
         middle = (near + far) / 2
         held = log_mixture(total, n, middle) < np.log(1 / ALPHA)
         near, far = np.where(held, middle, near), np.where(held, far, middle)
-    return far  # not narrower than the sequence
+    return far  # conservative: outside the sequence
 
 
 def half_width(total: Any, n: Any) -> np.ndarray:
-    """Half of the distance between the bounds."""
+    """Half-width of the confidence sequence; arguments: see `log_mixture`."""
     low, high = sequence_bounds(total, n)
     found: np.ndarray = (high - low) / 2
     return found
 
 
 def missions_needed(target: float) -> int:
-    """Number of missions after which the half-width is at most `target`, whatever the rate."""
+    """Number of missions after which the half-width is at most `target` for any rate."""
 
-    def enough(n: int) -> bool:  # with few missions the widest is not that of a rate of one half
+    def enough(n: int) -> bool:  # with few missions, a rate of 0.5 is not the widest
         return bool(half_width(n * np.linspace(0.5, 1.0, _RATES), n).max() <= target)
 
     low, high = 1, 2
@@ -86,12 +86,12 @@ def missions_needed(target: float) -> int:
 
 
 def until(campaign: Campaign, target: float) -> Campaign:
-    """The campaign with as many missions as a half-width can need, with the same number of faults in each.
+    """The campaign with the most missions that a half-width can require, and its number of faults per mission.
 
-    It ends earlier where all rates of an environment are known to the half-width.
+    An environment ends earlier once all its rates are known to the half-width.
 
     Raises:
-        BadInputError: It would need too many faults.
+        BadInputError: The campaign would need more than `MOST_FAULTS` faults per target.
     """
     missions = missions_needed(target)
     faults = -(-campaign.faults * missions // campaign.missions)
@@ -105,20 +105,20 @@ def until(campaign: Campaign, target: float) -> Campaign:
 
 @dataclass(slots=True)
 class Precision:
-    """How well the success rates of a campaign are known, from the missions of its ledger."""
+    """Precision of the success rates of a campaign, from the missions in its ledger."""
 
     campaign: Campaign
     store: Store
     _sums: dict[str, dict[Cell, tuple[float, int]]] = field(default_factory=dict)  # total and n, by environment
-    _read: dict[str, int] = field(default_factory=dict)  # missions that are in the sums, by environment
+    _read: dict[str, int] = field(default_factory=dict)  # missions included in the sums, by environment
     _widest: dict[str, float] = field(default_factory=dict)  # largest half-width, by environment
 
     @staticmethod
     def of(campaign: Campaign, store: Store, shard: Shard) -> "Precision | None":
-        """What decides when a campaign has enough missions; None = it flies a fixed number.
+        """The stopping rule of a campaign; None = fixed number of missions.
 
         Raises:
-            BadInputError: A shard does not know the missions of the others.
+            BadInputError: The campaign is sharded: a shard has no access to the missions of the others.
         """
         if campaign.until_halfwidth is None:
             return None
@@ -127,15 +127,15 @@ class Precision:
         return Precision(campaign, store)
 
     def met(self, environment: str) -> bool:
-        """Whether every rate of an environment is known to the half-width that the campaign asks for.
+        """Whether all rates of an environment have reached the campaign's target half-width.
 
-        Only missions before the first one that is not complete count, so that no order of completion chooses them.
+        Only missions before the first incomplete one count, so the order of completion cannot bias the selection.
         """
         self._add(environment)
         return self._widest[environment] <= float(self.campaign.until_halfwidth or 0.0)
 
     def expected(self) -> int:
-        """About how many missions are needed in all: the half-width falls with the square root of their number."""
+        """Estimated total number of missions, as the half-width scales with the inverse square root of their number."""
         total = 0
         for environment in self.campaign.environments:
             self._add(environment)
@@ -178,7 +178,7 @@ class Precision:
 
 
 def cell_of(campaign: Campaign, spec: RunSpec) -> Cell | None:
-    """Which rate of a table a run counts in; None = none, e.g. null runs, and bits that tables do not lead with."""
+    """The cell in which a run counts; None = none, e.g. null runs, and bits outside the leading stratum."""
     sampling = campaign.sampling
     if spec.kind == "null":
         return None

@@ -1,7 +1,7 @@
-"""The smallest fault that still loses a mission: delta debugging of one run (Zeller and Hildebrandt 2002).
+"""Search for the smallest fault that still loses a mission: delta debugging of one run (Zeller and Hildebrandt 2002).
 
-A fault is made smaller in steps; each takes the smallest candidate with which the mission still fails, since failing is
-not monotone in the size of a change.
+The fault is reduced in steps; each tries candidates in order of size and keeps the first that loses the mission, since
+failure is not monotone in the size of the change.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -19,18 +19,18 @@ from mavfi.hosts.host import Flight, MissionFlights
 from mavfi.mission import MissionStatus
 
 INSTANTS = 12
-"""Instants of the same site that are tried."""
+"""Default number of other instants of the same site to try."""
 _BATCH = 8
-"""Candidates flown at once: instruction faults share a flight up to their calls."""
+"""Candidates per batch: instruction faults share a flight up to their calls."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """A candidate, and what became of the mission."""
+    """A candidate fault and the result of its flight."""
 
     fault: Fault
     status: str  # of the mission; "" = the flight could not be judged
-    time_s: float  # at which it ended
+    time_s: float  # end of the flight
     injection: Injection | None
 
     @property
@@ -41,40 +41,40 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One way in which the fault was made smaller."""
+    """One reduction step."""
 
     what: str  # "publications", "width", "bit"
-    tried: int  # candidates that were flown
-    found: Trial | None  # the smallest that loses the mission; None = only the fault before
+    tried: int  # candidates evaluated
+    found: Trial | None  # the smallest candidate that loses the mission; None = none does
 
 
 @dataclass(frozen=True, slots=True)
 class Shrunk:
-    """What is left of a fault."""
+    """Result of a search."""
 
     directory: Path  # of its ledger
     spec: RunSpec
     original: Trial
     smallest: Trial
     steps: tuple[Step, ...]
-    instants: tuple[Trial, ...]  # of the same site, with the smallest fault; in order of time
+    instants: tuple[Trial, ...]  # the smallest fault at other instants of its site, in order of time
     golden: Flight
 
 
 def shrink(
     directory: Path, run_id: str, *, instants: int = INSTANTS, report: Callable[[int], None] | None = None
 ) -> Shrunk:
-    """Make the fault of a run smaller, as long as it loses the mission.
+    """Reduce the fault of a run to the smallest one found that loses the mission.
 
     Args:
         directory: Folder of the ledger.
-        run_id: The run, or an unambiguous beginning of its id.
-        instants: How many other instants of the site are tried in the end.
+        run_id: Id of the run, or an unambiguous prefix of it.
+        instants: Number of other instants of the site to try at the end.
         report: Called with the number of flights so far.
 
     Raises:
-        BadInputError: No such campaign or run; a run without a fault, or of a level that has no bits to choose from;
-            a mission that succeeds with the fault, or fails without it.
+        BadInputError: The campaign or run does not exist; the run has no fault that can be reduced; or the mission
+            succeeds with the fault or fails without it.
     """
     with Store.open(directory) as store:
         spec = store.run(run_id).spec
@@ -87,7 +87,7 @@ def shrink(
         )
     trials = _Trials(host.mission({spec.arm: setup}), spec.arm, report or (lambda _: None))
     golden = trials.flights.golden(spec.arm, profile=True)
-    assert isinstance(golden, Flight)  # as every deterministic host gives it
+    assert isinstance(golden, Flight)  # deterministic hosts return a `Flight`
     original = next(trials.of([fault]))
     if golden.log.status is not MissionStatus.SUCCESS or not original.lost:
         how = "fails without its fault, too" if original.lost else f"ends in {original.status or 'an error'}"
@@ -114,10 +114,10 @@ class _Trials:
     arm: str
     report: Callable[[int], None]
     flown: int = 0
-    count: int = 0  # of the last list, as far as it was asked for
+    count: int = 0  # candidates of the last list yielded so far
 
     def of(self, faults: Sequence[Fault]) -> Iterator[Trial]:
-        """Fly candidates in their order, as far as the caller wants."""
+        """Fly candidates in order, batch by batch, until the caller stops iterating."""
         self.count = 0
         for first in range(0, len(faults), _BATCH):
             batch = faults[first : first + _BATCH]

@@ -1,4 +1,4 @@
-"""What a study is: campaigns, their sizes, and the sections of its report; the YAML files of configs/studies."""
+"""Model of a study (YAML files in configs/studies): campaigns, their sizes, and the sections of the report."""
 
 from collections.abc import Collection, Iterable
 from pathlib import Path
@@ -10,7 +10,7 @@ from mavfi.config import Config, load
 
 
 class Section(Config):
-    """A part of the report of a study: tables and figures of one of its campaigns, or claims about all."""
+    """A section of a study's report: tables and figures of one campaign, or claims tested on any of them."""
 
     title: str
     text: str = Field("", description="a paragraph below the title")
@@ -28,7 +28,7 @@ class Section(Config):
 
 
 class Study(Config):
-    """A set of campaigns, and the tables, figures and tested claims that they feed."""
+    """A set of campaigns, and the tables, figures and tested claims computed from them."""
 
     name: str
     training_flights: int = Field(100, ge=0, description="error-free flights that the detectors are trained on")
@@ -49,10 +49,10 @@ class Study(Config):
         return self
 
     def campaigns_at(self, scale: str) -> dict[str, Campaign]:
-        """Campaigns by folder, at one of the sizes.
+        """Campaigns by ledger folder, at a scale.
 
         Raises:
-            BadInputError: A campaign that is not there, or has no such size.
+            BadInputError: A campaign does not exist or does not define the scale.
         """
         found = {folder: load_campaign(name) for folder, name in self.campaigns.items()}
         sizes = self.scales.get(scale, {})
@@ -63,10 +63,10 @@ class Study(Config):
 
 
 def load_study(name: str | Path) -> Study:
-    """Read a study: a path, or the name of a shipped one, e.g. "paper".
+    """Read a study from a path, or a shipped one by name, e.g. "paper".
 
     Raises:
-        BadInputError: There is no such file, or something in it is wrong.
+        BadInputError: The file does not exist or is invalid.
     """
     return load(Study, config_path("studies", name))
 

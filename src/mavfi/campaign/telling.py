@@ -1,4 +1,4 @@
-"""The run of a campaign that says most, flown again: injected, golden, and with a detector that saves the mission."""
+"""Selection of illustrative runs of a campaign, and their replay: injected, golden, and recovered by a detector."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -14,26 +14,26 @@ from mavfi.campaign.store import Store
 from mavfi.flight_record import End
 from mavfi.hosts.host import Flight
 
-_INTERESTING = 0.02  # flight time over the golden run's from which a run that succeeds is worth a picture
+_INTERESTING = 0.02  # relative increase in flight time from which a successful run is worth a picture
 Row = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Telling:
-    """A run with a fault, and the flights that it is compared with."""
+    """An injected run and the flights for comparison."""
 
-    injected: Row  # its row
-    saved: Row | None  # row of the same fault with a detector that brings the mission home
-    flight: Flight  # of the run with the fault
+    injected: Row  # row of the injected run
+    saved: Row | None  # row of a successful run with the same fault and a detector
+    flight: Flight  # of the injected run
     golden: Flight  # of its golden run
-    recovered: Flight | None  # of `saved`
+    recovered: Flight | None  # of the run in `saved`
 
 
 def fly_telling_run(store: Store, runs: pl.DataFrame) -> Telling | None:
-    """Choose among the runs of a ledger, and fly the chosen one again with its golden run.
+    """Choose the most illustrative run of a ledger, and replay it with its golden run.
 
     Returns:
-        None if no run is worth a picture.
+        None if `choose` finds no run.
     """
     chosen = choose(runs)
     if chosen is None:
@@ -46,10 +46,10 @@ def fly_telling_run(store: Store, runs: pl.DataFrame) -> Telling | None:
 
 
 def with_flights(runs: Runs, directory: Path, run_ids: Iterable[str]) -> Runs:
-    """The runs of a ledger, with some of them flown again as whole flights.
+    """Return runs of a ledger with the replayed flights of selected runs added.
 
     Raises:
-        BadInputError: There is no such run, or its host cannot fly it again.
+        BadInputError: A run does not exist, or its host does not support replays.
     """
     wanted = list(dict.fromkeys(run_ids))
     if not wanted:
@@ -60,9 +60,9 @@ def with_flights(runs: Runs, directory: Path, run_ids: Iterable[str]) -> Runs:
 
 
 def choose(runs: pl.DataFrame) -> tuple[Row, Row | None] | None:
-    """The most telling row with a fault, and the same fault with a detector where the mission succeeds.
+    """Choose the most illustrative injected run, and a successful run with the same fault and a detector, if any.
 
-    A run that fails and that a detector brings home comes first; then one that fails; then the slowest.
+    Order of preference: a failed mission that a detector recovers, any failed mission, the largest delay.
     """
     rows = runs.filter(kind="injected", judged=True, site_outcome="activated").to_dicts()
     faulty = [row for row in rows if row["setting"] == FI and row["golden_success"]]
@@ -70,7 +70,7 @@ def choose(runs: pl.DataFrame) -> tuple[Row, Row | None] | None:
     for row in rows:
         if row["detector"] and row["success"]:
             watched.setdefault(_pair(row), []).append(row)
-    # long flights first: there is most to see
+    # long flights first: they show most
     failed = sorted((row for row in faulty if not row["success"]), key=lambda row: -(row["distance_m"] or 0.0))
     for row in failed:
         if _pair(row) in watched:
@@ -85,10 +85,10 @@ def choose(runs: pl.DataFrame) -> tuple[Row, Row | None] | None:
 
 
 def ordered(runs: pl.DataFrame) -> list[str]:
-    """Ids of runs that can be explained, those first that say most.
+    """Ids of runs that can be explained, the most illustrative first.
 
-    Lost missions come first, then slower ones, then other changed flights, then masked faults; of each, one for each
-    environment and target in turn.
+    Lost missions come first, then delayed ones, then other changed flights, then masked faults; within each class,
+    settings, environments and targets alternate.
     """
     own = runs.filter(kind="injected", judged=True, end=str(End.FLOWN), site_outcome="activated")
     lost = ~pl.col("success") & pl.col("golden_success")
@@ -102,11 +102,11 @@ def ordered(runs: pl.DataFrame) -> list[str]:
 
 
 def partner(runs: pl.DataFrame, run_id: str) -> str | None:
-    """The run with the same fault in another setting, of the rows of a ledger.
+    """Find the run with the same fault in another setting, among the rows of a ledger.
 
     Returns:
-        Of a run without a detector, the id of one with a detector, one that succeeds where there is one; of a run with
-        a detector, that without one; None where there is none.
+        Id of a run with a detector (preferably a successful one) if the given run has none, else of the run in setting
+        `fi`; None if there is no such run.
     """
     (row,) = runs.filter(run_id=run_id).to_dicts()
     same = runs.filter(
@@ -121,5 +121,5 @@ def _inflation(row: Row) -> float:
 
 
 def _pair(row: Row) -> tuple[Any, ...]:
-    """Environment, target and number of the fault: the same in every arm."""
+    """Environment, target and index of the fault, which identify it in every arm."""
     return row["environment"], row["target"], row["index"]

@@ -1,4 +1,4 @@
-"""`mavfi bench`: detectors and recovery schemes on the same flights and faults, and what they cost in time."""
+"""`mavfi bench`: compare detectors and recovery schemes on the same flights and faults; measure their overhead."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -152,7 +152,7 @@ def _show(tables: "Mapping[str, Table]", out: Path) -> None:
     terminal = console()
     names = list(tables)
     for name, table in tables.items():
-        later = {note for other in names[names.index(name) + 1 :] for note in tables[other].notes}  # common ones once
+        later = {note for other in names[names.index(name) + 1 :] for note in tables[other].notes}  # shared ones once
         show_table(replace(table, notes=tuple(note for note in table.notes if note not in later)), terminal)
     terminal.print(Text(f"The tables are in {out / 'leaderboard.md'}."), soft_wrap=True)
 
@@ -163,10 +163,10 @@ def overheads(
     missions: Annotated[int, typer.Option(help="Golden flights per environment and arm.")] = 3,
     as_json: options.AsJson = False,
 ) -> None:
-    """Measure what the detectors of a campaign cost in time on this machine; show it as in the paper's Table II.
+    """Measure the time overhead of a campaign's detectors on this machine, and print it as the paper's Table II.
 
-    Golden flights are flown in this process, so that nothing else runs beside what is timed; the campaign's table of
-    overheads shows the result from then on.
+    Golden flights run in a single process so that they do not disturb the timing. The result is saved in the campaign's
+    folder and shown in its overhead table from then on.
 
     Example: [bold]mavfi bench overheads out/reproduce[/bold]
     """

@@ -1,4 +1,4 @@
-"""`mavfi explain`: what a fault did, step by step."""
+"""`mavfi explain`: trace the effect of a fault, step by step."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,7 +18,7 @@ def explain(
     html: options.Html = None,
     as_json: options.AsJson = False,
 ) -> None:
-    """Fly a run and its golden run again, and explain what the fault did: to values, to the path, to the mission.
+    """Replay a run and its golden run, and explain the effect of the fault on values, path and mission.
 
     Example: [bold]mavfi explain out/reproduce dense-10000-fi-planning-0[/bold]
     """

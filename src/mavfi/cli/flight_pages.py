@@ -1,4 +1,4 @@
-"""Pages of flights for the verbs: flies again what a page needs, with all that is published."""
+"""Flight pages for `mavfi fly`, `explain` and `report`: replay flights with all publications recorded."""
 
 import shlex
 from pathlib import Path
@@ -19,13 +19,13 @@ FAULT, NO_FAULT = "with the fault", "golden run"
 
 
 def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, command: str) -> FlightPage:
-    """The page of a requested flight.
+    """Build the page of a flight requested by `mavfi fly`.
 
     Args:
         result: The flight.
-        setup: What it was flown with.
+        setup: Its mission, detector and recovery.
         bare: The mission without the detector.
-        command: That repeats it.
+        command: The command that repeats it.
     """
     mission = result.scenario
     context = f"{mission.environment.name} · seed {mission.seed} · autopilot {mission.stack.name}"
@@ -58,7 +58,7 @@ def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, comman
 
 
 def _course(role: str, label: str, setup: ArmSetup, fault: Fault | None, flight: Flight) -> Course:
-    """A flight, with what it publishes where that can be recorded."""
+    """A flight with its publications, if these can be recorded."""
     recorded = fly_recorded(setup, fault)
     return Course(role, label, flight.log, [] if recorded is None else recorded[1])
 
@@ -68,13 +68,13 @@ def _site(fault: Fault | None) -> str:
 
 
 def page_of_explanation(directory: Path, found: Explanation, partner: str | None, shown: Path) -> FlightPage:
-    """The page of a run with a fault, its golden run, and the same fault in another setting.
+    """Build the page of an injected run, with its golden run and the same fault in another setting.
 
     Args:
-        directory: Of the ledger.
+        directory: Folder of the ledger.
         found: The run and its golden run.
-        partner: Id of a run with the same fault, see `campaign.telling.partner`; None = there is none.
-        shown: Folder that commands name.
+        partner: Id of a run with the same fault, see `campaign.telling.partner`; None = none.
+        shown: Folder to print in commands.
     """
     spec = found.spec
     own = Course(*_role(spec.detector, detector_name(spec)), found.flight.log, found.published)
@@ -106,7 +106,7 @@ def fly_command(
     mission: MissionSpec, fault: str | None, fault_seed: int | None, detector: str, profile: str | None,
     models: Path | None,
 ) -> str:  # fmt: skip
-    """The command line of a flight: options that differ from their defaults."""
+    """The command line of a flight, with the options that differ from their defaults."""
     given: dict[str, object] = {"environment": mission.environment, "seed": mission.seed}
     given |= mission.model_dump(mode="json", exclude_defaults=True)
     given |= {"fault": fault, "fault_seed": fault_seed, "detector": None if detector == "none" else detector}

@@ -1,4 +1,4 @@
-"""`mavfi fly`: one mission, with a fault and a detector if wanted."""
+"""`mavfi fly`: fly one mission, optionally with a fault and a detector."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     picture: options.Picture = None,
     html: options.Html = None,
 ) -> None:
-    """Fly one mission, and report how it went; with a fault, compared with its golden run.
+    """Fly one mission and report its result; with a fault, compare it with the golden run.
 
     Example: [bold]mavfi fly --environment dense --seed 10007 --fault state:planning.waypoint.x:bit=62@20.0[/bold]
     """
@@ -94,7 +94,7 @@ def check_company(
     mission: MissionSpec, fault: str | None, fault_seed: int | None, detector: str, profile: str | None,
     models: Path | None,
 ) -> None:  # fmt: skip
-    """Refuse an option that has no effect without another one."""
+    """Reject options that have no effect without another one."""
     if fault_seed is not None:
         check_seed("--fault-seed", fault_seed)
         if fault is None:
@@ -112,7 +112,7 @@ def _is_chosen(mission: MissionSpec, key: str) -> bool:
 def load_watcher(
     name: str, profile: str | None, models: Path | None, scenario: Scenario
 ) -> tuple[Detector | None, str]:
-    """The detector, and its label: its name, and its profile if it has one."""
+    """Load a detector; return it with its label (name, and profile if it has one)."""
     if name == "none":
         return None, ""
     from mavfi.hosts.watching import detector_for

@@ -1,4 +1,4 @@
-"""Progress of long work: a bar with rate and time left in a terminal, a line now and then elsewhere."""
+"""Progress display: a bar with rate and time left in a terminal, periodic lines elsewhere."""
 
 import math
 import threading
@@ -18,13 +18,13 @@ from mavfi.campaign.run import Progress as CampaignProgress
 from mavfi.cli.console import console
 
 _LINE_EVERY = 15.0
-"""Seconds between two lines where the output is no terminal."""
+"""Interval between lines if the output is not a terminal (s)."""
 _FEW = 10
-"""Flights of a study after which the time left is estimated."""
+"""Number of flights of a study before the time left is estimated."""
 
 
 class Bar:
-    """Shows on stderr how far some work is, counted in units; use as a context manager."""
+    """Progress bar on stderr, counted in units; use as a context manager."""
 
     def __init__(self, label: str, unit: str = "flights") -> None:
         self._label, self._unit = label, unit
@@ -48,7 +48,7 @@ class Bar:
         self._live.stop()
 
     def show(self, done: int, total: int) -> None:
-        """Show how much is done; the rate counts from the first unit on, which compiles and loads for all."""
+        """Show progress; the rate excludes the first unit, which includes compiling and loading."""
         if self._held is None or (self._waits and done > self._held):
             self._waits = self._held is None
             self._held, self._begun = done, time.perf_counter()
@@ -58,7 +58,7 @@ class Bar:
         self._tell(done, total, pace)
 
     def show_campaign(self, progress: CampaignProgress) -> None:
-        """Show how far a campaign is, and how many missions succeeded in each setting."""
+        """Show the progress of a campaign, with successes by setting."""
         if progress.compiling and not progress.flown:
             text = "compiling kernels and flying the first mission ..."
             self._bar.update(self._task, pace=text)
@@ -83,15 +83,15 @@ class Bar:
 
 @dataclass(slots=True)
 class Part:
-    """A part of a study."""
+    """Progress of one part of a study: training or a campaign."""
 
     done: int  # flights
-    total: int
-    seconds: float  # that a flight may take; decides how much a part counts in the time that is left
+    total: int  # flights
+    seconds: float  # expected wall time of a flight: weight of the part in the estimate of the time left
 
 
 class StudyBar(Bar):
-    """Progress over all parts of a study, flown one after the other; the time left is that of all of them."""
+    """Progress over all parts of a study, which run in sequence; the time left covers all of them."""
 
     def __init__(self, label: str, parts: dict[str, Part]) -> None:
         super().__init__(label, "flights")
@@ -99,7 +99,7 @@ class StudyBar(Bar):
         self._at_start, self._first = self._flights(), (math.inf, 0.0)
 
     def begin(self, name: str, words: str) -> None:
-        """The next part begins."""
+        """Start the next part."""
         self._part = self._parts[name]
         place = list(self._parts).index(name) + 1
         self._label = f"{self._name}, {words} ({place} of {len(self._parts)})"
@@ -109,7 +109,7 @@ class StudyBar(Bar):
         self._part.done, self._part.total = done, total
         now, work, flown = time.perf_counter(), self._sum("done"), self._flights() - self._at_start
         if flown:
-            self._first = min(self._first, (now, work))  # kernels are compiled before it
+            self._first = min(self._first, (now, work))  # excludes the time of compiling kernels
             known = flown > _FEW and work > self._first[1]
             rate = (now - self._first[0]) / (work - self._first[1]) if known else math.inf
             pace = time_left((self._sum("total") - work) * rate)
@@ -119,13 +119,13 @@ class StudyBar(Bar):
         return sum(part.done for part in self._parts.values())
 
     def _sum(self, key: str) -> float:
-        """Flights of all parts, each as long as it may take (s)."""
+        """Expected wall time of all flights that attribute `key` ("done" or "total") counts (s)."""
         return sum(float(getattr(part, key)) * part.seconds for part in self._parts.values())
 
 
 @contextmanager
 def compiling(*, instrumented: bool = False) -> Iterator[None]:
-    """Say on stderr that kernels (also instrumented ones) are being compiled, as before a machine's first flight."""
+    """Report on stderr that kernels (also instrumented ones) are being compiled, if their cache is empty."""
     from mavfi.numerics.jit import code_folder
 
     folder = code_folder()
@@ -176,17 +176,17 @@ def success_counts(settings: Mapping[str, tuple[int, int, int]]) -> Table:
 
 
 def speed(rate: float, unit: str) -> str:
-    """Units per second, slow ones with two digits."""
+    """Format a rate in units per second, with two decimals below 1."""
     return f"{rate:.{1 if rate >= 1 else 2}f} {unit}/s"
 
 
 def time_left(seconds: float) -> str:
-    """What is said of the time that is left (s); infinite = not known yet."""
+    """Format the time left (s); infinite = not known yet."""
     return f"{duration(seconds)} left" if math.isfinite(seconds) else "estimating the time left"
 
 
 def duration(seconds: float) -> str:
-    """A wall time for people."""
+    """Format a wall time (s) in hours, minutes and seconds; "?" if not finite."""
     if not math.isfinite(seconds):
         return "?"
     minutes, rest = divmod(round(seconds), 60)

@@ -1,4 +1,4 @@
-"""`mavfi redundancy`: what redundant processors cost a UAV in flight time and energy, against a detector."""
+"""`mavfi redundancy`: flight time and energy of a UAV with redundant processors, compared with a detector."""
 
 from pathlib import Path
 from typing import Annotated
@@ -23,9 +23,9 @@ def redundancy(
     as_csv: Annotated[bool, typer.Option("--csv", help="The comparison as comma-separated values.")] = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Compare redundant processors (DMR, TMR) with detection: flight time and energy by a performance model.
+    """Compare flight time and energy with redundant processors (DMR, TMR) and with detection, by a performance model.
 
-    Nothing is flown. A vehicle file needs name, mass (kg) and max_thrust (N).
+    Needs no flights. A vehicle file needs name, mass (kg) and max_thrust (N).
 
     Example: [bold]mavfi redundancy --vehicle my_drone.yaml --picture redundancy.png[/bold]
     """

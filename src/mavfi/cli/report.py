@@ -1,4 +1,4 @@
-"""`mavfi report`: the headline or the tables of a campaign in the terminal; report.md and figures in its folder."""
+"""`mavfi report`: print the headline or tables of a campaign; write report.md and figures to its folder."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -38,7 +38,7 @@ def report(  # noqa: PLR0913 - one parameter per option
     ] = None,
     workers: options.Workers = 2,
 ) -> None:
-    """Print the headline of a campaign, and write report.md, its figures and summary.json into its folder.
+    """Print the headline of a campaign, and write report.md, figures and summary.json to its folder.
 
     Example: [bold]mavfi report out/states --view by_state --csv[/bold]
     """
@@ -47,7 +47,7 @@ def report(  # noqa: PLR0913 - one parameter per option
     if as_csv and not view:
         raise BadInputError("--csv: allowed: with --view NAME")
     _check_files(html, flights, figures, workers)
-    Store.open(directory).close()  # what is no campaign is left as it is
+    Store.open(directory).close()  # fails before writing if the folder holds no campaign
     if view:
         _show_view(directory, view, as_csv=as_csv, as_json=as_json)
         return
@@ -67,7 +67,7 @@ def report(  # noqa: PLR0913 - one parameter per option
 
 
 def _check_files(html: Path | None, flights: int | None, figures: Path | None, workers: int) -> None:
-    """Refuse what could not be written before anything is flown."""
+    """Reject invalid output options before any flight."""
     check_file("--html", html, PAGES)
     check_number("--flights", flights, 0, MOST_FLIGHTS)
     if flights is not None and html is None:
@@ -80,7 +80,7 @@ def _check_files(html: Path | None, flights: int | None, figures: Path | None, w
 def _write_more(
     directory: Path, report: "Report", html: Path | None, flights: int | None, figures: Path | None, workers: int
 ) -> list[str]:  # fmt: skip
-    """Write the page and the figures that were asked for; says what was written."""
+    """Write the requested page and figures; return one line of text for each."""
     made = []
     if html is not None:
         from mavfi.cli.report_page import write_html
@@ -97,7 +97,7 @@ def _write_more(
 
 
 def show_report(found: "Report", show_all: bool, views: Sequence[str] = ()) -> None:
-    """Print a report: campaign, leading table (or those of some views, or all), findings in sentences."""
+    """Print a report: campaign, leading table (or the given views, or all tables), findings."""
     from mavfi.campaign.analysis import table as table_of
     from mavfi.reports.terminal import show_header, show_table
     from mavfi.reports.text import checks, header

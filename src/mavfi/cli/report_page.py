@@ -1,4 +1,4 @@
-"""The HTML report for `mavfi report`: chooses runs, flies them again, hands all to the page."""
+"""HTML reports of campaigns and studies: choose runs, replay them, and write the page."""
 
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
@@ -31,25 +31,25 @@ from mavfi.reports.html.report_page import (
 from mavfi.reports.study_report import StudyReport
 
 Case = tuple[Path, str, str | None]
-"""Folder of a ledger, a run, and one with the same fault in another setting; None = there is none."""
+"""Folder of a ledger, id of a run, and id of the run with the same fault in another setting (None = none)."""
 
 _SMALLEST = 30_000
-"""About the smallest page of a flight with its golden run (bytes)."""
+"""Approximate minimum size of a page of a flight with its golden run (bytes)."""
 
 
 def _write(
     path: Path, parts: Sequence[Part], sections: Sequence[Section], commands: Sequence[tuple[str, str]],
     flights: int | None, workers: int, headline: Headline | None = None,
 ) -> int:  # fmt: skip
-    """Write the page of campaigns, with runs that are flown again.
+    """Write the page of one or more campaigns, with replayed runs.
 
     Args:
         path: File to write.
         parts: The campaigns.
-        sections: In their order, the headline first.
-        commands: How to repeat it.
-        flights: Maximum number; None = as many as fit.
-        workers: Processes that fly.
+        sections: Sections in order, the headline first.
+        commands: Commands that reproduce the results, with their descriptions.
+        flights: Maximum number of flights; None = as many as fit.
+        workers: Number of processes.
         headline: See `write_report_page`.
 
     Returns:
@@ -62,7 +62,7 @@ def _write(
 
 
 def _cases(parts: Sequence[Part], most: int) -> list[Case]:
-    """Runs for the page, the most informative ones of each campaign in turn; none where runs cannot be replayed."""
+    """Select runs for the page: campaigns in turn, most illustrative runs first; none if they cannot be replayed."""
     chosen = []
     for part in parts:
         frame = part.report.runs.frame
@@ -78,7 +78,7 @@ def _cases(parts: Sequence[Part], most: int) -> list[Case]:
 def _flown(
     cases: Sequence[Case], executor: LocalExecutor, bar: Bar
 ) -> Generator[tuple[str, FlightPage], None, None]:  # fmt: skip
-    """Pages in the order of the cases, whichever worker is done first."""
+    """Yield run ids and pages in the order of the cases, independent of the order of completion."""
     done: dict[Case, FlightPage] = {}
     waiting = iter(cases)
     case = next(waiting, None)
@@ -96,12 +96,12 @@ def _page(case: Case) -> FlightPage:
 
 
 def write_html(path: Path, directory: Path, report: Report, flights: int | None, workers: int) -> int:
-    """Write the page of a campaign; arguments as of `_write`, `directory` of its ledger."""
+    """Write the page of the campaign whose ledger is in `directory`; other arguments: see `_write`."""
     return _write(path, [Part(directory, report)], sections_of(report), commands(directory), flights, workers)
 
 
 def write_study_html(path: Path, study: StudyReport, reports: Mapping[Path, Report], flights: int, workers: int) -> int:
-    """Write the page of a study; arguments as of `_write`, `reports` by the folder of the ledger."""
+    """Write the page of a study; `reports` is keyed by ledger folder, other arguments: see `_write`."""
     parts = [Part(directory, report) for directory, report in reports.items()]
     root = path.parent
     repeat = [
@@ -112,7 +112,7 @@ def write_study_html(path: Path, study: StudyReport, reports: Mapping[Path, Repo
 
 
 def commands(directory: Path) -> list[tuple[str, str]]:
-    """How to repeat a campaign and its report."""
+    """Commands that reproduce a campaign and its report, with their descriptions."""
     return [
         *_flying(directory),
         (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {directory} --share 0.02"),
@@ -121,7 +121,7 @@ def commands(directory: Path) -> list[tuple[str, str]]:
 
 
 def _flying(directory: Path) -> list[tuple[str, str]]:
-    """The command that flies a campaign, where it is a shipped one at one of its sizes."""
+    """The command that flies a campaign; empty unless it is a shipped one at one of its scales."""
     with Store.open(directory) as store:
         held = stored_campaign(store)
     try:
@@ -136,5 +136,5 @@ def _flying(directory: Path) -> list[tuple[str, str]]:
 
 
 def _same(first: Campaign, second: Campaign) -> bool:
-    """Whether two campaigns fly the same; the sizes that they could have do not matter."""
+    """Whether two campaigns fly the same missions, ignoring their alternative scales."""
     return first.model_dump(exclude={"scales"}) == second.model_dump(exclude={"scales"})

@@ -1,4 +1,4 @@
-"""`mavfi reproduce`: train the detectors, fly the campaigns of a study, write its reports, print its headline."""
+"""`mavfi reproduce`: train detectors, fly the campaigns of a study, write its reports, print its headline."""
 
 import time
 from collections.abc import Iterable
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from mavfi.mission import MissionSpec
 
 MODELS = "models"
-"""Folder of the trained models, in the folder of the study."""
+"""Subfolder of the study for the trained models."""
 PAGE, FLIGHTS = "report.html", 12
-"""The page of the study, and the number of flights in it; `mavfi report DIR --html` writes as many as fit."""
+"""Name of the study's page, and its number of flights; `mavfi report DIR --html` embeds as many as fit."""
 
 
 def reproduce(  # noqa: PLR0913 - one parameter per option
@@ -36,9 +36,9 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     show_all: options.AllTables = False,
     as_json: options.AsJson = False,
 ) -> None:
-    """Train the detectors, fly the campaigns of a study, and show the paper's tables and findings beside them.
+    """Train detectors, fly the campaigns of a study, and compare the results with the paper's tables and findings.
 
-    The campaigns are flown one after the other, each into a folder of its own.
+    Campaigns run one after the other, each in a separate folder. Writes report.html, study.md, study.json and figures.
 
     Ctrl-C stops (exit code 130); the same command resumes.
 
@@ -80,7 +80,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
 
 
 def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["MissionSpec"]:
-    """Missions for which detectors must be trained first, each once."""
+    """Missions for which detectors are still to be trained, without duplicates."""
     found: dict[tuple[str, ...], MissionSpec] = {}
     for campaign in campaigns:
         for mission in _missions(campaign) if any(arm.detector for arm in campaign.arms.values()) else ():
@@ -90,7 +90,7 @@ def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> l
 
 
 def _part(campaign: "Campaign", folder: Path, workers: int) -> "Part":
-    """What is done of a campaign, what it plans at most, and how long its flights may take."""
+    """Flights of a campaign that are done and planned (at most), and the expected wall time of a remaining one."""
     from mavfi.campaign.forecast import forecast
     from mavfi.campaign.mission import plan_of
     from mavfi.cli.progress import Part
@@ -101,7 +101,7 @@ def _part(campaign: "Campaign", folder: Path, workers: int) -> "Part":
 
 
 def _check_ledger(campaign: "Campaign", folder: Path) -> None:
-    """Refuse a folder with another campaign before anything is trained or written there."""
+    """Reject a folder that holds another campaign, before training or writing anything."""
     from mavfi.campaign.mission import scenarios_of
     from mavfi.campaign.plan import arms_of
     from mavfi.campaign.run import identity_of
@@ -120,7 +120,7 @@ def _check_ledger(campaign: "Campaign", folder: Path) -> None:
 
 
 def _missions(campaign: "Campaign") -> list["MissionSpec"]:
-    """The missions that detectors of a campaign are trained for: one for each platform."""
+    """Training missions of a campaign's detectors: one per platform."""
     found: dict[str, MissionSpec] = {}
     for environment in campaign.environments:
         mission = campaign.spec(environment, campaign.first_seed)
@@ -129,12 +129,12 @@ def _missions(campaign: "Campaign") -> list["MissionSpec"]:
 
 
 def _trained_for(mission: "MissionSpec") -> dict[str, str]:
-    """What of a mission decides the models of its detectors."""
+    """Properties of a mission that determine the models of its detectors."""
     return {"stack": mission.autopilot, "platform": mission.platform, "planner": mission.planner}
 
 
 def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights: int) -> bool:
-    """Whether the folder holds the models of a campaign's arms that training for a mission would give."""
+    """Whether the folder holds up-to-date models for a mission and all detectors of a campaign."""
     from mavfi.campaign.fingerprint import versions
     from mavfi.detectors.model import Model
 
@@ -153,7 +153,7 @@ def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights
 
 
 def _report(study: "Study", out: Path, workers: int, show_all: bool, as_json: bool) -> None:
-    """Write the reports of the campaigns and of the study; print its headline, all tables, or JSON."""
+    """Write the reports of the campaigns and of the study; print the study's headline, all tables, or JSON."""
     from mavfi.cli.report_page import write_study_html
     from mavfi.reports.campaign_report import write_report
     from mavfi.reports.study_report import MARKDOWN, write_study

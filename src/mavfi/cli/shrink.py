@@ -1,4 +1,4 @@
-"""`mavfi shrink`: the smallest fault that still loses the mission."""
+"""`mavfi shrink`: search for the smallest fault that still loses the mission."""
 
 import shlex
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,9 +20,9 @@ def shrink(
     ] = 12,
     as_json: options.AsJson = False,
 ) -> None:
-    """Make the fault of a lost mission smaller: shorter, narrower, a bit that changes less; then try other instants.
+    """Reduce the fault of a lost mission (shorter, fewer bits, a less significant bit), then try other instants.
 
-    Ends with a command that flies the smallest fault that still loses the mission.
+    Prints the command that flies the smallest fault found that still loses the mission.
 
     Example: [bold]mavfi shrink out/reproduce dense-10000-fi-planning-0[/bold]
     """
@@ -43,7 +43,7 @@ def shrink(
 
 
 def command(found: "Shrunk") -> str:
-    """What flies the smallest fault: a command, or, of an instruction, which has no text, Python."""
+    """Command that flies the smallest fault; Python code for instruction faults, which have no text form."""
     from mavfi.campaign.run import stored_campaign
     from mavfi.campaign.samplers.request import text_of
     from mavfi.campaign.store import Store

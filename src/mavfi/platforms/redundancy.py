@@ -1,8 +1,8 @@
-"""Visual performance model of a UAV with redundant processors: weight, speed, flight time, energy.
+"""Visual performance model of a UAV with redundant processors: mass, speed, flight time, energy.
 
 The model has the structure of Krishnan et al., "The Sky Is Not the Limit" (IEEE CAL 2020), and of F-1, from which
-MAVFI's Fig. 8 is computed: a vehicle flies as fast as it can still stop within what it senses.  Neither the recipe nor
-the vehicle data of that figure are published, so the inputs of `configs/redundancy` are calibrated, with a band.
+MAVFI's Fig. 8 is computed: maximum speed is limited by the stop within the sensing range.  Neither the recipe nor the
+vehicle data of that figure are published, so the inputs in `configs/redundancy` are calibrated, with bands.
 """
 
 import math
@@ -16,11 +16,11 @@ from mavfi.config import Config, names, shipped
 GRAVITY = 9.80665
 """Standard gravity (m/s^2)."""
 CANNOT_HOVER = math.inf
-"""Ratio of flight times where the heavier vehicle has no thrust left to accelerate."""
+"""Ratio of flight times if the heavier vehicle has no excess thrust."""
 
 
 class Band(Config):
-    """Range of a parameter that public sources support; the other parameters keep their values."""
+    """Range of a parameter supported by public sources, with all other parameters fixed."""
 
     low: float = Field(gt=0, le=1e6)
     high: float = Field(gt=0, le=1e6)
@@ -33,7 +33,7 @@ class Band(Config):
 
 
 class DesignConfig(Config):
-    """A UAV with its on-board computer, for the comparison of redundancy with detection."""
+    """A UAV and its on-board computer, for comparing redundancy with detection."""
 
     name: str
     vehicle: str = Field("", description="which vehicle this is; the name by default")
@@ -75,18 +75,18 @@ class DesignConfig(Config):
 
 
 NUMBERS = tuple(name for name, field in DesignConfig.model_fields.items() if field.annotation is float)
-"""Keys with a number, which may have a band."""
+"""Numeric keys, which may have a band."""
 
 
 @dataclass(frozen=True, slots=True)
 class Performance:
-    """What a vehicle can do.
+    """Performance of a vehicle.
 
     Attributes:
-        payload: Computer with heat sinks (kg).
-        mass: Of the whole vehicle (kg).
-        acceleration: Largest one (m/s^2); 0 = cannot hover, or hovers only.
-        speed: From which the vehicle still stops within its sensing range (m/s).
+        payload: Mass of the computer with heat sinks (kg).
+        mass: Mass of the whole vehicle (kg).
+        acceleration: Maximum (m/s^2); 0 = no thrust beyond hovering.
+        speed: Maximum speed at which the vehicle can stop within its sensing range (m/s).
     """
 
     payload: float
@@ -96,13 +96,13 @@ class Performance:
 
 
 def payload(design: DesignConfig, copies: int) -> float:
-    """Mass of the computer (kg) with a number of processors; heat sinks grow with the power."""
+    """Mass of the computer (kg) with `copies` processors; heat sink mass is proportional to power."""
     boards = copies if design.replicated == "board" else 1
     return boards * design.board_mass + copies * design.heatsink * design.processor_power
 
 
 def max_acceleration(design: DesignConfig, mass: float) -> float:
-    """Largest acceleration (m/s^2) of the vehicle at a mass (kg); 0 where the thrust does not exceed the weight."""
+    """Maximum acceleration (m/s^2) at a vehicle mass (kg); 0 if thrust does not exceed weight."""
     per_mass = design.max_thrust / mass
     if per_mass <= GRAVITY:
         return 0.0
@@ -110,24 +110,24 @@ def max_acceleration(design: DesignConfig, mass: float) -> float:
 
 
 def safe_speed(acceleration: float, action_period: float, sensing_range: float) -> float:
-    """Speed v (m/s) from which the vehicle stops within what it senses: v T + v^2 / (2 a) = d.
+    """Maximum speed v (m/s) at which the vehicle can stop within its sensing range: v T + v^2 / (2 a) = d.
 
     Args:
-        acceleration: a, of the braking vehicle (m/s^2); 0 gives 0.
-        action_period: T, in which it flies on before it reacts (s).
-        sensing_range: d (m).
+        acceleration: Deceleration a during braking (m/s^2); 0 gives 0.
+        action_period: Reaction time T before braking starts (s).
+        sensing_range: Sensing range d (m).
     """
     if acceleration <= 0:
         return 0.0
-    # 2 d / (T + sqrt(T^2 + 2 d / a)) is the root without the difference of two large numbers
+    # 2 d / (T + sqrt(T^2 + 2 d / a)): the root in a form without cancellation
     root = math.sqrt(action_period**2 + 2 * sensing_range / acceleration)
     return 2 * sensing_range / (action_period + root)
 
 
 def performance(design: DesignConfig, copies: int = 1, overhead: float = 0.0) -> Performance:
-    """Performance with 1 (no redundancy), 2 (DMR) or 3 (TMR) processors, and the compute overhead of a detector.
+    """Performance with 1 (no redundancy), 2 (DMR) or 3 (TMR) processors and a detector's compute overhead.
 
-    Copies run in lockstep, and a voter takes no time; the overhead is a share of the action period.
+    Copies run in lockstep with a voter of zero latency; the overhead is a fraction of the action period.
     """
     carried = payload(design, copies)
     mass = design.mass + carried
@@ -137,19 +137,19 @@ def performance(design: DesignConfig, copies: int = 1, overhead: float = 0.0) ->
 
 
 def time_ratio(slow: Performance, fast: Performance, speed_limit: float = math.inf) -> float:
-    """Flight time over the same distance: `slow` / `fast`, both at most at a speed limit (m/s)."""
+    """Ratio of flight times over the same distance, `slow` / `fast`, with both speeds capped at a limit (m/s)."""
     speed = min(slow.speed, speed_limit)
     return min(fast.speed, speed_limit) / speed if speed > 0 else CANNOT_HOVER
 
 
 def energy_ratio(slow: Performance, fast: Performance) -> float:
-    """Energy over the same distance if the rotors' power is that of hovering, ~ (m g)^1.5 (momentum theory)."""
+    """Ratio of energies over the same distance, with hover power ~ (m g)^1.5 (momentum theory)."""
     masses = slow.mass / fast.mass
     return time_ratio(slow, fast) * masses * math.sqrt(masses)
 
 
 def at_ends(design: DesignConfig, key: str) -> tuple[DesignConfig | None, DesignConfig | None]:
-    """The design with a parameter at the ends of its band; None where it cannot hover even with one processor."""
+    """The design with a parameter at each end of its band; None = cannot hover even with one processor."""
     band = design.bands[key]
     found = [design.model_copy(update={key: value}) for value in (band.low, band.high)]
     low, high = (one if performance(one).acceleration > 0 else None for one in found)
@@ -157,7 +157,7 @@ def at_ends(design: DesignConfig, key: str) -> tuple[DesignConfig | None, Design
 
 
 def find_design(name: str) -> DesignConfig:
-    """A shipped design by name, or the user's own by path; `BadInputError` if there is none, or it is wrong."""
+    """Load a design: a shipped one by name or a file by path; `BadInputError` if it does not exist or is invalid."""
     return shipped("redundancy", DesignConfig, name)
 
 

@@ -1,1 +1,1 @@
-"""Reads a ledger or a flight and shows it: tables, figures, pictures, explanations.  Computes nothing new."""
+"""Presentation of ledgers and flights: tables, figures, pictures, explanations; analysis is in `campaign.analysis`."""

@@ -1,4 +1,4 @@
-"""The report of a campaign: report.md, figures, the block of the results page, all numbers as JSON."""
+"""The report of a campaign: report.md, figures, a block for the results page, and all numbers as JSON."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -29,7 +29,7 @@ REMARKS = (
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Tables of all views that apply, the leading one first; findings in words; files that were written."""
+    """Tables of all applicable views (the leading one first), findings in sentences, and written files."""
 
     runs: Runs
     tables: tuple[Table, ...]
@@ -39,7 +39,7 @@ class Report:
     def to_json(self) -> dict[str, Any]:
         """Plain data: `campaign`, `findings`, `null_runs`, `unknown` runs, and `tables` by name."""
         tables = {table.name: table.to_json() for table in self.tables}
-        # views that a report leaves out, because they say the same in more rows
+        # views omitted from reports, e.g. more detailed versions of other tables
         more = {name: view.table(self.runs) for name, view in VIEWS.items() if name not in tables and not view.of_model}
         tables |= {name: table.to_json() for name, table in more.items() if table.rows}
         data: dict[str, Any] = plain({
@@ -51,17 +51,17 @@ class Report:
 
 
 def report_of(runs: Runs) -> Report:
-    """Tables and findings of a campaign; nothing is written."""
+    """Compute tables and findings of a campaign, without writing files."""
     return Report(runs, tuple(views_for(runs)), tuple(findings(runs)))
 
 
 def write_report(directory: Path, *, draw_run: bool = True) -> Report:
-    """Analyse a campaign, and write report.md, readme_block.md, summary.json and PNG figures beside its ledger.
+    """Analyse a campaign, and write report.md, readme_block.md, summary.json and PNG figures to its folder.
 
-    With `draw_run` a telling run is flown again for one more picture.
+    With `draw_run`, an illustrative run is replayed for an additional picture.
 
     Raises:
-        BadInputError: There is no campaign, or the folder cannot be written.
+        BadInputError: The campaign does not exist, or the folder cannot be written.
     """
     found = report_of(Runs.read(directory))
     today = date.today().isoformat()
@@ -82,7 +82,7 @@ def write_report(directory: Path, *, draw_run: bool = True) -> Report:
 
 
 def _draw_telling_run(directory: Path, runs: Runs) -> dict[str, str]:
-    """Draw the run that says most, golden, with the fault and with the detector; gives its caption."""
+    """Draw the most illustrative run (golden, with the fault, with a detector); return its caption by file name."""
     with Store.open(directory) as store:
         chosen = fly_telling_run(store, runs.frame)
     if chosen is None:
@@ -104,7 +104,7 @@ def _caption(telling: Telling) -> str:
 
 
 def _markdown(found: Report, captions: Mapping[str, str], today: str) -> str:
-    """The whole report, with the pictures that were drawn and their captions."""
+    """The complete report in Markdown, with figures and captions."""
     first, *rest = header(found.runs.campaign)
     parts = [
         f"# {first[0].upper()}{first[1:]}", _list([*rest, f"report of {today}"]),
@@ -117,7 +117,7 @@ def _markdown(found: Report, captions: Mapping[str, str], today: str) -> str:
 
 
 def _readme_block(runs: Runs, table: Table, today: str) -> str:
-    """The table that leads a report, with what one must know to read it."""
+    """The leading table of a report, with campaign, versions, digest and notes."""
     c = runs.campaign
     own, *others = versions(c)
     head = (
@@ -129,12 +129,12 @@ def _readme_block(runs: Runs, table: Table, today: str) -> str:
 
 
 def markdown_table(table: Table) -> str:
-    """One table with its notes."""
+    """Format a table with its notes in Markdown."""
     return "\n\n".join(part for part in (f"## {table.title}", _grid(table), _list(table.notes)) if part)
 
 
 def _grid(table: Table) -> str:
-    """The cells; in a row the first cell is empty where it is that of the row above."""
+    """Format the cells; a first cell equal to the one above is left empty."""
     columns, rows = shown(table)
     left = max(2, table.keys)
     lines = [_row([column.heading for column in columns]), _row(["---"] * left + ["---:"] * (len(columns) - left))]

@@ -1,4 +1,4 @@
-"""What a fault did, step by step, against the golden run: the same story for faults of every level."""
+"""Step-by-step explanation of a fault's effects against the golden run, for faults of every level."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -15,9 +15,9 @@ from mavfi.outcomes import Effect
 from mavfi.reports.text import change, signed_percent
 
 MOST_ALARMS = 8
-"""Alarms that are shown one by one."""
+"""Maximum number of alarms listed individually."""
 _BEHIND = 0.01
-"""Shortest delay that is mentioned (s): half a control period."""
+"""Shortest reported delay (s): half a control period."""
 _EFFECTS = {
     Effect.MASKED: "masked: the flight is bit for bit the golden run",
     Effect.SDC: "silent data corruption",
@@ -33,7 +33,7 @@ Lines = list[tuple[str, str]]
 
 
 def lines(found: Explanation) -> Lines:
-    """The story: the verdict, the fault, what it changed first, the alarms, the path, the end."""
+    """Explain a run: the verdict, the run, and the steps of `steps`."""
     spec, log, golden = found.spec, found.flight.log, found.golden.log
     story = [("verdict", verdict(found.effect, log, golden))]
     watched = f", detector {detector_name(spec)}" if spec.detector else ""
@@ -47,7 +47,7 @@ def steps(
     log: FlightLog, golden: FlightLog, fault: Fault | None, detector: str, first: Difference | None, parted: Departure,
     spread: Sequence[Spread] = (),
 ) -> Lines:  # fmt: skip
-    """The story without the verdict: the fault, what it changed first, the path, the alarms, both ends."""
+    """Explain a flight: the fault, first difference, propagation, path, alarms, and the ends of both flights."""
     story = [line for injection in log.injections for line in injection_lines(injection, fault, log)]
     if log.kernel is None:
         story.append(("first difference", _difference(first)))
@@ -61,7 +61,7 @@ def steps(
 
 
 def spread_lines(found: Sequence[Spread]) -> Lines:
-    """Which values differed from the golden run's, kernel by kernel, from when on, and when that ended."""
+    """Propagation of the error: interval and number of differing values, by state."""
     if not found:
         return []
     ended = not any(one.to_the_end for one in found)
@@ -77,7 +77,7 @@ def spread_lines(found: Sequence[Spread]) -> Lines:
 
 
 def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
-    """What the fault did to the computation, and what became of the mission."""
+    """Effect of the fault on the computation, and result of the mission."""
     if not any(injection.activated for injection in log.injections):
         return f"not activated; {_mission(log, golden)}"
     kernel = log.kernel
@@ -91,7 +91,7 @@ _AFTER_DEATH = {"end": "the mission ended with it", "recompute": "its step was c
 
 
 def after_death(log: FlightLog) -> str:
-    """What became of the node of a kernel that died."""
+    """Consequence of a kernel's death, by the policy for dead nodes."""
     policy = log.meta.get("scenario", {}).get("dead_node", "fresh")
     how = "" if policy == "fresh" else f" ({policy})"
     return _AFTER_DEATH.get(policy, f"its node was restarted{how}")
@@ -112,7 +112,7 @@ def _mission(log: FlightLog, golden: FlightLog) -> str:
 
 
 def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -> Lines:
-    """The value before and after; of an instruction also its place in the source, and what its kernel did."""
+    """The injected value before and after; for instructions, also source line and effect on the kernel."""
     story = [("fault", _fault(injection, fault))]
     details, kernel = injection.details, log.kernel
     if injection.file:
@@ -134,7 +134,7 @@ _ABSENT = {
     "memory": ("remembered", "the kernel did not remember such a word then"),
     "instruction": ("executed", "the instruction was not executed"),
 }
-"""By level: what the golden run never did at an absent site, and why a fault was not activated."""
+"""By level: verb for a site missing in the golden run, and reason for a fault that was not activated."""
 
 
 def _fault(injection: Injection, fault: Fault | None) -> str:
@@ -149,7 +149,7 @@ def _fault(injection: Injection, fault: Fault | None) -> str:
 
 
 def _bit(bit: int, fault: Fault | None) -> str:
-    """A bit and what it means, if that is known."""
+    """Index of a bit, with its class if known."""
     kind = "" if fault is None else fault.bit_class
     return f"bit {bit} ({kind.replace('_', ' ')})" if kind else f"bit {bit}"
 
@@ -168,7 +168,7 @@ def _kernel(name: str, kernel: KernelEffect, after: str) -> str:
 
 
 def published_field(first: Mapping[str, Any]) -> str:
-    """Field of a `KernelEffect.first_difference`, with state and element."""
+    """Name of the field in a `KernelEffect.first_difference`, with state and element."""
     element = "" if first.get("element") is None else f"[{first['element']}]"
     return f"{first['state']}.{first['field']}{element}"
 
@@ -206,7 +206,7 @@ def _path(parted: Departure) -> str:
 
 
 def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MOST_ALARMS) -> Lines:
-    """A count of the alarms, then one line each: those within a second of the injection first."""
+    """Number of alarms, then up to `most` of them, those within `AFTERMATH` of the injection first."""
     if not log.alarms:
         return []
     near, others = around(log)
@@ -222,7 +222,7 @@ def alarm_lines(log: FlightLog, golden: FlightLog | None, most: int = MOST_ALARM
 
 
 def around(log: FlightLog) -> tuple[list[AlarmRecord], list[AlarmRecord]]:
-    """Alarms within `AFTERMATH` of an activated injection, and the others; each in order of time."""
+    """Alarms within `AFTERMATH` of an activated injection, and all others, in chronological order."""
     instants = [injection.time_s for injection in log.injections if injection.activated]
     near = [alarm for alarm in log.alarms if any(-INSTANT < alarm.time_s - t <= AFTERMATH for t in instants)]
     return near, [alarm for alarm in log.alarms if alarm not in near]
@@ -239,7 +239,7 @@ def _alarm(alarm: AlarmRecord, *, also: bool) -> str:
 
 
 def end_of(log: FlightLog) -> str:
-    """How a flight ended, and when."""
+    """Final status and end time of a flight."""
     return f"{log.status.value} ({log.status.label}) after {_duration(log):.2f} s"
 
 
@@ -248,12 +248,12 @@ def _duration(log: FlightLog) -> float:
 
 
 def detector_name(spec: RunSpec) -> str:
-    """The detector of a run with its profile, if it has one; "" = none."""
+    """Detector of a run, with its profile if it has one; "" = none."""
     return f"{spec.detector} ({spec.detector_profile})" if spec.detector and spec.model else spec.detector
 
 
 def to_json(found: Explanation) -> dict[str, Any]:
-    """Plain data: `verdict`, `effect`, the injections, the first difference, the path, all alarms, both ends."""
+    """Plain data: verdict, effect, injections, first difference, propagation, path, all alarms, both ends."""
     spec, log, first, parted = found.spec, found.flight.log, found.first, found.departure
     return {
         "run_id": spec.run_id, "setting": spec.setting, "environment": spec.environment, "seed": spec.seed,

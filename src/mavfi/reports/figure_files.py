@@ -1,4 +1,4 @@
-"""Figures for papers: PDF and PNG in the width of a column, with what is drawn as CSV."""
+"""Figures for papers: PDF and PNG at column width, with the plotted data as CSV."""
 
 import csv
 from collections.abc import Iterator, Sequence
@@ -19,19 +19,19 @@ from matplotlib.text import Text
 from mavfi.errors import writing
 
 COLUMN, PAGE = 3.5, 7.16
-"""Width of one column, and of both (in), of IEEE's two-column format."""
+"""Widths of one column and of the page (in), in IEEE's two-column format."""
 LETTERS = 7.0
-"""Size of letters (points)."""
+"""Font size (pt)."""
 _LETTER, _ENTRY = 0.062, 1.15
-"""About what a letter and an entry of a legend take (in)."""
-_PANELS = 2  # side by side in one column
+"""Approximate widths of a letter and of a legend entry (in)."""
+_PANELS = 2  # maximum number side by side in one column
 _DOTS_PER_INCH = 600
 _FIELDS = ("panel", "series", "x", "x_label", "y", "y_label", "low", "high")
 Row = dict[str, Any]
 
 
 def write_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
-    """Write NAME.pdf, NAME.png and NAME.csv; the figure is made narrow for it.
+    """Write NAME.pdf, NAME.png and NAME.csv; the figure is resized in place.
 
     Raises:
         BadInputError: A file cannot be written.
@@ -50,10 +50,10 @@ def write_figure(figure: Figure, directory: Path, name: str) -> list[Path]:
 
 
 def fit_to_column(figure: Figure) -> None:
-    """Give a figure the width of a column, or of the page where it has more than two panels side by side.
+    """Resize a figure to column width, or to page width with more than two panels side by side.
 
-    Letters, marks and lines shrink to what journals ask for, legends and long labels are folded; a single panel loses
-    its title, since a caption says it.
+    Fonts, markers and lines are reduced to journal sizes, and legends and long labels are wrapped; the title of a
+    single panel is removed, since the caption replaces it.
     """
     width, height = figure.get_size_inches()
     panels = [axes for axes in figure.axes if axes.get_subplotspec() is not None]
@@ -70,7 +70,7 @@ def fit_to_column(figure: Figure) -> None:
     if len(panels) == 1:
         panels[0].set_title("", loc="left")
     labels = {axes.get_xlabel() for axes in panels}
-    if len(labels) == 1:  # those of narrow panels would run into each other, or over the edge
+    if len(labels) == 1:  # individual labels of narrow panels would overlap
         for axes in panels:
             axes.set_xlabel("")
         figure.supxlabel(_folded(labels.pop(), target), fontsize=LETTERS)
@@ -79,12 +79,12 @@ def fit_to_column(figure: Figure) -> None:
 
 
 def _folded(label: str, width: float) -> str:
-    """A label in lines that fit a width (in)."""
+    """Wrap a label to a width (in)."""
     return "\n".join(line for part in label.splitlines() for line in wrap(part, int(width / _LETTER)))
 
 
 def _fold(figure: Figure, legend: Legend, columns: int) -> None:
-    """The same legend above the panels, in fewer columns."""
+    """Replace a legend by one above the panels with at most `columns` columns."""
     labels = [text.get_text() for text in legend.get_texts()]
     handles = [handle for handle in legend.legend_handles if handle is not None]
     legend.remove()
@@ -95,7 +95,7 @@ def _fold(figure: Figure, legend: Legend, columns: int) -> None:
 
 
 def drawn_data(figure: Figure) -> Iterator[Row]:
-    """What a figure shows: one row for each point, with its panel, series, interval, and the names of its places."""
+    """Extract the plotted data: one row per point with panel, series, coordinates, category labels and interval."""
     for place, axes in enumerate(figure.axes):
         panel = axes.get_title(loc="left") or axes.get_title() or str(place)
         names = _names(axes)
@@ -105,7 +105,7 @@ def drawn_data(figure: Figure) -> Iterator[Row]:
 
 
 def _names(axes: Axes) -> tuple[dict[int, str], dict[int, str]]:
-    """Names of places on axes of categories; empty on axes of numbers."""
+    """Category labels of the x and y axes by tick position; empty for numeric axes."""
     found = []
     for axis in (axes.xaxis, axes.yaxis):
         texts = [text.get_text() for text in axis.get_ticklabels()]
@@ -124,7 +124,7 @@ def _is_number(text: str) -> bool:
 
 
 def _points(axes: Axes) -> Iterator[Row]:
-    """Points of error bars, bars, lines, scattered marks and images of a panel."""
+    """Points of error bars, bars, lines, scatter plots and images of a panel."""
     held: set[int] = set()
     labels = _colours(axes)
     for container in axes.containers:
@@ -145,7 +145,7 @@ def _points(axes: Axes) -> Iterator[Row]:
 
 
 def _named(artist: Any) -> str:
-    """Label of a series; "" = none was given."""
+    """Label of a series; "" = none."""
     label = str(artist.get_label())
     return "" if label.startswith("_") else label
 
@@ -156,13 +156,13 @@ def _bar(bar: Rectangle, series: str) -> Row:
 
 
 def _cells(cells: np.ndarray) -> Iterator[Row]:
-    """Cells of a map of numbers, the value as series; pictures have none."""
+    """Cells of a heat map, with the value as series; colour images yield none."""
     for (row, column), value in np.ndenumerate(cells) if cells.ndim == 2 else ():
         yield {"series": f"{value:.6g}", "x": float(column), "y": float(row)}
 
 
 def _colours(axes: Axes) -> dict[str, str]:
-    """Names of series by colour, of the legends of the figure."""
+    """Series labels by colour, from the legends of panel and figure."""
     legends = [*axes.findobj(Legend), *axes.get_figure().legends]  # type: ignore[union-attr]
     return {
         str(handle.get_color()): text.get_text()

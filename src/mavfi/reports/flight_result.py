@@ -1,4 +1,4 @@
-"""A requested flight beside its golden run, and its figures as plain data."""
+"""A requested flight with its golden run, and its results as plain data."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class FlightResult:
-    """A flight, and the golden run that it is compared with.
+    """A flight, with its golden run for comparison.
 
     Attributes:
         scenario: The mission.
         flight: The requested flight.
-        golden: Its golden run with the same detector; None where the flight is golden itself.
-        fault: What was injected; None = nothing.
-        detector: Name and profile, e.g. "gaussian (paper)"; "" = none watched.
-        unwatched: The flight with the same fault without the detector and the keys of a mission that go with it; None
-            where no detector watched, or nothing was injected.
+        golden: Its golden run with the same detector; None = the flight itself is golden.
+        fault: The injected fault; None = no fault.
+        detector: Name and profile, e.g. "gaussian (paper)"; "" = no detector.
+        unwatched: The flight with the same fault, without the detector and its mission keys; None without a detector or
+            a fault, and for faults in the detector itself.
     """
 
     scenario: Scenario
@@ -48,22 +48,22 @@ class FlightResult:
 
     @property
     def log(self) -> FlightLog:
-        """The flight, column by column."""
+        """Log of the flight."""
         return self.flight.log
 
     @property
     def status(self) -> MissionStatus:
-        """How the flight ended."""
+        """Final status of the mission."""
         return self.flight.log.status
 
     @cached_property
     def record(self) -> FlightRecord:
-        """What a campaign would keep of the flight."""
+        """Record of the flight, as in a ledger."""
         return record_of(self.flight.log)
 
     @cached_property
     def golden_record(self) -> FlightRecord | None:
-        """What a campaign would keep of the golden run; None where the flight is golden itself."""
+        """Record of the golden run, as in a ledger; None if the flight itself is golden."""
         return None if self.golden is None else record_of(self.golden.log)
 
     @property
@@ -73,26 +73,26 @@ class FlightResult:
 
     @property
     def frame(self) -> polars.DataFrame:
-        """The flight at each control tick: one column for each of `flight_log.COLUMNS`."""
+        """The flight as a data frame: one row per control tick, columns as in `flight_log.COLUMNS`."""
         import polars
 
         return polars.DataFrame(self.log.rows, schema=list(COLUMNS))
 
     @property
     def effect(self) -> Effect | None:
-        """What the fault did to the flight; None where the flight is golden itself."""
+        """Effect of the fault on the flight; None if the flight itself is golden."""
         return None if self.golden_record is None else effect_of(self.golden_record, self.record)
 
     def to_json(self) -> dict[str, Any]:
-        """What `mavfi fly --json` prints.
+        """Plain data, the output of `mavfi fly --json`.
 
         Returns:
             status, status_text, flight_time_s, energy_j, distance_m, battery_used, digest, injections, alarms, replans,
-            events (counts by kind), what flew (environment, seed, autopilot, platform, planner, map, vehicle, v_max,
-            wind, localization, detector, start, goal, course_m, time_limit_s), fault, effect, kernel (what the injected
-            call did; its flight goes on with a restart of the node where that died), golden (the figures of the golden
-            run), and without_detector (those of the flight with the same fault); the last five are null for a golden
-            flight, kernel also for faults of other levels, without_detector where none watched.
+            events (counts by kind), the mission (environment, seed, autopilot, platform, planner, map, vehicle, v_max,
+            wind, localization, detector, start, goal, course_m, time_limit_s), fault, effect, kernel (effect of the
+            injected call), golden (results of the golden run), and without_detector (results of the flight with the
+            same fault, without the detector).  The last five are null for a golden flight, kernel also for faults of
+            other levels, without_detector also without a detector.
         """
         log, scenario = self.flight.log, self.scenario
         return {

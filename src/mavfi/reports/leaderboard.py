@@ -1,4 +1,4 @@
-"""The leaderboard of a bench as a page."""
+"""The leaderboard of a bench: a Markdown page and a figure."""
 
 from collections.abc import Mapping
 from datetime import date
@@ -16,11 +16,11 @@ from mavfi.reports.campaign_report import markdown_table
 _COLOURS = (style.BLUE, style.ORANGE, style.GREEN, style.PURPLE, style.SKY, style.AMBER, style.INK)
 _DASHES = ("-", "--", ":")
 _MOST_ALARMS = 1e4
-"""Right edge of the figure, per hour: one in a third of a second."""
+"""Right limit of the figure (alarms per hour): about three per second."""
 
 
 def leaderboard(tables: Mapping[str, Table], bench: str, scale: str) -> str:
-    """All tables of a bench in Markdown, with what was flown and the command that adds a row."""
+    """All tables of a bench in Markdown, with date, scale and versions, and the command for a custom detector."""
     flown = " · ".join(f"{name} {version}" for name, version in versions().items())
     parts = [
         f"# Leaderboard of {bench}",
@@ -35,9 +35,9 @@ def leaderboard(tables: Mapping[str, Table], bench: str, scale: str) -> str:
 
 
 def draw_curves(found: Mapping[str, Scores], path: Path) -> Path:
-    """Draw detection of harmful faults against false alarms per hour, one curve for each detector.
+    """Draw detection of harmful faults against false alarms per hour, one curve per detector.
 
-    Rates below one alarm in the exposure stand at the left edge.
+    False-alarm rates of 0 are drawn at half an alarm in the exposure.
 
     Raises:
         BadInputError: The file cannot be written.

@@ -1,4 +1,4 @@
-"""A picture of one flight, from above and from the side: obstacles, what the map knew, the paths, fault and alarms."""
+"""Picture of a flight in plan and side view: obstacles, map, paths, fault and alarms."""
 
 from __future__ import annotations
 
@@ -28,29 +28,28 @@ if TYPE_CHECKING:
     from mavfi.sim.environments import World
 
 NEAR = 3.0
-"""The side view shows what lies about within this distance of the flown path, as seen from above (m)."""
+"""Approximate horizontal distance from the path within which the side view shows obstacles (m)."""
 _MARGIN = 2.0
 _SCAN_MARGIN = 5.0
 _WIDTH = 11.0
 _HANDLE, _LETTER, _ROW = 0.62, 0.066, 0.22
-"""About what a legend's entry takes: its handle, a letter, a row (in)."""
+"""Approximate sizes of a legend entry: handle, letter, row (in)."""
 _SIDE_STRETCH = 1.6
-"""Heights in the side view are drawn larger by this factor."""
+"""Vertical exaggeration of the side view."""
 _SOLID, _EDGE, _MAP = "#D4D4D4", "#A8A8A8", "#3B3B3B"
 _DARK_EDGE: dict[str, Any] = {"markeredgecolor": style.INK, "markeredgewidth": 0.8}
 _HALO = [effects.withStroke(linewidth=5.0, foreground="white")]
 
 
 Views = tuple[tuple[Axes, int], tuple[Axes, int]]
-"""From above and from the side: axes, and the coordinate that they show upwards."""
+"""Plan view and side view: axes, and index of the coordinate on the vertical axis."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Drawn:
-    """A path, or marks of one kind.
+    """A path, or markers of one kind.
 
-    `points`: shape (n, 3), finite; `look`: keywords of `Axes.plot`; `lift`: how far above the points marks stand
-    (points of typography).
+    `points`: shape (n, 3), finite; `look`: keywords of `Axes.plot`; `lift`: upward offset of the markers (pt).
     """
 
     label: str
@@ -62,14 +61,14 @@ class _Drawn:
 def draw_flight(
     path: Path, flight: Flight, golden: Flight | None = None, recovered: Flight | None = None, *, detector: str = ""
 ) -> Path:
-    """Draw a flight and its map; beside it, if given, its golden run, and the same fault with a detector on.
+    """Draw a flight and its map, with its golden run and the flight with the same fault and a detector, if given.
 
     Args:
         path: File to write: .png, .svg or .pdf.
         flight: The flight.
         golden: The golden run.
-        recovered: The flight with the same fault, watched by a detector.
-        detector: Name of what watches `recovered`, or, where there is none, `flight`; "" = nothing.
+        recovered: The flight with the same fault and a detector.
+        detector: Name of the detector of `recovered` or, if that is None, of `flight`; "" = none.
 
     Raises:
         BadInputError: The file cannot be written.
@@ -98,7 +97,7 @@ def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None, de
     courses = []
     if golden is not None:
         thin = {"color": style.BLUE, "linewidth": 1.2, "zorder": 6}
-        wide = {"color": style.SKY, "linewidth": 6.0, "zorder": 4}  # seen even where all three are the same path
+        wide = {"color": style.SKY, "linewidth": 6.0, "zorder": 4}  # visible even if all three paths coincide
         look = thin if recovered is None else wide
         courses.append(_Drawn("golden run", positions(golden), look))
     injected = bool(flight.log.injections)
@@ -114,7 +113,7 @@ def _courses(flight: Flight, golden: Flight | None, recovered: Flight | None, de
 
 
 def positions(flight: Flight, times: list[float] | None = None) -> np.ndarray:
-    """Where the vehicle was, at all or some instants, without points that are not finite. Shape (n, 3)."""
+    """Finite positions of the vehicle, at all or the given instants. Shape (n, 3)."""
     points = flight.log.columns("x", "y", "z")
     if times is not None:
         points = points[np.minimum(np.searchsorted(flight.log.column("time"), times), len(points) - 1)]
@@ -123,7 +122,7 @@ def positions(flight: Flight, times: list[float] | None = None) -> np.ndarray:
 
 
 def _limits(world: World, courses: list[_Drawn]) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of the shown volume: the arena, or, in a scan, the surroundings of the paths."""
+    """Corners of the displayed volume: the arena or, in a scan, the surroundings of the paths."""
     points = np.concatenate([course.points for course in courses] + [world.start[None], world.goal[None]])
     points = np.clip(points, world.arena_lower - FLY_AWAY_MARGIN, world.arena_upper + FLY_AWAY_MARGIN)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -135,13 +134,13 @@ def _limits(world: World, courses: list[_Drawn]) -> tuple[np.ndarray, np.ndarray
 
 
 def _legend_rows(labels: list[str]) -> int:
-    """Rows that a legend takes (one or two), from the number of letters."""
+    """Number of rows of the legend (one or two), from the lengths of the labels."""
     inches = sum(_HANDLE + _LETTER * len(label) for label in (*labels, "obstacle", "occupied in the map"))
     return 1 if inches < _WIDTH - 0.8 else 2
 
 
 def _axes(lower: np.ndarray, upper: np.ndarray, rows: int) -> tuple[Figure, Views]:
-    """One figure whose two views share the x axis and its scale, below a legend of some rows."""
+    """Create a figure with two views of equal x scale, below a legend of `rows` rows."""
     left, right, top, between, bottom = 0.6, 0.15, 1.17 + _ROW * (rows - 1), 0.62, 0.5
     extent = upper - lower
     inch = (_WIDTH - left - right) / extent[0]
@@ -169,7 +168,7 @@ def _draw_world(views: Views, world: World, course: np.ndarray) -> None:
 
 
 def near_boxes(world: World, course: np.ndarray) -> np.ndarray:
-    """Mask of the boxes within about `NEAR` of the path, seen from above. Shape (boxes,), bool."""
+    """Mask of the boxes within about `NEAR` of the path, horizontally. Shape (boxes,), bool."""
     points = course[:: max(1, len(course) // 500), :2]
     below = world.lower[:, None, :2] - points[None]
     beyond = points[None] - world.upper[:, None, :2]
@@ -179,7 +178,7 @@ def near_boxes(world: World, course: np.ndarray) -> np.ndarray:
 
 
 def _draw_scan(views: Views, world: World, course: np.ndarray) -> None:
-    """Solid voxels at the heights that were flown, and, from the side, along the path."""
+    """Draw solid voxels at the median flight height (plan view) and along the path (side view)."""
     shape = np.array(world.occupied.shape)
     end = world.origin + shape * world.resolution
     cells = np.clip(((course - world.origin) / world.resolution).astype(int), 0, shape - 1)
@@ -198,7 +197,7 @@ def _shade(
     axes: Axes, cells: np.ndarray, extent: tuple[float, float, float, float], colour: str, order: int,
     alpha: float = 1.0,
 ) -> None:  # fmt: skip
-    """Colour the cells that are set; shape (columns, rows)."""
+    """Colour the cells that are true; shape (columns, rows)."""
     image = np.zeros((cells.shape[1], cells.shape[0], 4))
     image[..., :3] = to_rgb(colour)
     image[..., 3] = alpha * cells.T
@@ -206,7 +205,7 @@ def _shade(
 
 
 def _draw_map(views: Views, flight: Flight, limits: tuple[np.ndarray, np.ndarray]) -> bool:
-    """Draw the occupied voxels of the planner's final map; gives whether there are any."""
+    """Draw the occupied voxels of the planner's final map; return whether there are any."""
     room: Any = getattr(flight.pipeline.get("planner"), "room", None)
     if room is None:
         return False
@@ -217,11 +216,11 @@ def _draw_map(views: Views, flight: Flight, limits: tuple[np.ndarray, np.ndarray
     lower, upper = limits
     centres = centres[((centres > lower) & (centres < upper)).all(axis=1)]
     course = positions(flight)[::10]
-    if flight.world.is_voxels:  # the same slices as of the world: the map of a corridor would cover all
+    if flight.world.is_voxels:  # slices as for the world: the full map of a corridor would hide everything
         from_above = centres[np.abs(centres[:, 2] - np.median(course[:, 2])) < 1.5 * grid.resolution]
         from_side = centres[_distance(centres, course) < grid.resolution]
     else:
-        from_above = centres[centres[:, 2] > grid.resolution]  # so would the ground
+        from_above = centres[centres[:, 2] > grid.resolution]  # without the ground, which would hide everything as well
         from_side = from_above[_distance(from_above, course) < NEAR]
     end = corner + shape * grid.resolution
     for (axes, index), points in zip(views, (from_above, from_side), strict=True):
@@ -233,7 +232,7 @@ def _draw_map(views: Views, flight: Flight, limits: tuple[np.ndarray, np.ndarray
 
 
 def _distance(points: np.ndarray, course: np.ndarray) -> np.ndarray:
-    """Distance of points to a path, seen from above (m). Shapes (n, 3), (k, 3) -> (n,)."""
+    """Horizontal distance of points from a path (m). Shapes (n, 3), (k, 3) -> (n,)."""
     if len(course) == 0 or len(points) == 0:
         return np.full(len(points), np.inf)
     found: np.ndarray = cKDTree(course[:, :2]).query(points[:, :2])[0]
@@ -241,7 +240,7 @@ def _distance(points: np.ndarray, course: np.ndarray) -> np.ndarray:
 
 
 def _marks(flight: Flight) -> list[_Drawn]:
-    """Start, goal, injections, and where a failed flight ended."""
+    """Markers of start, goal, injections, and the end of a failed flight."""
     log, world = flight.log, flight.world
     marks = [
         _Drawn("start", world.start[None], {"marker": "o", "markersize": 9, "color": style.INK}),
@@ -258,7 +257,7 @@ def _marks(flight: Flight) -> list[_Drawn]:
 
 
 def _alarm_marks(flight: Flight) -> list[_Drawn]:
-    """Alarms: filled within a second of the injection, hollow elsewhere."""
+    """Markers of alarms: filled within a second of the injection, otherwise hollow."""
     near, others = ([alarm.time_s for alarm in alarms] for alarms in around(flight.log))
     kinds = (("other alarm" if near else "alarm", others, "white"), ("alarm at the injection", near, style.PURPLE))
     look: dict[str, Any] = {"marker": "v", "markersize": 9, **_DARK_EDGE}
@@ -270,7 +269,7 @@ def _alarm_marks(flight: Flight) -> list[_Drawn]:
 
 
 def _draw_marks(figure: Figure, views: Views, marks: list[_Drawn]) -> list[Line2D]:
-    """Draw marks in both views; gives their entries in the legend."""
+    """Draw markers in both views; return their legend entries."""
     handles = []
     for mark in marks:
         look: dict[str, Any] = {"linestyle": "", "markeredgecolor": "white", "markeredgewidth": 1.0} | mark.look
@@ -308,20 +307,20 @@ def _label(figure: Figure, views: Views, flight: Flight, golden: Flight | None, 
 
 
 def _ending(flight: Flight) -> str:
-    """When a flight ended, and how, unless at the goal."""
+    """End time of a flight, with the status unless it succeeded."""
     time = f"{flight.log.column('time')[-1]:.1f} s"
     success = flight.log.status is MissionStatus.SUCCESS
     return time if success else f"{flight.log.status.label.replace('_', ' ')} at {time}"
 
 
 def _line(course: _Drawn) -> Line2D:
-    """Entry of a path in the legend."""
+    """Legend entry of a path."""
     look = {key: course.look[key] for key in ("color", "linewidth", "linestyle") if key in course.look}
     return Line2D([], [], label=course.label, **look)
 
 
 def _legend(figure: Figure, handles: list[Any], rows: int, known: bool, world: World) -> None:
-    """Above both views, where it covers nothing."""
+    """Draw the legend above both views."""
     handles = [*handles, Patch(facecolor=_SOLID, edgecolor=_EDGE, label="solid" if world.is_voxels else "obstacle")]
     if known:
         handles.append(Patch(facecolor=_MAP, alpha=0.55, label="occupied in the map"))

@@ -1,4 +1,4 @@
-"""What is left of a fault that was made smaller, in words and as data."""
+"""Results of `campaign.shrink` as text and as plain data."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,7 +13,7 @@ _WHAT = {"publications": "fewer wrong publications", "width": "one bit instead o
 
 
 def lines(found: Shrunk) -> Lines:
-    """The smallest fault first, then how it was found; headings and sentences."""
+    """Headings and sentences: the smallest fault, the original, steps, other instants, golden run."""
     told = [("smallest", _trial(found.smallest)), ("original", _trial(found.original))]
     for place, step in enumerate(found.steps):
         heading = "steps" if place == 0 else ""
@@ -45,7 +45,7 @@ def _trial(trial: Trial) -> str:
 
 
 def to_json(found: Shrunk) -> dict[str, Any]:
-    """Plain data: the run, the faults, the steps, the instants."""
+    """Plain data: run, faults, steps, instants."""
     return {
         "run_id": found.spec.run_id, "smallest": _plain(found.smallest), "original": _plain(found.original),
         "steps": [

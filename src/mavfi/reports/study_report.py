@@ -1,4 +1,4 @@
-"""The report of a study: its sections in their order, each with tables, figures and tested claims."""
+"""The report of a study: sections in order, each with tables, figures and tested claims."""
 
 import json
 from collections import Counter
@@ -28,12 +28,12 @@ MARKDOWN, JSON = "study.md", "study.json"
 
 @dataclass(frozen=True, slots=True)
 class SectionReport:
-    """One section: what was asked for, and what came of it."""
+    """A section of the study with its results."""
 
     section: Section
-    runs: Runs | None  # of its campaign, with the flights that its figures draw
-    tables: tuple[Table, ...]  # in the order of the section; those without rows are left out
-    captions: Mapping[str, str] = field(default_factory=dict)  # by file of a figure, relative to the study's folder
+    runs: Runs | None  # of its campaign, with the flights needed by its figures
+    tables: tuple[Table, ...]  # in the order of the section, without empty ones
+    captions: Mapping[str, str] = field(default_factory=dict)  # by figure file, relative to the study's folder
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -46,7 +46,7 @@ class SectionReport:
 
 @dataclass(frozen=True, slots=True)
 class StudyReport:
-    """A study, its campaigns, and its sections."""
+    """A study with the runs of its campaigns and the results of its sections."""
 
     study: Study
     campaigns: Mapping[str, Runs]  # by folder
@@ -55,12 +55,12 @@ class StudyReport:
 
     @property
     def headline(self) -> list[SectionReport]:
-        """Sections that are shown first; all, if none is marked."""
+        """Sections marked as headline, shown first; all sections if none is marked."""
         return [one for one in self.sections if one.section.headline and one.tables] or list(self.sections)
 
     @property
     def findings(self) -> list[str]:
-        """Sentences on the headline's campaigns, and how many of the paper's findings were confirmed."""
+        """Findings of the headline's campaigns, and the number of the paper's findings by verdict."""
         lines = [line for one in self.headline if one.runs is not None for line in findings(one.runs)]
         verdicts = Counter(entry["verdict"] for one in self.sections for table in one.tables
                            if table.name == "claims" for entry in table.entries())  # fmt: skip
@@ -69,7 +69,7 @@ class StudyReport:
 
     @property
     def times(self) -> Table:
-        """Where the time went."""
+        """Table of worker time by campaign."""
         return time_table(self.campaigns)
 
     def to_json(self) -> dict[str, Any]:
@@ -82,10 +82,10 @@ class StudyReport:
 
 
 def check_names(study: Study, where: str) -> None:
-    """Check that all views, figures and claims that a study names are known.
+    """Check that all views, figures and claims of a study exist.
 
     Raises:
-        BadInputError: One is not; `where` names the study.
+        BadInputError: A name is unknown; `where` identifies the study in the message.
     """
     known: dict[str, Mapping[str, Any]] = {"views": VIEWS, "figures": FIGURES, "claims": CLAIMS}
     for section in study.sections:
@@ -98,15 +98,15 @@ def check_names(study: Study, where: str) -> None:
 
 
 def study_report(study: Study, folder: Path, *, fly: bool = True) -> StudyReport:
-    """Tables of a study from its ledgers, and its figures as files; nothing else is written.
+    """Compute the tables of a study from its ledgers, and write its figures; no other file is written.
 
     Args:
-        study: What is shown, in this order.
-        folder: Where its ledgers are; figures go into a folder of their own there.
-        fly: Whether runs that a figure draws as whole flights are flown again; else these figures are left out.
+        study: The study, with sections in order.
+        folder: Folder of its ledgers; figures are written to its subfolder `FIGURES_FOLDER`.
+        fly: Whether to replay runs for figures that need whole flights; otherwise these figures are omitted.
 
     Raises:
-        BadInputError: A campaign is not there, a name is not known, or the folder cannot be written.
+        BadInputError: A campaign does not exist, a name is unknown, or the folder cannot be written.
     """
     campaigns = {name: Runs.read(folder / name) for name in study.campaigns}
     sections = study.sections or tuple(
@@ -139,7 +139,7 @@ def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path, *, f
 
 
 def write_study(study: Study, folder: Path, *, fly: bool = True) -> StudyReport:
-    """Analyse a study, and write study.md, study.json and its figures into its folder; errors as of `study_report`."""
+    """Analyse a study, and write study.md, study.json and figures to its folder; errors: see `study_report`."""
     found = study_report(study, folder, fly=fly)
     today = date.today().isoformat()
     texts = {

@@ -1,4 +1,4 @@
-"""How figures look: one palette that the colour-blind can tell apart, one typography."""
+"""Common style of figures: a palette safe for colour-blind readers, and typography."""
 
 from contextlib import AbstractContextManager
 from itertools import cycle
@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from mavfi.errors import writing
 
 BLUE, ORANGE, GREEN, PURPLE, SKY, AMBER = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00"
-"""Of Okabe and Ito's palette."""
+"""Colours of the Okabe–Ito palette."""
 INK, GREY, PALE = "#222222", "#777777", "#DDDDDD"
 DOTS_PER_INCH = 160
 
@@ -42,16 +42,16 @@ _SETTINGS: Any = {
     "svg.hashsalt": "mavfi",
 }
 _ARMS = ((GREEN, "^", "--"), (PURPLE, "D", "-."), (AMBER, "v", ":"), (SKY, "P", (0, (1, 1))))
-"""Colour, marker and dashes of each detector's arm: they differ in grey, too."""
+"""Colour, marker and dashes of each arm, distinguishable in greyscale."""
 
 
 def house_style() -> AbstractContextManager[None]:
-    """Figures made inside look alike; settings of a caller's own figures are left alone."""
+    """Context in which figures use the common style; global settings of matplotlib are unchanged."""
     return rc_context(_SETTINGS)
 
 
 def setting_looks(settings: list[str]) -> dict[str, dict[str, Any]]:
-    """Colour and marker of each setting: golden runs blue discs, faults orange squares, then one for each arm."""
+    """Colour and marker by setting: blue discs for golden runs, orange squares for faults, then one style per arm."""
     looks = {"golden": {"color": BLUE, "marker": "o"}, "fi": {"color": ORANGE, "marker": "s"}}
     arms = [setting for setting in settings if setting not in looks]
     for setting, (colour, marker, _) in zip(arms, cycle(_ARMS), strict=False):
@@ -60,30 +60,30 @@ def setting_looks(settings: list[str]) -> dict[str, dict[str, Any]]:
 
 
 def curve(look: dict[str, Any], *, wide: bool) -> dict[str, Any]:
-    """Colour, dashes and width of a curve of a setting."""
+    """Colour, dashes and width of a setting's curve."""
     dashes = {colour: line for colour, _, line in _ARMS}
     return {"color": look["color"], "linestyle": dashes.get(look["color"], "-"), "linewidth": 2.8 if wide else 1.4}
 
 
 def setting_label(setting: str) -> str:
-    """A setting in words: "golden run", "fault", "fault + gaussian"."""
+    """Display name of a setting: "golden run", "fault", "fault + gaussian"."""
     kind, _, arm = setting.partition("_")
     words = {"golden": "golden run", "fi": "fault", "dr": "fault", "null": "null fault"}.get(kind, kind)
     return f"{words} + {arm}" if arm else words
 
 
 def runs_link(**values: str) -> str:
-    """Address, within the HTML report, of the runs with these values of columns."""
+    """Link within the HTML report to the runs with these column values."""
     return f"#runs?{urlencode(values)}"
 
 
 def link(axes: Axes, x: np.ndarray, y: np.ndarray, links: list[str]) -> None:
-    """Give points links, which SVG keeps; nothing is seen of them."""
+    """Add links to points by invisible markers, which are preserved in SVG."""
     axes.scatter(x, y, s=130, alpha=0.0, linewidth=0.0, zorder=6, clip_on=False).set_urls(links)
 
 
 def write(figure: Figure, path: Path) -> Path:
-    """Write a figure in the format of the file's ending; raises `BadInputError` where that cannot be done."""
+    """Write a figure in the format given by the file extension; `BadInputError` if the file cannot be written."""
     with writing(path):
         figure.savefig(path, dpi=DOTS_PER_INCH)
     return path

@@ -1,4 +1,4 @@
-"""A report in the terminal."""
+"""Rendering of reports in the terminal."""
 
 from collections.abc import Sequence
 
@@ -13,12 +13,12 @@ from mavfi.campaign.analysis.table import TEXT, Column, Table
 from mavfi.reports.text import shown
 
 _BETWEEN = 2
-"""Characters between two columns."""
+"""Spacing of columns (characters)."""
 _NUMBER = Column("number", "#")
 
 
 def show_header(lines: Sequence[str], console: Console) -> None:
-    """Print what was flown, as lines of `text.header`, in a frame."""
+    """Print the lines of `text.header` in a frame."""
     first, *rest = lines
     inside, title = Group(*(Text(line, style="dim") for line in rest)), f"[bold]{escape(first)}[/bold]"
     console.print(Panel(inside, title=title, title_align="left", box=box.ROUNDED, expand=False))
@@ -33,15 +33,15 @@ def show_table(table: Table, console: Console) -> None:
 
 
 def rendered(table: Table, width: int) -> Group:
-    """A table for lines of `width` characters; rows that begin with the same cell are grouped.
+    """Render a table in lines of `width` characters; rows with equal first cells are grouped.
 
-    No word is broken: columns that do not fit side by side stand below, after the first columns again.
+    Words are not broken: columns that do not fit continue in further blocks below, which repeat the key columns.
     """
     columns, rows = shown(table)
     keys = list(range(min(table.keys, len(columns))))
     least, whole = _sizes(columns, rows)
     if any(_room([*(least[key] for key in keys), size]) > width for size in least[len(keys) :]):
-        # some name does not fit beside the keys: rows are found again by a number
+        # a column does not fit next to the keys: row numbers replace the keys
         columns, rows, keys = [_NUMBER, *columns], [[str(i), *row] for i, row in enumerate(rows, start=1)], [0]
         least, whole = _sizes(columns, rows)
     parts: list[Text | RichTable] = [Text(table.title, style="bold")]  # not wrapped to a narrow table
@@ -53,7 +53,7 @@ def rendered(table: Table, width: int) -> Group:
 
 
 def _sizes(columns: Sequence[Column], rows: Sequence[Sequence[str]]) -> tuple[list[int], list[int]]:
-    """Widths of columns: the longest word (of names: the whole cell), and the longest cell."""
+    """Minimum widths of columns (longest word; for names, longest cell) and full widths (longest cell)."""
     least, whole = [], []
     for place, column in enumerate(columns):
         cells = [column.heading, *(row[place] for row in rows)]
@@ -65,7 +65,7 @@ def _sizes(columns: Sequence[Column], rows: Sequence[Sequence[str]]) -> tuple[li
 
 
 def _blocks(least: Sequence[int], keys: Sequence[int], width: int) -> list[list[int]]:
-    """Places of columns side by side, as many as fit; each block begins with the keys, as far as these leave room."""
+    """Split columns into blocks that fit the width; each block starts with the keys and has at least one column."""
     blocks, own = [], list(keys)
     for place in range(len(keys), len(least)):
         if len(own) > len(keys) and _room([least[p] for p in (*own, place)]) > width:
@@ -80,7 +80,7 @@ def _room(widths: Sequence[int]) -> int:
 
 
 def _widths(least: Sequence[int], whole: Sequence[int], width: int) -> list[int]:
-    """Widths of columns: the longest word; what is left goes to those first that need little to be whole."""
+    """Widths of columns: the minimum, plus the remaining space, given first to columns that need the least."""
     given, left = list(least), width - _room(least)
     needy = sorted(range(len(least)), key=lambda place: whole[place] - least[place])
     for number, place in enumerate(needy):

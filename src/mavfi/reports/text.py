@@ -1,4 +1,4 @@
-"""Numbers and sentences for people: the same everywhere in a report."""
+"""Formatting of numbers and sentences, shared by all reports."""
 
 import struct
 from collections.abc import Callable, Mapping
@@ -33,7 +33,7 @@ def signed_percent(share: float | None) -> str:
 
 
 def _small_percent(share: float) -> str:
-    """With as many digits as it needs."""
+    """A share as per cent with three significant digits."""
     return f"{100 * share:.3g} %"
 
 
@@ -52,7 +52,7 @@ def rate(found: Rate | float | None) -> str:
 
 
 def number(value: float | None, digits: int = 1) -> str:
-    """A figure without a unit."""
+    """A number without a unit."""
     return ABSENT if value is None else f"{value:.{digits}f}"
 
 
@@ -75,11 +75,11 @@ FORMS: dict[str, Callable[[Any], str]] = {
     ESTIMATE: lambda found: f"{found.value:.1e} [{found.low:.1e}, {found.high:.1e}]",
     "number .1f kJ": lambda joule: f"{joule / 1000:.1f} kJ",
 }
-"""How a cell of a form is written; other forms are "number", digits as of Python's formats, unit."""
+"""Formatter by display format; other formats are "number", optionally with a Python format and a unit."""
 
 
 def cell(value: Cell, form: str) -> str:
-    """The value of a measure in the form of its column; words stand for themselves."""
+    """Format a cell in the display format of its column; text is returned unchanged."""
     if value is None:
         return ABSENT
     if isinstance(value, str):
@@ -92,27 +92,27 @@ def cell(value: Cell, form: str) -> str:
 
 
 def shown(table: Table) -> tuple[list[Column], list[list[str]]]:
-    """The visible columns of a table, and its cells as text."""
+    """Visible columns of a table, and their cells as text."""
     places = [place for place, column in enumerate(table.columns) if not column.hidden]
     columns = [table.columns[place] for place in places]
     return columns, [[cell(row[place], table.columns[place].form) for place in places] for row in table.rows]
 
 
 def change(before: object, after: object, digits: int = 6) -> tuple[str, str]:
-    """Two values as text: `digits` digits if these show the difference, else all digits, else also the bits."""
+    """Format two values so that they differ: with `digits` digits, else in full, else with their bits."""
     pairs = list(zip(_forms(before, digits), _forms(after, digits), strict=True))
     return next((pair for pair in pairs if pair[0] != pair[1]), pairs[0])
 
 
 def _forms(value: object, digits: int) -> tuple[str, str, str]:
-    """A value in short, in full, and with its bits: NaNs differ by these alone."""
+    """A value rounded, in full, and with its bits, which distinguish NaNs."""
     if isinstance(value, float):
         return f"{value:.{digits}g}", repr(value), f"{value} (0x{struct.pack('>d', value).hex()})"
     return str(value), str(value), str(value)
 
 
 def header(campaign: Mapping[str, Any]) -> list[str]:
-    """The lines above a report: what was flown (as of `analysis.about.describe`), how much of it, by which versions."""
+    """Header lines of a report: campaign (from `analysis.about.describe`), progress, digest, versions, caveats."""
     lines = [
         campaign["title"], *campaign["lines"],
         f"{campaign['done']} of {campaign['total']} runs done · digest {campaign['digest'][:16]}…",
@@ -126,18 +126,18 @@ def header(campaign: Mapping[str, Any]) -> list[str]:
 
 
 def versions(campaign: Mapping[str, Any]) -> list[str]:
-    """Versions that decide the bits of a flight, ours first."""
+    """Versions of the packages that determine the bits of a flight, mavfi first."""
     ordered = sorted(campaign["versions"].items(), key=lambda item: item[0] != "mavfi")
     return [f"{name} {version}" for name, version in ordered]
 
 
 def differing_null_runs(runs: Runs) -> list[str]:
-    """Ids of the runs with an empty mask that differ from their golden runs."""
+    """Ids of the null runs that differ from their golden runs."""
     return [row["run_id"] for row in runs.null if row["effect"] != "masked"]
 
 
 def null_line(runs: Runs) -> str:
-    """Whether the runs with an empty mask equal their golden runs."""
+    """Line on whether the null runs equal their golden runs."""
     count, differing = len(runs.null), differing_null_runs(runs)
     if not count:
         return "Null runs: none flown."
@@ -147,7 +147,7 @@ def null_line(runs: Runs) -> str:
 
 
 def checks(runs: Runs) -> list[str]:
-    """Lines on the null runs, and on runs that could not be judged, which is a defect, if there are any."""
+    """Lines on the null runs and, if there are any, on runs that could not be judged (a defect)."""
     unknown = runs.where(judged=False)["run_id"]
     lines = [null_line(runs)]
     if unknown:

@@ -1,9 +1,9 @@
 """Analysis of campaigns: `Runs` (one row per run) -> `View` -> `Table`.
 
-`views_for(runs)` gives the tables of a report, `table(runs, name)` one of them.
+`views_for(runs)` returns all tables of a report, `table(runs, name)` a single one.
 """
 
-from mavfi.campaign.analysis import (  # noqa: F401  (in the order of reports, they register their views)
+from mavfi.campaign.analysis import (  # noqa: F401  (imports register the views, in the order of reports)
     alarm_views,
     failure_views,
     flight_views,

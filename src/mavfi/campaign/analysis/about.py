@@ -20,15 +20,15 @@ from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
 
 _NAMED = ("grain", "same_twice", "answer_s", "degraded", "dead_node", "alarm", "epoch_liveness")
-"""Keys of a mission that are named where they are not the defaults."""
+"""Keys of a mission that are listed when they differ from their defaults."""
 
 
 def describe(store: Store) -> dict[str, Any]:
-    """The campaign of a ledger, and how far it is.
+    """Describe the campaign of a ledger, and its progress.
 
     Returns:
-        `title` and `lines` are text; views need `profile` (of the autopilot), `monitored_set`, `each` (what a number of
-        faults is of), `kernels` and `which`, `parts`, and measured `overheads`.
+        `title` and `lines` are text; views need `profile` (of the autopilot), `monitored_set`, `each` (unit to which
+        the number of faults applies), `kernels` and `which`, `parts`, and measured `overheads`.
     """
     campaign, progress = stored_campaign(store), status(store.directory)
     return {
@@ -46,7 +46,7 @@ def describe(store: Store) -> dict[str, Any]:
 
 
 def drawn(sampling: Sampling, campaign: Campaign) -> dict[str, Any]:
-    """How the faults of a campaign were drawn, and what they were injected into."""
+    """Describe the sampling of a campaign's faults and the flights or processes that they are injected into."""
     match sampling:
         case StateSampling():
             each = {"stage_balanced": "stage", "groups": "group"}[sampling.scheme]

@@ -1,4 +1,4 @@
-"""Views of alarms: false ones, detected faults, recomputation; and of where faults were."""
+"""Views of alarms (false alarms, detected faults, recomputation) and of injection sites."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -38,7 +38,7 @@ def _kinds(own: Runs) -> str:
     kinds: Counter[str] = Counter()
     for record in own.recorded():
         kinds.update(record.alarm_counts)
-    # "source/action/outcome"; the source is in the name of the setting
+    # "source/action/outcome"; the name of the setting already contains the source
     return ", ".join(f"{' '.join(kind.split('/')[1:])} {count}" for kind, count in kinds.items())
 
 
@@ -67,15 +67,15 @@ def _papers_overhead(environment: str, setting: str) -> dict[str, float] | None:
 
 # ---- overhead ----------------------------------------------------------------------------------------------------
 def of_stages(record: FlightRecord) -> list[Mapping[str, Any]]:
-    """Modelled recomputation by stage, and of all stages, against modelled compute time (us)."""
+    """Modelled recomputation time by stage and in total, with the modelled compute time of the pipeline (us)."""
     recomputed = sum(record.recompute_us.values())
-    compute = sum(record.compute_us.values()) - recomputed  # kernels charge recomputations too
+    compute = sum(record.compute_us.values()) - recomputed  # kernels' compute times include recomputations
     spent = {**{str(stage): record.recompute_us.get(str(stage), 0) for stage in PPC_STAGES}, ALL: recomputed}
     return [{"stage": stage, "recomputed_us": us, "pipeline_us": compute} for stage, us in spent.items()]
 
 
 def _measured(*keys: str) -> Measure:
-    """Sum of shares of the kernels' time, measured on this machine; see `mavfi.campaign.overheads`."""
+    """Sum of measured overheads, as shares of the kernels' time on this machine; see `mavfi.campaign.overheads`."""
 
     def of(own: Runs) -> float | None:
         place = own.first("environment"), own.first("arm"), own.first("stage")
@@ -93,7 +93,7 @@ def _modelled(own: Runs) -> float | None:
 
 
 def _papers(key: str, of_stage: str, of_all: str = "") -> Measure:
-    """The paper's figure by stage, and where it has one of all stages, that."""
+    """The paper's value for a stage, or its value for all stages if given."""
 
     def of(own: Runs) -> float | None:
         stage = own.first("stage")
@@ -188,7 +188,7 @@ register(
 
 # ---- sites -------------------------------------------------------------------------------------------------------
 def acted_on(record: FlightRecord) -> list[Mapping[str, Any]]:
-    """Publications of states on which consumers act now and then only, and those acted on; of a golden run."""
+    """Numbers of publications, and of those acted on, for states that consumers act on only sometimes; golden runs."""
     return [
         {"state": name, "publications": record.publications.get(name, 0), "acted": record.acted_on.get(name, 0)}
         for name, spec in STATES.items()

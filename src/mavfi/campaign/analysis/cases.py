@@ -1,4 +1,4 @@
-"""Fig. 7: which runs of a ledger are drawn as paths, by a rule, so that nobody picks them."""
+"""Fig. 7: rule-based selection of the runs of a ledger whose paths are drawn, which excludes hand-picking."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +12,7 @@ from mavfi.campaign.plan import FI
 
 ENVIRONMENT = "dense"
 LEAST = 0.01
-"""Part of the golden run's flight time from which a flight counts as shortened."""
+"""Smallest reduction that counts as shortened, as a fraction of the golden run's flight time."""
 STAGES = ("perception", "planning")
 RULE = (
     "Of the activated faults of a stage with which the mission succeeds and the detector's flight does, too, the one "
@@ -23,7 +23,7 @@ RULE = (
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One fault, and the runs that show what it does; ids of runs."""
+    """Run ids of one fault: golden run, run with the fault, and run with the fault and a detector."""
 
     stage: str
     environment: str
@@ -31,12 +31,12 @@ class Case:
     fault: str
     recovered: str  # "" = no detector flew
     arm: str  # of `recovered`
-    inflation: float | None  # of flight time with the fault; None = the mission failed
+    inflation: float | None  # relative increase of flight time with the fault; None = the mission failed
     recovered_inflation: float | None
 
 
 def path_cases(runs: Runs) -> list[Case]:
-    """One case for each of `STAGES`, by `RULE`, in Dense, or else in the last environment; the autoencoder's first."""
+    """Select one case per stage by `RULE`, in Dense or else the last environment, with the autoencoder if it flew."""
     environments = runs.values("environment")
     if not environments:
         return []

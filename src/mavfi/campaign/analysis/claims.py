@@ -10,16 +10,16 @@ from mavfi.errors import BadInputError
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What a test says about a claim."""
+    """Result of testing a claim."""
 
-    here: str  # what was measured, with n
-    p_value: float | None  # two-sided; None = these runs cannot test it
-    supports: bool  # whether what was measured points in the direction of the claim
+    here: str  # measured values, with n
+    p_value: float | None  # two-sided; None = not testable with these runs
+    supports: bool  # whether the measured difference has the claimed sign
 
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A statement of the paper that runs can confirm or contradict."""
+    """A testable statement of the paper."""
 
     name: str
     statement: str
@@ -33,17 +33,17 @@ CLAIMS: dict[str, Claim] = {}  # by name
 
 
 def register(*claims: Claim) -> None:
-    """Add claims; a later one of the same name replaces the earlier one."""
+    """Register claims; a claim replaces an earlier one with the same name."""
     CLAIMS.update({claim.name: claim for claim in claims})
 
 
 LEVEL = 0.05
-"""Probability with which any claim of a table may be confirmed or contradicted wrongly."""
+"""Family-wise error rate: probability that any claim of a table is wrongly confirmed or contradicted."""
 CONFIRMED, CONTRADICTED, UNDECIDED = "confirmed", "contradicted", "undecided"
 
 
 def claims_table(names: Sequence[str], campaigns: Iterable[Runs]) -> Table:
-    """Verdicts on claims, each tested on the campaign that it names, with Holm's correction over all of them.
+    """Test each claim on its campaign, and tabulate the verdicts with Holm's correction over all claims.
 
     Raises:
         BadInputError: A name is not known.
@@ -88,14 +88,14 @@ def _tested(claim: Claim, runs: Runs | None) -> Evidence:
 
 
 def verdict(one: Evidence, corrected: float | None) -> str:
-    """Confirmed, contradicted or undecided, from the corrected p value."""
+    """Verdict (confirmed, contradicted or undecided) from the corrected p value."""
     if corrected is None or corrected >= LEVEL:
         return UNDECIDED
     return CONFIRMED if one.supports else CONTRADICTED
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
-    """Holm's (1979) step-down correction for as many tests as have a p value; the others stay None."""
+    """Apply Holm's (1979) step-down correction over all tests with a p value; None remains None."""
     known = sorted((p, place) for place, p in enumerate(p_values) if p is not None)
     adjusted: list[float | None] = [None] * len(p_values)
     largest = 0.0

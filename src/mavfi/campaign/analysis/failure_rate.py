@@ -1,9 +1,9 @@
-"""Failures per flight hour: upset rate x dynamic instructions per flight hour x measured harm.
+"""Failures per flight hour: upset rate x dynamic instructions per flight hour x measured increase in failures (harm).
 
 The paper's rates are conditional on one fault per mission.  They cannot compare schemes that execute different numbers
-of instructions: idle instructions that a scheme adds lower the share of faults that do harm, and save no mission
-(Schirmeier, Borchert, Spinczyk, DSN 2015).  The number of failures can; so detectors are kernels like others here, and
-recomputations are in the counts of theirs: counted, injected, and added up.
+of instructions: idle instructions added by a scheme lower the share of harmful faults but save no mission (Schirmeier,
+Borchert, Spinczyk, DSN 2015).  The absolute number of failures can.  Detectors are therefore counted, injected and
+summed like other kernels, and recomputations count towards their kernels.
 """
 
 import math
@@ -18,7 +18,7 @@ _HOUR = 3600.0
 
 
 class Range(Config):
-    """A value and its band."""
+    """A value with its uncertainty band."""
 
     value: float = Field(ge=0, le=1e9)
     low: float = Field(ge=0, le=1e9)
@@ -32,7 +32,7 @@ class Range(Config):
 
 
 class UpsetConfig(Config):
-    """How often radiation changes the result of an instruction."""
+    """Parameters of the rate at which radiation changes instruction results."""
 
     name: str
     fit_per_mbit: Range = Field(description="upsets per 10^9 h and Mbit at sea level in New York City")
@@ -54,18 +54,18 @@ class UpsetConfig(Config):
 
 
 HIGHEST = 18_000.0
-"""Altitude up to which the formula of the flux holds (m)."""
+"""Highest altitude at which the flux formula is valid (m)."""
 
 
 def find_upsets(name: str = "low_altitude") -> UpsetConfig:
-    """Shipped upset rates by name, or the user's own by path; `BadInputError` if there are none, or they are wrong."""
+    """Load upset rates: shipped ones by name or a file by path; `BadInputError` if they do not exist or are invalid."""
     return shipped("upsets", UpsetConfig, name)
 
 
 def altitude_factor(altitude: float) -> float:
-    """Neutron flux at an altitude (m) over that at sea level, after JESD89A: exp((1033 - A) / 131.3).
+    """Neutron flux at an altitude (m) relative to sea level, after JESD89A: exp((1033 - A) / 131.3).
 
-    A is the depth of the atmosphere (g/cm2), 1033 exp(-0.03813 h - 0.00014 h^2 + 6.4e-7 h^3), h in 1000 ft.
+    A is the atmospheric depth (g/cm2), 1033 exp(-0.03813 h - 0.00014 h^2 + 6.4e-7 h^3), h in 1000 ft.
     """
     h = altitude / 304.8
     depth = 1033.0 * math.exp(-0.03813 * h - 0.00014 * h * h + 6.4e-7 * h**3)
@@ -74,21 +74,21 @@ def altitude_factor(altitude: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A value, and the bounds of its interval or band."""
+    """A value with the bounds of its interval or band."""
 
     value: float
     low: float
     high: float
 
     def times(self, factor: float) -> "Estimate":
-        """Value and bounds times a factor of at least 0."""
+        """The estimate scaled by a non-negative factor."""
         return Estimate(factor * self.value, factor * self.low, factor * self.high)
 
 
 def upsets_per_instruction(upsets: UpsetConfig) -> Estimate:
-    """Probability that an upset changes the result of one instruction, with the band of flux and FIT rate.
+    """Probability that an upset changes the result of one instruction, with the band due to flux and FIT rate.
 
-    Upsets per busy hour, FIT x 1e-9 x flux x visible, over instructions per busy hour.
+    Visible upsets per busy hour, FIT/Mbit x 1e-9 x Mbit x flux x visible, divided by instructions per busy hour.
     """
 
     def at(fit: float, altitude: float) -> float:
@@ -101,11 +101,11 @@ def upsets_per_instruction(upsets: UpsetConfig) -> Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Exposed:
-    """A kernel, or a detector, in the fault space of a setting.
+    """A kernel or detector in the fault space of a setting.
 
     Attributes:
         instructions: Dynamic instructions per flight hour.
-        harm: Share of faults in them that lose the mission, beyond the failures without a fault.
+        harm: Increase in the probability of mission failure per fault.
     """
 
     instructions: float
@@ -113,19 +113,19 @@ class Exposed:
 
     @property
     def coverage(self) -> float:
-        """Share of the faults that do no harm: it rewards idle instructions, and compares nothing."""
+        """Share of harmless faults, 1 - harm: rewards idle instructions, so not a valid comparison of schemes."""
         return 1.0 - self.harm.value
 
     def failures(self, upset: float) -> Estimate:
-        """Failures per flight hour, at a probability of upset per instruction; the interval is that of the harm."""
+        """Failures per flight hour at an upset probability per instruction; the interval reflects the harm only."""
         return self.harm.times(self.instructions * upset)
 
 
 def total_failures(exposed: Iterable[Exposed], upset: float) -> Estimate:
-    """Failures per flight hour of all kernels together.
+    """Failures per flight hour, summed over kernels.
 
-    Distances to the bounds are added as standard errors are (MOVER; Zou and Donner 2008): faults are drawn kernel by
-    kernel.
+    Distances to the bounds are added in quadrature (MOVER; Zou and Donner 2008), since the faults of different kernels
+    are drawn independently.
     """
     found = [one.failures(upset) for one in exposed]
     value = sum(one.value for one in found)

@@ -1,4 +1,4 @@
-"""Failures per flight hour of each setting, by kernel, from campaigns with faults in instructions."""
+"""Failures per flight hour by setting and kernel, from campaigns with instruction faults."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -26,7 +26,7 @@ INSTRUCTION = "instruction"
 
 
 def instructions_per_hour(golden: Runs) -> dict[str, float]:
-    """Dynamic instructions per flight hour, by kernel, of golden runs that were counted."""
+    """Dynamic instructions per flight hour by kernel, from golden runs with instruction counts."""
     counted = [record for record in golden.recorded() if record.counts]
     hours = sum(record.flight_time_s for record in counted) / 3600
     found: dict[str, float] = {}
@@ -37,11 +37,11 @@ def instructions_per_hour(golden: Runs) -> dict[str, float]:
 
 
 def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[str, tuple[int, Exposed]]]:
-    """Kernels by environment and setting, each with its number of faults.
+    """Kernels in the fault space, by environment and setting, each with its number of faults.
 
-    Harm is measured against the golden run of the same arm and mission, by a column that says whether a mission
-    succeeds: as flown, or `success_if_ended`.  A setting whose golden runs were not counted is left out, and so is a
-    kernel without a fault.
+    Harm is measured against the golden run of the same arm and mission.  `success` names the column for the success of
+    injected runs: "success" (as flown) or "success_if_ended".  Settings without instruction counts and kernels without
+    faults are omitted.
     """
     golden = {(row["arm"], row["world"]): row["success"] for row in runs.golden.where("judged")}
     found: dict[tuple[str, str], dict[str, tuple[int, Exposed]]] = {}
@@ -59,7 +59,7 @@ def exposed(runs: Runs, success: str = "success") -> dict[tuple[str, str], dict[
 
 
 def _rows(runs: Runs, upsets: UpsetConfig) -> Iterable[Mapping[str, Any]]:
-    """One row for each kernel of a setting, and one for all of them."""
+    """Rows for each kernel of a setting, and one for their sum."""
     upset = upsets_per_instruction(upsets).value
     every, ended = exposed(runs), exposed(runs, "success_if_ended")
     for (environment, setting), kernels in every.items():
@@ -103,7 +103,7 @@ def _estimate(key: str, heading: str) -> Measure:
 
 
 def failure_notes(upsets: UpsetConfig) -> list[str]:
-    """What the numbers rest on."""
+    """Notes on the definitions, assumptions and sources of the table."""
     rate = upsets_per_instruction(upsets)
     fit, altitude = upsets.fit_per_mbit, upsets.altitude
     return [
@@ -141,13 +141,13 @@ register(_VIEW)
 
 
 def failure_table(runs: Runs, upsets: UpsetConfig) -> Table:
-    """The view with upset rates of one's own."""
+    """The view as a table, computed with the given upset rates."""
     made = replace(_VIEW, where=lambda own: _computed(own, upsets), notes=lambda _: failure_notes(upsets))
     return made.table(runs)
 
 
 def summary(runs: Runs, upsets: UpsetConfig) -> list[str]:
-    """A sentence on each environment."""
+    """One sentence per environment with the failures per flight hour of each setting."""
     upset = upsets_per_instruction(upsets).value
     found: dict[str, list[str]] = {}
     for (environment, setting), kernels in exposed(runs).items():

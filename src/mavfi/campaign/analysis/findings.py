@@ -1,4 +1,4 @@
-"""Findings: what a campaign shows, in up to five sentences computed from the frame."""
+"""Findings: up to five sentences that summarize a campaign, computed from its runs."""
 
 from collections.abc import Callable
 
@@ -15,7 +15,7 @@ MOST = 5
 
 
 def findings(runs: Runs) -> list[str]:
-    """Up to `MOST` sentences; one that does not apply is left out."""
+    """Compute up to `MOST` sentences; those that do not apply are omitted."""
     found = [line for say in _SENTENCES for line in say(runs)]
     return found[:MOST]
 

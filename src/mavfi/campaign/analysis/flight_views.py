@@ -1,4 +1,4 @@
-"""Views of campaigns of flights: success, recovery, effects, flight time, alarms, and where faults were."""
+"""Views of campaigns with flights: success, recovery, success by fault property, effects, endings, golden flights."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -34,14 +34,14 @@ TOTAL = ("environment", ALL)
 SETTING = ("environment", "setting")
 
 
-# ---- what applies ------------------------------------------------------------------------------------------------
+# ---- applicability -----------------------------------------------------------------------------------------------
 def of_states(runs: Runs) -> bool:
     """Whether faults in inter-kernel states were injected."""
     return has(runs.injected, level=STATE)
 
 
 def of_values(runs: Runs) -> bool:
-    """Whether faults were injected into values of the pipeline, published or remembered."""
+    """Whether faults were injected into inter-kernel states or kernel memory."""
     return of_states(runs) or has(runs.injected, level=MEMORY)
 
 
@@ -58,19 +58,19 @@ def _compared(runs: Runs) -> bool:
 
 
 def watched(runs: Runs) -> bool:
-    """Whether a detector flew."""
+    """Whether any run has a detector."""
     return len(runs.where(pl.col("detector") != "")) > 0
 
 
 # ---- success -----------------------------------------------------------------------------------------------------
 def unknown_note(own: Runs) -> list[str]:
-    """How many flights could not be judged."""
+    """Note with the number of flights that could not be judged; none if all were."""
     unknown = len(own.where(~pl.col("judged")))
     return [f"{unknown} flights could not be judged (unknown) and are left out"] if unknown else []
 
 
 def separable_note(runs: Runs) -> list[str]:
-    """Which differences a success table cannot show."""
+    """Note with the smallest differences that a success table can resolve."""
     told = [f"{environment} {_points(golden)} / {_points(dr)}" for environment, golden, dr in m.separable(runs)]
     start = "smaller differences, in points, are not told apart (golden – fi / fi – dr, power 80 %): "
     return [start + "; ".join(told)] if told else []
@@ -81,12 +81,12 @@ def _points(share: float | None) -> str:
 
 
 def of_missions(runs: Runs) -> Runs:
-    """All but null runs."""
+    """All runs except null runs."""
     return runs.where(pl.col("kind") != "null")
 
 
 def faulty_and_bare(runs: Runs) -> Runs:
-    """Golden runs without a detector, and all injected runs, under the names of the paper's rows."""
+    """Golden runs without a detector and all injected runs, labelled with the row names of the paper's table."""
     own = of_missions(runs).where((pl.col("kind") == "injected") | (pl.col("arm") == ""))
     names = {"golden": "Golden run", "fi": "Injection run", "dr_gaussian": "Gaussian-based",
              "dr_autoencoder": "Autoencoder-based"}  # fmt: skip
@@ -144,7 +144,7 @@ def _papers_recovery(own: Runs) -> float | None:
 
 
 def named_populations(runs: Runs) -> Runs:
-    """Rows in the order of the populations, of which `bits` is the name for people."""
+    """Sort runs by population, and add the column `bits` with its display name."""
     order = {name: place for place, name in enumerate(m.POPULATIONS)}
     place = pl.col("population").replace_strict(order, default=len(order), return_dtype=pl.Int64)
     named = runs.frame.with_columns(bits=pl.col("population").replace(m.POPULATIONS))
@@ -195,7 +195,7 @@ register(
 
 
 # ---- success by properties of the fault --------------------------------------------------------------------------
-FEWEST = 10  # flights from which a field has a row in the report
+FEWEST = 10  # minimum number of flights for a field to have a row in the report
 
 
 def _slow_note(runs: Runs) -> tuple[str, ...]:
@@ -207,7 +207,7 @@ def _slow_note(runs: Runs) -> tuple[str, ...]:
 
 
 def _by(name: str, title: str, by: tuple[str, ...], **more: Any) -> None:
-    """A view over all environments, and where there are several one with each of them."""
+    """Register a view over all environments, and one by environment for campaigns with several."""
     applies = more.pop("applies", of_states)
     columns: dict[str, Any] = {"measures": (m.leading_success, m.other_success, m.hurt), "notes": _slow_note}
     columns["where"] = lambda runs: runs.injected.where("judged", pl.col("level").is_in((STATE, MEMORY)))
@@ -274,7 +274,7 @@ register(
 
 # ---- flight time -------------------------------------------------------------------------------------------------
 def paired(runs: Runs) -> Runs:
-    """Judged injected runs; `paired`: the mission succeeds with this fault in every setting."""
+    """Judged injected runs, with column `paired`: the mission succeeds with this fault in every setting."""
     own = runs.injected.where("judged")
     pair, complete = ("environment", "target", "index"), pl.col("inflation").is_not_null().all()
     settings = pl.col("setting").n_unique().over("environment")

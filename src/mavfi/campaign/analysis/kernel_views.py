@@ -1,4 +1,4 @@
-"""Views of faults in instructions: the success table under both policies, and what kernels did with each fault."""
+"""Views of instruction faults: the success table under both policies, and the effects on kernels."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -23,7 +23,7 @@ from mavfi.campaign.analysis.views import View, has, register
 from mavfi.campaign.plan import FI
 from mavfi.flight_record import FlightRecord
 
-MEMORY = "(memory only)"  # state of a silent corruption that nothing published at once
+MEMORY = "(memory only)"  # label of a silent corruption that changes kernel memory but no publication at once
 _DYING = (
     "node restarts / mission ends: what becomes of a mission whose kernel crashes, hangs or raises; the paper's ROS "
     "starts such nodes again; how many do is IR level, not machine level"
@@ -49,7 +49,7 @@ def _of_instructions(runs: Runs) -> bool:
 
 
 def _by_stages(runs: Runs) -> bool:
-    # equal numbers of faults for the stages: rates over all faults are those of the paper's table
+    # equal numbers of faults per stage, so that rates over all faults are comparable with the paper's table
     return _of_instructions(runs) and runs.campaign.get("each") == "stage"
 
 
@@ -125,9 +125,9 @@ register(
 )  # fmt: skip
 
 
-# ---- what kernels did --------------------------------------------------------------------------------------------
+# ---- effects on kernels ------------------------------------------------------------------------------------------
 def kernel_runs(runs: Runs) -> Runs:
-    """Runs of `fi` with an instruction fault whose kernel, and whose golden run, can be judged."""
+    """Runs in setting `fi` with an instruction fault, of which the effects on kernel and flight are known."""
     judged = (pl.col("kernel_effect") != "") & (pl.col("effect") != "unknown")
     return runs.injected.where(judged, level=INSTRUCTION, setting=FI)
 
@@ -182,7 +182,7 @@ def _readable(own: Runs, column: str) -> Runs:
 
 
 def _silent(runs: Runs) -> Runs:
-    """Silent corruptions, with the field that first differed and how many the kernel has in all."""
+    """Silent corruptions, with the first differing field and the number of silent corruptions in the kernel."""
     own = kernel_runs(runs).where(kernel_effect="sdc")
     place = pl.concat_str(pl.col("error_state").replace("", MEMORY), "error_field", separator=" ")
     return own.adding(first_differing_field=place.str.strip_chars(), in_kernel=pl.len().over("kernel"))

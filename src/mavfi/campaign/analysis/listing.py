@@ -1,4 +1,4 @@
-"""The runs of a campaign as a table: one row for each, with filters."""
+"""The runs of a campaign as a table with one row per run, with filters."""
 
 from collections.abc import Sequence
 
@@ -19,14 +19,14 @@ _FLAGS = {"yes": "true", "True": "true", "no": "false", "False": "false"}  # tru
 
 
 def listing(runs: Runs, where: Sequence[str] = (), *, failed: bool = False, sort: Sequence[str] = ()) -> Table:
-    """Runs in the order of the plan, or of columns.  All columns of the frame are in CSV and JSON.
+    """List runs in plan order or sorted by columns.  CSV and JSON contain all columns of the frame.
 
-    Runs meet all conditions `column=value`; values separated by commas are alternatives.  `failed` selects missions
-    that did not succeed, and runs that could not be judged.  `sort` names columns, the first one decides; "-" before a
-    name turns its order round, and rows without a value come last.
+    Listed runs meet all conditions `column=value`; values separated by commas are alternatives.  `failed` selects
+    missions that did not succeed, and runs that could not be judged.  `sort` names columns, the primary one first; a
+    "-" before a name sorts in descending order, and rows without a value come last.
 
     Raises:
-        BadInputError: A text is no condition, or there is no such column.
+        BadInputError: A condition is malformed, or a column does not exist.
     """
     tests = [_test(runs, text) for text in where]
     if failed:

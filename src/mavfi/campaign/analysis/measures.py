@@ -1,4 +1,4 @@
-"""Measures: rows of a group -> one cell: a rate with its interval, a count, a quantile, a test."""
+"""Measures, which map the rows of a group to one cell: a rate with its interval, a count, a quantile or a test."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -25,16 +25,16 @@ from mavfi.faults.strata import HEADLINE
 
 WHOLE_WORD = "whole_word"
 PARTITIONS = ({"sign_exponent", "mantissa"}, {"sign", "exponent", "mantissa"})
-"""Sets of strata that together make up whole words."""
-LEADING = (HEADLINE, ALL_BITS)  # populations that tables lead with, and that stand beside the paper
+"""Sets of strata that partition a word."""
+LEADING = (HEADLINE, ALL_BITS)  # leading populations of tables, which are compared with the paper
 POPULATIONS = {
     "all": "all", "sign_exponent": "sign + exponent", "sign": "sign", "exponent": "exponent", WHOLE_WORD: "whole word",
     "mantissa": "mantissa", ALL_BITS: "all bits",
 }  # fmt: skip
-"""Populations for people."""
-SLOWER = 0.05  # flight time over the golden run's from which a success counts as slower
+"""Display names of populations."""
+SLOWER = 0.05  # relative increase in flight time above which a success counts as slower
 SYSTEMATIC = 0.9
-"""Share of flights from which alarms of one state at one instant are systematic: of the start, not of the mission."""
+"""Share of flights above which alarms of one state at one instant are systematic, i.e. not due to the mission."""
 _ORDER = (HEADLINE, "sign", "exponent", WHOLE_WORD, "mantissa")
 
 
@@ -44,24 +44,24 @@ class Measure:
 
     key: str  # name of the column in CSV and JSON
     heading: str
-    form: str  # how cells are written for people, see `table`
+    form: str  # display format of cells, see `table`
     of: Callable[[Runs], Cell]  # rows of a group -> cell
     hidden: bool = False  # in CSV and JSON only
     counted: Callable[[Runs], Runs] = lambda own: own  # rows of a group that the cell is computed from
 
     @property
     def column(self) -> Column:
-        """Its heading and form."""
+        """Key, heading, format and visibility as a table column."""
         return Column(self.key, self.heading, self.form, self.hidden)
 
 
 Spread = Callable[[Runs, tuple[str, ...]], Iterable[Measure]]
-"""Measures that depend on the rows: selected rows and the columns that they are grouped by -> measures."""
+"""Measures that depend on the data: (selected rows, columns to group by) -> measures."""
 
 
-# ---- plain ones --------------------------------------------------------------------------------------------------
+# ---- basic measures ----------------------------------------------------------------------------------------------
 def count(key: str, heading: str, *tests: pl.Expr | str, **values: Any) -> Measure:
-    """How many rows pass tests."""
+    """Number of rows that pass all tests."""
     return Measure(
         key, heading, NUMBER, lambda own: len(own.where(*tests, **values)),
         counted=lambda own: own.where(*tests, **values),
@@ -69,12 +69,12 @@ def count(key: str, heading: str, *tests: pl.Expr | str, **values: Any) -> Measu
 
 
 def first(column: str, heading: str) -> Measure:
-    """Value of the first row: of a column that all rows of a group share."""
+    """Value of a column that is constant within a group, taken from the first row."""
     return Measure(column, heading, TEXT, lambda own: own.first(column))
 
 
 def median(column: str, heading: str, form: str = NUMBER) -> Measure:
-    """Median of a column; None where it has no value."""
+    """Median of a column; None if it has no values."""
     return Measure(column, heading, form, lambda own: own.frame[column].median())
 
 
@@ -84,13 +84,13 @@ def quantile(column: str, share: float, key: str, heading: str) -> Measure:
 
 
 def quantile_of(values: Iterable[float | None], share: float) -> float | None:
-    """Quantile of the values that are known."""
+    """Quantile of the known values; None if there are none."""
     known = [value for value in values if value is not None]
     return float(np.quantile(known, share)) if known else None
 
 
 def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str, weighted: bool = False) -> Measure:
-    """Share of rows that pass a test, among those that pass `where`, with Wilson's interval by clusters."""
+    """Share of rows that pass a test, among those that pass `where`, with a cluster-adjusted Wilson interval."""
     return Measure(
         key, heading, RATE, lambda own: rate_of(own.where(*where), test, weighted=weighted),
         counted=lambda own: own.where(*where),
@@ -98,7 +98,7 @@ def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str, wei
 
 
 def rate_of(own: Runs, test: pl.Expr | str, *, weighted: bool = False) -> Rate:
-    """Rate over rows, if asked with the weights of faults, with an interval that treats missions as clusters."""
+    """Rate over rows, optionally with the weights of faults, and its interval with missions as clusters."""
     asked = pl.col(test) if isinstance(test, str) else test
     passed = own.frame.select(asked.fill_null(value=False).alias("passed"))["passed"].to_list()
     return clustered_rate(passed, own["world"], own["weight"] if weighted else None)
@@ -106,9 +106,9 @@ def rate_of(own: Runs, test: pl.Expr | str, *, weighted: bool = False) -> Rate:
 
 # ---- by population -----------------------------------------------------------------------------------------------
 def populations(own: Runs, test: pl.Expr | str) -> dict[str, Rate]:
-    """Rate of a property by population: each bit stratum, and the whole word where the strata make one up.
+    """Rate of a property by population: each bit stratum, and the whole word if the strata partition it.
 
-    Runs that could not be judged are left out.
+    Runs that could not be judged are excluded.
     """
     memo, key = own.memo, ("populations", str(test))
     if key not in memo:
@@ -123,7 +123,7 @@ def populations(own: Runs, test: pl.Expr | str) -> dict[str, Rate]:
 
 
 def population_names(runs: Runs, by: Sequence[str]) -> list[str]:
-    """Populations in the order of tables: headline, whole word, the others; golden runs have none."""
+    """Populations in table order, the headline stratum first; golden runs have none."""
     found: dict[str, None] = {}
     for part in runs.groups(*by).values():
         own = part.where("judged").values("population")
@@ -133,13 +133,13 @@ def population_names(runs: Runs, by: Sequence[str]) -> list[str]:
 
 
 def leading(own: Runs, names: Sequence[str], test: pl.Expr | str) -> Rate | None:
-    """Rate in the leading population; of golden runs, in all of them."""
+    """Rate in the leading population; for golden runs, over all of them."""
     rates = populations(own, test)
     return rates.get("all", rates.get(names[0]) if names else None)
 
 
 def in_leading(own: Runs, names: Sequence[str]) -> Runs:
-    """The rows of which `leading` gives the rate."""
+    """The rows over which `leading` computes the rate."""
     judged = own.where("judged")
     held = judged.values("population")
     if "all" in held or not names:
@@ -148,7 +148,7 @@ def in_leading(own: Runs, names: Sequence[str]) -> Runs:
 
 
 def leading_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
-    """Success in the leading population; golden runs are in the same column."""
+    """Success in the leading population; golden runs share the column."""
     names = population_names(runs, by)
     heading = f"success %, {POPULATIONS.get(names[0], names[0])}" if names else "success %"
     yield Measure("success", heading, RATE, lambda own: leading(own, names, "success"),
@@ -169,11 +169,11 @@ def other_success(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 
 
 FAILS_OR_SLOWER = ~pl.col("success") | (pl.col("inflation") > SLOWER).fill_null(value=False)
-"""Whether the mission failed, or took `SLOWER` longer than its golden run."""
+"""Whether the mission failed, or exceeded its golden run's flight time by more than `SLOWER`."""
 
 
 def hurt(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
-    """Share of missions that fail or are slower, and the worst flight time, of the leading population of a group."""
+    """Share of failed or slower missions, and the largest increase in flight time, in a group's leading population."""
     names = population_names(runs, by)
 
     def shown(own: Runs) -> str:
@@ -193,9 +193,9 @@ def hurt(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 
 # ---- pairs -------------------------------------------------------------------------------------------------------
 def against_fi(runs: Runs) -> Runs:
-    """Runs of `fi`, each with the run of the same fault in every other arm; runs without a partner are left out.
+    """Join runs in `fi` with the runs of the same faults in every other setting; unpaired runs are excluded.
 
-    Columns of the latter begin with `dr_`: success, inflation, detected; the success in `fi` is `fi_success`.
+    Columns of the other setting have the prefix `dr_` (success, inflation, detected); success in `fi` is `fi_success`.
     """
     judged, pair = runs.injected.where("judged"), ["environment", "target", "index"]
     alone = judged.where(setting=FI).frame.drop("setting", "arm", "detector", "detector_profile")
@@ -234,7 +234,7 @@ def against_golden(own: Runs) -> pairs.Paired:
 
 
 def separable(runs: Runs) -> list[tuple[str, float | None, float | None]]:
-    """By environment: the smallest differences (golden - fi, fi - dr) that a success table can show."""
+    """Smallest differences (golden - fi, fi - dr) that a success table can resolve, by environment."""
     found = []
     for (environment,), part in runs.groups("environment").items():
         golden = part.golden.where("judged", setting=GOLDEN)
@@ -251,7 +251,7 @@ def alarm_rate(own: Runs) -> EventRate:
 
 
 def systematic(own: Runs) -> list[tuple[str, float, int]]:
-    """State, instant (s) and flights of alarms that nearly all flights have; none where there is one flight."""
+    """Alarms common to nearly all flights: state, instant (s), number of flights; empty for a single flight."""
     flights: Counter[tuple[str, int]] = Counter()
     for record in own.recorded():
         flights.update({(alarm.state, round(1e6 * alarm.time_s)) for alarm in record.alarms})
@@ -263,25 +263,25 @@ def systematic(own: Runs) -> list[tuple[str, float, int]]:
 
 
 def compute_us(own: Runs) -> int:
-    """Modelled compute time of the pipeline without recomputations, which kernels charge too."""
+    """Modelled compute time of the pipeline (us), without recomputations, which the kernels' times include."""
     spent = sum(sum(record.recompute_us.values()) for record in own.recorded())
     return sum(sum(record.compute_us.values()) for record in own.recorded()) - spent
 
 
 def recomputed(own: Runs, stage: str = "") -> float | None:
-    """Recomputation of a stage ("" = of all) / compute time."""
+    """Recomputation time of a stage ("" = all stages) / compute time."""
     compute = compute_us(own)
     spent = sum(us for record in own.recorded() for name, us in record.recompute_us.items() if stage in ("", name))
     return spent / compute if compute else None
 
 
 def worst_run(own: Runs) -> str | None:
-    """Id of the run with the longest flight time against its golden run."""
+    """Id of the run with the largest increase in flight time over its golden run."""
     known = own.frame.filter(pl.col("inflation").is_not_null())
     return None if known.is_empty() else str(known["run_id"][int(known["inflation"].arg_max() or 0)])
 
 
 def golden_rate(own: Runs) -> Rate:
-    """Success of the golden runs of these runs, each world once."""
+    """Success rate of the corresponding golden runs, counting each world once."""
     golden = dict(zip(own["world"], own["golden_success"], strict=True))
     return clustered_rate([bool(success) for success in golden.values()], list(golden))

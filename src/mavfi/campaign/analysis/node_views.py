@@ -1,4 +1,4 @@
-"""Views of trials on foreign nodes: what one bit in a register does."""
+"""Views of trials on external nodes: effects of one-bit faults in registers."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -58,7 +58,7 @@ def _stopped_note(runs: Runs) -> list[str]:
 
 
 def _places(runs: Runs) -> Runs:
-    """Trials by the function that was injected; its library where it has no name."""
+    """Trials with column `function`: the injected function, or its library if the function has no symbol."""
     own = _trials(runs).where(pl.col("symbol") + pl.col("library") != "", pl.col("time_s").is_not_null())
     function = pl.col("symbol").str.replace(r"\+[^+]*$", "")
     library = pl.col("library").str.split("/").list.last()
@@ -67,7 +67,7 @@ def _places(runs: Runs) -> Runs:
 
 
 def _difference(record: FlightRecord) -> list[Mapping[str, Any]]:
-    """The first number of an output that differs."""
+    """The first differing number in the node's outputs, as at most one row."""
     differences = record.extra.get("differences", ())
     if not differences or not record.injections:
         return []

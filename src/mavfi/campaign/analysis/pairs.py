@@ -1,4 +1,4 @@
-"""Settings against each other in the same missions: McNemar's test, paired differences, and the recovery rate.
+"""Paired comparison of settings in the same missions: McNemar's test, paired differences, and the recovery rate.
 
 All intervals are 95 %; worlds are the clusters, as in `mavfi.campaign.analysis.statistics`.
 """
@@ -19,14 +19,14 @@ class Paired:
     n: int  # pairs
     first_only: int  # pairs in which only the first succeeds
     second_only: int  # pairs in which only the second succeeds
-    p_value: float  # two-sided; 1 where no pair is discordant
+    p_value: float  # two-sided; 1 if no pair is discordant
 
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """Recovery rate (method - fi) / (golden - fi), and the loss, golden - fi, in pairs; with intervals."""
+    """Recovery rate (method - fi) / (golden - fi) and loss (golden - fi) over pairs, with intervals."""
 
-    rate: float | None  # None, as its bounds, where undefined: the interval of the denominator contains 0
+    rate: float | None  # None, like its bounds, if undefined: the interval of the denominator contains 0
     low: float | None
     high: float | None
     loss: float
@@ -37,7 +37,7 @@ class Recovery:
 
 
 def mcnemar(first: Sequence[bool], second: Sequence[bool]) -> Paired:
-    """Exact test that two settings, given by their success in each pair, succeed equally often."""
+    """McNemar's exact test of equal success rates of two settings, given their success in each pair."""
     first_only = sum(a and not b for a, b in zip(first, second, strict=True))
     second_only = sum(b and not a for a, b in zip(first, second, strict=True))
     discordant = first_only + second_only
@@ -50,9 +50,9 @@ def paired_difference(
 ) -> tuple[float, float, float]:
     """Difference of two success rates in the same missions, first - second, with MOVER's interval: estimate, low, high.
 
-    The difference is that of two shares: pairs in which only the first succeeds, and only the second; each has
-    Wilson's interval for the effective number of pairs, and they are correlated as shares of one sample are.  Without
-    discordant pairs the interval is as wide as these two allow, not 0.  There is at least one pair.
+    It is the difference between the shares of pairs in which only the first and only the second succeeds.  Each share
+    has Wilson's interval for the effective number of pairs; their correlation is that of multinomial shares.  Without
+    discordant pairs the interval keeps the width of these two.  At least one pair is required.
     """
     one, other = np.asarray(first, bool), np.asarray(second, bool)
     ones = np.ones(len(one))
@@ -69,17 +69,17 @@ def paired_difference(
 
 
 def _added(one: float, other: float, correlation: float) -> float:
-    """Length of a difference's arm from the arms of its parts."""
+    """Distance from a difference to its bound, from the corresponding distances of its two terms (MOVER)."""
     return float(np.sqrt(one**2 + other**2 - 2 * correlation * one * other))
 
 
 def recovery(pairs: Sequence[tuple[object, bool, bool, bool]]) -> Recovery | None:
-    """Share of the lost missions that a detector brings back; None if there is no pair.
+    """Recovery rate of a method, the share of lost missions that it recovers; None without pairs.
 
-    Pairs are world, success without a fault, with the fault, with fault and method.  Where the method only brings back
-    what fi alone has lost, the rate is a share of these pairs: Clopper and Pearson's exact interval, for the effective
-    number of pairs (Korn and Graubard 1998).  Where other pairs differ too, it is widened to hold the clustered
-    bootstrap's interval.
+    Pairs contain the world and the success without a fault, with the fault, and with fault and method.  If the method
+    only recovers missions lost in fi, the rate is a proportion of these: Clopper and Pearson's exact interval for the
+    effective number of pairs (Korn and Graubard 1998).  If other pairs differ too, the interval is widened to include
+    that of the clustered bootstrap.
     """
     if not pairs:
         return None

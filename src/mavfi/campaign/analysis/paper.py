@@ -1,4 +1,4 @@
-"""The paper's own figures (configs/figures/mavfi_paper.yaml), joined to rows by what these are of."""
+"""Values published in the paper (configs/figures/mavfi_paper.yaml), matched to table rows by their keys."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -21,7 +21,7 @@ def _data() -> dict[str, Any]:
 
 
 def figure(name: str, **key: str) -> Any:
-    """One figure, a share or text, by environment, setting, stage, kernel or quantity; None = the paper has none."""
+    """Look up a published value (number or text) by environment, setting, stage etc.; None = not published."""
     found = _data()["figures"][name]
     value = found["values"]
     for column in found["by"]:
@@ -30,13 +30,13 @@ def figure(name: str, **key: str) -> Any:
 
 
 def recovery(environment: str, setting: str) -> float | None:
-    """(method - fi) / (golden - fi) of Table I; the paper quotes up to 89.6 % and 100 %."""
+    """Recovery rate (method - fi) / (golden - fi) from Table I; the paper quotes up to 89.6 % and 100 %."""
     golden, fi, method = (figure("success", environment=environment, setting=s) for s in ("golden", "fi", setting))
     return None if None in (golden, fi, method) or setting in ("golden", "fi") else (method - fi) / (golden - fi)
 
 
 def worst_time(environment: str, setting: str) -> float | None:
-    """Increase of the worst flight time; with a detector, the increase that remains."""
+    """Relative increase of the worst flight time; for a detector, the remaining increase."""
     worst = figure("worst_time", environment=environment)
     if worst is None or setting == "fi":
         return None if worst is None else float(worst)
@@ -45,23 +45,23 @@ def worst_time(environment: str, setting: str) -> float | None:
 
 
 def comparable(campaign: Mapping[str, Any], detector_profile: str) -> bool:
-    """Whether an arm of a campaign may stand beside the paper: its autopilot profile, and no other detector's."""
+    """Whether an arm is comparable with the paper: its autopilot profile and, if any, its detector profile match."""
     data = _data()
     return campaign.get("profile") == data["profile"] and detector_profile in ("", data["detector_profile"])
 
 
 def beside(find: Any, heading: str = "paper", form: str = PERCENT) -> Measure:
-    """A column with the figure of an environment and setting, where rows and paper can be compared."""
+    """A column with the published value for an environment and setting, in rows comparable with the paper."""
 
     def of(own: Runs) -> Any:
         if not len(own) or not comparable(own.campaign, own.first("detector_profile")):
             return None
         return find(own.first("environment"), own.first("setting"))
 
-    return Measure("paper", heading, form, of, counted=lambda own: own.where(pl.lit(value=False)))  # of no run of ours
+    return Measure("paper", heading, form, of, counted=lambda own: own.where(pl.lit(value=False)))  # no runs
 
 
 def success(environment: str, setting: str) -> float | None:
-    """Table I."""
+    """Success rate from Table I."""
     found: float | None = figure("success", environment=environment, setting=setting)
     return found

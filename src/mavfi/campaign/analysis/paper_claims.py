@@ -1,4 +1,4 @@
-"""What the paper's text claims, each as a test on runs (see `claims`); all tests treat worlds as independent."""
+"""Claims of the paper's text, each with a test on runs (see `claims`); all tests treat worlds as independent."""
 
 from collections.abc import Callable, Iterable
 
@@ -13,12 +13,12 @@ from mavfi.campaign.analysis.worlds import Difference, between_worlds, within_wo
 from mavfi.campaign.plan import FI
 
 KERNELS, STATES, BITS, INSTRUCTIONS, VALUES = "kernels", "states", "bits", "table1_instructions", "table1"
-"""Names of the campaigns that test."""
+"""Names of the campaigns used in the tests."""
 HURT, SUCCESS = m.FAILS_OR_SLOWER, pl.col("success")
 ALTERED = pl.when("success").then(pl.col("inflation").abs() > m.SLOWER)
-"""Whether flight time changes by more than 5 %; null of failures."""
+"""Whether flight time changes by more than 5 %; null for failures."""
 LOSS = pl.col("golden_success").cast(pl.Float64) - pl.col("success").cast(pl.Float64)
-"""What the fault costs: success without it - success with it."""
+"""Success lost to the fault: success without it - success with it."""
 _WITHIN = "random signs of the differences of worlds"
 _BETWEEN = "worlds shuffled between the groups"
 
@@ -28,7 +28,7 @@ def _percent(share: float) -> str:
 
 
 def _tested(found: Difference | None, one: str, other: str, *, more: bool, what: str) -> Evidence:
-    """Verdict of a difference that the claim has above (`more`) or below 0."""
+    """Evidence from a difference, which the claim states to be positive (`more`) or negative."""
     if found is None:
         return Evidence("no runs to compare", None, supports=False)
     here = f"{what}: {one} {_percent(found.first)} (n = {found.first_n}), {other} {_percent(found.second)} "
@@ -48,7 +48,7 @@ def _compared(
     select: Callable[[Runs], Runs], first: tuple[str, pl.Expr], second: tuple[str, pl.Expr], value: pl.Expr, *,
     more: bool, what: str,
 ) -> Callable[[Runs], Evidence]:  # fmt: skip
-    """Two kinds of faults in the same worlds."""
+    """Test of two kinds of faults in the same worlds."""
 
     def test(runs: Runs) -> Evidence:
         own = select(runs)
@@ -64,7 +64,7 @@ _HURT = "fails or > 5 % longer"
 
 
 def _lost(select: pl.Expr | None = None) -> Callable[[Runs], Evidence]:
-    """Golden runs against the same missions with a fault."""
+    """Test of golden runs against the same missions with a fault."""
 
     def test(runs: Runs) -> Evidence:
         own = _faults(runs).where(pl.col("golden_success").is_not_null())
@@ -77,7 +77,7 @@ def _lost(select: pl.Expr | None = None) -> Callable[[Runs], Evidence]:
 
 
 def _paired(setting: str, other: str, column: str, *, more: bool, what: str) -> Callable[[Runs], Evidence]:
-    """Two settings with the same faults; flight times of pairs that succeed in both."""
+    """Paired test of two settings with the same faults; pairs with a null value in either setting are excluded."""
 
     def test(runs: Runs) -> Evidence:
         own = leading_faults(runs).where(pl.col("setting").is_in((setting, other)))
@@ -98,7 +98,7 @@ def _hardest(runs: Runs) -> Evidence:
 
 
 def _overhead(setting: str, bound: float) -> Callable[[Runs], Evidence]:
-    """Recomputation / compute time, by run, against a bound; modelled time of the platform."""
+    """Test of the overhead (recomputation / compute time, by run, in modelled time) against an upper bound."""
 
     def test(runs: Runs) -> Evidence:
         own = runs.where("judged", setting=setting)
@@ -121,7 +121,7 @@ def _recomputed(runs: Runs, run_id: str) -> float | None:
 
 
 def _largest(name: str, setting: str) -> float:
-    """The paper's largest recomputation overhead of a detector over environments, the stages added."""
+    """The paper's largest recomputation overhead of a detector over environments, summed over stages."""
     stages = [
         paper.figure(name, environment=place, setting=setting, stage=stage)
         for place in ("factory", "farm", "sparse", "dense")

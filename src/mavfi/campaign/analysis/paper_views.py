@@ -1,4 +1,4 @@
-"""Views of the paper's figures: flight time and success by kernel, state and bits; distributions of flight time."""
+"""Views for the paper's figures: flight time and success by kernel, state and bit class; flight time distributions."""
 
 from collections.abc import Callable
 from typing import Any
@@ -26,36 +26,36 @@ from mavfi.campaign.plan import FI, GOLDEN
 
 GOLDEN_ROW = "golden run"
 TAIL = 0.05
-"""Share of flights whose mean is the conditional value at risk (Rockafellar and Uryasev 2000)."""
+"""Tail probability of the conditional value at risk (Rockafellar and Uryasev 2000)."""
 SECONDS = "number .1f s"
 _DETOURS = m.rate("hurt", "fails or > 5 % longer", m.FAILS_OR_SLOWER)
 
 
 def with_golden(faulty: Runs, runs: Runs, column: str) -> Runs:
-    """Runs with a fault, after the golden runs of their worlds, of which `column` says "golden run"."""
+    """Golden runs without a detector, labelled "golden run" in `column`, followed by runs with a fault."""
     golden = runs.golden.where("judged", arm="").adding(**{column: pl.lit(GOLDEN_ROW)})
     return Runs(pl.concat([golden.frame, faulty.frame], how="diagonal"), runs.records, runs.campaign, runs.flights)
 
 
 def leading_faults(runs: Runs) -> Runs:
-    """Judged runs with a fault in the population that tables lead with."""
+    """Judged runs with a fault in the leading population."""
     judged = runs.injected.where("judged")
     names = m.population_names(judged, ())
     return judged.where(population=names[0]) if names else judged
 
 
 def by_kernel(runs: Runs) -> Runs:
-    """Fig. 3: golden runs, and those with one fault in one instruction of a kernel."""
+    """Fig. 3: golden runs, and runs with an instruction fault, by kernel."""
     return with_golden(runs.injected.where("judged", level=INSTRUCTION, setting=FI), runs, "kernel")
 
 
 def by_state(runs: Runs) -> Runs:
-    """Fig. 4: golden runs, and those with one fault in one group of fields, in the leading population."""
+    """Fig. 4: golden runs, and runs with a state fault in the leading population, by group of fields."""
     return with_golden(leading_faults(runs).where(level="state", setting=FI), runs, "target")
 
 
 def by_bits(runs: Runs) -> Runs:
-    """Section III-B: golden runs, and those with one fault by class of the flipped bit."""
+    """Section III-B: golden runs, and runs with a state fault, by class of the flipped bit."""
     own = named_populations(runs.injected.where("judged", level="state", setting=FI))
     return with_golden(own, runs, "bits")
 
@@ -111,9 +111,10 @@ register(
 
 # ---- Fig. 6 ------------------------------------------------------------------------------------------------------
 def distribution(runs: Runs) -> Runs:
-    """Fig. 6: golden runs without a detector and leading faults; of pairs that succeed in all settings, `paired`.
+    """Fig. 6: golden runs without a detector, and faults in the leading population.
 
-    `fi_worst` and `fi_tail` are the worst and the 95 % quantile of the increase in `fi`, in the environment.
+    Column `paired` marks faults with which the mission succeeds in all settings; `fi_worst` and `fi_tail` are the
+    maximum and 95 % quantile of the increase in flight time in `fi` over these, by environment.
     """
     faulty = paired(leading_faults(runs)).frame
     golden = runs.golden.where("judged", arm="").frame.with_columns(paired=pl.col("inflation").is_not_null())
@@ -126,7 +127,7 @@ def distribution(runs: Runs) -> Runs:
 
 
 def value_at_risk(values: list[float]) -> float | None:
-    """Conditional value at risk: mean of the largest `TAIL` of the values, at least one."""
+    """Conditional value at risk: mean of the largest `TAIL` of the values (at least one value); None without values."""
     if not values:
         return None
     largest = np.sort(np.asarray(values, np.float64))[::-1]
@@ -134,7 +135,7 @@ def value_at_risk(values: list[float]) -> float | None:
 
 
 def _censored(own: Runs) -> list[float]:
-    """Flight times (s), of failures the time limit."""
+    """Flight times (s), with the time limit for failures."""
     at = (
         pl.when("success")
         .then("flight_time_s")

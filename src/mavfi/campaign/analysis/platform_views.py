@@ -1,4 +1,4 @@
-"""Fig. 9 of the paper and its table: the same missions on several computers."""
+"""Fig. 9 of the paper and its table: the same missions on different computing platforms."""
 
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -18,14 +18,14 @@ _SECONDS, _KJ, _TIMES = "number .1f s", "number .1f kJ", "number .2f ×"
 
 
 def platforms(runs: Runs) -> dict[str, str]:
-    """Platform by environment of a campaign whose parts are platforms, in its order; empty for other campaigns."""
+    """Platform by environment, in order, for a campaign whose parts are distinct platforms; empty for others."""
     parts = runs.campaign.get("parts", {})
     found = {name: part["platform"] for name, part in parts.items() if part.get("platform")}
     return found if len(found) > 1 and len(set(found.values())) == len(found) else {}
 
 
 def compared(runs: Runs) -> Runs:
-    """Runs that succeed, golden ones of arms with a detector left out: these fly as the others but for false alarms."""
+    """Successful runs, without golden runs of detector arms, which differ from the bare ones by false alarms only."""
     own = of_missions(runs).where("judged", "success")
     return own.where(pl.col("setting").is_in([GOLDEN, *runs.settings()]))
 
@@ -41,13 +41,13 @@ def _median(own: Runs) -> float | None:
 
 
 def _power(own: Runs) -> float | None:
-    """Mean power (W): energy over flight time of all flights together."""
+    """Mean power (W): total energy / total flight time."""
     seconds = sum(own["flight_time_s"])
     return sum(own["energy_j"]) / seconds if seconds else None
 
 
 def _papers(quantity: str, setting: str = GOLDEN) -> Callable[[Runs], Any]:
-    """A figure of the paper's table, in the rows of a setting."""
+    """A value of the paper's table, shown in the rows of one setting."""
 
     def of(own: Runs) -> Any:
         if own.first("setting") != setting or not paper.comparable(own.campaign, ""):
@@ -67,7 +67,7 @@ def _papers_power(own: Runs) -> float | None:
 
 
 def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
-    """Columns that need rows of other groups: ratios to the first platform, and the recovered worst flight time."""
+    """Columns computed across groups: ratios to the first platform, and the recovered share of worst flight time."""
     del by
     groups = runs.groups("environment", "setting")
     first = next(iter(platforms(runs)), "")
@@ -104,7 +104,7 @@ def _against_first(runs: Runs, by: tuple[str, ...]) -> Iterable[Measure]:
 
 
 def _explanation(runs: Runs) -> list[str]:
-    """What our flights say of the paper's ratio."""
+    """Notes that compare the paper's ratio of flight times with that of the campaign."""
     golden = {name: own for (name,), own in compared(runs).where(setting=GOLDEN).groups("environment").items()}
     times = [_median(golden[name]) for name in platforms(runs) if name in golden]
     ours = times[-1] / times[0] if len(times) > 1 and times[0] and times[-1] else None

@@ -1,4 +1,4 @@
-"""Fig. 8 of the paper: redundant processors against detection, by the visual performance model; no flight is needed."""
+"""Fig. 8 of the paper: redundant processors against detection, by the visual performance model, without flights."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -23,14 +23,14 @@ from mavfi.platforms.redundancy import (
 )
 
 SPEED_LIMIT = 3.0
-"""Of the published mission (m/s)."""
+"""Speed limit of the published mission (m/s)."""
 AUTOENCODER, GAUSSIAN, DMR, TMR = "autoencoder", "Gaussian", "DMR", "TMR"
 _WORST = "dense"
-"""Environment with the paper's largest overheads of detection."""
+"""Environment with the paper's largest detection overheads."""
 
 
 def schemes() -> dict[str, tuple[int, float]]:
-    """Number of processors and compute overhead by scheme: the paper's own overheads; the first is the reference."""
+    """Number of processors and compute overhead (from the paper) by scheme; the first scheme is the reference."""
     overheads = {
         name: float(paper.figure("overhead", environment=_WORST, setting=f"dr_{name.lower()}"))
         for name in (AUTOENCODER, GAUSSIAN)
@@ -39,12 +39,12 @@ def schemes() -> dict[str, tuple[int, float]]:
 
 
 def ratio(design: DesignConfig, scheme: str) -> float:
-    """Flight time with a scheme / with the autoencoder."""
+    """Flight time with a scheme relative to that with the autoencoder."""
     return time_ratio(performance(design, *schemes()[scheme]), performance(design, *schemes()[AUTOENCODER]))
 
 
 def band(design: DesignConfig, scheme: str) -> tuple[float, float]:
-    """Smallest and largest ratio with one parameter after the other at the ends of its band."""
+    """Smallest and largest ratio when each parameter in turn is set to the ends of its band."""
     ends = [end for key in design.bands for end in at_ends(design, key) if end is not None]
     found = [ratio(end, scheme) for end in (design, *ends)]
     return min(found), max(found)
@@ -55,7 +55,7 @@ def _of(rows: Iterable[dict[str, Any]]) -> Runs:
 
 
 def _comparison(designs: Sequence[DesignConfig]) -> Runs:
-    """One row for each design and scheme."""
+    """Comparison of schemes: one row per design and scheme."""
     rows = []
     for design in designs:
         reference = performance(design, *schemes()[AUTOENCODER])
@@ -74,7 +74,7 @@ def _comparison(designs: Sequence[DesignConfig]) -> Runs:
 
 
 def _sensitivity(designs: Sequence[DesignConfig]) -> Runs:
-    """One row for each design and parameter with a band."""
+    """Sensitivity of TMR: one row per design and parameter with a band."""
     rows = []
     for design in designs:
         for key, found in design.bands.items():
@@ -88,14 +88,14 @@ def _sensitivity(designs: Sequence[DesignConfig]) -> Runs:
 
 
 def _stopping(speed: float) -> float:
-    """RoboRun's fit of stopping distances (m) to flights, by speed (m/s)."""
+    """Stopping distance (m) at a speed (m/s), by RoboRun's fit to flights."""
     return 0.05494 * speed * speed + 0.3549 * speed - 0.2038
 
 
 def _published_speeds() -> Runs:
-    """One row for each published pair of action period and speed."""
+    """Check of the model: one row per published pair of action period and speed."""
     mavbench = [("MAVBench, a and d of its launch files", 6.0, 6.5, *pair) for pair in ((0.0, 8.83), (4.0, 1.57))]
-    seen, braking = 7.0, 5.0  # range and acceleration limit of the published mission
+    seen, braking = 7.0, 5.0  # range (m) and acceleration limit (m/s^2) of the published mission
     roborun = [
         ("RoboRun, fit of stopping distances", braking, seen, (seen - _stopping(speed)) / speed, speed)
         for speed in (2.0, 3.0, 4.0, 6.0)
@@ -179,7 +179,7 @@ register(_COMPARED, _BAND, _SPEEDS)
 
 
 def redundancy_tables(designs: Sequence[DesignConfig]) -> list[Table]:
-    """Comparison and sensitivity of designs, and the check of the model."""
+    """Tables for designs: comparison, sensitivity (if any design has bands), and check of the model."""
     nothing = Runs(pl.DataFrame())
     found = [replace(_COMPARED, where=lambda _: _comparison(designs)).table(nothing)]
     if any(design.bands for design in designs):
@@ -188,7 +188,7 @@ def redundancy_tables(designs: Sequence[DesignConfig]) -> list[Table]:
 
 
 def summary(designs: Sequence[DesignConfig]) -> list[str]:
-    """A sentence on each design."""
+    """One sentence per design with the flight time of TMR relative to detection."""
     found = []
     for design in designs:
         times, (low, high) = ratio(design, TMR), band(design, TMR)

@@ -1,4 +1,4 @@
-"""One run as one row: what was planned, what happened, and what is judged from the record and its golden run."""
+"""One row per run: the plan, the recorded events, and the evaluation against the golden run."""
 
 from collections.abc import Collection, Iterable, Mapping
 from typing import Any
@@ -15,12 +15,12 @@ from mavfi.outcomes import DUE, effect_of
 from mavfi.qof import energy
 from mavfi.states import KERNEL_STAGES, KERNELS, STATES
 
-ALL_BITS = "all_bits"  # population of faults whose bits were drawn uniformly, so that no stratum of them is apart
+ALL_BITS = "all_bits"  # population of faults with uniformly drawn bits, i.e. without strata
 GOLDEN, INJECTED, NULL = "golden", "injected", "null"  # kinds of run
 ACTIVATED, NO_SITE, NOT_ACTIVATED = "activated", "no_site", "not_activated"
-"""Where a fault went: `NO_SITE` in the golden run, or not reached in the injected one."""
+"""Outcome of a planned site; `NO_SITE` = missing in the golden run, `NOT_ACTIVATED` = not reached when injected."""
 KERNEL_DUE = tuple(effect.label for effect in DUE)
-"""Effects on a kernel after which its node is started again, or the mission ends."""
+"""Effects on a kernel that kill its node: the node restarts, or the mission ends."""
 
 _TEXT, _INT, _REAL, _FLAG = pl.String, pl.Int64, pl.Float64, pl.Boolean
 SCHEMA: dict[str, Any] = {
@@ -47,10 +47,10 @@ def row_of(
     run: Run, record: FlightRecord, own: FlightRecord | None, reference: FlightRecord | None,
     monitored: Collection[tuple[str, str]],
 ) -> dict[str, Any]:  # fmt: skip
-    """Columns of one run that is done.
+    """Compute the columns of a completed run.
 
-    Digests are compared with the golden run of the same arm, `own`, flight times with that of the same mission without
-    a detector, `reference`; `monitored` are the states and fields that detectors watch.
+    Digests are compared with the golden run of the same arm, `own`, flight times with the golden run of the same
+    mission without a detector, `reference`; `monitored` contains the monitored states and fields.
     """
     spec, fault = run.spec, run.spec.fault
     planned = {} if fault is None else {
@@ -70,7 +70,7 @@ def row_of(
 
 
 def _site_columns(fault: Fault) -> dict[str, Any]:
-    """Site of a planned fault."""
+    """Columns for the site of a planned fault."""
     match fault:
         case StateFault(where=where):
             spec = STATES[where.state]
@@ -98,11 +98,11 @@ _DETAILS = {
     "opcode": "opcode", "value_class": "value_class", "type": "value_type", "variable": "variable",
     "function": "function", "register": "register", "symbol": "symbol", "library": "library",
 }  # fmt: skip
-"""Column by key in `Injection.details`."""
+"""Columns by key in `Injection.details`."""
 
 
 def _happened(record: FlightRecord, faulty: bool, has_site: bool) -> dict[str, Any]:
-    """The injection; of several, the first activated one."""
+    """Columns for the injection; if there are several, for the first activated one."""
     activated = any(injection.activated for injection in record.injections)
     columns: dict[str, Any] = {"activated": activated}
     if faulty:
@@ -133,7 +133,7 @@ def _number(value: object) -> float | None:
 
 
 def _kernel(record: FlightRecord) -> dict[str, Any]:
-    """Effect of the injected call on its kernel."""
+    """Columns for the effect of the injected call on its kernel."""
     if record.kernel is None:
         return {}
     first: Mapping[str, Any] = record.kernel.first_difference or {}
@@ -175,14 +175,14 @@ def _judged(
 
 
 def _effect(own: FlightRecord | None, record: FlightRecord) -> str:
-    """Effect on the computation; a process that died says itself how."""
+    """Effect on the computation; for a dead process, the recorded effect on the kernel."""
     if record.end is End.DUE and record.kernel is not None:
         return record.kernel.effect
     return effect_of(own, record).label
 
 
 def _detected(record: FlightRecord, own: FlightRecord | None, state: str) -> dict[str, Any]:
-    """Alarms on the corrupted publication itself, and those soon after it that the golden run does not have."""
+    """Whether an alarm is on the corrupted publication, and whether an alarm absent in the golden run follows it."""
     instants = [injection.time_s for injection in record.injections if injection.activated]
     known = set() if own is None else _instants_of(own.alarms)
     at_site = any(
@@ -196,5 +196,5 @@ def _detected(record: FlightRecord, own: FlightRecord | None, state: str) -> dic
 
 
 def _instants_of(alarms: Iterable[AlarmRecord]) -> set[tuple[str, int]]:
-    """State and instant (us) of alarms."""
+    """States and instants (us) of alarms."""
     return {(alarm.state, round(1e6 * alarm.time_s)) for alarm in alarms}

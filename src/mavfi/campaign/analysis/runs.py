@@ -1,4 +1,4 @@
-"""`Runs`: a campaign as a frame with one row per run, and the records for what does not fit into a row."""
+"""`Runs`: a campaign as a frame with one row per run, with the complete records."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,19 +15,19 @@ from mavfi.hosts.host import Flight
 from mavfi.states import MONITORED_SETS
 
 DEFAULT_MONITORED = "paper-13"
-ALL = "all"  # value of the environment in rows that are counted over all of them
+ALL = "all"  # label of total rows, e.g. over all environments
 
 
 @dataclass(frozen=True)
 class Runs:
-    """Runs that are done, in the order of the plan.
+    """Completed runs, in plan order.
 
     Attributes:
-        frame: One row per run; columns as in `rows.SCHEMA`, and those that a view has added.
+        frame: One row per run; columns as in `rows.SCHEMA`, and those added by views.
         records: Record of each run by its id.
         campaign: Description of the campaign as plain data, for headers and notes.
-        flights: Some of the runs, flown again as a whole, by their ids: for figures that draw paths.
-        memo: Results of measures on these rows.
+        flights: Replayed flights of some runs by id, for figures of paths.
+        memo: Cached results of measures on these rows.
     """
 
     frame: pl.DataFrame
@@ -38,10 +38,10 @@ class Runs:
 
     @staticmethod
     def read(directory: Path) -> "Runs":
-        """The runs of a ledger that are done.
+        """Read the completed runs of a ledger.
 
         Raises:
-            BadInputError: There is no ledger.
+            BadInputError: The folder has no ledger.
         """
         from mavfi.campaign.analysis.about import describe
 
@@ -50,15 +50,15 @@ class Runs:
 
     @staticmethod
     def of(runs: Iterable[Run], campaign: Mapping[str, Any] | None = None) -> "Runs":
-        """Judge runs, in the order of the plan; those without a record are left out.
+        """Evaluate runs in plan order; those without a record are excluded.
 
-        In the campaign, as of `about.describe`, `monitored_set` names the fields that detectors watch.
+        `campaign` is a description by `about.describe`; its `monitored_set` names the monitored fields.
         """
         about = campaign or {}
         done = [(run, run.record) for run in runs if run.record is not None]
         golden = [(run.spec, record) for run, record in done if run.spec.kind == GOLDEN]
         own = {(spec.arm, *spec.world): record for spec, record in golden}
-        # the golden run of the same mission without a detector, whichever arm flew it
+        # golden run of the same mission without a detector, from any arm
         bare = {(spec.scenario, *spec.world): record for spec, record in reversed(golden) if not spec.detector}
         monitored = MONITORED_SETS[about.get("monitored_set", DEFAULT_MONITORED)]
         rows = []
@@ -80,42 +80,42 @@ class Runs:
         return self.frame.iter_rows(named=True)
 
     def first(self, column: str) -> Any:
-        """Value of the first row; an IndexError where there is none."""
+        """Value of the first row; raises IndexError if there are no rows."""
         return self[column][0]
 
     def values(self, column: str) -> list[Any]:
-        """Distinct values of a column, in the order in which they first appear."""
+        """Distinct values of a column, in order of first appearance."""
         return self.frame[column].unique(maintain_order=True).to_list()
 
     def recorded(self) -> list[FlightRecord]:
-        """Records of the rows, in their order."""
+        """Records of the runs, in row order."""
         return [self.records[run_id] for run_id in self["run_id"]]
 
     def where(self, *tests: pl.Expr | str, **values: Any) -> "Runs":
-        """Rows that pass all tests: expressions, names of columns that must be true, and column = value."""
+        """Rows that pass all tests: expressions, names of flag columns, and column=value."""
         asked = [pl.col(test) if isinstance(test, str) else test for test in tests]
         asked += [pl.col(column) == value for column, value in values.items()]
         return replace(self, frame=self.frame.filter(*asked)) if asked else self
 
     def adding(self, **columns: pl.Expr) -> "Runs":
-        """With further columns."""
+        """The runs with columns added or replaced."""
         return replace(self, frame=self.frame.with_columns(**columns))
 
     def groups(self, *by: str) -> dict[tuple[Any, ...], "Runs"]:
-        """Rows by the values of columns, in the order in which they first appear."""
+        """Group rows by the values of columns, in order of first appearance."""
         if not by:
             return {(): self}
         parts = self.frame.partition_by(by, maintain_order=True, as_dict=True)
         return {key: replace(self, frame=part) for key, part in parts.items()}
 
     def with_total(self, column: str, label: str) -> "Runs":
-        """The rows; where the column has several values, all of them once more with this label."""
+        """The rows and, if the column has several values, a copy of all rows with this label in the column."""
         if self.frame[column].n_unique() < 2:
             return self
         return replace(self, frame=pl.concat([self.frame, self.frame.with_columns(pl.lit(label).alias(column))]))
 
     def exploded(self, parts: Callable[[FlightRecord], Sequence[Mapping[str, Any]]]) -> "Runs":
-        """Several rows for each run, or none: the run's columns and those that a function finds in its record."""
+        """Expand each run to zero or more rows: the run's columns and those that `parts` extracts from its record."""
         rows = [{**row, **part} for row, record in zip(self, self.recorded(), strict=True) for part in parts(record)]
         return replace(self, frame=pl.DataFrame(rows, infer_schema_length=None) if rows else self.frame.clear())
 
@@ -126,19 +126,19 @@ class Runs:
 
     @property
     def injected(self) -> "Runs":
-        """Runs with a fault that changes something."""
+        """Runs with a fault, null runs excluded."""
         return self.where(kind=INJECTED)
 
     @property
     def null(self) -> "Runs":
-        """Runs with an empty mask."""
+        """Null runs: injection with an empty bit mask."""
         return self.where(kind=NULL)
 
     @property
     def has_missions(self) -> bool:
-        """Whether something flew; trials of a foreign node have outputs, no flights."""
+        """Whether there are flights; trials of external nodes have only outputs."""
         return len(self.where(pl.col("flight_time_s") > 0)) > 0
 
     def settings(self) -> list[str]:
-        """Settings that fly faults, `fi` first."""
+        """Settings with injected runs, `fi` first."""
         return sorted(self.injected.values("setting"), key=lambda setting: setting != FI)

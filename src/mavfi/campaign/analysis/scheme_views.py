@@ -1,4 +1,4 @@
-"""Views that compare schemes (detectors with their recovery, policies of dead nodes) on the same flights and faults."""
+"""Views that compare schemes (detectors with recovery, policies for dead nodes) on the same flights and faults."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,16 +15,16 @@ from mavfi.campaign.analysis.views import View, register
 from mavfi.campaign.plan import FI
 
 PAIR = "pair"
-"""Kind of a row that joins the run of a fault in `fi` with that in an arm; columns of the latter begin with `dr_`."""
+"""Kind of a row that joins the runs of a fault in `fi` and in an arm; columns of the arm have the prefix `dr_`."""
 LOST = (pl.col("kind") == PAIR) & pl.col("golden_success") & ~pl.col("success")
-"""The fault loses the mission in `fi`."""
+"""Pairs in which the fault loses the mission in `fi`."""
 LATE = (pl.col("kind") == PAIR) & (pl.col("inflation") > m.SLOWER).fill_null(value=False)
 DIED = pl.col("kernel_effect").is_in(KERNEL_DUE)
 _IN_TIME = pl.col("dr_success") & (pl.col("dr_inflation") <= m.SLOWER).fill_null(value=False)
 
 
 def against_base(runs: Runs) -> Runs:
-    """Pairs of all arms, and the golden runs of the arms; `bare_success`: of the golden run without the arm."""
+    """Pairs of all arms, and the arms' golden runs with `bare_success`, the success of the golden run without arm."""
     pairs = m.against_fi(runs)
     bare = runs.golden.where(arm="").frame.select("world", bare_success="success")
     golden = runs.golden.where(pl.col("arm") != "").frame.join(bare, on="world", how="left", maintain_order="left")
@@ -46,7 +46,7 @@ def _lost_by(test: pl.Expr | str, key: str, heading: str, *where: pl.Expr) -> Me
 
 
 def _watched(runs: Runs) -> list[str]:
-    """Of the lost missions, how many were struck in the fields that the paper's detectors watch."""
+    """Note with the number of lost missions whose fault is in a monitored field."""
     lost = runs.injected.where("judged", "golden_success", ~pl.col("success"), setting=FI)
     inside = len(lost.where("monitored"))
     return [f"{inside} of {len(lost)} lost missions were struck in the fields that the paper's detectors watch"]

@@ -1,4 +1,4 @@
-"""View of campaigns that fly until their success rates are known to a half-width."""
+"""View of campaigns that sample until their success rates reach a target half-width."""
 
 from typing import Any
 

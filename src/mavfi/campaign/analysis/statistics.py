@@ -1,9 +1,9 @@
-"""Rates with intervals: what a number of flights can say, and what it cannot.
+"""Rates with intervals, and the smallest differences that a number of flights can resolve.
 
-All intervals are 95 %.  Flights of one world are alike, so worlds are the clusters of every interval: score intervals
-take the effective number of flights, n / design effect (Kish 1965; Korn and Graubard 1998), bootstraps resample whole
-worlds.  Bootstraps alone show no doubt where all flights end alike; so weighted rates and differences are put together
-from score intervals by MOVER (Newcombe 1998; Zou and Donner 2008).
+All intervals are 95 %.  Flights in one world are correlated, so worlds are the clusters of every interval: score
+intervals use the effective number of flights, n / design effect (Kish 1965; Korn and Graubard 1998), bootstraps
+resample whole worlds.  Bootstrap intervals have zero width if all flights end alike; intervals of weighted rates and
+differences are therefore combined from score intervals by MOVER (Newcombe 1998; Zou and Donner 2008).
 """
 
 from collections.abc import Sequence
@@ -15,20 +15,20 @@ from scipy.stats import beta, chi2, norm
 CONFIDENCE = 0.95
 RESAMPLES = 2000
 _SEED = 20
-_POWER = 0.8  # probability with which `smallest_difference` should show
-TAIL = (1 - CONFIDENCE) / 2  # probability that an interval leaves out on each side
+_POWER = 0.8  # power for `smallest_difference`
+TAIL = (1 - CONFIDENCE) / 2  # probability outside an interval on each side
 _Z2 = float(norm.ppf(1 - TAIL)) ** 2
 
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """A rate and its interval; all None where there is nothing to judge."""
+    """A rate and its interval; all None without flights."""
 
     n: int  # flights
     rate: float | None
     low: float | None
     high: float | None
-    successes: int | None = None  # flights that count; None for weighted rates
+    successes: int | None = None  # None for weighted rates
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class EventRate:
     per_hour: float | None
     low: float | None
     high: float | None
-    upper: float | None  # one-sided upper bound: what zero events still allow
+    upper: float | None  # one-sided upper bound
 
 
 def wilson(successes: int, n: int) -> Rate:
@@ -52,14 +52,14 @@ def wilson(successes: int, n: int) -> Rate:
 
 
 def score_bounds(rate: float, n: float) -> tuple[float, float]:
-    """Wilson's score interval; n need not be whole."""
+    """Bounds of Wilson's score interval; n may be fractional."""
     centre = (n * rate + _Z2 / 2) / (n + _Z2)
     half = float(np.sqrt(_Z2 * (n * rate * (1 - rate) + _Z2 / 4))) / (n + _Z2)
     return 0.0 if rate <= 0 else max(0.0, centre - half), 1.0 if rate >= 1 else min(1.0, centre + half)
 
 
 def exact_bounds(hits: float, misses: float, tail: float = TAIL) -> tuple[float, float]:
-    """Interval of a proportion after Clopper and Pearson (1934); `tail` is left out on each side."""
+    """Interval of a proportion after Clopper and Pearson (1934), with probability `tail` outside on each side."""
     low = float(beta.ppf(tail, hits, misses + 1)) if hits > 0 else 0.0
     return low, float(beta.ppf(1 - tail, hits + 1, misses)) if misses > 0 else 1.0
 
@@ -69,9 +69,9 @@ def clustered_rate(
 ) -> Rate:  # fmt: skip
     """Rate with Wilson's interval for the effective number of flights; worlds are the clusters.
 
-    With weights (above 0; None = all alike) it is the ratio estimate, sum of weight x success over sum of weights, with
-    a bias that falls as 1 / n; uneven ones lower the effective number of flights (Kish 1965).  With one flight per
-    world the interval is `wilson`'s.
+    With weights (above 0; None = equal) it is the ratio estimate, sum of weight x success / sum of weights, with a bias
+    of order 1 / n; unequal weights reduce the effective number of flights (Kish 1965).  With one flight per world and
+    equal weights the interval is that of `wilson`.
     """
     if not success:
         return wilson(0, 0)
@@ -89,12 +89,12 @@ class Part:
     """A weighted rate within one stratum, and its precision."""
 
     rate: float
-    effective: float  # number of independent flights of the same precision
+    effective: float  # number of independent flights with the same precision
     spread: np.ndarray  # contribution of each world to the error of the estimate. Shape (worlds,)
 
     @staticmethod
     def of(y: np.ndarray, weight: np.ndarray, world: Sequence[object]) -> "Part":
-        """Linearised ratio estimate; flights of weight 0 are not in the part."""
+        """Linearised ratio estimate; flights of weight 0 are excluded."""
         whole = float(weight.sum())
         rate = float((weight * y).sum()) / whole
         spread = cluster_sums(world, weight * (y - rate) / whole)[:, 0]
@@ -110,7 +110,7 @@ def cluster_sums(clusters: Sequence[object], *columns: Sequence[float] | np.ndar
     """Sums of columns by cluster, e.g. by the world of each row.
 
     Returns:
-        Shape (clusters, columns), in the order in which the clusters first appear.
+        Shape (clusters, columns), in order of first appearance of the clusters.
     """
     places = {cluster: place for place, cluster in enumerate(dict.fromkeys(clusters))}
     rows = np.array([places[cluster] for cluster in clusters], np.int64)
@@ -121,10 +121,10 @@ def cluster_sums(clusters: Sequence[object], *columns: Sequence[float] | np.ndar
 
 
 def resample(sums: np.ndarray) -> np.ndarray:
-    """Totals of the columns of `cluster_sums`, shape (k, m), in bootstrap samples of clusters.
+    """Column totals of `cluster_sums`, shape (k, m), in bootstrap samples of clusters.
 
     Returns:
-        Shape (RESAMPLES, m); the same for the same input.
+        Shape (RESAMPLES, m); deterministic.
     """
     k = len(sums)
     draws = np.random.default_rng(_SEED).multinomial(k, np.full(k, 1 / k), size=RESAMPLES)
@@ -135,13 +135,13 @@ def resample(sums: np.ndarray) -> np.ndarray:
 def weighted_rate(
     success: Sequence[float], weight: Sequence[float], stratum: Sequence[str], world: Sequence[object]
 ) -> Rate:
-    """Rate over a population of which each stratum was sampled at its own density.
+    """Rate over a population from a stratified sample with different sampling densities.
 
-    A draw's weight (`Fault.weight`) is the share of the population that its stratum stands for; sum over strata of the
-    mean of weight x success, over the same without success.  The interval is MOVER's: distances to Wilson's bounds
-    within the strata, for the effective numbers of flights, added as standard errors are, with the correlation between
-    strata that share worlds (where it is positive).  It is conditional on the fields that were drawn.  A stratum in
-    which all flights end alike keeps its uncertainty.
+    A draw's weight (`Fault.weight`) is the share of the population that its stratum represents; the rate is the sum
+    over strata of the mean of weight x success, divided by the sum of the mean weights.  The interval is MOVER's:
+    distances to Wilson's bounds within the strata, for the effective numbers of flights, are added like standard
+    errors, with the correlation between strata that share worlds (if positive).  It is conditional on the drawn fields.
+    A stratum in which all flights end alike keeps its uncertainty.
     """
     n = len(success)
     if n == 0:
@@ -161,7 +161,7 @@ def weighted_rate(
 
 
 def _correlation(spread: np.ndarray) -> np.ndarray:
-    """Correlation of estimates from the errors of each world, shape (estimates, worlds); negative ones become 0."""
+    """Correlation of estimates from their errors by world, shape (estimates, worlds); negative values are set to 0."""
     length = np.sqrt((spread**2).sum(axis=1))
     unit = spread / np.where(length > 0, length, 1.0)[:, None]
     found: np.ndarray = np.clip(unit @ unit.T, 0.0, 1.0)
@@ -170,7 +170,7 @@ def _correlation(spread: np.ndarray) -> np.ndarray:
 
 
 def percentiles(samples: np.ndarray) -> tuple[float, float]:
-    """Bounds between which the middle of the finite samples lies; infinite where there are none."""
+    """Central 95 % percentile interval of the finite samples; infinite if there are none."""
     finite = samples[np.isfinite(samples)]
     if len(finite) == 0:
         return float("-inf"), float("inf")
@@ -189,9 +189,9 @@ def event_rate(events: int, hours: float) -> EventRate:
 
 
 def event_rate_by_flight(events: Sequence[int], hours: Sequence[float]) -> EventRate:
-    """Rate of events that cluster in flights, from events and hours by flight: bootstrap of flights.
+    """Rate of events that cluster in flights, from events and hours by flight, with a bootstrap over flights.
 
-    The interval is never narrower than the exact Poisson one, which alone is left where there is no event.
+    The interval always includes the exact Poisson one, and equals it if there are no events.
     """
     poisson = event_rate(int(sum(events)), float(sum(hours)))
     if poisson.low is None or poisson.high is None or poisson.upper is None or not poisson.events:
@@ -205,10 +205,10 @@ def event_rate_by_flight(events: Sequence[int], hours: Sequence[float]) -> Event
 
 
 def smallest_difference(rate: float, first_n: int, second_n: int) -> float | None:
-    """Smallest difference of two rates around `rate` that tables of so many flights can be expected to show.
+    """Smallest difference between two rates near `rate` that the given numbers of flights can resolve.
 
-    Two-sided 5 % test of independent samples, normal approximation, power 80 %; pairing makes the true figure somewhat
-    smaller.  Rates of 0 and 1 are taken as half a flight away from them.
+    Two-sided 5 % test of independent samples, normal approximation, power 80 %; pairing makes the true value somewhat
+    smaller.  Rates of 0 and 1 are shifted by half a flight.  None without flights.
     """
     if min(first_n, second_n) == 0:
         return None

@@ -1,4 +1,4 @@
-"""`Table`: what a view answers.  Cells are numbers; renderers (`mavfi.reports`) make text, HTML or files of them."""
+"""`Table`: the result of a view.  Cells hold numbers; `mavfi.reports` renders them as text, HTML or files."""
 
 import csv
 import io
@@ -14,37 +14,37 @@ from mavfi.flight_record import plain
 RATE, PERCENT, SIGNED, SMALL, PER_HOUR, POINTS, ESTIMATE, NUMBER, TEXT = (
     "rate", "percent", "signed percent", "small percent", "per hour", "points", "estimate", "number", "text",
 )  # fmt: skip
-"""Forms of a cell; a number may carry digits and a unit: "number .1f s"."""
-UNKNOWN = "unknown"  # a cell whose measure raised
-Cell = Any  # None = there is nothing; text, a number, or a dataclass of numbers such as `Rate`
+"""Display formats of a cell; a number may have a format specification and a unit: "number .1f s"."""
+UNKNOWN = "unknown"  # a cell whose measure raised an exception
+Cell = Any  # None = empty; text, a number, or a dataclass of numbers such as `Rate`
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One column: key in CSV and JSON, heading for people."""
+    """A column: key in CSV and JSON, heading for display."""
 
     key: str
     heading: str
-    form: str = TEXT  # how its cells are written for people
+    form: str = TEXT  # display format of its cells
     hidden: bool = False  # in CSV and JSON only
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One table."""
+    """A table with headings, rows and notes."""
 
     name: str  # of its view
     title: str
     columns: tuple[Column, ...]
     rows: Sequence[tuple[Cell, ...]]
-    keys: int = 1  # how many of the first columns name the row
+    keys: int = 1  # number of leading columns that identify the row
     notes: tuple[str, ...] = ()  # lines below it
     behind: Sequence[tuple[tuple[str, ...], ...]] = ()
-    """Ids of the runs from which each cell of each row was computed; () = not known."""
+    """Ids of the runs behind each cell, by row; () = not known."""
 
     @staticmethod
     def of_text(title: str, headings: Sequence[str], rows: Sequence[tuple[str, ...]], notes: Sequence[str]) -> "Table":
-        """A table of texts."""
+        """Create a table of text cells, named by its title."""
         columns = tuple(Column(heading, heading) for heading in headings)
         return Table(title, title, columns, rows, notes=tuple(notes))
 
@@ -52,13 +52,13 @@ class Table:
         """Cells of a column.
 
         Raises:
-            KeyError: There is no such column.
+            KeyError: The column does not exist.
         """
         place = {column.key: place for place, column in enumerate(self.columns)}[key]
         return [row[place] for row in self.rows]
 
     def entries(self) -> list[dict[str, Cell]]:
-        """Rows as mappings from the keys of the columns."""
+        """Rows as mappings from column key to cell."""
         keys = [column.key for column in self.columns]
         return [dict(zip(keys, row, strict=True)) for row in self.rows]
 
@@ -70,11 +70,11 @@ class Table:
 
     @property
     def frame(self) -> pl.DataFrame:
-        """The rows as a data frame; a `Rate` becomes columns of its own, e.g. success, success_low, success_n."""
+        """The rows as a data frame; a `Rate` is split into columns, e.g. success, success_low, success_n."""
         return pl.DataFrame([_flat(entry) for entry in self.entries()], infer_schema_length=None, strict=False)
 
     def to_csv(self) -> str:
-        """Comma-separated values with a heading, and the columns of `frame`."""
+        """Comma-separated values with a header line and the columns of `frame`."""
         flat = [_flat(entry) for entry in self.entries()]
         keys = list(dict.fromkeys(key for entry in flat for key in entry)) or [column.key for column in self.columns]
         buffer = io.StringIO()
@@ -96,5 +96,5 @@ def _flat(entry: dict[str, Cell]) -> dict[str, Cell]:
 
 
 def _parts(cell: Cell) -> Cell:
-    """Numbers of a cell by name, of one that has several."""
+    """Fields of a dataclass cell by name; other cells unchanged."""
     return asdict(cell) if is_dataclass(cell) and not isinstance(cell, type) else cell

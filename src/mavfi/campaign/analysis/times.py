@@ -1,4 +1,4 @@
-"""Where the time of a study goes, from the wall times in its ledgers."""
+"""Breakdown of a study's worker time, from the wall times in its ledgers."""
 
 from collections.abc import Mapping
 
@@ -9,7 +9,7 @@ _MINUTES = "number .1f min"
 
 
 def time_table(campaigns: Mapping[str, Runs]) -> Table:
-    """Flights and worker time of each campaign, golden runs and runs with a fault apart, and of all together."""
+    """Number of runs and worker time by campaign and in total, separately for golden and other runs."""
     rows = [_row(str(runs.campaign["name"]), [runs]) for runs in campaigns.values()]
     rows.append(_row("all", list(campaigns.values())))
     return Table(

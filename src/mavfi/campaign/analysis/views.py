@@ -1,4 +1,4 @@
-"""`View`: which rows, grouped by what, which measures -> `Table`.  A new table is a view; all are found by name."""
+"""`View`: selection of rows, grouping and measures -> `Table`.  Every table is a view, registered by name."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ _PROFILES = {"published": DEVIATIONS, "hardened": "not the paper's: what a caref
 
 
 class _Row(NamedTuple):
-    """Cells of a row, and the ids of the runs behind each of them."""
+    """Cells of a row, with the ids of the runs behind each cell."""
 
     cells: tuple[Cell, ...]
     behind: tuple[tuple[str, ...], ...]
@@ -25,29 +25,29 @@ class _Row(NamedTuple):
 
 @dataclass(frozen=True)
 class View:
-    """A question to a campaign."""
+    """Definition of a table over the runs of a campaign."""
 
-    name: str  # by which users ask for it
+    name: str  # for `mavfi report --view`
     title: str  # of its table
-    by: tuple[str, ...]  # columns whose values make the rows of the table
+    by: tuple[str, ...]  # columns of the frame to group by: one row per group
     measures: tuple[Measure | Spread, ...]  # the other columns
     where: Callable[[Runs], Runs] = field(default=lambda runs: runs)  # selects rows of the frame; may add columns
     across: str = ""
-    """Empty = measures are columns.  Else a column of the frame whose values become columns; each measure becomes a row
-    with its heading in the second cell."""
-    total: tuple[str, str] | None = None  # column of which a row over all values is added, and its label
-    headings: tuple[str, ...] = ()  # instead of the names of `by`
+    """"" = measures are columns.  Otherwise the values of this column of the frame become columns, and each measure
+    becomes a row with its heading in the cell after those of `by`."""
+    total: tuple[str, str] | None = None  # column for which a total row is added, and the label of that row
+    headings: tuple[str, ...] = ()  # headings of the columns in `by`; () = their names
     notes: Callable[[Runs], Iterable[str]] = field(default=lambda _: ())  # lines below the table
-    most: str = ""  # key of the measure that orders rows within the first cell, largest first; "" = order of the plan
-    largest: str = ""  # key of the measure that orders all rows, largest first, then by their first cell
-    limit: int | None = None  # most rows
-    least: int = 1  # rows of fewer runs are left out of the report
-    leads: bool = False  # comes first in a report, and is its headline
-    applies: Callable[[Runs], bool] = field(default=lambda _: True)  # whether the report of a campaign has the table
-    of_model: bool = False  # its rows are computed by a model, whatever was flown
+    most: str = ""  # measure that sorts rows with equal first cells, in descending order; "" = plan order
+    largest: str = ""  # measure that sorts all rows, in descending order; ties by the first cell
+    limit: int | None = None  # maximum number of rows
+    least: int = 1  # minimum number of runs per row
+    leads: bool = False  # placed first in reports, as the headline
+    applies: Callable[[Runs], bool] = field(default=lambda _: True)  # whether reports on these runs include the table
+    of_model: bool = False  # rows are computed by a model, independent of the runs
 
     def table(self, runs: Runs) -> Table:
-        """Answer the question; a measure that raises gives `UNKNOWN` in its cell, and a note says why."""
+        """Compute the table; if a measure raises an exception, its cell is `UNKNOWN` and a note gives the reason."""
         chosen = self.where(runs)
         if self.total is not None and len(chosen):
             chosen = chosen.with_total(*self.total)
@@ -71,7 +71,7 @@ class View:
         return [Column(name, heading) for name, heading in zip(self.by, headings, strict=True)]
 
     def _down(self, chosen: Runs, raised: dict[str, str]) -> tuple[list[Column], list[_Row]]:
-        """One row for each group."""
+        """One row per group, one column per measure."""
         measures = self._measures(chosen)
         groups = {key: own for key, own in chosen.groups(*self.by).items() if len(own) >= self.least}
         rows = [
@@ -84,7 +84,7 @@ class View:
         return [*self._keys(), *(measure.column for measure in measures)], rows
 
     def _across(self, chosen: Runs, raised: dict[str, str]) -> tuple[list[Column], list[_Row]]:
-        """One row for each group and measure, one column for each value of `across`; rows without a number left out."""
+        """One row per group and measure, one column per value of `across`; empty rows are omitted."""
         values = chosen.values(self.across) if len(chosen) else []
         measures = self._measures(chosen)
         rows = []
@@ -98,7 +98,7 @@ class View:
         return [*self._keys(), Column("measure", ""), *(Column(str(value), str(value), RATE) for value in values)], rows
 
     def _ordered(self, columns: list[Column], rows: list[_Row]) -> list[_Row]:
-        """Rows that begin with the same cell one below the other, in the order in which these cells first appear."""
+        """Sort rows by `largest`, or group rows with equal first cells and sort each group by `most`; apply `limit`."""
         keys = [column.key for column in columns]
         if self.largest and rows:
             place = keys.index(self.largest)
@@ -113,41 +113,41 @@ class View:
 def _cell(measure: Measure, own: Runs, raised: dict[str, str]) -> Cell:
     try:
         return measure.of(own)
-    except Exception as error:  # one measure does not take the report with it; the cell and a note say so
+    except Exception as error:  # a failing measure must not abort the report
         raised.setdefault(measure.heading or measure.key, f"{type(error).__name__}: {error}"[:100])
         return UNKNOWN
 
 
 def _ids(own: Runs) -> tuple[str, ...]:
-    """Ids of runs, each once; none where rows are not runs (models, estimates)."""
+    """Distinct ids of runs; empty if rows are not runs (models, estimates)."""
     return tuple(own.values("run_id")) if "run_id" in own.frame.columns else ()
 
 
 def _behind(measure: Measure, own: Runs) -> tuple[str, ...]:
-    """Ids of the rows from which a cell is computed."""
+    """Ids of the runs counted in a cell."""
     return _ids(measure.counted(own))
 
 
 def _flown_with(runs: Runs) -> tuple[str, ...]:
-    """Which autopilot profile flew, and its deviations."""
+    """Note on the autopilot profile and its deviations from the published code."""
     profile = runs.campaign.get("profile", "")
     more = f"; {_PROFILES[profile]}" if profile in _PROFILES else ""
     return (f"autopilot profile {profile}{more}",) if profile else ()
 
 
-VIEWS: dict[str, View] = {}  # all views by name, in the order in which reports show them
+VIEWS: dict[str, View] = {}  # by name, in the order of reports
 
 
 def register(*views: View) -> None:
-    """Add views; a later one of the same name replaces the earlier one."""
+    """Register views; a view replaces an earlier one with the same name."""
     VIEWS.update({view.name: view for view in views})
 
 
 def table(runs: Runs, name: str) -> Table:
-    """Table of a view.
+    """Compute the table of a view.
 
     Raises:
-        BadInputError: There is no such view.
+        BadInputError: The view does not exist.
     """
     if name not in VIEWS:
         raise BadInputError(f"view {name!r}: not known; allowed: {', '.join(VIEWS)}")
@@ -155,12 +155,12 @@ def table(runs: Runs, name: str) -> Table:
 
 
 def views_for(runs: Runs) -> list[Table]:
-    """Tables of a campaign's report: those of all views that apply to it and have rows; the first is its headline."""
+    """Tables of a campaign's report: non-empty tables of all applicable views, the headline first."""
     ordered = sorted(VIEWS.values(), key=lambda view: not view.leads)
     found = [view.table(runs) for view in ordered if view.applies(runs)]
     return [table for table in found if table.rows]
 
 
 def has(runs: Runs, **values: Any) -> bool:
-    """Whether some run has these values."""
+    """Whether any run has these values."""
     return len(runs.where(**values)) > 0

@@ -1,7 +1,7 @@
-"""Tests on differences between worlds' means: worlds are independent, flights of one world are not.
+"""Randomization tests on the means of worlds: worlds are independent, flights within a world are not.
 
-The null distribution is that of random signs of each world's difference, or of worlds shuffled between two groups
-(Fisher's randomization test; exact where there are few worlds), so nothing is assumed of the distribution.
+The null distribution comes from random signs of each world's difference, or from permutations of worlds between two
+groups (Fisher's randomization test, exact for few worlds), so the tests are distribution-free.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ _SEED = 20
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """A difference of means, first - second, and its test."""
+    """A difference of means, first - second, and its p value."""
 
     first: float  # mean over runs
     second: float
@@ -31,9 +31,9 @@ class Difference:
 
 
 def within_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | None:
-    """Difference of two groups of runs in the same worlds: random signs of each world's difference.
+    """Compare two groups of runs in the same worlds, with random signs of each world's difference.
 
-    Runs whose value is null are left out; None if a group has none in a world of the other.
+    Runs with a null value are excluded; None if the groups share no world.
     """
     one, other = _by_world(first, value), _by_world(second, value)
     shared = [world for world in one if world in other]
@@ -45,7 +45,7 @@ def within_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | Non
 
 
 def between_worlds(first: Runs, second: Runs, value: pl.Expr) -> Difference | None:
-    """Difference of two groups of runs in different worlds: worlds are shuffled; None if a group has none."""
+    """Compare two groups of runs in different worlds, with worlds permuted between them; None if a group is empty."""
     one, other = _by_world(first, value), _by_world(second, value)
     if not one or not other:
         return None
@@ -74,7 +74,7 @@ def _found(
 
 
 def _p_value(data: tuple[np.ndarray, ...], statistic: Callable[..., np.ndarray], kind: str) -> float | None:
-    """Two-sided p value of a randomization test; the same for the same input."""
+    """Two-sided p value of a randomization test (deterministic); None with fewer than two worlds in a group."""
     if any(len(part) < 2 for part in data):
         return None
     if not any(part.any() for part in data):

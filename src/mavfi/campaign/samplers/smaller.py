@@ -1,6 +1,6 @@
-"""Smaller faults than a given one: candidates of `campaign.shrink`, of each level, smallest first.
+"""Candidates for `campaign.shrink`: faults smaller than a given one, by level, smallest first.
 
-`fewer`, `narrower` and `lower` are given a fault and what its injection changed (None = not known).
+`fewer`, `narrower` and `lower` take a fault and the record of its injection (None = not known).
 """
 
 from collections.abc import Iterator
@@ -15,16 +15,16 @@ from mavfi.hosts.host import Flight
 from mavfi.states import STATES
 
 _SHORTER = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
-"""Numbers of wrong publications that are tried."""
+"""Numbers of corrupted publications to try."""
 
 
 def can_be_smaller(fault: Fault) -> bool:
-    """Whether there are candidates for faults of its level."""
+    """Whether faults of this level can be reduced."""
     return isinstance(fault, (StateFault, MemoryFault, InstructionFault))
 
 
 def fewer(fault: Fault, _: Injection | None) -> Iterator[Fault]:
-    """Of a fault that lasts: once, then in more and more publications, then for shorter times."""
+    """Shorter faults for a lasting one: by increasing number of publications, then fractions of its duration."""
     if not isinstance(fault, StateFault) or not fault.lasting:
         return
     once = replace(fault, lasts_s=0.0, share=1.0, times=1)
@@ -34,7 +34,7 @@ def fewer(fault: Fault, _: Injection | None) -> Iterator[Fault]:
 
 
 def narrower(fault: Fault, _: Injection | None) -> Iterator[Fault]:
-    """Of a fault in several bits: each of them alone."""
+    """Single-bit faults for a multi-bit one."""
     if isinstance(fault, StateFault) and fault.bit is not None and fault.width > 1:
         yield from (replace(fault, bit=fault.bit + place, width=1) for place in range(fault.width))
     if isinstance(fault, InstructionFault) and len(fault.bits) > 1:
@@ -42,7 +42,7 @@ def narrower(fault: Fault, _: Injection | None) -> Iterator[Fault]:
 
 
 def lower(fault: Fault, injection: Injection | None) -> Iterator[Fault]:
-    """Other bits of the same word that change its value less; of instructions, lower ones."""
+    """Faults in other bits of the word that change its value less; for instructions, in less significant bits."""
     if isinstance(fault, InstructionFault):
         yield from (replace(fault, bits=(bit,), stratum="") for bit in range(fault.bit or 0))
     elif isinstance(fault, (StateFault, MemoryFault)) and fault.bit is not None:
@@ -60,7 +60,7 @@ def _dtype(fault: StateFault) -> str:
 
 
 def change_of(before: object, dtype: str, bit: int) -> float:
-    """By how much flipping a bit changes a value; infinite where that is no number, the bit if the value is unknown."""
+    """Absolute change of a value by a bit flip; infinite if not finite, the bit's index if the value is unknown."""
     if not isinstance(before, (int, float)):
         return float(bit)
     size = np.dtype("u1" if dtype == "?" else dtype).itemsize
@@ -71,7 +71,7 @@ def change_of(before: object, dtype: str, bit: int) -> float:
 
 
 def elsewhere(fault: Fault, golden: Flight, count: int) -> list[Fault]:
-    """The fault at evenly spaced instants of its site in the golden flight; none for instructions."""
+    """The fault at up to `count` evenly spaced instants of its site in the golden flight; none for instructions."""
     if isinstance(fault, StateFault) and golden.profile is not None:
         every = golden.profile.times_us.get(fault.where.state, np.zeros(0, np.int64))
     elif isinstance(fault, MemoryFault):

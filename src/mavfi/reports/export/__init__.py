@@ -1,1 +1,1 @@
-"""A flight as a file for other people's tools: ROS 1 bag, ROS 2 mcap, CSV."""
+"""Export of flights to ROS 1 bag, ROS 2 mcap and CSV files."""

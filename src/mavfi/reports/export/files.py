@@ -1,6 +1,6 @@
-"""Writes a flight as a ROS 1 bag or a ROS 2 mcap file (with the library `rosbags`; no ROS is needed), or as CSV.
+"""Writers of flights as ROS 1 bag or ROS 2 mcap files (with the library `rosbags`, without ROS) or CSV.
 
-A file of the same name is replaced; where that is not possible, a `BadInputError` is raised.
+An existing file is replaced; `BadInputError` is raised if the file cannot be written.
 """
 
 import csv
@@ -25,7 +25,7 @@ _DTYPES = {"byte": "uint8", "char": "uint8", "octet": "uint8"}
 
 
 class _Maker:
-    """Makes messages of one ROS version from plain fields; what is not given is zero or empty."""
+    """Constructs messages of one ROS version from plain fields; missing fields are zero or empty."""
 
     def __init__(self, *, is_ros1: bool) -> None:
         self._is_ros1 = is_ros1
@@ -36,14 +36,14 @@ class _Maker:
         self._levels = {INFO: 2, WARN: 4, ERROR: 8} if is_ros1 else {INFO: 20, WARN: 30, ERROR: 40}
 
     def name(self, kind: str) -> str:
-        """Full name of a type, as `rosbags` writes it."""
+        """Full name of a type in the notation of `rosbags`."""
         if kind == "Log":
             return "rosgraph_msgs/msg/Log" if self._is_ros1 else "rcl_interfaces/msg/Log"
         package, name = kind.split("/")
         return f"{package}/msg/{name}"
 
     def make(self, message: Message) -> Any:
-        """The message."""
+        """Convert to a `rosbags` message."""
         fields = message.fields
         if message.kind == "Log":
             stamp = fields["time"]
@@ -69,7 +69,7 @@ class _Maker:
 
 
 def write_bag(messages: Iterable[Message], path: Path) -> int:
-    """Write a ROS 1 bag, for `rosbag info`, `rosbag play` and rqt; gives the number of messages."""
+    """Write a ROS 1 bag, for `rosbag info`, `rosbag play` and rqt; return the number of messages."""
     with _beside(path) as folder:
         part = folder / "flight.bag"
         with rosbag1.Writer(part) as writer:
@@ -79,7 +79,7 @@ def write_bag(messages: Iterable[Message], path: Path) -> int:
 
 
 def write_mcap(messages: Iterable[Message], path: Path) -> int:
-    """Write a ROS 2 mcap file, for Foxglove, PlotJuggler and `ros2 bag`; gives the number of messages."""
+    """Write a ROS 2 mcap file, for Foxglove, PlotJuggler and `ros2 bag`; return the number of messages."""
     with _beside(path) as folder:
         part = folder / "flight"
         with rosbag2.Writer(part, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
@@ -89,7 +89,7 @@ def write_mcap(messages: Iterable[Message], path: Path) -> int:
 
 
 def write_csv(log: FlightLog, path: Path) -> int:
-    """Write one row per control tick, numbers so that reading gives the same bits; gives the number of rows."""
+    """Write one row per control tick, with numbers that read back bit for bit; return the number of rows."""
     with writing(path), path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
@@ -99,7 +99,7 @@ def write_csv(log: FlightLog, path: Path) -> int:
 
 @contextmanager
 def _beside(path: Path) -> Iterator[Path]:
-    """A temporary folder next to the file, so that a half-written file never bears its name."""
+    """A temporary folder next to the file, so that the file appears only when complete."""
     with writing(path):
         folder = tempfile.TemporaryDirectory(prefix=".mavfi-", dir=path.absolute().parent)
     with folder as name:

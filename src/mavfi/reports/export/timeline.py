@@ -1,6 +1,6 @@
-"""A flight as messages in ROS standard types: trajectory, scenery and events.
+"""Conversion of a flight to messages of standard ROS types: trajectory, scene and events.
 
-Frames after REP-103 and REP-105: `map` is the world (ENU, z up), `base_link` the vehicle (x forward, y left, z up).
+Frames follow REP-103 and REP-105: `map` is the world (ENU, z up), `base_link` the vehicle (x forward, y left, z up).
 """
 
 import heapq
@@ -18,7 +18,7 @@ from mavfi.sim.environments.world import World
 
 MAP, VEHICLE = "map", "base_link"
 FIRST_STAMP_NS = 1
-"""Stamp of the start of the mission: a stamp of 0 means "not set" in ROS, and bags refuse it."""
+"""Stamp of the start of the mission: in ROS a stamp of 0 means "not set", and bags reject it."""
 INFO, WARN, ERROR = "info", "warn", "error"
 _OBSTACLE = {"r": 0.55, "g": 0.57, "b": 0.62, "a": 0.9}
 _GOAL = {"r": 0.0, "g": 0.45, "b": 0.7, "a": 0.9}
@@ -29,7 +29,7 @@ _POSES = 1000
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """One message, not yet of any ROS version; fields that are left out are zero or empty.
+    """A message independent of the ROS version; missing fields are zero or empty.
 
     `kind` is a ROS type, "package/Name", or "Log": the version's own type for log lines.
     """
@@ -41,12 +41,12 @@ class Message:
 
 
 def stamp_ns(time_s: float) -> int:
-    """Stamp of an instant of the flight (ns): the flight's own time, whole microseconds."""
+    """Stamp of an instant (ns): flight time in whole microseconds."""
     return max(FIRST_STAMP_NS, 1000 * round(1e6 * time_s))
 
 
 def _in_map(time_ns: int) -> dict[str, Any]:
-    """Header of a message."""
+    """Header of a message in the frame `map`."""
     return {"stamp": _time(time_ns), "frame_id": MAP}
 
 
@@ -64,11 +64,11 @@ def _orientation(wxyz: np.ndarray) -> dict[str, float]:
 
 
 def timeline(log: FlightLog, world: World) -> Iterator[Message]:
-    """All messages of a flight, in order of time.
+    """All messages of a flight, in chronological order.
 
     Yields:
         `/tf`, `/odometry`, `/command` and `/reference` at each control tick; `/obstacles`, `/goal` and `/flown` once;
-        `/log` with events, alarms, injections, and the mission's end.
+        `/log` with events, alarms, injections, and the end of the mission.
     """
     yield from _scenery(log, world)
     ticks = (message for row in log.rows for message in _tick(row))
@@ -125,7 +125,7 @@ def _boxes(world: World, header: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _voxels(world: World, header: dict[str, Any]) -> dict[str, Any]:
-    """All solid voxels that have a free neighbour, as one marker: those inside of walls are not seen."""
+    """One marker with all solid voxels that have a free neighbour; voxels inside walls are invisible."""
     inner = binary_erosion(world.occupied, border_value=1)
     centres = world.origin + (np.argwhere(world.occupied & ~inner) + 0.5) * world.resolution
     edge = world.resolution
@@ -136,7 +136,7 @@ def _voxels(world: World, header: dict[str, Any]) -> dict[str, Any]:
 
 
 def _lines(log: FlightLog) -> Iterator[Message]:
-    """Events, alarms, injections and the end, as log lines, in order of time."""
+    """Events, alarms, injections and the end of the mission as log messages, in chronological order."""
     lines = [(event.time_us / 1e6, INFO, "event", f"{event.kind} {_pairs(event.data)}") for event in log.events]
     lines += [(alarm.time_s, WARN, "alarm", _pairs(alarm.to_json())) for alarm in log.alarms]
     lines += [(item.time_s, ERROR, "injection", _pairs(item.to_json())) for item in log.injections]

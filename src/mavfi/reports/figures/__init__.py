@@ -1,6 +1,6 @@
-"""Figures of reports: each is a `Drawing`, found by name.
+"""Figures of reports: `Drawing`s, registered by name.
 
-`figure(runs, name)` makes one of them, `draw(runs, directory, names)` writes several.
+`figure(runs, name)` returns one figure, `draw(runs, directory, names)` writes several.
 """
 
 from mavfi.reports.figures import campaign, paper, platforms, redundancy, trajectories  # noqa: F401  (registration, in report order)

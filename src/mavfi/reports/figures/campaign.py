@@ -1,4 +1,4 @@
-"""Figures of a report: success with intervals, flight times, and what each state or kernel costs."""
+"""General figures of a campaign: success with intervals, flight times, and vulnerability by state or kernel."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any
@@ -24,7 +24,7 @@ _LEGEND: dict[str, Any] = {"ncols": 6, "columnspacing": 1.2, "fontsize": 8.5, "h
 
 # ---- success -----------------------------------------------------------------------------------------------------
 def success(runs: Runs) -> Figure | None:
-    """Success by environment and setting, with intervals, counts and the paper's figures, at every level of faults."""
+    """Success by environment and setting, with intervals, counts and the paper's values, for faults of any level."""
     chosen = _flown(runs)
     settings, environments = _settings(chosen), chosen.values("environment")
     if settings in ([], [GOLDEN]):
@@ -75,26 +75,26 @@ _SMALL: dict[str, Any] = {"fontsize": 6.5, "color": style.GREY}
 
 
 def _flown(runs: Runs) -> Runs:
-    """Golden runs without a detector, and runs with faults; those that could not be judged are left out."""
+    """Judged golden runs without a detector, and judged runs with faults."""
     judged = runs.where("judged")
     kept = [GOLDEN, *judged.injected.values("setting")]
     return judged.where(pl.col("setting").is_in(kept))
 
 
 def _population(runs: Runs, setting: str, names: list[str]) -> str:
-    """Population whose rates are shown in a setting."""
+    """Population for the rates of a setting."""
     own = runs.where(setting=setting).values("population")
     return "all" if "all" in own or not names else names[0]
 
 
 def _settings(runs: Runs) -> list[str]:
-    """Golden first, then faults without a detector, then the arms."""
+    """Settings in order: golden, faults without a detector, arms."""
     injected = runs.settings()
     return [GOLDEN, *injected] if len(runs.where(setting=GOLDEN)) else injected
 
 
 def _rates(runs: Runs, setting: str, names: list[str]) -> dict[str, Rate]:
-    """Success by environment; those without a rate are left out."""
+    """Success rates by environment, without undefined ones."""
     parts = runs.where(setting=setting).groups("environment")
     found = {environment: leading(own, names, "success") for (environment,), own in parts.items()}
     return {environment: rate for environment, rate in found.items() if rate is not None and rate.rate is not None}
@@ -108,14 +108,14 @@ def _paper(runs: Runs, environment: str, setting: str) -> float | None:
 
 
 def _handle(setting: str, look: Mapping[str, Any], size: float) -> Line2D:
-    """Entry of a legend."""
+    """Legend entry of a setting."""
     return Line2D([], [], label=style.setting_label(setting), linestyle="", markersize=size, **look)
 
 
 def _points(
     axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, Any], links: list[str], *, vertical: bool
 ) -> None:  # fmt: skip
-    """Rates with intervals, upright or along the x axis, each with a link to its runs."""
+    """Draw rates with intervals along the y axis (`vertical`) or the x axis, each linked to its runs."""
     values = np.array([rate.rate or 0.0 for rate in rates])
     bounds = np.array([[rate.low or 0.0, rate.high or 0.0] for rate in rates]).reshape(-1, 2)
     errors = np.abs(bounds.T - values)
@@ -130,7 +130,7 @@ def _points(
 
 # ---- flight time -------------------------------------------------------------------------------------------------
 def flight_time(runs: Runs) -> Figure | None:
-    """Share of missions that arrived within a flight time relative to the golden run's; failures never arrive."""
+    """Cumulative share of arrived missions by flight time relative to the golden run; failures never arrive."""
     judged = runs.injected.where("judged")
     settings, environments = judged.settings(), judged.values("environment")
     if not settings:
@@ -147,7 +147,7 @@ def flight_time(runs: Runs) -> Figure | None:
         for setting, part in values.items():
             n = counts[setting]
             share = np.concatenate([[0.0], np.arange(1, len(part) + 1), [len(part)]]) / n
-            look = style.curve(looks[setting], wide=setting == FI)  # where arms do as fi does, both are seen
+            look = style.curve(looks[setting], wide=setting == FI)  # visible where an arm coincides with fi
             x = np.concatenate([[-1.0], part, [reach]])
             axes.step(x, share, where="post", label=style.setting_label(setting), **look)
             lowest = min(lowest, float((part <= -0.02).sum()) / n)
@@ -166,28 +166,28 @@ def flight_time(runs: Runs) -> Figure | None:
 
 
 def _range(counts: Iterable[int]) -> str:
-    """One number, or the smallest and the largest."""
+    """Format counts as a single number or a range."""
     numbers = sorted(set(counts))
     return f"{numbers[0]}" if len(numbers) == 1 else f"{numbers[0]}–{numbers[-1]}"
 
 
 def _signed(share: float, _: float) -> str:
-    """A difference as text; none has no sign."""
+    """Format a relative difference with its sign; zero has none."""
     percent = round(100 * share)
     return f"{percent:+d} %" if percent else "0 %"
 
 
 # ---- sites -------------------------------------------------------------------------------------------------------
 _SITES = {"state": "state", "memory": "kernel", "instruction": "kernel", "message": "site", "register": "site"}
-"""Column whose values are compared, by level."""
+"""Column to compare by, for each fault level."""
 
 
 _LISTED = {"state": "place", "kernel": "place"}
-"""Name of a column in the list of runs of a page, where it differs."""
+"""Different column names in the list of runs of an HTML page."""
 
 
 def sites(runs: Runs) -> Figure | None:
-    """What each state, group of fields or kernel costs: share of missions that fail or take more than 5 % longer."""
+    """Share of missions that fail or take more than 5 % longer, by injected state, group of fields or kernel."""
     judged = runs.injected.where("judged")
     settings = judged.settings()
     if not settings:
@@ -224,7 +224,7 @@ def sites(runs: Runs) -> Figure | None:
 
 
 def _shown(judged: Runs, column: str) -> dict[tuple[str, str], tuple[str, Rate]]:
-    """Population and rate by site and setting: of each the leading bit stratum; groups may have strata of their own."""
+    """Leading population and its rate by site and setting, since the strata may differ between groups."""
     order = population_names(judged, (column, "setting"))
     found = {}
     for (name, setting), own in judged.groups(column, "setting").items():

@@ -1,4 +1,4 @@
-"""Figures of the paper: flight time and success by kernel, state and bits (Fig. 3, 4), distributions (Fig. 6)."""
+"""Figures of the paper: flight time and success by kernel, state and bit class (Fig. 3, 4), distributions (Fig. 6)."""
 
 from collections.abc import Callable, Iterable, Sequence
 
@@ -17,11 +17,11 @@ from mavfi.reports.figures.registry import Drawing, register
 _ROW = 0.3
 """Height of a row (in)."""
 _BOX = 0.5
-"""Height of a box, of that of its row."""
+"""Height of a box relative to that of its row."""
 
 
 def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | None:
-    """Flight times of missions that succeed (left) and success (right), a row for each value of a column."""
+    """Flight times of successful missions (left) and success (right), one row per value of a column."""
     shown = select(runs)
     if not len(shown.injected):
         return None
@@ -62,7 +62,7 @@ def _look(name: str) -> dict[str, str]:
 
 
 def _times(axes: Axes, parts: Sequence[Sequence[float]], golden: int | None) -> None:
-    """A row for each part: its values as dots, median and quartiles as a box."""
+    """Draw a box per part, and a line at the golden median."""
     for place, values in enumerate(parts):
         if not len(values):
             continue
@@ -73,20 +73,20 @@ def _times(axes: Axes, parts: Sequence[Sequence[float]], golden: int | None) -> 
 
 
 def _box(axes: Axes, values: Sequence[float], place: float, colour: str, *, upright: bool = False) -> None:
-    """Median and quartiles, with every value as a dot; dots are spread over the box in a fixed order."""
+    """Draw median and quartiles, with every value as a dot; dots have deterministic jitter."""
     axes.boxplot(
         [values], positions=[place], widths=_BOX, orientation="vertical" if upright else "horizontal", whis=0,
         showfliers=False, showcaps=False, manage_ticks=False, zorder=3,
         medianprops={"color": style.INK, "linewidth": 2.0}, boxprops={"color": style.INK, "linewidth": 0.8},
     )  # fmt: skip
-    spread = place + 0.8 * _BOX * (np.arange(len(values)) * 0.618 % 1.0 - 0.5)  # golden ratio: even, and no two alike
+    spread = place + 0.8 * _BOX * (np.arange(len(values)) * 0.618 % 1.0 - 0.5)  # golden ratio: even, without overlap
     at = (spread, values) if upright else (values, spread)
     axes.plot(*at, ".", color=colour, markersize=4.5, markeredgewidth=0, alpha=0.65, zorder=2)
 
 
 # ---- Fig. 6 ------------------------------------------------------------------------------------------------------
 def distributions(runs: Runs) -> Figure | None:
-    """Flight times of missions that succeed, by environment and setting, with the conditional value at risk."""
+    """Flight times of successful missions by environment and setting, with the conditional value at risk."""
     shown = distribution(runs)
     if not len(shown.injected):
         return None
@@ -130,7 +130,7 @@ def _short(setting: str) -> str:
 
 
 def _count(own: Runs, setting: str) -> str:
-    """Successes / n."""
+    """Successes / n of a setting, as text."""
     part = own.where(setting=setting)
     return f"{len(part.where('success'))}/{len(part)}"
 

@@ -1,4 +1,4 @@
-"""Fig. 9 of the paper: flight times on each computing platform, without a fault, with one, and with each detector."""
+"""Fig. 9 of the paper: flight times by computing platform, for golden runs, faults, and faults with detectors."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,9 +12,9 @@ from mavfi.reports.figures.registry import Drawing, register
 
 
 def flight_times(runs: Runs) -> Figure | None:
-    """Every flight that succeeds as a point, and the quartiles; one panel for each platform.
+    """Successful flights as points, with median and quartiles; one panel per platform.
 
-    The paper's flight time, of which it does not say what flights it is of, is a line.
+    The dashed line is the paper's flight time; the paper does not specify its flights.
     """
     known = platforms(runs)
     flown = compared(runs)

@@ -1,4 +1,4 @@
-"""Fig. 8 of the paper: flight time with redundant processors over that with a detector."""
+"""Fig. 8 of the paper: flight time with redundant processors relative to that with a detector."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ _LOOKS = ((style.BLUE, "o"), (style.ORANGE, "s"), (style.GREEN, "^"), (style.PUR
 
 
 def redundancy(designs: Sequence[DesignConfig]) -> Figure:
-    """Ratios of flight time with their bands, and of energy, by scheme; one panel for each vehicle."""
+    """Ratios of flight time (with bands) and of energy by scheme; one panel per vehicle."""
     vehicles = list(dict.fromkeys(design.craft for design in designs))
     calibrations = list(dict.fromkeys(design.calibration for design in designs))
     figure = Figure(figsize=(1.4 + 3.4 * len(vehicles), 3.9), layout="constrained")

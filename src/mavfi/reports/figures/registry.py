@@ -1,4 +1,4 @@
-"""`Drawing`: rows of a campaign -> a figure.  A new figure is a drawing; all are found by name in `FIGURES`."""
+"""`Drawing`: runs of a campaign -> figure.  Every figure is a drawing, registered by name in `FIGURES`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,33 +13,33 @@ from mavfi.reports import style
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """A figure that reports can show."""
+    """Definition of a figure for reports."""
 
-    name: str  # by which users ask for it, and of its file
-    draw: Callable[[Runs], Figure | None]  # None = these runs have nothing to show in it
+    name: str  # key in studies, and name of its file
+    draw: Callable[[Runs], Figure | None]  # returns None if not applicable to these runs
     caption: str | Callable[[Runs], str]
-    general: bool = False  # in the report of every campaign; others where a study names them
+    general: bool = False  # included in the report of every campaign; others only if a study lists them
     cases: Callable[[Runs], Sequence[str]] = lambda _: ()
-    """Ids of runs that `draw` needs as whole flights: the caller flies them again, see `Runs.flights`."""
+    """Ids of runs that `draw` needs as whole flights; the caller replays them, see `Runs.flights`."""
 
     def caption_of(self, runs: Runs) -> str:
-        """Its caption for these runs."""
+        """The caption for these runs."""
         return self.caption if isinstance(self.caption, str) else self.caption(runs)
 
 
-FIGURES: dict[str, Drawing] = {}  # all figures by name, in the order in which reports show them
+FIGURES: dict[str, Drawing] = {}  # by name, in the order of reports
 
 
 def register(*drawings: Drawing) -> None:
-    """Add figures; a later one of the same name replaces the earlier one."""
+    """Register figures; a figure replaces an earlier one with the same name."""
     FIGURES.update({drawing.name: drawing for drawing in drawings})
 
 
 def drawing(name: str) -> Drawing:
-    """A figure by its name.
+    """Find a figure by name.
 
     Raises:
-        BadInputError: There is no such figure.
+        BadInputError: The figure does not exist.
     """
     if name not in FIGURES:
         raise BadInputError(f"figure {name!r}: not known; allowed: {', '.join(FIGURES)}")
@@ -47,14 +47,14 @@ def drawing(name: str) -> Drawing:
 
 
 def figure(runs: Runs, name: str) -> Figure:
-    """One figure of a report.
+    """Draw one figure of a report.
 
     Args:
-        runs: Of a campaign; with flights, where the figure needs some.
+        runs: Runs of a campaign, with flights if the figure needs them.
         name: A key of `FIGURES`.
 
     Raises:
-        BadInputError: There is no such figure, or these runs have nothing to show in it.
+        BadInputError: The figure does not exist, or is not applicable to these runs.
     """
     with style.house_style():
         made = drawing(name).draw(runs)
@@ -66,19 +66,19 @@ def figure(runs: Runs, name: str) -> Figure:
 def draw(
     runs: Runs, directory: Path, names: Sequence[str] | None = None, start: str = ""
 ) -> Mapping[str, str]:  # fmt: skip
-    """Draw figures for which there is something to show, as PNG files.
+    """Draw all applicable figures as PNG files.
 
     Args:
-        runs: Of a campaign.
-        directory: Where the files are written.
+        runs: Runs of a campaign, with flights if a figure needs them.
+        directory: Folder for the files.
         names: Keys of `FIGURES`; None = the general ones.
-        start: How the names of the files begin.
+        start: Prefix of the file names.
 
     Returns:
-        Captions by the name of the file in the directory.
+        Captions by file name.
 
     Raises:
-        BadInputError: There is no such figure, or the directory cannot be written.
+        BadInputError: A figure does not exist, or the directory cannot be written.
     """
     if names is None:
         names = [name for name, found in FIGURES.items() if found.general]

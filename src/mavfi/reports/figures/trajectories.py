@@ -1,4 +1,4 @@
-"""Fig. 7: paths of a golden run, of the same mission with a fault, and with a detector; from above and in 3-D."""
+"""Fig. 7: paths of a golden run, with a fault, and with the fault and a detector, in plan view and 3-D."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -21,21 +21,21 @@ from mavfi.reports.text import signed_percent
 
 _SOLID, _EDGE = "#D4D4D4", "#9A9A9A"
 _MARGIN = 2.0
-"""Around the paths (m)."""
+"""Margin around the paths (m)."""
 _WIDTH = 40.0
-"""Shown across the course at least (m)."""
+"""Minimum displayed width across the course (m)."""
 _FACES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
-"""Corners of each side of a box, numbered by bits (x, y, z)."""
+"""Corners of each face of a box; the bits of a corner's number select x, y, z."""
 _LOOKS: tuple[dict[str, Any], ...] = (
     {"color": style.SKY, "linewidth": 5.0, "zorder": 4},
     {"color": style.ORANGE, "linewidth": 2.4, "zorder": 5},
     {"color": style.GREEN, "linewidth": 1.5, "linestyle": (0, (4, 2)), "zorder": 6},
 )
-"""Golden run, with the fault, with the detector, too: wide to narrow, so that all are seen on one path."""
+"""Line styles of golden run, fault, and fault with detector: wide to narrow, so that coinciding paths are visible."""
 
 
 def trajectories(runs: Runs) -> Figure | None:
-    """One row for each case of `path_cases` whose flights were flown again."""
+    """One row per case of `path_cases` with replayed flights; None without such cases."""
     cases = [case for case in path_cases(runs) if case.fault in runs.flights and case.golden in runs.flights]
     if not cases:
         return None
@@ -103,7 +103,7 @@ def _in_space(axes: Any, flights: Sequence[Flight]) -> None:
 
 
 def _limits(flights: Sequence[Flight]) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of what is shown: the paths, start and goal, with a margin."""
+    """Corners of the displayed volume: paths, start and goal, with a margin."""
     world = flights[0].world
     points = np.concatenate([*(positions(flight) for flight in flights), world.start[None], world.goal[None]])
     points = np.clip(points, world.arena_lower - _MARGIN, world.arena_upper + _MARGIN)
@@ -114,7 +114,7 @@ def _limits(flights: Sequence[Flight]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _injection(flight: Flight) -> np.ndarray:
-    """Where the vehicle was at the injections. Shape (n, 3)."""
+    """Positions of the vehicle at the injections. Shape (n, 3)."""
     return positions(flight, [injection.time_s for injection in flight.log.injections if injection.activated])
 
 

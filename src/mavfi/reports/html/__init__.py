@@ -1,1 +1,1 @@
-"""Self-contained HTML pages: one flight, and the report of a campaign.  They open from `file://` without a network."""
+"""Self-contained HTML pages of flights, campaigns and studies, which open from `file://` without a network."""

@@ -1,4 +1,4 @@
-"""Figures as inline SVG: text stays text, colours follow the theme of the page, links open the runs behind a point."""
+"""Figures as inline SVG: text remains text, colours follow the page's theme, points link to their runs."""
 
 import io
 import re
@@ -15,16 +15,16 @@ _COLOURS = {
     style.INK: "ink", style.GREY: "soft", style.PALE: "line", style.BLUE: "golden", style.ORANGE: "injected",
     style.GREEN: "recovered", style.PURPLE: "purple", style.AMBER: "amber", "#ffffff": "paper", "#000000": "ink",
 }  # fmt: skip
-"""Variables of the style sheet by colour."""
+"""Style sheet variables by colour."""
 
 
 def svg_of(figure: Figure, name: str, caption: str) -> Markup:
-    """A figure as an SVG element.
+    """Convert a figure to an SVG element.
 
     Args:
         figure: The figure.
-        name: Unique within the page: ids begin with it.
-        caption: For screen readers.
+        name: Prefix of ids, unique within the page.
+        caption: Label for screen readers.
     """
     buffer = io.StringIO()
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "mavfi"}):
@@ -38,11 +38,11 @@ def svg_of(figure: Figure, name: str, caption: str) -> Markup:
     text = re.sub(r'<a xlink:href="#runs\?([^"]*)" target="_blank"', _link, text)
     text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
     label = escape(caption, quote=True)
-    return Markup(text.replace("<svg ", f'<svg role="group" aria-label="{label}" ', 1))  # noqa: S704 - of matplotlib
+    return Markup(text.replace("<svg ", f'<svg role="group" aria-label="{label}" ', 1))  # noqa: S704 - from matplotlib
 
 
 def _link(found: re.Match[str]) -> str:
-    """A link with a name for screen readers."""
+    """Rewrite a link, with a label for screen readers."""
     query = found[1].replace("&amp;", "&")
     told = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in parse_qsl(query))
     return f'<a href="#runs?{found[1]}" aria-label="{escape(f"runs: {told}", quote=True)}"'

@@ -1,4 +1,4 @@
-"""What the page of a flight shows, as compact plain data: world, paths, marks, time lines."""
+"""Content of a flight's page as compact plain data: world, paths, markers, time lines."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ from mavfi.sim.environments import World
 GOLDEN, INJECTED, RECOVERED = "golden", "injected", "recovered"
 """Roles of flights on a page."""
 SAMPLES = 400
-"""Most rows of a path."""
+"""Approximate maximum number of samples per path."""
 MOST_ALARMS = 60
-"""Alarms of a flight that are marked."""
+"""Maximum number of alarms marked per flight."""
 NEAR = 8.0
-"""Voxels of a scan are shown within this distance of the paths (m)."""
+"""Distance from the paths within which voxels of a scan are shown (m)."""
 MOST_VOXELS = 20_000
-_STEP = 5  # of the rows of a log: 10 Hz
+_STEP = 5  # stride over the rows of a log: 10 Hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +33,9 @@ class Course:
 
     Attributes:
         role: "golden", "injected" or "recovered".
-        label: For the legend.
+        label: Label in the legend.
         log: The flight.
-        published: What it published, in order; empty = not recorded.
+        published: Its publications, in order; empty = not recorded.
     """
 
     role: str
@@ -48,9 +48,9 @@ def flight_data(courses: Sequence[Course], world: World, site: str = "") -> dict
     """World, paths and time lines of flights of one mission.
 
     Args:
-        courses: Each role at most once; the golden run first.
-        world: Where they were flown.
-        site: Of the fault, as text; a field of a state is the first time line.
+        courses: The flights, with each role at most once; the golden run first.
+        world: World of the mission.
+        site: Site of the fault, as text; if it is a state field, it is the first time line.
     """
     paths = [course_data(course) for course in courses]
     at = next((path["fault"] for path in paths if path["fault"] is not None), None)
@@ -61,7 +61,7 @@ def flight_data(courses: Sequence[Course], world: World, site: str = "") -> dict
 
 
 def course_data(course: Course) -> dict[str, Any]:
-    """A path: time, position and speed as float32, attitude as int8, end, fault, alarms."""
+    """Data of a flight: time, position and speed as float32, attitude as int8, end, fault, alarms."""
     log = course.log
     rows = log.rows[np.isfinite(log.columns("x", "y", "z", "vx", "vy", "vz")).all(axis=1)]
     step = max(_STEP, -(-len(rows) // SAMPLES))
@@ -84,7 +84,7 @@ def course_data(course: Course) -> dict[str, Any]:
 
 
 def world_data(world: World, courses: Sequence[Course]) -> dict[str, Any]:
-    """Start, goal, arena, and boxes as float32 corners, or the surface voxels near the paths as int16 indices."""
+    """Data of a world: start, goal, arena, boxes as float32 corners; for scans, surface voxels as int16 indices."""
     data: dict[str, Any] = {
         "start": world.start.tolist(), "goal": world.goal.tolist(),
         "arena": [*world.arena_lower.tolist(), *world.arena_upper.tolist()],
@@ -97,7 +97,7 @@ def world_data(world: World, courses: Sequence[Course]) -> dict[str, Any]:
 
 
 def _surface_near(world: World, points: np.ndarray) -> np.ndarray:
-    """Indices of solid voxels with a free neighbour, the nearest to the paths first. Shape (n, 3)."""
+    """Indices of solid voxels with a free neighbour, ordered by distance from the paths. Shape (n, 3)."""
     solid = np.pad(world.occupied, 1, constant_values=True)
     buried = np.ones_like(world.occupied)
     for axis in range(3):

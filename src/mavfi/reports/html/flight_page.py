@@ -1,4 +1,4 @@
-"""The page of one flight: a scene to scrub through, time lines around the fault, the story, commands to repeat it."""
+"""The page of a flight: an interactive 3-D scene, time lines around the fault, the explanation, and commands."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -16,12 +16,12 @@ class FlightPage:
     """Text and plain data of one page.
 
     Attributes:
-        title: What was injected.
-        context: What was flown.
-        verdict: What became of it, in a sentence.
-        story: Headings and sentences.
-        commands: What a command does, and the command.
-        data: As of `flight_data`.
+        title: Site of the fault.
+        context: Environment, seed and configuration of the flight.
+        verdict: Effect of the fault and result of the mission, in a sentence.
+        story: Explanation as headings and sentences.
+        commands: Descriptions and commands.
+        data: Result of `flight_data`.
     """
 
     title: str
@@ -36,16 +36,16 @@ class FlightPage:
         context: str, story: Lines, commands: Sequence[tuple[str, str]], courses: Sequence[Course], world: World,
         site: str = "",
     ) -> "FlightPage":  # fmt: skip
-        """The page of flights of one mission; the first sentence of the story is the verdict."""
+        """Create the page of flights of one mission; the first sentence of the story is the verdict."""
         (_, verdict), *rest = story
         title = f"Fault in {site}" if site else "A flight without a fault"
         return FlightPage(title, context, verdict, rest, commands, flight_data(courses, world, site))
 
     def to_json(self) -> dict[str, Any]:
-        """What scripts show."""
+        """Plain data for the template and scripts."""
         return asdict(self)
 
 
 def write_flight_page(path: Path, flight: FlightPage) -> Path:
-    """Write the page of one flight; a BadInputError where the file cannot be written."""
+    """Write the page of one flight; `BadInputError` if the file cannot be written."""
     return page.write(path, page.render("flight.html.j2", flight=flight.to_json()))

@@ -1,4 +1,4 @@
-"""How pages are put together: Jinja2 templates, with style sheet, scripts and data inlined."""
+"""Rendering of pages from Jinja2 templates, with style sheet, scripts and data inlined."""
 
 import base64
 import json
@@ -19,19 +19,19 @@ from mavfi.version import __version__
 
 
 def encoded(values: np.ndarray, kind: str) -> str:
-    """An array as base64 of little-endian numbers of a NumPy kind, e.g. "f4"; scripts decode it."""
+    """Encode an array as base64 of little-endian numbers of a NumPy type, e.g. "f4", for decoding by scripts."""
     return base64.b64encode(np.ascontiguousarray(values, f"<{kind}").tobytes()).decode()
 
 
 def as_json(data: Any) -> Markup:
-    """Plain data as JSON that may stand in a `<script>` element."""
+    """Serialize plain data as JSON that is safe in a `<script>` element."""
     text = json.dumps(plain(data), separators=(",", ":"), allow_nan=False, ensure_ascii=False)
-    return Markup(text.replace("<", "\\u003c"))  # noqa: S704 - no "<" is left that could end the element
+    return Markup(text.replace("<", "\\u003c"))  # noqa: S704 - without "<", nothing can end the element
 
 
 @cache
 def _resource(name: str) -> Markup:
-    """A file of this package that is inlined as it is."""
+    """A file of this package, inlined verbatim."""
     text = files(__package__).joinpath(name).read_text(encoding="utf-8")
     return Markup(text)  # noqa: S704 - own and vendored files; see `vendor`
 
@@ -48,7 +48,7 @@ def _environment() -> Environment:
 
 
 def render(template: str, **values: Any) -> str:
-    """A page as text."""
+    """Render a page as text."""
     return _environment().get_template(template).render(**values)
 
 
@@ -64,5 +64,5 @@ def write(path: Path, content: str) -> Path:
 
 
 def size_of(data: Sequence[Any] | dict[str, Any]) -> int:
-    """Bytes that plain data takes in a page."""
+    """Size of plain data in a page (bytes)."""
     return len(as_json(data).encode())

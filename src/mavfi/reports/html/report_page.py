@@ -1,4 +1,4 @@
-"""The report of one or several campaigns as one HTML file: headline, sections, runs, flights."""
+"""The report of one or more campaigns as one HTML file: headline, sections, runs, flights."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,9 +23,9 @@ from mavfi.reports.study_report import StudyReport
 from mavfi.reports.text import checks, header, versions
 
 LARGEST = 15_000_000
-"""Bytes of a page."""
+"""Maximum size of a page (bytes)."""
 _LONG = 30
-"""Rows from which a table is folded."""
+"""Tables with more rows than this are collapsed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class Drawn:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A part of the page, in the order in which a study or a campaign has it."""
+    """A section of the page: text, tables and figures."""
 
     title: str
     tables: Sequence[Table] = ()
@@ -48,7 +48,7 @@ class Section:
 
 
 def drawn(runs: Runs) -> list[Drawn]:
-    """The figures for which these runs have something to show."""
+    """All general figures that are applicable to these runs."""
     if not runs.has_missions:
         return []
     return _drawn(runs, [name for name, found in FIGURES.items() if found.general])
@@ -61,7 +61,7 @@ def _drawn(runs: Runs, names: Iterable[str]) -> list[Drawn]:
 
 
 def sections_of_study(study: StudyReport) -> list[Section]:
-    """Sections of a study: the headline, then all sections in their order."""
+    """Sections of a study: the headline, then all sections in order, then the times."""
     found = [
         Section(one.section.title, one.tables, _drawn(one.runs, one.section.figures) if one.runs else (),
                 one.section.text)
@@ -73,7 +73,7 @@ def sections_of_study(study: StudyReport) -> list[Section]:
 
 
 def sections_of(report: Report) -> list[Section]:
-    """Sections of a campaign: the leading table with the leading figure, other figures, a section for each table."""
+    """Sections of a campaign: leading table with leading figure, other figures, and one section per other table."""
     figures, (leading, *others) = drawn(report.runs), report.tables or (None,)
     sections = [] if leading is None else [Section(leading.title, [leading], figures[:1])]
     sections += [Section("Figures", (), figures[1:])] if figures[1:] else []
@@ -82,7 +82,7 @@ def sections_of(report: Report) -> list[Section]:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A campaign of the page, and the folder that commands name."""
+    """A campaign of the page, and the folder of its ledger as printed in commands."""
 
     directory: Path
     report: Report
@@ -117,22 +117,22 @@ def write_report_page(
     path: Path, parts: Sequence[Part], sections: Sequence[Section], commands: Sequence[tuple[str, str]],
     flights: Iterable[tuple[str, FlightPage]] = (), *, headline: Headline | None = None, largest: int = LARGEST,
 ) -> int:  # fmt: skip
-    """Write the page of one or several campaigns.
+    """Write the page of one or more campaigns.
 
     Args:
         path: File to write.
         parts: The campaigns.
-        sections: In their order; the first one is the headline.
-        commands: How to repeat it: what a command does, and the command.
-        flights: Pages of runs by id, those first that say most; taken while they fit.
-        headline: Text of the first screen; that of the first campaign by default.
-        largest: Size of the file (bytes).
+        sections: Sections in order; the first one is the headline.
+        commands: Descriptions and commands that reproduce the results.
+        flights: Run ids and pages, the most illustrative first; embedded until the file is full.
+        headline: Text of the first screen; by default that of the first campaign.
+        largest: Maximum size of the file (bytes).
 
     Returns:
         Number of flights in the page.
 
     Raises:
-        BadInputError: The file cannot be written, or is too large without any flight.
+        BadInputError: The file cannot be written, or exceeds the maximum size even without flights.
     """
     reports = [part.report for part in parts]
     listed = run_list({str(part.directory): part.report.runs for part in parts})
@@ -169,11 +169,11 @@ def _section_data(sections: Sequence[Section], sets: RunSets) -> Iterator[dict[s
 
 
 def _as_fit(flights: Iterable[tuple[str, FlightPage]], left: int) -> Mapping[str, Markup]:
-    """JSON of flights by run, until the next one does not fit; no more are asked for then."""
+    """JSON of flights by run id, up to the first one that does not fit; stops iterating there."""
     stored: dict[str, Markup] = {}
     for run_id, flight in flights:
         text = page.as_json(flight.to_json())
-        left -= len(text.encode()) + len(run_id) + 100  # with its element
+        left -= len(text.encode()) + len(run_id) + 100  # including its HTML element
         if left < 0:
             break
         stored[run_id] = text

@@ -1,4 +1,4 @@
-"""The list of runs of a page, column by column: texts as numbers into a list of distinct values."""
+"""The list of runs of a page, stored by column; text columns are dictionary-encoded."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -12,15 +12,15 @@ FILTERS = {
     "level": "level", "stage": "stage", "place": "kernel or state", "field": "field", "bit": "bit",
     "bit_class": "bit class",
 }  # fmt: skip
-"""Columns that can be selected by, and what they are called."""
+"""Filter columns with their labels."""
 NUMBERS = {"flight_time_s": 2, "inflation": 4, "alarms_total": 0, "time_s": 3}
-"""Columns of numbers, and the digits that are kept."""
+"""Numeric columns with their number of decimals."""
 HIDDEN = ("population", "kind", "target", "site")
-"""Columns that links of figures select by."""
+"""Columns without a filter control, used in links of figures."""
 
 
 def run_list(ledgers: Mapping[str, Runs]) -> dict[str, Any]:
-    """Ids, and the columns of `FILTERS`, `HIDDEN` and `NUMBERS`, in the order of the runs of ledgers by folder."""
+    """Ids and the columns in `FILTERS`, `HIDDEN` and `NUMBERS` of all runs; `ledgers` is keyed by folder."""
     frames = [runs.frame.with_columns(folder=pl.lit(folder)) for folder, runs in ledgers.items()]
     frame = pl.concat(frames).with_columns(
         place=pl.when(pl.col("state") != "").then(pl.col("state")).otherwise(pl.col("kernel")),

@@ -1,4 +1,4 @@
-"""Tables as a page shows them: cells as text, each with a link to the runs behind it."""
+"""Tables as data for a page: cells as text, with links to the runs behind them."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -13,23 +13,24 @@ _INTERVAL = re.compile(r"^(\S+) (\[.*)$")
 
 @dataclass(slots=True)
 class RunSets:
-    """Sets of runs that cells link to, each stored once.
+    """Deduplicated sets of runs to which cells link.
 
     Attributes:
-        places: Place of each run in the list of runs, by id.
+        places: Index of each run in the list of runs, by id.
+        texts: Number of each set, by its text of index ranges.
     """
 
     places: Mapping[str, int]
     texts: dict[str, int] = field(default_factory=dict)
 
     def link(self, run_ids: Sequence[str]) -> str:
-        """Address of a set within the page; "" = no run."""
+        """Link to a set of runs within the page; "" = no runs."""
         places = sorted(self.places[run_id] for run_id in run_ids if run_id in self.places)
         return f"#runs?set={self.texts.setdefault(_ranges(places), len(self.texts))}" if places else ""
 
 
 def _ranges(places: Sequence[int]) -> str:
-    """Ascending numbers as ranges: "0-29 45"."""
+    """Format ascending numbers as ranges: "0-29 45"."""
     found: list[list[int]] = []
     for place in places:
         if found and place == found[-1][1] + 1:
@@ -61,13 +62,13 @@ def table_data(table: Table, sets: RunSets) -> dict[str, Any]:
 
 
 def _kind(table: Table, place: int) -> str:
-    """What a column holds: "key" names the row, "text" has no runs behind it, "number" has."""
+    """Kind of a column: "key" identifies the row, "number" cells link to runs, "text" cells do not."""
     if place < table.keys:
         return "key"
     return "text" if table.columns[place].form == TEXT else "number"
 
 
 def _split(text: str) -> tuple[str, str]:
-    """A rate and the rest: interval and n."""
+    """Split the text of a rate into the value and the rest (interval and n)."""
     found = _INTERVAL.match(text)
     return (found[1], found[2]) if found else (text, "")

@@ -1,4 +1,4 @@
-"""Time lines of published fields around a fault: which ones say most, and their samples."""
+"""Time lines of published fields around a fault: selection of the most affected fields, and their samples."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -10,16 +10,16 @@ from mavfi.campaign.divergence import Publication
 from mavfi.states import STATES, Stage
 
 BEFORE, AFTER = 1.0, 4.0
-"""Part of a flight that is shown, before and after the fault (s)."""
+"""Time window before and after the fault (s)."""
 MOST = 6
-"""Time lines."""
+"""Maximum number of time lines."""
 SAMPLES = 260
-"""Most samples of a line."""
-_LARGEST = 1e300  # what infinite values are drawn as, off every scale
+"""Approximate maximum number of samples per line."""
+_LARGEST = 1e300  # replaces infinite values
 
 
 class Site(NamedTuple):
-    """A number that is published again and again."""
+    """A numeric field of a published state."""
 
     state: str
     field: str
@@ -27,21 +27,22 @@ class Site(NamedTuple):
 
     @property
     def label(self) -> str:
-        """For people."""
+        """Display name."""
         return f"{self.state}.{self.field}" + ("" if self.element is None else f"[{self.element}]")
 
 
 Line = tuple[np.ndarray, np.ndarray]
-"""Instants (s) and values, shapes (n,)."""
+"""Instants (s) and values. Shapes (n,), (n,)."""
 
 
 def time_lines(published: Mapping[str, Sequence[Publication]], at: float, site: str) -> list[dict[str, Any]]:
-    """The injected field, then those that differ most from the golden run, in the order of the data flow.
+    """Time lines of the injected field and of those that differ most from the golden run, in data-flow order.
 
     Args:
-        published: Publications by role of the flight; there are none where "golden" or "injected" is missing.
+        published: Publications by role of the flight; the result is empty without those of the golden run and of
+            another flight.
         at: Instant of the fault (s).
-        site: Of the fault, as text.
+        site: Site of the fault, as text.
     """
     near = {role: _near(publications, at) for role, publications in published.items() if publications}
     if "golden" not in near or len(near) < 2:
@@ -55,7 +56,7 @@ def time_lines(published: Mapping[str, Sequence[Publication]], at: float, site: 
 
 
 def _near(publications: Sequence[Publication], at: float) -> dict[str, list[Publication]]:
-    """Publications around an instant by state, with the last one before it."""
+    """Publications in the time window around an instant, by state, with the last one before the window."""
     found: dict[str, list[Publication]] = {}
     for publication in publications:
         time_s = 1e-6 * publication.time_us
@@ -69,7 +70,7 @@ def _near(publications: Sequence[Publication], at: float) -> dict[str, list[Publ
 
 
 def _site(text: str) -> Site | None:
-    """A field of a state from its text, e.g. "planning.trajectory.x[3]"; None for sites of other kinds."""
+    """Parse the text of a state field, e.g. "planning.trajectory.x[3]"; None for sites of other kinds."""
     found = re.fullmatch(r"(\w+\.\w+)\.(\w+)(?:\[(\d+)\])?", text)
     if found is None or found[1] not in STATES:
         return None
@@ -78,7 +79,7 @@ def _site(text: str) -> Site | None:
 
 
 def _candidates() -> list[Site]:
-    """Scalar fields of what kernels publish, in the order of the data flow."""
+    """Scalar fields of all states except sensor states, in data-flow order."""
     return [
         Site(spec.name, field.name)
         for spec in STATES.values()
@@ -101,7 +102,7 @@ def _samples(own: Mapping[str, Sequence[Publication]], site: Site) -> Line:
 
 
 def _difference(golden: Mapping[str, Any], injected: Mapping[str, Any], site: Site) -> float:
-    """Largest difference at equal instants over the golden run's span; infinite where one is not finite."""
+    """Largest difference at equal instants, relative to the range of the golden run; infinite if not finite."""
     (first_t, first), (second_t, second) = _samples(golden, site), _samples(injected, site)
     if len(first) == 0 or len(second) == 0:
         return 0.0
@@ -125,7 +126,7 @@ def _line(site: Site, near: Mapping[str, Mapping[str, Sequence[Publication]]], *
 
 
 def _thinned(times: np.ndarray, values: np.ndarray) -> Line:
-    """At most `SAMPLES`: every n-th, and those next to a change of more than half the span."""
+    """Thin samples to about `SAMPLES`: every n-th, and those next to a jump above half the standard deviation."""
     step = -(-len(times) // SAMPLES)
     if step <= 1:
         return times, values
@@ -137,7 +138,7 @@ def _thinned(times: np.ndarray, values: np.ndarray) -> Line:
 
 
 def _number(value: float) -> float | None:
-    """With 6 digits; None for NaN."""
+    """A value clipped to `_LARGEST` and rounded to 6 digits; None for NaN."""
     if np.isnan(value):
         return None
     return float(f"{np.clip(value, -_LARGEST, _LARGEST):.6g}")
