@@ -55,7 +55,7 @@ def count(kernel: Any, *args: Any) -> int:
 def histogram(kernel: Any, *args: Any) -> list[tuple[Site, int]]:
     """All static instructions of a compiled function and their execution counts; modifies arguments as a call does."""
     variant = variant_for(kernel, args)
-    return variant.table.executions(variant.profile(*args)[1])
+    return variant.table.executions(variant.tally(*args)[1])
 
 
 def resolve(kernel: Any, indices: Sequence[int], *args: Any) -> list[Site | None]:

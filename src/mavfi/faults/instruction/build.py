@@ -2,6 +2,7 @@
 
 import json
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from mavfi.faults.instruction.fresh import run_fresh
 from mavfi.faults.instruction.instrument import Instrumented, instrument
 from mavfi.faults.instruction.refusal import BuildError, RefusedError
 from mavfi.faults.instruction.table import Table
+from mavfi.faults.instruction.tally import optimised
 from mavfi.numerics.jit import uncached_copy
 
 _PATIENCE = 600.0
@@ -22,12 +24,13 @@ _OPTIMISATION = 3
 
 @dataclass(frozen=True, slots=True)
 class Built:
-    """An instrumented kernel: object file, and the other attributes as in `Instrumented`.
+    """An instrumented kernel: object files, and the other attributes as in `Instrumented`.
 
     Python calls the function `wrapper`; the global `environment` points to Numba's environment of the kernel.
     """
 
     code: bytes
+    tally: bytes
     table: Table
     ir_sha256: str
     constants: tuple[Constant, ...]
@@ -40,15 +43,20 @@ class Built:
         constants = [[constant.name, constant.address, constant.size] for constant in self.constants]
         facts = [self.table.to_json(), self.ir_sha256, constants, self.owned, self.wrapper, self.environment]
         head = zlib.compress(json.dumps(facts).encode(), 1)
-        return len(head).to_bytes(8, "little") + head + self.code
+        return b"".join(len(part).to_bytes(8, "little") + part for part in (head, self.tally, self.code))
 
     @staticmethod
     def unpack(data: bytes) -> "Built":
         """Inverse of `pack`."""
-        size = 8 + int.from_bytes(data[:8], "little")
-        rows, digest, constants, *others = json.loads(zlib.decompress(data[8:size]))
+        parts = []
+        while data:
+            size = 8 + int.from_bytes(data[:8], "little")
+            parts.append(data[8:size])
+            data = data[size:]
+        head, tally, code = parts
+        rows, digest, constants, *others = json.loads(zlib.decompress(head))
         placed = tuple(Constant(*constant) for constant in constants)
-        return Built(data[size:], Table.from_json(rows), digest, placed, *others)
+        return Built(code, tally, Table.from_json(rows), digest, placed, *others)
 
 
 def name_of(kernel: Any) -> str:
@@ -99,8 +107,8 @@ def prepare(kernel: Any, signature: tuple[Any, ...]) -> tuple[Instrumented, str,
 
 def assemble(made: Instrumented, wrapper: str, environment: str) -> Built:
     """Translate instrumented IR into machine code."""
-    code = translate(made.text)
-    return Built(code, made.table, made.ir_sha256, made.constants, made.owned, wrapper, environment)
+    code, tally = translate(made.text), translate(made.tally, optimised)
+    return Built(code, tally, made.table, made.ir_sha256, made.constants, made.owned, wrapper, environment)
 
 
 def target_machine() -> Any:
@@ -113,8 +121,8 @@ def target_machine() -> Any:
     )  # fmt: skip
 
 
-def translate(text: str) -> bytes:
-    """Compile IR to an object file; malformed IR is a RuntimeError unless LLVM aborts."""
-    module = llvm.parse_assembly(text)
+def translate(text: str, prepare: Callable[[Any, Any], Any] = lambda module, machine: module) -> bytes:
+    """Compile IR, after `prepare`, to an object file; malformed IR is a RuntimeError unless LLVM aborts."""
+    module, machine = llvm.parse_assembly(text), target_machine()
     module.verify()
-    return bytes(target_machine().emit_object(module))
+    return bytes(machine.emit_object(prepare(module, machine)))

@@ -42,6 +42,7 @@ from mavfi.faults.instruction.runtime import (
     declarations,
 )
 from mavfi.faults.instruction.table import Table, make_table
+from mavfi.faults.instruction.tally import tallied
 
 _ENVIRONMENT = re.compile(r'@"?_ZN08NumbaEnv')
 _UNLIKELY = '!0 = !{!"branch_weights", i32 1, i32 100000}'
@@ -60,6 +61,7 @@ class Instrumented:
 
     Attributes:
         text: IR.
+        tally: IR that counts block executions only, see `tally`.
         table: Sites.
         ir_sha256: Digest of the fault space, the same in every process.
         constants: Arrays placed in the arena.
@@ -67,6 +69,7 @@ class Instrumented:
     """
 
     text: str
+    tally: str
     table: Table
     ir_sha256: str
     constants: tuple[Constant, ...]
@@ -90,6 +93,7 @@ def instrument(text: str, kernel: str) -> Instrumented:
     if _ENVIRONMENT.search(bodies):
         raise RefusedError(kernel, "Python objects are used within compiled code (Numba's environment)")
     digest, owned, constants = _digest(bodies), is_owned(module), constants_of(module)
+    tally = tallied(module)  # before functions are redirected to the arena
     names = [function.name for function in module.functions]
     others = [planned_wrapper(text, names) for text in module.others]
     lines, first = [*(visible(line, constants) for line in module.preamble), RUNTIME, MEMORY], 0
@@ -98,7 +102,7 @@ def instrument(text: str, kernel: str) -> Instrumented:
         lines.append(_Rewriter(function, first).text())
         first += sum(bool(block.sites) for block in function.blocks)
     lines += [*others, declarations("\n".join([*module.preamble, *others])), _UNLIKELY, ""]
-    return Instrumented("\n".join(lines), table, digest, tuple(constants.values()), owned)
+    return Instrumented("\n".join(lines), tally, table, digest, tuple(constants.values()), owned)
 
 
 def _move(function: Function, constants: dict[str, Constant]) -> None:

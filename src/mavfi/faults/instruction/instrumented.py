@@ -44,7 +44,7 @@ class Profiling(Counting):
         self._times: dict[str, tuple[Table, np.ndarray]] = {}
 
     def _run(self, variant: Variant, args: tuple[Any, ...]) -> tuple[Any, int]:
-        result, times, _ = variant.profile(*args)
+        result, times = variant.tally(*args)
         _, total = self._times.setdefault(variant.ir_sha256, (variant.table, np.zeros_like(times)))
         total += times
         return result, variant.table.written(times)

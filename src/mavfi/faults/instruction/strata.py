@@ -201,7 +201,7 @@ def draw_stratified(
     if n < 1:
         raise BadInputError(f"number of faults: {n}; allowed: 1 or more")
     variant = variant_for(kernel, args)
-    times = np.frombuffer(apart(lambda: variant.profile(*args)[1].tobytes()), np.int64)
+    times = np.frombuffer(apart(lambda: variant.tally(*args)[1].tobytes()), np.int64)
     executed = (Member("", variant.ir_sha256, *one) for one in variant.table.executions(times))
     members = members_of(executed, parse_selection(which))
     if not members:

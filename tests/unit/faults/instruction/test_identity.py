@@ -7,7 +7,7 @@ import numba
 import numpy as np
 import pytest
 
-from mavfi.faults.instruction import Counting, histogram, resolve
+from mavfi.faults.instruction import Counting, resolve
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.instrument import instrument
 from mavfi.faults.instruction.ir import width
@@ -42,19 +42,21 @@ def signature(args):
 @pytest.mark.parametrize("name", NAMES)
 def test_results_and_arguments_are_the_same_bits(name):
     case = COMPILED[name]
-    plain, counted, profiled, traced, resolved = (case.arguments() for _ in range(5))
+    plain, counted, tallied, traced, resolved = (case.arguments() for _ in range(5))
     result = case.function(*plain)
     variant = variant_for(case.function, tuple(counted))
     again, total = variant.count(*counted)
     assert digest((again, counted)) == digest((result, plain))
-    executed = histogram(case.function, *profiled)
-    assert sum(times for _, times in executed) == total
-    _, _, blocks = variant.profile(*traced, room=total)
+    again, times = variant.tally(*tallied)
+    assert digest((again, tallied)) == digest((result, plain))
+    _, oracle, blocks = variant.profile(*traced, room=total)
+    assert times.tolist() == oracle.tolist()
+    assert variant.table.written(times) == total
     trace = [site for block in blocks for site in variant.table.blocks[block]]
     some = [*np.random.default_rng(0).integers(total, size=300).tolist(), 0, total - 1]
     assert len(trace) == total
     assert resolve(case.function, [*some, total], *resolved) == [*(trace[index] for index in some), None]
-    assert len({digest(args) for args in (plain, counted, profiled, traced, resolved)}) == 1
+    assert len({digest(args) for args in (plain, counted, tallied, traced, resolved)}) == 1
 
 
 @pytest.mark.slow
