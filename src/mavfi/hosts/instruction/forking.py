@@ -17,12 +17,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import MavfiError
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction import Ended, ForkPoint, MismatchError
-from mavfi.faults.instruction.api import digest
-from mavfi.faults.instruction.arena import arena
+from mavfi.faults.instruction.arena import arena, own
 from mavfi.faults.instruction.forked import WALL_CLOCK
 from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
 from mavfi.faults.instruction.variant import Variant, variant_for
@@ -35,7 +36,7 @@ from mavfi.hosts.loop.restarts import Restarts
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
-from mavfi.pipeline.memory import copied
+from mavfi.pipeline.memory import copied, same
 from mavfi.states import DETECTORS, State
 
 TIMEOUT = 60.0
@@ -156,9 +157,9 @@ class Forks:
         fault = child.case.fault
         placed = arena().place(args)  # preserves strides, which a copy may not: they select the compiled variant
         copies = tuple(copied(argument) for argument in args) if placed is None else placed.args
-        golden = digest(_as_tuples((function(*copies), copies)))
+        golden = own((function(*copies), copies))  # the injected call reuses the arena
         result = variant.inject(fault.index, *fault.masks, fault.budget, *args)
-        child.call_same = digest(_as_tuples((result, args))) == golden
+        child.call_same = same_bits((result, args), golden)
         report = variant.report()
         if self._detector is not None and changed_nothing(report):
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True, missed=True)))
@@ -222,5 +223,17 @@ def _report_of(ended: Ended) -> ChildReport:
     return report
 
 
-def _as_tuples(value: Any) -> Any:
-    return tuple(_as_tuples(part) for part in value) if isinstance(value, tuple) else value
+def same_bits(one: Any, other: Any) -> bool:
+    """Whether results or arguments are bit-identical; tuples of any type are equal if their parts are."""
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return len(one) == len(other) and all(map(same_bits, one, other))
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        alike = one.shape == other.shape and one.dtype == other.dtype
+        return alike and np.array_equal(_bytes_of(one), _bytes_of(other))
+    if isinstance(one, np.generic) and isinstance(other, np.generic):
+        return one.dtype == other.dtype and one.tobytes() == other.tobytes()
+    return same(one, other)
+
+
+def _bytes_of(array: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(array).reshape(-1).view(np.uint8)
