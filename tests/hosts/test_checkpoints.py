@@ -123,8 +123,8 @@ CASES = {
 }  # fmt: skip
 
 
-REPEATED = ("rrt_star", "tuned")
-"""They show what others show: another planner; the detector in another profile."""
+REPEATED = ("rrt_star", "tuned", "acceptance hardened")
+"""They show what others show: another planner; the detector in another profile; another stack."""
 IN_THE_FAST_SUITE = ("published", "hardened", "octree", "gaussian", "autoencoder", "recovery")
 
 

@@ -81,13 +81,14 @@ def test_a_dead_detector_is_silent_and_comes_back_with_the_last_publications(pol
 
 
 @pytest.mark.slow
-def test_a_flight_goes_on_whatever_becomes_of_its_detector():
+@pytest.mark.parametrize("name", ["gaussian", pytest.param("acceptance", marks=pytest.mark.long)])
+def test_a_flight_goes_on_whatever_becomes_of_its_detector(name):
     scenario = resolve(MissionSpec(environment="sparse", seed=7, dead_node="readback"))
-    watching, _ = detector_for(scenario, "acceptance", "paper")
-    drawn = draw_instruction_faults(scenario, InstructionRequest({"acceptance": 3}), "test", seed=1, detector=watching)
+    watching, _ = detector_for(scenario, name, "paper")
+    drawn = draw_instruction_faults(scenario, InstructionRequest({name: 3}), "test", seed=1, detector=watching)
     (counts,) = drawn.counts.values()
     assert counts["calls"] > 1_000 and counts["instructions"] > 10 * counts["calls"]
-    faults = drawn.faults["acceptance"]
+    faults = drawn.faults[name]
     hanging = replace(faults[0], budget=1)
     found = fly_instruction_faults(scenario, [*faults, hanging], watching)
     assert found.golden.log.digest() == drawn.golden.log.digest()

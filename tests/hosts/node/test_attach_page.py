@@ -25,8 +25,8 @@ SAYS = {
     "--learn 10": r"",
 }
 """What each command must say; the last two are silent while nothing is wrong."""
-LASTS_S = 10.0
-"""How long those are let run that go on until Ctrl-C (s)."""
+LASTS_S, LEARNS_S = 5.0, 13.0
+"""How long those are let run that go on until Ctrl-C (s): those that learn for 10 s of it, longer."""
 
 
 def test_the_page_has_no_command_that_is_not_run_here():
@@ -49,7 +49,7 @@ def test_the_commands_of_the_page(arm, tmp_path):
             env=environment(),
         )  # fmt: skip
         try:
-            out, err = process.communicate(timeout=60 if "record" in command else LASTS_S)
+            out, err = process.communicate(timeout=60 if "record" in command else LEARNS_S if "--learn" in command else LASTS_S)
             ended = (0,)
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGINT)
