@@ -13,6 +13,7 @@ from mavfi.kernels.perception.octree import Octree
 from mavfi.pipeline.changes import Change, Changes
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.pipeline.memory import Foreign
+from mavfi.pipeline.scratch import ScanArrays, ScanScratch
 from mavfi.plugins import build, load_object, reason
 
 FIRST_CAPACITY = 1 << 14
@@ -73,25 +74,25 @@ class DenseMap:
     ) -> None:  # fmt: skip
         self._frame, self._rule, self._range = frame, rule, max_range
         self._functions, self._rewindable = functions, rewindable
-        size = frame.nx * frame.ny * frame.nz
-        self.log_odds = np.zeros(size, np.float32)
-        self._stamp = np.zeros(size, np.int32)
-        self._touched = np.zeros(size + 1, np.int32)
-        self._before = np.zeros(size, np.float32)
+        self._arrays = ScanArrays(frame, rule, max_range)
+        self.log_odds = self._arrays.log_odds
         self._changes = Changes(self.log_odds)
         self._takes_back = False
-        self._stamps = 0
+        self._scratch = ScanScratch(self._arrays)
+        self.scratch = (self._scratch,)
 
     def insert(self, points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Integrate a scan, and store the previous values of its voxels."""
-        self._stamps += 1
+        arrays = self._arrays
+        arrays.scans += 1
         count = self._functions.insert_scan(
-            points, origin, self._range, self._frame, self._rule, self.log_odds, self._stamp, self._stamps,
-            self._touched, self._before,
+            points, origin, self._range, self._frame, self._rule, self.log_odds, arrays.stamp, arrays.scans,
+            arrays.touched, arrays.before,
         )  # fmt: skip
-        voxels, before = self._touched[:count].copy(), self._before[:count].copy()
+        voxels, before = arrays.touched[:count].copy(), arrays.before[:count].copy()
         after = self.log_odds[voxels]
         if self._rewindable:  # most voxels are clamped already: unchanged ones are not stored
+            self._scratch.note((points, origin))
             changed = np.flatnonzero(before.view(np.uint32) != after.view(np.uint32))
             self._changes.note(voxels[changed], before[changed], after[changed])
         else:
@@ -111,6 +112,8 @@ class DenseMap:
         """Undo the last scan; its stamp is not reused, as the stamp counter is not restored."""
         if self._takes_back:
             self._changes.take_back(len(self._changes) - 1, self._put)
+            if self._rewindable:
+                self._scratch.note(None)
         self._takes_back = False
 
     def save(self) -> tuple[tuple[Change, ...], bool]:

@@ -46,6 +46,19 @@ class Keeper(Protocol):
         """Numeric memory by name: the arrays themselves, not copies."""
 
 
+class Scratch(Protocol):
+    """Work arrays of a kernel: not memory, as a step writes before it reads; but a step with a fault may read first."""
+
+    def save(self) -> Any:  # noqa: ANN401 (each has its own form)
+        """What determines the current contents; immutable."""
+
+    def restore(self, saved: Any) -> None:  # noqa: ANN401
+        """Continue from the result of `save`; the arrays themselves follow by `fill`."""
+
+    def fill(self) -> None:
+        """Write the contents of the last restored `save` to the arrays."""
+
+
 Saved = tuple[Memory, tuple[Any, ...]]
 """Copies of a kernel's memory, and of its keepers."""
 
@@ -56,10 +69,12 @@ class Remembers:
     Attributes:
         memory: The complete memory, except for the keepers.
         keepers: Its maps.
+        scratch: Its work arrays that functions with faults may read; None = it has some that cannot be saved.
     """
 
     memory: Memory
     keepers: tuple[Keeper, ...] = ()
+    scratch: tuple[Scratch, ...] | None = ()
 
     def save(self) -> Saved:
         """Snapshot of the current memory."""

@@ -103,6 +103,7 @@ class OctoMap(Remembers):
             rule.kind, self.frame, update_rule, config.camera.range, config.functions, config.rewindable
         )
         self.keepers = (self.map,)
+        self.scratch = getattr(self.map, "scratch", None)
         self.memory = _MapMemory(new_state("perception.point_cloud"))
 
     def receive(self, state: State, time_us: int) -> bool:

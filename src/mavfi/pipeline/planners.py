@@ -11,6 +11,7 @@ from mavfi.kernels.planning import rrt, rrt_connect, rrt_star
 from mavfi.numerics.random import seed_generator
 from mavfi.numerics.voxels import Grid
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.pipeline.scratch import SearchScratch, arrays_of
 from mavfi.plugins import build, load_object
 
 GROUP = "mavfi.planners"
@@ -55,6 +56,8 @@ class SamplingSearch(ABC):
 
     functions: KernelFunctions = PLAIN
     """Compiled functions that it calls."""
+    scratch: SearchScratch | None = None
+    """Its work arrays; None = they are too large to be saved."""
 
     def __init__(self, config: PlannerConfig, seed: int, runs: int, vertices: int) -> None:
         self._config = config
@@ -71,6 +74,8 @@ class SamplingSearch(ABC):
         self, counter: np.ndarray, grid: Grid, start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray
     ) -> np.ndarray:
         """See `PathSearch.search`."""
+        if self.scratch is not None:
+            self.scratch.changes()
         best = np.zeros((0, 3))
         shortest = np.inf
         for attempt in range(min(self._runs, self._config.restarts)):  # bounded twice: memory may be corrupted
@@ -100,6 +105,7 @@ class Rrt(SamplingSearch):
     def __init__(self, config: PlannerConfig, seed: int) -> None:
         super().__init__(config, seed, config.restarts, config.iterations + 1)
         self._tree = rrt.new_tree(config.iterations + 1)
+        self.scratch = SearchScratch(arrays_of((self._tree, self._path, self._buffer)))
 
     def _run(self, problem: _Problem) -> int:
         config = self._config
@@ -115,6 +121,7 @@ class RrtConnect(SamplingSearch):
     def __init__(self, config: PlannerConfig, seed: int) -> None:
         super().__init__(config, seed, config.restarts, 2 * rrt_connect.NODE_LIMIT)
         self._trees = rrt_connect.new_trees()
+        self.scratch = SearchScratch(arrays_of((self._trees, self._path, self._buffer)))
 
     def _run(self, problem: _Problem) -> int:
         return cast(int, self.functions.plan_rrt_connect(

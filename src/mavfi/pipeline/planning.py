@@ -82,6 +82,7 @@ class MotionPlanner(Remembers):
         self.routes = Routes(config)
         self.room = self.routes.room
         self.keepers = (self.room, self.routes)
+        self.scratch = self.routes.scratch
         self.memory = _PlannerMemory((_Decisions(), self.routes.random.copy()))
 
     # ---- inputs -----------------------------------------------------------------------------------------------------

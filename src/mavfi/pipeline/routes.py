@@ -51,6 +51,9 @@ class Routes:
         local = make_search(small, config.seed, config.functions)
         local.random = search.random  # a single stream to roll back
         self._searches: Foreign[tuple[PathSearch, PathSearch]] = Foreign((search, local))
+        found = [one.scratch if isinstance(one, SamplingSearch) else None for one in (search, local)]
+        known = [one for one in found if one is not None]
+        self.scratch = tuple(known) if len(known) == len(found) else None
         v_max = config.v_max
         self._pace = travel.Pace(
             v_max, min(TIGHT_SPEED, v_max), PLANNING_ACCELERATION, LATERAL_SHARE * config.a_max,

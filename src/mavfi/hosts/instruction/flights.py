@@ -9,7 +9,7 @@ from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import InstructionFault
 from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import flight_of
-from mavfi.hosts.instruction.forking import Forks
+from mavfi.hosts.instruction.forking import ForksFromTakeOff
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.mission import Scenario
 
@@ -48,7 +48,7 @@ def fly_instruction_faults(
         MavfiError: `golden` differs from the golden flight flown here.
     """
     with np.errstate(all="ignore"):  # overflow of corrupted values is expected behaviour
-        forks = Forks(scenario, faults, detector, recovery)
+        forks = ForksFromTakeOff(scenario, faults, detector, recovery)
         if golden is None:
             return InjectedFlights(*forks.fly_all())
         prefix, cases = forks.fly_to_injections()

@@ -13,9 +13,10 @@ first publication at or after its instant.
 """
 
 import pickle
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
@@ -27,12 +28,14 @@ from mavfi.faults.instruction.arena import arena, own
 from mavfi.faults.instruction.forked import WALL_CLOCK
 from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
 from mavfi.faults.instruction.variant import Variant, variant_for
+from mavfi.flight_log import FlightLog
 from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, Output, case_of, flight_of
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.restarts import Restarts
+from mavfi.hosts.loop.scheduler import Loop
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
@@ -41,69 +44,88 @@ from mavfi.states import DETECTORS, State
 
 TIMEOUT = 60.0
 """Wall-clock limit of an injected run (s): catches hangs that the instruction budget does not count."""
+MAP_FUNCTIONS = frozenset({"insert_scan", "collect", "update_voxels", "apply_updates"})
+"""Functions that write maps."""
+Found = TypeVar("Found")
 _ATTEMPTS = 3
 """Attempts under this limit: each finds the code that the previous child compiled in the cache."""
 
 
 @dataclass(slots=True)
-class _Child:
-    """The task of a forked process."""
+class Child:
+    """The task of a forked process.
+
+    `comparable` states whether all differences from the golden flight are in results and memory of kernels, so that the
+    flights are the same from an instant at which these are.
+    """
 
     point: ForkPoint
     case: Case
     dead: bool
     call_same: bool = False
+    comparable: bool = True
     output: Output | None = None
 
 
-class _ForkingFunction:
-    """A kernel's function: plain except for injected calls."""
+class ForkingFunction:
+    """A kernel's or detector's function: plain except for injected calls.
 
-    def __init__(self, forks: "Forks", name: str, function: Callable[..., Any]) -> None:
-        self._forks, self._name, self._function, self._calls = forks, name, function, 0
+    It counts its calls in the record of a flight.  Calls that repeat others for verification are not counted: faults
+    address calls of first executions, as in flights without a detector.
+
+    Attributes:
+        forks: The injected runs that fork at its calls; None = none.
+    """
+
+    def __init__(self, name: str, function: Callable[..., Any], forks: "Forks | None" = None) -> None:
+        self.forks = forks
+        self._name, self._function = name, function
+        self._loop: Loop | None = None
+
+    def attach(self, loop: Loop) -> None:
+        """Count calls in the record of a loop."""
+        self._loop = loop
+        loop.record.calls[self._name] = 0
 
     def __call__(self, *args: Any) -> Any:
-        if self._forks.loop.repeating:  # faults address calls of first executions, as in flights without a detector
+        """Call the function, with the fault if a child forked at this call."""
+        loop, forks = self._loop, self.forks
+        if loop is None or loop.repeating:
             return self._function(*args)
-        call, self._calls = self._calls, self._calls + 1
-        for case in self._forks.cases:
-            if case.call == call and case.fault.entry == self._name and self._forks.child is None:
-                injected, result = self._forks.inject(case, self._function, args)
-                if injected:
-                    return result
+        call = loop.record.calls[self._name]
+        loop.record.calls[self._name] = call + 1
+        if forks is not None and forks.child is None:
+            for case in forks.cases:
+                if case.call == call and case.fault.entry == self._name:
+                    injected, result = forks.inject(case, self._function, args)
+                    if injected:
+                        return result
         return self._function(*args)
 
 
-class Forks:
-    """A golden flight, with or without a detector, from which injected runs fork.
+class Forks(ABC):
+    """Injected runs that fork off a golden flight, with or without a detector.
 
     Attributes:
         cases: The faults, in order.
         child: Task of this process if it is a forked child; None = it flies the golden flight.
+        loop: The loop of the golden flight.
 
     Raises:
-        BadInputError: The scenario cannot be flown, or it has no such kernel.
+        BadInputError: The scenario has no such kernel.
     """
 
-    def __init__(
-        self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None,
-        recovery: Recovery = INLINE,
-    ) -> None:  # fmt: skip
+    loop: Loop
+
+    def __init__(self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None) -> None:
         self.cases = [case_of(fault, scenario, detector) for fault in faults]
-        self.child: _Child | None = None
+        self.child: Child | None = None
         self._awaited: dict[str, list[Case]] = {}
-        sites = [case for case in self.cases if case.fault.has_site]
-        names = tuple(dict.fromkeys(case.fault.entry for case in sites if case.kernel))
-        functions = PLAIN.instrumented(names, lambda name, function: _ForkingFunction(self, name, function))
-        self.loop = new_loop(scenario, functions=functions)
         self._detector = detector
-        for source in {case.fault.kernel for case in sites if not case.kernel}:
-            part = part_of(detector, source)
-            entries = {case.fault.entry for case in sites if case.fault.kernel == source}
-            part.instrument({name: _ForkingFunction(self, name, part.compiled[name]) for name in entries})
-        watch(self.loop, detector, recovery)
-        self._restarts = Restarts(self.loop, scenario.dead_node)
-        self.loop.after_step.append(self._stepped)
+
+    @abstractmethod
+    def restarts(self) -> Restarts:
+        """Restarts of the loop's nodes; called in a child whose node dies."""
 
     # ---- injection --------------------------------------------------------------------------------------------------
     def inject(self, case: Case, function: Any, args: tuple[Any, ...]) -> tuple[bool, Any]:
@@ -132,7 +154,7 @@ class Forks:
             ended = self._fork(case, dead=True)
             if ended is None:
                 if not case.kernel and self._detector is not None:
-                    self._restarts.detector_dies(self._detector, self.loop.now, round(1e6 * case.fault.restart_s))
+                    self.restarts().detector_dies(self._detector, self.loop.now, round(1e6 * case.fault.restart_s))
                 return True, function(*args)
             case.report = _report_of(ended)
         if case.kernel:
@@ -145,7 +167,7 @@ class Forks:
             point = ForkPoint()
             ended = point.split(TIMEOUT)
             if ended is None:
-                self.child = _Child(point, case, dead)
+                self.child = Child(point, case, dead)
             if ended is None or ended.detail != WALL_CLOCK:
                 break
         return ended
@@ -157,17 +179,18 @@ class Forks:
         fault = child.case.fault
         placed = arena().place(args)  # preserves strides, which a copy may not: they select the compiled variant
         copies = tuple(copied(argument) for argument in args) if placed is None else placed.args
-        golden = own((function(*copies), copies))  # the injected call reuses the arena
+        golden, before = own((function(*copies), copies)), own(args)  # the injected call reuses the arena
         result = variant.inject(fault.index, *fault.masks, fault.budget, *args)
         child.call_same = same_bits((result, args), golden)
         report = variant.report()
+        child.comparable = report is not None and report.planned and _is_contained(fault.entry, before, golden[1], args)
         if self._detector is not None and changed_nothing(report):
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True, missed=True)))
         if child.call_same and report is not None and (report.planned or report.site.value_class in DATA):
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True)))
         return result
 
-    def _stepped(self, kernel: Kernel, states: list[State], now: int) -> None:
+    def stepped(self, kernel: Kernel, states: list[State], now: int) -> None:
         """Store the output of an injected step; terminates the node of a step that crashed."""
         child = self.child
         if child is None:
@@ -176,9 +199,60 @@ class Forks:
         elif child.case.kernel == kernel.name:
             if child.dead:
                 child.dead = False
-                self._restarts.die(kernel.name, now, round(1e6 * child.case.fault.restart_s), states)
+                self.restarts().die(kernel.name, now, round(1e6 * child.case.fault.restart_s), states)
             elif child.output is None:
                 child.output = Output.of(kernel, states)
+
+    def run(self, fly: Callable[[], Found]) -> Found:
+        """Call `fly`; in a child, an exception is its report."""
+        try:
+            return fly()
+        except BaseException:
+            if self.child is None:
+                raise
+            with self.child.point.guard():
+                raise
+
+    def report(self, log: FlightLog) -> NoReturn:
+        """End this child with the log of its flight."""
+        assert self.child is not None  # called in children only
+        self.child.point.finish(pickle.dumps(ChildReport(log, self.child.output, self.child.call_same)))
+
+
+class ForksFromTakeOff(Forks):
+    """Forks off a golden flight that is flown from take-off.
+
+    Raises:
+        BadInputError: The scenario cannot be flown, or it has no such kernel.
+    """
+
+    def __init__(
+        self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None,
+        recovery: Recovery = INLINE,
+    ) -> None:  # fmt: skip
+        super().__init__(scenario, faults, detector)
+        made: list[ForkingFunction] = []
+
+        def forking(name: str, function: Callable[..., Any]) -> ForkingFunction:
+            made.append(ForkingFunction(name, function, self))
+            return made[-1]
+
+        sites = [case for case in self.cases if case.fault.has_site]
+        names = tuple(dict.fromkeys(case.fault.entry for case in sites if case.kernel))
+        self.loop = new_loop(scenario, functions=PLAIN.instrumented(names, forking))
+        for source in {case.fault.kernel for case in sites if not case.kernel}:
+            part = part_of(detector, source)
+            entries = {case.fault.entry for case in sites if case.fault.kernel == source}
+            part.instrument({name: forking(name, part.compiled[name]) for name in entries})
+        for function in made:
+            function.attach(self.loop)
+        watch(self.loop, detector, recovery)
+        self._restarts = Restarts(self.loop, scenario.dead_node)
+        self.loop.after_step.append(self.stepped)
+
+    def restarts(self) -> Restarts:
+        """See `Forks.restarts`."""
+        return self._restarts
 
     # ---- completion -------------------------------------------------------------------------------------------------
     def fly_all(self) -> tuple[Flight, list[Flight]]:
@@ -198,12 +272,7 @@ class Forks:
     def _fly(self, enough: Callable[[], bool]) -> Flight | None:
         """Fly to the end, or until `enough`; a child reports and exits."""
         try:
-            golden = fly_until(self.loop, enough)
-        except BaseException:
-            if self.child is None:
-                raise
-            with self.child.point.guard():
-                raise
+            golden = self.run(lambda: fly_until(self.loop, enough))
         finally:
             for source in DETECTORS:
                 part = part_of(self._detector, source)
@@ -211,8 +280,7 @@ class Forks:
                     part.instrument({})
         if self.child is not None:
             assert golden is not None  # `enough` is never true in a child
-            report = ChildReport(golden.log, self.child.output, self.child.call_same)
-            self.child.point.finish(pickle.dumps(report))
+            self.report(golden.log)
         return golden
 
 
@@ -237,3 +305,14 @@ def same_bits(one: Any, other: Any) -> bool:
 
 def _bytes_of(array: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+
+
+def _is_contained(entry: str, before: Any, golden: Any, injected: Any) -> bool:
+    """Whether a call changed no argument that checkpoints do not compare, other than as without the fault.
+
+    They compare the memory of kernels.  Inputs are not memory, so they must be as before; of maps they compare the
+    cells, but not the stamps and counters beside them.
+    """
+    if isinstance(golden, tuple):
+        return all(_is_contained(entry, *parts) for parts in zip(before, golden, injected, strict=True))
+    return same_bits(golden, injected) or (entry not in MAP_FUNCTIONS and not same_bits(before, golden))

@@ -7,17 +7,21 @@ from mavfi.detectors.detector import Detector
 from mavfi.faults.state import CounterWatch, StateInjector
 from mavfi.flight_log import AlarmRecord
 from mavfi.hosts.loop.scheduler import Loop, LoopMemory
-from mavfi.pipeline.memory import Foreign, Remembers, Saved
+from mavfi.pipeline.memory import Foreign, Remembers, Saved, Scratch
 from mavfi.states import Stage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Instant:
-    """State of plant, loop and kernels at an instant; immutable, shared by flights."""
+    """State of plant, loop and kernels at an instant; immutable, shared by flights.
+
+    `scratch` has what determines the contents of the kernels' work arrays, by kernel; None = it was not saved.
+    """
 
     plant: Any
     loop: LoopMemory
     kernels: dict[str, Saved]
+    scratch: dict[str, tuple[Any, ...]] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,11 +73,12 @@ def keeper_of(detector: Detector | None) -> Watched | Foreign[Any]:
     return Watched(detector) if explicit else Foreign(detector)
 
 
-def take(loop: Loop) -> Instant:
-    """The current instant of a loop."""
+def take(loop: Loop, *, scratch: bool = False) -> Instant:
+    """The current instant of a loop; `scratch`: with the work arrays of all kernels, which must be known."""
     _settle(loop)
     kernels = {name: kernel.save() for name, kernel in _kernels(loop).items()}
-    return Instant(loop.plant.snapshot(), loop.memory().copy(), kernels)
+    arrays = {name: tuple(one.save() for one in own) for name, own in _scratch(loop).items()} if scratch else None
+    return Instant(loop.plant.snapshot(), loop.memory().copy(), kernels, arrays)
 
 
 def put(loop: Loop, instant: Instant) -> None:
@@ -82,6 +87,21 @@ def put(loop: Loop, instant: Instant) -> None:
     loop.restore(instant.loop)
     for name, kernel in _kernels(loop).items():
         kernel.restore(instant.kernels[name])
+    for name, saved in (instant.scratch or {}).items():
+        for own, content in zip(_scratch(loop)[name], saved, strict=True):
+            own.restore(content)
+
+
+def has_scratch(loop: Loop) -> bool:
+    """Whether the work arrays of all kernels can be saved."""
+    return all(kernel.scratch is not None for kernel in _kernels(loop).values())
+
+
+def fill(loop: Loop) -> None:
+    """After `put`: write the contents of the work arrays, as well."""
+    for own in _scratch(loop).values():
+        for one in own:
+            one.fill()
 
 
 def is_at(loop: Loop, instant: Instant) -> bool:
@@ -96,6 +116,10 @@ def is_at(loop: Loop, instant: Instant) -> bool:
 
 def _kernels(loop: Loop) -> dict[str, Remembers]:
     return cast(dict[str, Remembers], loop.kernels)  # true of all in-process kernels
+
+
+def _scratch(loop: Loop) -> dict[str, tuple[Scratch, ...]]:
+    return {name: kernel.scratch or () for name, kernel in _kernels(loop).items()}
 
 
 def _settle(loop: Loop) -> None:

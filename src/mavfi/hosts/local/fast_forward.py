@@ -8,8 +8,8 @@
   publications of that flight; at its first alarm, simulation continues from the preceding checkpoint.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any
 
@@ -21,11 +21,13 @@ from mavfi.faults.fault import StateFault
 from mavfi.faults.state import CounterWatch, StateInjector
 from mavfi.flight_log import FlightLog, Profile
 from mavfi.hosts.host import Flight
-from mavfi.hosts.local.checkpoints import Checkpoint, Instant, is_at, keeper_of, put, take
+from mavfi.hosts.instruction.forking import ForkingFunction
+from mavfi.hosts.local.checkpoints import Checkpoint, Instant, has_scratch, is_at, keeper_of, put, take
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.recovery import INLINE, Recovery, Watch
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.mission import Scenario
+from mavfi.pipeline.functions import PLAIN
 from mavfi.states import State
 
 TICKS = {"dense": 50, "octree": 200}
@@ -51,7 +53,7 @@ class Share:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """A completed flight, its publications (if it has no detector), and its checkpoints by number of rows."""
+    """A completed flight, its publications (if it has checkpoints), and its checkpoints by number of rows."""
 
     log: FlightLog
     rows: list[np.ndarray]
@@ -72,15 +74,30 @@ class Track:
 class FastForward:
     """All flights of one mission; `share` counts the simulated part.
 
+    Attributes:
+        loop: The loop of all flights; its record counts the calls of `functions`, and checkpoints contain the counts.
+        functions: The functions of its kernels, at whose calls flights can fork, by name.
+        scratch: Whether checkpoints contain the work arrays of kernels, so that faults in instructions can be injected
+            after them; requires that these are known.
+
     Raises:
         BadInputError: The scenario cannot be flown.
         MavfiError: It uses an estimator, whose sensors are not part of a checkpoint.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, *, scratch: bool = False) -> None:
         if scenario.localization.kind != "truth":
             raise MavfiError("flights with an estimator are not fast-forwarded")
-        self.loop = new_loop(scenario, profile=True, rewindable=True)
+        self.functions = {
+            field.name: ForkingFunction(field.name, getattr(PLAIN, field.name)) for field in fields(PLAIN)
+        }
+        table = PLAIN.instrumented(tuple(self.functions), lambda name, _: self.functions[name])
+        self.loop = new_loop(scenario, profile=True, rewindable=True, functions=table)
+        for function in self.functions.values():
+            function.attach(self.loop)
+        self.scratch = scratch
+        if scratch and not has_scratch(self.loop):
+            raise MavfiError("the work arrays of a kernel cannot be saved")
         self.pitch = TICKS.get(scenario.map.kind, TICKS["octree"])
         self.share = Share()
         self._golden: dict[str, Track] = {}
@@ -119,10 +136,10 @@ class FastForward:
     def _first(self) -> Track:
         """The golden flight without a detector, from take-off."""
         loop = self.loop
-        branch = _Branch(self, None, keeps=True)
+        branch = Branch(self, None, keeps=True)
         loop.taps.injector = CounterWatch()
         loop.begin()
-        branch.keep(take(loop))
+        branch.keep(take(loop, scratch=self.scratch))
         track = branch.fly()
         self._profile = loop.record.publications.profile()
         loop.record.publications.wanted = False
@@ -131,7 +148,7 @@ class FastForward:
     def _watched(self, detector: Detector) -> Track:
         """The golden flight with a detector."""
         plain = self.golden()
-        branch = _Branch(self, detector, [plain], keeps=True)
+        branch = Branch(self, detector, [plain], keeps=True)
         detector.start()
         branch.begin(plain, plain.checkpoints[0])
         branch.loop.taps.injector = CounterWatch()
@@ -154,7 +171,7 @@ class FastForward:
         as_plain = rows in plain.checkpoints and start.instant is plain.checkpoints[rows].instant
         # if the prefix has no alarms, the run without a detector is identical up to the first alarm
         along = self._unwatched(fault) if detector is not None and as_plain and not injector.spent else None
-        branch = _Branch(self, detector, [plain] if along is None else [along, plain], own, keeps=detector is None)
+        branch = Branch(self, detector, [plain] if along is None else [along, plain], own, keeps=detector is None)
         branch.begin(own, start)
         branch.loop.taps.injector = injector
         branch.remember(start.detector)
@@ -169,26 +186,31 @@ class FastForward:
         return branch.fly()
 
 
-class _Branch:
-    """A flight in progress; it may converge to the `known` flights or to `own`, the golden flight with its detector."""
+class Branch:
+    """A flight in progress; it may converge to the `known` flights or to `own`, the golden flight with its detector.
+
+    With `keeps` it has checkpoints; with `shows`, which `keeps` implies, it records publications in `shown`.
+    `comparable` states whether checkpoints contain everything in which it may differ from the known flights.
+    """
 
     def __init__(
         self, forward: FastForward, detector: Detector | None, known: Sequence[Track] = (), own: Track | None = None,
-        keeps: bool = False,
+        keeps: bool = False, shows: bool = False,
     ) -> None:  # fmt: skip
         self.loop = forward.loop
-        self._share, self._pitch = forward.share, forward.pitch
+        self.comparable: Callable[[], bool] = lambda: True
+        self._share, self._pitch, self._scratch = forward.share, forward.pitch, forward.scratch
         self._detector = None if detector is None else keeper_of(detector)
         self._known, self._own, self._keeps = known, own, keeps
         self._checkpoints: dict[int, Checkpoint] = {}
-        self._shown: list[tuple[State, int]] = []
+        self.shown: list[tuple[State, int]] = []
         self._flown = False
         self._log: FlightLog | None = None
         self._recovery = forward.recovery
         self.loop.status, self.loop.taps.detector, self.loop.taps.seal = None, None, None
         self._watch()
-        shows = keeps and detector is None
-        self.loop.taps.recorders[:] = [lambda state, now: self._shown.append((state, now))] if shows else []
+        self._shows = keeps or shows
+        self.loop.taps.recorders[:] = [lambda state, now: self.shown.append((state, now))] if self._shows else []
 
     def _watch(self) -> None:
         if self._detector is not None:
@@ -207,7 +229,7 @@ class _Branch:
         """Start with another flight's record up to a checkpoint."""
         record = self.loop.record
         record.rows, record.events = track.rows[: start.rows], track.log.events[: start.events]
-        record.alarms, self._shown = list(start.alarms), track.shown[: start.shown]
+        record.alarms, self.shown = list(start.alarms), track.shown[: start.shown]
         record.set_counts(start.counts)
 
     def keep(self, instant: Instant) -> None:
@@ -218,7 +240,7 @@ class _Branch:
         record, injector = self.loop.record, self.loop.taps.injector
         assert isinstance(injector, (CounterWatch, StateInjector))  # installed in every flight of this class
         return Checkpoint(
-            instant, len(record.rows), len(record.events), len(self._shown), tuple(record.alarms), record.counts(),
+            instant, len(record.rows), len(record.events), len(self.shown), tuple(record.alarms), record.counts(),
             injector.copy(), None if self._detector is None else self._detector.save(),
         )  # fmt: skip
 
@@ -228,8 +250,8 @@ class _Branch:
         record.rows += track.rows[here.rows : there.rows]
         record.events += log.events[here.events : there.events]
         record.alarms += log.alarms[len(here.alarms) : len(there.alarms)]
-        if self._keeps and self._detector is None:
-            self._shown += track.shown[here.shown : there.shown]
+        if self._shows:
+            self.shown += track.shown[here.shown : there.shown]
         so_far = record.counts()
         record.set_counts(n + b - a for n, a, b in zip(so_far, here.counts, there.counts, strict=True))
         if there is track.end:
@@ -300,14 +322,14 @@ class _Branch:
             else:
                 self._log = loop.flight().log
         loop.taps.recorders.clear()
-        return Track(self._log, record.rows, self._shown, self._checkpoints, self._checkpoint())
+        return Track(self._log, record.rows, self.shown, self._checkpoints, self._checkpoint())
 
     def _arrive(self) -> None:
         """At a checkpoint instant: reuse another flight if the current state has converged to it."""
         rows = len(self.loop.record.rows)
-        other = self._converged() if self._is_through() else None
+        other = self._converged() if self._is_through() and self.comparable() else None
         if self._keeps:
-            self.keep(take(self.loop) if other is None else other.checkpoints[rows].here)
+            self.keep(take(self.loop, scratch=self._scratch) if other is None else other.checkpoints[rows].here)
         if other is not None and other is self._own:
             self.converge(other, rows)
         elif other is not None:

@@ -8,8 +8,10 @@ from mavfi.hosts.host import ArmFlights, ArmSetup, Flight
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.flight import fly
+from mavfi.hosts.local.forks import fly_from_checkpoints
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec, Scenario
+from mavfi.states import DETECTORS
 
 
 class LocalHost:
@@ -39,11 +41,12 @@ class LocalFlights(ArmFlights):
         super().__init__(arms)
         self._fast = fast_forward
         self._forward: dict[str, FastForward] = {}
+        self._scratch = False
 
     def know(self, arm: str, flight: Flight) -> None:
-        """See `MissionFlights.know`; disables fast-forward for all arms of this mission."""
+        """See `MissionFlights.know`: faults in instructions follow."""
         super().know(arm, flight)
-        self._fast = False
+        self._scratch = True
 
     def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
         """See `MissionFlights.injected`: state and memory faults in list order, then instruction faults by arm."""
@@ -65,12 +68,9 @@ class LocalFlights(ArmFlights):
     def _instructions(
         self, arm: str, batch: Sequence[tuple[int, InstructionFault]]
     ) -> Iterator[tuple[int, Flight | Exception]]:
-        setup = self._arms[arm]
+        faults = [fault for _, fault in batch]
         try:
-            found = fly_instruction_faults(
-                setup.scenario, [fault for _, fault in batch], self._detector(arm), self._golden.get(arm),
-                setup.recovery,
-            ).flights  # fmt: skip
+            found = self._from_checkpoints(arm, faults) or self._from_take_off(arm, faults)
         except Exception as error:  # noqa: BLE001 - raised by one of the runs; each is retried separately
             if len(batch) == 1:
                 yield batch[0][0], error
@@ -80,22 +80,55 @@ class LocalFlights(ArmFlights):
             return
         yield from ((place, flight) for (place, _), flight in zip(batch, found, strict=True))
 
+    def _from_take_off(self, arm: str, faults: Sequence[InstructionFault]) -> list[Flight]:
+        setup = self._arms[arm]
+        return fly_instruction_faults(
+            setup.scenario, faults, self._detector(arm), self._golden.get(arm), setup.recovery
+        ).flights  # fmt: skip
+
+    def _from_checkpoints(self, arm: str, faults: Sequence[InstructionFault]) -> list[Flight]:
+        """As `_from_take_off`, fast-forwarded; empty if that is not possible."""
+        setup, detector, golden = self._arms[arm], self._detector(arm), self._golden.get(arm)
+        if (
+            golden is None
+            or not (self._scratch and self._may_forward(arm))
+            or any(fault.kernel in DETECTORS for fault in faults)
+        ):
+            return []
+        key = setup.scenario.key()
+        try:
+            forward = self._forward.get(key) or FastForward(setup.scenario, scratch=self._scratch)
+            name = arm if detector is not None else ""
+            found = fly_from_checkpoints(forward, faults, golden, detector, name, setup.recovery)
+        except Exception:  # noqa: BLE001 - as in `_fly`
+            self._forward.pop(key, None)
+            return []
+        self._forward[key] = forward
+        return found
+
+    def _may_forward(self, arm: str) -> bool:
+        """Whether flights of an arm can be fast-forwarded.
+
+        Excluded are detectors whose recovery restarts nodes or degrades, as responses depend on earlier alarms; and
+        detectors with `seal` or `duplicates`, which act on unpublished values.
+        """
+        detector = self._detector(arm)
+        takes_part = hasattr(detector, "seal") or hasattr(detector, "duplicates")
+        return self._fast and not (detector is not None and (self._arms[arm].recovery.remembers or takes_part))
+
     def _fly(self, arm: str, fault: StateFault | MemoryFault | None, *, profile: bool = False) -> Flight:
         """Fly one run, fast-forwarded if possible.
 
-        Excluded are null faults, whose purpose is to exercise the injector; memory faults, which checkpoints do not
-        contain; detectors whose recovery restarts nodes or degrades, as responses depend on earlier alarms; and
-        detectors with `seal` or `duplicates`, which act on unpublished values.
+        Excluded are also null faults, whose purpose is to exercise the injector, and memory faults, which checkpoints
+        do not contain.
         """
         setup = self._arms[arm]
         detector = self._detector(arm)
         through = fault is not None and fault.bit is None
-        takes_part = hasattr(detector, "seal") or hasattr(detector, "duplicates")
-        remembers = detector is not None and (setup.recovery.remembers or takes_part)
-        if self._fast and not through and not remembers and not isinstance(fault, MemoryFault):
+        if self._may_forward(arm) and not through and not isinstance(fault, MemoryFault):
             key = setup.scenario.key()
             try:
-                forward = self._forward.get(key) or FastForward(setup.scenario)
+                forward = self._forward.get(key) or FastForward(setup.scenario, scratch=self._scratch)
                 flight = forward.fly(fault, detector, arm if detector is not None else "", setup.recovery)
             except Exception:  # noqa: BLE001 - state that cannot be copied or compared: the full flight decides
                 self._forward.pop(key, None)

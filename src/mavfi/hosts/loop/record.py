@@ -38,7 +38,10 @@ class Publications:
 
 
 class Record:
-    """Record of one flight: rows, events, alarms with the outcomes known so far, and modelled times (us)."""
+    """Record of one flight: rows, events, alarms with the outcomes known so far, and modelled times (us).
+
+    `calls` counts the calls of compiled functions, by name, in flights that address faults by them; else it is empty.
+    """
 
     def __init__(self, kernels: Iterable[str], publications: Publications) -> None:
         self.rows: list[np.ndarray] = []
@@ -47,6 +50,7 @@ class Record:
         self.compute_us = dict.fromkeys(kernels, 0)
         self.recompute_us = {stage.value: 0 for stage in STAGE_KERNELS}
         self.publications = publications
+        self.calls: dict[str, int] = {}
 
     def write_row(self, now: int, odometry: np.ndarray, command: np.ndarray, reference: np.ndarray) -> None:
         """Append the row of a control period, see `flight_log.COLUMNS`: shapes (13,), (4,) and (3,)."""
@@ -69,12 +73,14 @@ class Record:
             self.note(now, "collision_predicted", {"time_to_collision": float(header["time_to_collision"][0])})
 
     def counts(self) -> tuple[int, ...]:
-        """Modelled compute times of kernels, recompute times of stages, and publication counts."""
-        return (*self.compute_us.values(), *self.recompute_us.values(), *self.publications.count.values())
+        """Calls of functions, modelled compute times of kernels, recompute times of stages, and publication counts."""
+        tables = self.calls, self.compute_us, self.recompute_us, self.publications.count
+        return tuple(number for table in tables for number in table.values())
 
     def set_counts(self, counts: Iterable[int]) -> None:
         """Inverse of `counts`; tables returned earlier are not modified."""
         rest = iter(counts)
+        self.calls = {name: next(rest) for name in self.calls}
         self.compute_us = {name: next(rest) for name in self.compute_us}
         self.recompute_us = {name: next(rest) for name in self.recompute_us}
         self.publications.count = {name: next(rest) for name in self.publications.count}

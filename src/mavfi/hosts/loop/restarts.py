@@ -34,12 +34,13 @@ class Restarts:
         self._updates: list[State] = []
         self._acted_on = {spec.name: ActedOn(spec) for spec in STATES.values() if spec.acted_on}
         self._alarms: dict[str, State] = {}
-        loop.taps.recorders.append(self._keep)
+        loop.taps.recorders.append(self.keep)
         self._back = f"restart {policy}"  # a detector may restart nodes under a policy other than the mission's
         loop.actions[self._back] = self._restart
         loop.actions["again"] = self._again
 
-    def _keep(self, state: State, now: int) -> None:
+    def keep(self, state: State, now: int) -> None:
+        """Note a publication as consumers receive it: what a restarted node receives depends on all of them."""
         name = state.spec.name
         self._latest[name] = state
         if name == CHANGES:

@@ -28,8 +28,8 @@ def calls(monkeypatch):
     found = SimpleNamespace(flown=[], made=[], detectors=0, broken=False)
 
     class FastForward:
-        def __init__(self, scenario):
-            found.made.append(scenario.name)
+        def __init__(self, scenario, *, scratch):
+            found.made.append(f"{scenario.name} with scratch" if scratch else scenario.name)
 
         def fly(self, fault, detector, arm, recovery):
             if found.broken:
@@ -47,7 +47,14 @@ def calls(monkeypatch):
         found.flown.append(("instructions", tuple(faults), detector, golden, recovery))
         return SimpleNamespace(flights=[Flight(fault) for fault in faults])
 
+    def fly_from_checkpoints(forward, faults, golden, detector, arm, recovery):
+        if found.broken or WRONG in faults:
+            raise BadInputError("other machine code")
+        found.flown.append(("checkpoints", tuple(faults), detector, arm, recovery))
+        return [Flight(fault) for fault in faults]
+
     monkeypatch.setattr(mission_flights, "FastForward", FastForward)
+    monkeypatch.setattr(mission_flights, "fly_from_checkpoints", fly_from_checkpoints)
     monkeypatch.setattr(mission_flights, "fly", fly)
     monkeypatch.setattr(mission_flights, "fly_instruction_faults", fly_instruction_faults)
     return found
@@ -125,9 +132,24 @@ def test_instruction_faults_are_flown_arm_by_arm_and_keep_their_places(calls, ar
     found = dict(flights.injected([("", DATA), ("g", DATA), ("", other), ("g", FAULT)]))
     assert {place: flight.log for place, flight in found.items()} == {0: DATA, 1: DATA, 2: other, 3: FAULT}
     assert calls.flown == [
-        ("long", FAULT, "watcher", "own", Recovery("observer")), ("instructions", (DATA, other), None, golden, INLINE),
+        ("fast", FAULT, "watcher", "g", Recovery("observer")), ("checkpoints", (DATA, other), None, "", INLINE),
         ("instructions", (DATA,), "watcher", None, Recovery("observer")),
-    ]  # fmt: skip
+    ], "without a golden flight of its own an arm flies from take-off"  # fmt: skip
+    assert calls.made == ["own with scratch"]
+
+
+@pytest.mark.parametrize("why", ["broken", "detector", "unknown", "no fast-forward", "restarts"])
+def test_instruction_faults_are_flown_from_take_off_where_checkpoints_cannot_be_used(calls, arms, why):
+    if why == "restarts":
+        arms["g"] = ArmSetup(Scenario(name="own"), arms["g"].make_detector, Recovery(answer_s=0.6))
+    flights = LocalHost().mission(arms, fast_forward=why != "no fast-forward")
+    if why != "unknown":
+        flights.know("g", Flight("golden"))
+    calls.broken = why == "broken"
+    fault = InstructionFault("f", "sha", 1, kernel="acceptance") if why == "detector" else DATA
+    [(_, flight)] = flights.injected([("g", fault)])
+    assert flight.log is fault
+    assert ways(calls) == [("instructions", (fault,))]
 
 
 def test_a_fault_that_cannot_be_flown_ends_its_own_flight_only(calls, arms, monkeypatch):

@@ -1,0 +1,156 @@
+"""Instruction faults forked off checkpoints give the records of flights from take-off, bit for bit."""
+
+import mmap
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.faults.fault import NO_SITE, InstructionFault
+from mavfi.faults.spec import InstructionRequest
+from mavfi.hosts.host import ArmSetup
+from mavfi.hosts.instruction import fly_instruction_faults
+from mavfi.hosts.local import fly, mission_flights
+from mavfi.hosts.local.fast_forward import Branch, FastForward
+from mavfi.hosts.local.forks import fly_from_checkpoints
+from mavfi.hosts.local.mission_flights import LocalHost
+from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.restarts import Restarts
+from mavfi.hosts.loop.scheduler import Loop
+from tests.hosts.missions import Scripted, mission
+from tests.hosts.test_checkpoints import Nervous, detector_of
+
+KERNELS = ("point_cloud", "octomap", "collision_check", "rrt_connect", "pid")
+ARMS = {"": lambda: None, "gaussian": lambda: detector_of("gaussian", "paper", mission()), "nervous": Nervous}
+pytestmark = pytest.mark.slow
+
+
+def scenario(**options):
+    return mission(**{"dead_node": "fresh", **options})
+
+
+@cache
+def drawn(which, seed, number=3, **options):
+    request = InstructionRequest(dict.fromkeys(KERNELS, number), which, restart_s=0.3)
+    found = draw_instruction_faults(scenario(**options), request, "test", seed=seed)
+    return [fault for faults in found.faults.values() for fault in faults]
+
+
+def records(flights):
+    return [flight.record() for flight in flights]
+
+
+def both_ways(faults, arm="", make=lambda: None, **options):
+    """Records from checkpoints, and from take-off."""
+    flown, detector = scenario(**options), make()
+    golden = fly(flown, None, detector)
+    forward = FastForward(flown, scratch=True)
+    fast = records(fly_from_checkpoints(forward, faults, golden, detector, arm))
+    return fast, records(fly_instruction_faults(flown, faults, detector, golden).flights)
+
+
+@pytest.mark.parametrize("arm", ARMS)
+@pytest.mark.parametrize("which", ["all", "address"])
+def test_records_are_those_of_flights_from_take_off(arm, which):
+    fast, slow = both_ways(drawn(which, 4), arm, ARMS[arm])
+    assert fast == slow
+    assert len({record.kernel.effect for record in slow}) >= 3
+
+
+@pytest.mark.parametrize("policy", ["end", "latched", "readback", pytest.param("recompute", marks=pytest.mark.long)])
+def test_nodes_that_die_come_back_as_after_a_flight_from_take_off(policy):
+    dying = [fault for fault in drawn("address", 4) if fault.kernel in ("rrt_connect", "collision_check", "pid")]
+    fast, slow = both_ways(dying, dead_node=policy)
+    assert fast == slow
+    assert "crash" in {record.kernel.effect for record in slow}
+
+
+def test_a_fault_without_a_site_or_beyond_the_last_call_is_not_activated():
+    faults = [InstructionFault("", "", 0, NO_SITE, kernel="pid"), replace(drawn("all", 4)[-1], call=10**6)]
+    fast, slow = both_ways(faults)
+    assert fast == slow
+    assert [record.kernel.effect for record in fast] == ["not_activated"] * 2
+
+
+def of_octomap():
+    return [fault for fault in drawn("address", 4, 12) if fault.kernel == "octomap"]
+
+
+def test_work_arrays_are_restored():
+    """What earlier scans left in them is read by instructions whose address is wrong."""
+    fast, slow = both_ways(of_octomap())
+    assert fast == slow
+
+
+def test_restarts_that_do_not_know_the_flight_so_far_are_noticed(monkeypatch):
+    dying = [fault for fault in drawn("address", 4) if fault.kernel in ("point_cloud", "collision_check")]
+    flown = scenario()
+    golden, forward = fly(flown), FastForward(flown, scratch=True)
+    slow = records(fly_instruction_faults(flown, dying, None, golden).flights)
+    assert records(fly_from_checkpoints(forward, dying, golden)) == slow
+    monkeypatch.setattr(Restarts, "keep", lambda *_: None)
+    assert records(fly_from_checkpoints(forward, dying, golden)) != slow
+
+
+def test_children_that_converge_end_there(monkeypatch):
+    """Without the reuse of known flights they fly on to the end: the same records, more control periods."""
+    flown, memory = scenario(), np.frombuffer(mmap.mmap(-1, 8), np.int64)  # shared with the children
+    run = Loop.run
+
+    def counting(self, *args):
+        before = len(self.record.rows)
+        run(self, *args)
+        memory[0] += len(self.record.rows) - before
+
+    monkeypatch.setattr(Loop, "run", counting)
+    golden, forward = fly(flown), FastForward(flown, scratch=True)
+    faults = [fault for fault in drawn("address", 4) if fault.kernel == "point_cloud"]
+    found, periods = [], []
+    for converges in (True, False):
+        if not converges:
+            monkeypatch.setattr(Branch, "_converged", lambda self: None)
+        forward.golden()
+        memory[0] = 0
+        found.append(records(fly_from_checkpoints(forward, faults, golden)))
+        periods.append(int(memory[0]))
+    assert found[0] == found[1]
+    assert periods[0] < 0.9 * periods[1]
+
+
+def test_a_campaigns_flights_use_it(monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("flown from take-off")
+
+    monkeypatch.setattr(mission_flights, "fly_instruction_faults", never)
+    faults = drawn("all", 4)[-3:]
+    flights = LocalHost().mission({"": ArmSetup(scenario()), "nervous": ArmSetup(scenario(), Nervous)})
+    flights.know("", fly(scenario()))
+    assert flights.golden("nervous").log.alarms
+    runs = [(arm, fault) for arm in ("", "nervous") for fault in faults]
+    found = dict(flights.injected(runs))
+    assert sorted(found) == list(range(6))
+    assert all(flight.log.injections for flight in found.values())
+
+
+@pytest.mark.parametrize("case", ["octree", "rrt_star", "restarts", "no fast-forward"])
+def test_what_cannot_be_forwarded_is_flown_from_take_off(case, monkeypatch):
+    monkeypatch.setattr(mission_flights, "fly_from_checkpoints", None)
+    options = {"octree": {"map": "octree"}, "rrt_star": {"planner": "rrt_star"}}.get(case, {})
+    watched = ArmSetup(scenario(**options), Scripted, Recovery(answer_s=0.6) if case == "restarts" else INLINE)
+    flights = LocalHost().mission({"arm": watched}, fast_forward=case != "no fast-forward")
+    flights.know("arm", fly(scenario(**options), None, Scripted()))
+    ((_, flight),) = flights.injected([("arm", drawn("all", 4, 1)[-1])])
+    assert flight.log.injections
+
+
+def test_an_input_that_was_changed_forbids_to_converge():
+    from mavfi.hosts.instruction.forking import _is_contained  # the rule itself, case by case
+
+    before, golden, other = np.zeros(3), np.ones(3), np.full(3, 2.0)
+    assert _is_contained("track", (before,), (before,), (before,))
+    assert not _is_contained("track", (before,), (before,), (other,)), "an input"
+    assert _is_contained("track", (before,), (golden,), (other,)), "an output"
+    assert not _is_contained("insert_scan", (before,), (golden,), (other,)), "a map has more than checkpoints compare"
+    assert not _is_contained("track", ((before, before),), ((golden, before),), ((other, other),))
