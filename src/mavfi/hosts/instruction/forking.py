@@ -28,7 +28,7 @@ from mavfi.faults.instruction.forked import WALL_CLOCK
 from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
 from mavfi.faults.instruction.variant import Variant, variant_for
 from mavfi.hosts.host import Flight
-from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, Output, case_of, flight_of
+from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, Output, Published, case_of, flight_of
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
@@ -79,6 +79,7 @@ class Forks:
 
     Attributes:
         cases: The faults, in order.
+        published: Publications so far, with their instants (us), in order; None = not recorded.
         child: Task of this process if it is a forked child; None = it flies the golden flight.
 
     Raises:
@@ -87,8 +88,9 @@ class Forks:
 
     def __init__(
         self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None,
-        recovery: Recovery = INLINE,
+        recovery: Recovery = INLINE, *, record: bool = False,
     ) -> None:  # fmt: skip
+        self.published: list[Published] | None = [] if record else None
         self.cases = [case_of(fault, scenario, detector) for fault in faults]
         self.child: _Child | None = None
         self._awaited: dict[str, list[Case]] = {}
@@ -102,8 +104,14 @@ class Forks:
             entries = {case.fault.entry for case in sites if case.fault.kernel == source}
             part.instrument({name: _ForkingFunction(self, name, part.compiled[name]) for name in entries})
         watch(self.loop, detector, recovery)
+        if self.published is not None:
+            self.loop.taps.recorders.append(self._note)
         self._restarts = Restarts(self.loop, scenario.dead_node)
         self.loop.after_step.append(self._stepped)
+
+    def _note(self, state: State, now: int) -> None:
+        assert self.published is not None  # a recorder only then
+        self.published.append((state.copy(), now))
 
     # ---- injection --------------------------------------------------------------------------------------------------
     def inject(self, case: Case, function: Any, args: tuple[Any, ...]) -> tuple[bool, Any]:
@@ -211,7 +219,7 @@ class Forks:
                     part.instrument({})
         if self.child is not None:
             assert golden is not None  # `enough` is never true in a child
-            report = ChildReport(golden.log, self.child.output, self.child.call_same)
+            report = ChildReport(golden.log, self.child.output, self.child.call_same, published=self.published)
             self.child.point.finish(pickle.dumps(report))
         return golden
 
