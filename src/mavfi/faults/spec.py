@@ -17,7 +17,7 @@ from mavfi.states import KERNELS, STATES, Field, StateSpec, states_with
 
 FORM = (
     "null, state:STATE[.FIELD][[ELEMENT]][:bit=N][:width=N][:times=N][:lasts=S][:share=P][@SECONDS], "
-    "memory:KERNEL[.FIELD][[INDEX]][:bit=N][@SECONDS], or "
+    "memory:KERNEL[.FIELD][[INDEX]][:bit=N][@SECONDS], "
     "instruction:KERNEL[:which=CLASS][:model=MODEL], or one instruction as printed by mavfi shrink"
 )
 _PATTERN = re.compile(
