@@ -18,13 +18,11 @@ from mavfi.campaign.plan import RunSpec, arms_of
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, StateFault
+from mavfi.faults.fault import Fault
 from mavfi.flight_record import record_of
 from mavfi.hosts.host import ArmSetup, Flight, Host, Recorded
-from mavfi.hosts.instruction import fly_with_publications
-from mavfi.hosts.local import fly
+from mavfi.hosts.local import recorded
 from mavfi.outcomes import Effect, effect_of
-from mavfi.states import State
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,16 +127,6 @@ def explain(directory: Path, run_id: str) -> Explanation:
 
 def fly_recorded(setup: ArmSetup, fault: Fault | None) -> tuple[Flight, list[Publication]]:
     """Fly one mission on the deterministic host and record its publications, in order."""
-    if isinstance(fault, InstructionFault):
-        detector = None if setup.make_detector is None else setup.make_detector()
-        flight, published = fly_with_publications(setup.scenario, fault, detector, setup.recovery)
-        return flight, [Publication(time_us, state) for state, time_us in published]
-    assert isinstance(fault, StateFault | MemoryFault | None)  # deterministic hosts have no other levels
-    seen: list[Publication] = []
-
-    def note(state: State, time_us: int) -> None:
-        seen.append(Publication(time_us, state.copy()))
-
     detector = None if setup.make_detector is None else setup.make_detector()
-    flight = fly(setup.scenario, fault, detector, recovery=setup.recovery, recorders=(note,))
-    return flight, seen
+    flight, published = recorded.fly_recorded(setup.scenario, fault, detector, setup.recovery)
+    return flight, [Publication(time_us, state) for state, time_us in published]

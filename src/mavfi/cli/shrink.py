@@ -45,9 +45,8 @@ def shrink(
 def command(found: "Shrunk") -> str:
     """Command that flies the smallest fault."""
     from mavfi.campaign.run import stored_campaign
-    from mavfi.campaign.samplers.request import text_of
+    from mavfi.campaign.samplers.request import seed_of, text_of
     from mavfi.campaign.store import Store
-    from mavfi.faults.fault import StateFault
     from mavfi.mission import MissionSpec
 
     spec = found.spec
@@ -68,6 +67,6 @@ def command(found: "Shrunk") -> str:
         words += [options.option_name(name), *map(str, value if isinstance(value, (tuple, list)) else [value])]
     if spec.detector:
         words += ["--detector", spec.detector, *(["--profile", spec.detector_profile] if spec.model else [])]
-    if isinstance(fault, StateFault) and fault.share < 1.0:  # the seed decides which publications are changed
-        words += ["--fault-seed", str(fault.seed)]
+    if (seed := seed_of(fault)) is not None:
+        words += ["--fault-seed", str(seed)]
     return shlex.join([*words, "--fault", text])

@@ -46,6 +46,11 @@ def draw_state(scenario: Scenario, request: StateRequest, seed: int) -> tuple[St
     return request.resolve(seed, scenario.stack.name, None if golden is None else golden.profile), golden
 
 
+def seed_of(fault: Fault) -> int | None:
+    """The seed that a fault needs besides its text, to choose among publications; None = none."""
+    return fault.seed if isinstance(fault, StateFault) and fault.share < 1.0 else None
+
+
 def text_of(fault: Fault) -> str | None:
     """The text that names a fault in full, for `mavfi fly --fault`; None = it is in no mission of this host."""
     if isinstance(fault, InstructionFault) and fault.kernel:
