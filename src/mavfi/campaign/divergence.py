@@ -55,10 +55,10 @@ def first_difference(golden: Sequence[Publication], injected: Sequence[Publicati
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Interval in which a state, or a part of the flight log, differs from the golden run."""
+    """Interval in which a state differs from the golden run."""
 
-    name: str  # state, or group of columns of the log
-    kernel: str  # its writer; "" = the vehicle
+    name: str  # of the state
+    kernel: str  # its writer
     first_us: int  # instant of the first value that differs
     last_us: int  # instant of the last value that differs
     differing: int  # number of values that differ

@@ -39,7 +39,9 @@ def shrink(
     if as_json:
         write_json({**to_json(found), "command": command(found)})
         return
-    console().print(story_table([*lines(found), ("to fly it", command(found))]))
+    out = console()
+    out.print(story_table(lines(found)))
+    out.print(f"to fly it   {command(found)}", soft_wrap=True, markup=False, highlight=False)  # one line, to be copied
 
 
 def command(found: "Shrunk") -> str:

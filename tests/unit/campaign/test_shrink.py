@@ -71,7 +71,8 @@ def test_it_ends_with_a_command_that_flies_the_smallest_fault(capsys, directory,
     assert data["command"].startswith("mavfi fly --environment dense --seed") and text in data["command"]
     assert parse(text).resolve(0, "published").bit == data["smallest"]["fault"]["bit"]
     assert run(["shrink", str(directory), lost[0], "--instants", "0"]) == 0
-    assert capsys.readouterr().out.startswith("smallest")
+    out = capsys.readouterr().out
+    assert out.startswith("smallest") and out.splitlines()[-1].split(maxsplit=3)[3] == data["command"]
 
 
 @pytest.mark.parametrize(
