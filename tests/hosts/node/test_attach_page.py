@@ -49,9 +49,7 @@ def test_the_commands_of_the_page(arm, tmp_path):
             env=environment(),
         )  # fmt: skip
         try:
-            out, err = process.communicate(
-                timeout=60 if "record" in command else LEARNS_S if "--learn" in command else LASTS_S
-            )
+            out, err = process.communicate(timeout=60 if "record" in command else LEARNS_S if "--learn" in command else LASTS_S)
             ended = (0,)
         except subprocess.TimeoutExpired:
             process.send_signal(signal.SIGINT)
