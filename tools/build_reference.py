@@ -62,6 +62,8 @@ As text, for `--fault` of `mavfi fly` and `mavfi ros fly`; whatever is left out 
 | `instruction:octomap` | one bit in the result of one instruction that the kernel executes |
 | `instruction:pid:which=floating_point` | of this class of instructions ([fault model](../fault-model.md)) |
 | `instruction:pid:model=zero` | the value becomes zero; other models: `one_bit`, `bits`, `random` |
+| `instruction:pid.track:call=7:index=42:bit=3:budget=N:ir=DIGEST` | one instruction of one call, as `mavfi shrink` \
+prints it; `bit=3+7` flips two bits, `value=0x0` replaces the value |
 
 As data, in ledgers, in `mavfi explain --json`, and in Python:
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mavfi.flight_log import COLUMNS, FlightLog
+from mavfi.flight_log import FlightLog
 from mavfi.states import STATES, State
 
 LEFT = 0.1  # distance beyond which a flight has left the golden run's path (m)
@@ -55,10 +55,10 @@ def first_difference(golden: Sequence[Publication], injected: Sequence[Publicati
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Interval in which a state, or a part of the flight log, differs from the golden run."""
+    """Interval in which a state differs from the golden run."""
 
-    name: str  # state, or group of columns of the log
-    kernel: str  # its writer; "" = the vehicle
+    name: str  # of the state
+    kernel: str  # its writer
     first_us: int  # instant of the first value that differs
     last_us: int  # instant of the last value that differs
     differing: int  # number of values that differ
@@ -78,27 +78,6 @@ def spread(golden: Sequence[Publication], injected: Sequence[Publication]) -> li
         if other is not None:
             values.setdefault(name, []).append((publication.time_us, not other.state.same_bits(publication.state)))
     found = [_spread(name, STATES[name].writer, pairs) for name, pairs in values.items()]
-    return sorted((one for one in found if one is not None), key=lambda one: one.first_us)
-
-
-_LOGGED = {"reference point": ("reference", "pid"), "velocity command": ("command", "pid"), "vehicle": ("", "")}
-"""Parts of the log: prefix of their columns ("" = all others), and the kernel that writes them."""
-
-
-def spread_in_log(golden: FlightLog, injected: FlightLog) -> list[Spread]:
-    """Propagation of an error between two flight logs, at control ticks; for flights without recorded publications."""
-    ticks = min(len(golden.rows), len(injected.rows))
-    times = np.round(1e6 * injected.column("time")[:ticks]).astype(np.int64)
-    begins = tuple(begin for begin, _ in _LOGGED.values() if begin)
-    found = []
-    for name, (begin, kernel) in _LOGGED.items():
-        columns = [
-            place for place, column in enumerate(COLUMNS)
-            if (column.startswith(begin) if begin else column != "time" and not column.startswith(begins))
-        ]  # fmt: skip
-        bits = [np.ascontiguousarray(log.rows[:ticks, columns]).view(np.int64) for log in (golden, injected)]
-        differs = (bits[0] != bits[1]).any(axis=1)
-        found.append(_spread(name, kernel, list(zip(times.tolist(), differs.tolist(), strict=True))))
     return sorted((one for one in found if one is not None), key=lambda one: one.first_us)
 
 

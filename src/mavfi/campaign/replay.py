@@ -1,7 +1,7 @@
 """Replay of stored runs from their specifications: a single run, or a run and its golden run with all publications."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from mavfi.campaign.divergence import (
@@ -12,19 +12,17 @@ from mavfi.campaign.divergence import (
     departure,
     first_difference,
     spread,
-    spread_in_log,
 )
 from mavfi.campaign.mission import MissionPlan, host_of, setup_of
 from mavfi.campaign.plan import RunSpec, arms_of
 from mavfi.campaign.run import stored_campaign
 from mavfi.campaign.store import Run, Store
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, MemoryFault, StateFault
+from mavfi.faults.fault import Fault
 from mavfi.flight_record import record_of
 from mavfi.hosts.host import ArmSetup, Flight, Host, Recorded
-from mavfi.hosts.local import fly
+from mavfi.hosts.local import recorded
 from mavfi.outcomes import Effect, effect_of
-from mavfi.states import State
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +90,10 @@ class Explanation:
     flight: Flight  # replay of the run
     golden: Flight  # replay of the golden run with the same detector
     same: bool  # the digest equals the stored one
-    first: Difference | None
-    """None = no difference, or an instruction fault: its flight ends in a forked process, and the kernel effect in its
-    log has the first difference."""
+    first: Difference | None  # None = no difference
     departure: Departure
-    spread: tuple[Spread, ...] = ()
-    """States that differed, in the order of their first difference; for an instruction fault, parts of the log."""
-    published: Sequence[Publication] = ()  # of the flight, in order; empty if it ends in a forked process
+    spread: tuple[Spread, ...] = ()  # states that differed, in the order of their first difference
+    published: Sequence[Publication] = ()  # of the flight, in order
     golden_published: Sequence[Publication] = ()
 
     @property
@@ -121,33 +116,17 @@ def explain(directory: Path, run_id: str) -> Explanation:
         stored = run.record
         if stored is None or not stored.flown:
             raise BadInputError(f"{directory}: run {run.spec.run_id}: left no flight to explain")
-        golden, seen_golden = _recorded(store, replace(run.spec, fault=None))
-        injected, seen = _recorded(store, run.spec)
-    first = first_difference(seen_golden, seen) if seen else None
+        _, setup = setup_of_run(store, run.spec)
+    golden, seen_golden = fly_recorded(setup, None)
+    injected, seen = fly_recorded(setup, run.spec.fault)
+    first, spreading = first_difference(seen_golden, seen), tuple(spread(seen_golden, seen))
     same = injected.log.digest() == stored.digest
-    spreading = tuple(spread(seen_golden, seen) if seen else spread_in_log(golden.log, injected.log))
     parted = departure(golden.log, injected.log)
     return Explanation(run.spec, injected, golden, same, first, parted, spreading, seen, seen_golden)
 
 
-def _recorded(store: Store, spec: RunSpec) -> tuple[Flight, list[Publication]]:
-    """Replay a run with its publications in order; the list is empty if the run ends in a forked process."""
-    return fly_recorded(setup_of_run(store, spec)[1], spec.fault) or (fly_again(store, spec), [])
-
-
-def fly_recorded(setup: ArmSetup, fault: Fault | None) -> tuple[Flight, list[Publication]] | None:
-    """Fly one mission on the deterministic host and record its publications, in order.
-
-    Returns:
-        None for a fault whose flight ends in a forked process.
-    """
-    if not isinstance(fault, StateFault | MemoryFault | None):
-        return None
-    seen: list[Publication] = []
-
-    def note(state: State, time_us: int) -> None:
-        seen.append(Publication(time_us, state.copy()))
-
+def fly_recorded(setup: ArmSetup, fault: Fault | None) -> tuple[Flight, list[Publication]]:
+    """Fly one mission on the deterministic host and record its publications, in order."""
     detector = None if setup.make_detector is None else setup.make_detector()
-    flight = fly(setup.scenario, fault, detector, recovery=setup.recovery, recorders=(note,))
-    return flight, seen
+    flight, published = recorded.fly_recorded(setup.scenario, fault, detector, setup.recovery)
+    return flight, [Publication(time_us, state) for state, time_us in published]

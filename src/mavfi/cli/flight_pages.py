@@ -3,7 +3,7 @@
 import shlex
 from pathlib import Path
 
-from mavfi.campaign.divergence import departure, first_difference, spread, spread_in_log
+from mavfi.campaign.divergence import departure, first_difference, spread
 from mavfi.campaign.replay import Explanation, fly_again, fly_recorded
 from mavfi.campaign.store import Store
 from mavfi.faults.fault import Fault
@@ -43,14 +43,14 @@ def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, comman
     golden = _course(GOLDEN, NO_FAULT, setup, None, result.golden)
     courses = [golden, alone] if result.unwatched is None else [golden, alone, watched]
     seen, logs = (golden.published, watched.published), (result.golden.log, result.log)
-    first = first_difference(*seen) if watched.published else None
+    first = first_difference(*seen)
     told = verdict(result.effect, result.log, result.golden.log)
     if result.unwatched is not None:
         told = f"with detector {result.detector}, {told}; without it: {result.unwatched.log.status.value.lower()}"
     story = [("verdict", told.removesuffix("."))]
     story += steps(
         result.log, result.golden.log, result.fault, result.detector, first, departure(*logs),
-        spread(*seen) if watched.published else spread_in_log(*logs),
+        spread(*seen),
     )  # fmt: skip
     if result.unwatched is not None:
         story.append(("without the detector", end_of(result.unwatched.log)))
@@ -58,9 +58,8 @@ def page_of_result(result: FlightResult, setup: ArmSetup, bare: Scenario, comman
 
 
 def _course(role: str, label: str, setup: ArmSetup, fault: Fault | None, flight: Flight) -> Course:
-    """A flight with its publications, if these can be recorded."""
-    recorded = fly_recorded(setup, fault)
-    return Course(role, label, flight.log, [] if recorded is None else recorded[1])
+    """A flight with its publications."""
+    return Course(role, label, flight.log, fly_recorded(setup, fault)[1])
 
 
 def _site(fault: Fault | None) -> str:

@@ -39,17 +39,19 @@ def shrink(
     if as_json:
         write_json({**to_json(found), "command": command(found)})
         return
-    console().print(story_table([*lines(found), ("to fly it", command(found))]))
+    out = console()
+    out.print(story_table(lines(found)))
+    out.print(f"to fly it   {command(found)}", soft_wrap=True, markup=False, highlight=False)  # one line, to be copied
 
 
 def command(found: "Shrunk") -> str:
-    """Command that flies the smallest fault; Python code for instruction faults, which have no text form."""
+    """Command that flies the smallest fault."""
     from mavfi.campaign.run import stored_campaign
-    from mavfi.campaign.samplers.request import text_of
+    from mavfi.campaign.samplers.request import seed_of, text_of
     from mavfi.campaign.store import Store
     from mavfi.mission import MissionSpec
 
-    spec, fault = found.spec, found.smallest.fault
+    spec = found.spec
     with Store.open(found.directory) as store:
         campaign = stored_campaign(store)
     arm = campaign.arms[spec.arm].mission if spec.arm in campaign.arms else {}
@@ -59,13 +61,14 @@ def command(found: "Shrunk") -> str:
         for name in MissionSpec.model_fields
         if (value := getattr(asked, name)) != MissionSpec.model_fields[name].default
     }
+    fault = found.smallest.fault
     text = text_of(fault)
-    if text is None:
-        keys = ", ".join(f"{name}={value!r}" for name, value in chosen.items())
-        return f"mavfi.fly(fault=fault_from_json({fault.to_json()!r}), {keys})"
+    assert text is not None  # faults that can be reduced have one
     words = ["mavfi", "fly"]
     for name, value in chosen.items():
         words += [options.option_name(name), *map(str, value if isinstance(value, (tuple, list)) else [value])]
     if spec.detector:
         words += ["--detector", spec.detector, *(["--profile", spec.detector_profile] if spec.model else [])]
+    if (seed := seed_of(fault)) is not None:
+        words += ["--fault-seed", str(seed)]
     return shlex.join([*words, "--fault", text])

@@ -9,7 +9,7 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import LIFETIME, MODELS, RESTART_S, FaultSite, Model, StateFault
+from mavfi.faults.fault import LIFETIME, MODELS, RESTART_S, FaultSite, InstructionFault, Model, StateFault
 from mavfi.faults.sampling import draw_publication, live_fields, stream
 from mavfi.faults.strata import WORD_BITS
 from mavfi.flight_log import Profile
@@ -17,8 +17,8 @@ from mavfi.states import KERNELS, STATES, Field, StateSpec, states_with
 
 FORM = (
     "null, state:STATE[.FIELD][[ELEMENT]][:bit=N][:width=N][:times=N][:lasts=S][:share=P][@SECONDS], "
-    "memory:KERNEL[.FIELD][[INDEX]][:bit=N][@SECONDS], or "
-    "instruction:KERNEL[:which=CLASS][:model=MODEL]"
+    "memory:KERNEL[.FIELD][[INDEX]][:bit=N][@SECONDS], "
+    "instruction:KERNEL[:which=CLASS][:model=MODEL], or one instruction as printed by mavfi shrink"
 )
 _PATTERN = re.compile(
     r"(?P<path>[^:@\[\]]+)(\[(?P<element>\d+)\])?(:bit=(?P<bit>\d+))?(:width=(?P<width>\d+))?(:times=(?P<times>\d+))?"
@@ -26,6 +26,11 @@ _PATTERN = re.compile(
 )
 _MEMORY = re.compile(r"(?P<path>[^:@]+)(:bit=(?P<bit>\d+))?(@(?P<time>\d+(\.\d*)?([eE][+-]?\d+)?))?")
 _INSTRUCTION = re.compile(r"(?P<kernel>\w+)(:which=(?P<which>.+?))?(:model=(?P<model>\w+))?")
+_ONE_INSTRUCTION = re.compile(
+    r"(?P<kernel>\w+)\.(?P<entry>\w+):call=(?P<call>\d+):index=(?P<index>\d+)"
+    r":(bit=(?P<bits>\d+(\+\d+)*)|value=0x(?P<value>[\da-f]+))(:model=(?P<model>\w+))?(:restart=(?P<restart>\d+(\.\d*)?))?"
+    r":budget=(?P<budget>\d+):ir=(?P<ir>[\da-f]{64})"
+)
 _LONGEST = 1e9
 
 
@@ -130,7 +135,33 @@ class InstructionRequest:
         return next(iter(self.kernels))
 
 
-Request = StateRequest | MemoryRequest | InstructionRequest
+@dataclass(frozen=True, slots=True)
+class InstructionSite:
+    """A fault in one dynamic instruction of one call; nothing is drawn.
+
+    Attributes:
+        kernel: As in `states.INJECTABLE`.
+        entry: Its function, an attribute of `pipeline.functions.KernelFunctions`.
+        given: Other attributes of the `fault.InstructionFault`.
+    """
+
+    kernel: str
+    entry: str
+    given: Mapping[str, Any] = dataclasses.field(hash=False)
+
+    @staticmethod
+    def text_of(fault: InstructionFault) -> str:
+        """The text of a fault in a kernel or detector; inverse of `parse`."""
+        value = f"bit={'+'.join(map(str, fault.bits))}" if fault.bits else f"value={fault.value:#x}"
+        model = "" if fault.model == "one_bit" else f":model={fault.model}"
+        restart = "" if fault.restart_s == RESTART_S else f":restart={fault.restart_s}"
+        return (
+            f"instruction:{fault.kernel}.{fault.entry}:call={fault.call}:index={fault.index}:{value}{model}{restart}"
+            f":budget={fault.budget}:ir={fault.ir_sha256}"
+        )
+
+
+Request = StateRequest | MemoryRequest | InstructionRequest | InstructionSite
 
 
 def parse(text: str, localization: str = "truth") -> Request:
@@ -138,7 +169,7 @@ def parse(text: str, localization: str = "truth") -> Request:
 
     Args:
         text: `null` (the empty mask on the way-point in force), `state:` and a site, `memory:` and a kernel with an
-            optional name in its memory, or `instruction:` and a kernel.
+            optional name in its memory, or `instruction:` and a kernel, or one of its instructions.
         localization: "truth" or "estimator", which determines the existing states.
 
     Raises:
@@ -197,21 +228,39 @@ def _instant(text: str, seconds: str | None) -> int | None:
     return round(float(seconds) * 1e6)
 
 
-def _parse_instruction(text: str, rest: str, localization: str) -> InstructionRequest:
+def _parse_instruction(text: str, rest: str, localization: str) -> InstructionRequest | InstructionSite:
     from mavfi.faults.instruction.selection import parse_selection
 
+    one = _ONE_INSTRUCTION.fullmatch(rest)
+    if one is not None:
+        return _instruction_site(text, one)
     match = _INSTRUCTION.fullmatch(rest)
     if match is None:
         _not_understood(text, rest, localization)
     which = match["which"] or "all"
-    model: Any = match["model"] or "one_bit"
     try:
         parse_selection(which)
     except BadInputError as error:
         raise BadInputError(f"fault {text!r}: {error}") from None
-    if model not in MODELS:
-        raise BadInputError(f"fault {text!r}: no model {model!r}; allowed: {', '.join(MODELS)}")
-    return InstructionRequest({match["kernel"]: 1}, which, model)
+    return InstructionRequest({match["kernel"]: 1}, which, _model(text, match["model"]))
+
+
+def _instruction_site(text: str, match: re.Match[str]) -> InstructionSite:
+    given: dict[str, Any] = {name: int(match[name]) for name in ("call", "index", "budget")}
+    given |= {"ir_sha256": match["ir"], "model": _model(text, match["model"])}
+    given |= (
+        {"bits": tuple(map(int, match["bits"].split("+")))} if match["bits"] else {"value": int(match["value"], 16)}
+    )
+    if match["restart"] is not None:
+        given["restart_s"] = float(match["restart"])
+    return InstructionSite(match["kernel"], match["entry"], given)
+
+
+def _model(text: str, name: str | None) -> Any:
+    """A fault model; by default, one bit."""
+    if name is not None and name not in MODELS:
+        raise BadInputError(f"fault {text!r}: no model {name!r}; allowed: {', '.join(MODELS)}")
+    return name or "one_bit"
 
 
 def _parse_state(text: str, rest: str, localization: str) -> StateRequest:

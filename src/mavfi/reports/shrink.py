@@ -21,9 +21,9 @@ def lines(found: Shrunk) -> Lines:
         told.append((heading, f"{_WHAT[step.what]}, {step.tried} tried: {end}"))
     if found.instants:
         lost = [trial for trial in found.instants if trial.lost]
-        when = ", ".join(f"{_time(trial):.2f} s ({trial.status.replace('_', ' ')})" for trial in lost)
+        when = ", ".join(f"@{_time(trial)} ({trial.status.replace('_', ' ')})" for trial in lost)
         told.append(("instants", f"at {len(lost)} of {len(found.instants)} others the mission is lost, too"
-                     + (f": {when}" if when else "")))  # fmt: skip
+                     + (f", with {when}" if when else "")))  # fmt: skip
     elif hasattr(found.smallest.fault, "time_us"):
         told.append(("instants", "the golden run has no other one of this site, or none was asked for"))
     golden = found.golden.log
@@ -36,7 +36,7 @@ def _time(trial: Trial) -> float:
 
 
 def _trial(trial: Trial) -> str:
-    text = text_of(trial.fault) or f"{trial.fault.site}, bit {trial.fault.bit}"
+    text = text_of(trial.fault)
     end = f"{trial.status.replace('_', ' ')} after {trial.time_s:.2f} s"
     if trial.injection is None:
         return f"{text}: {end}"

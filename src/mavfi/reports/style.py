@@ -4,11 +4,8 @@ from contextlib import AbstractContextManager
 from itertools import cycle
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlencode
 
-import numpy as np
 from matplotlib import rc_context
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mavfi.errors import writing
@@ -70,16 +67,6 @@ def setting_label(setting: str) -> str:
     kind, _, arm = setting.partition("_")
     words = {"golden": "golden run", "fi": "fault", "dr": "fault", "null": "null fault"}.get(kind, kind)
     return f"{words} + {arm}" if arm else words
-
-
-def runs_link(**values: str) -> str:
-    """Link within the HTML report to the runs with these column values."""
-    return f"#runs?{urlencode(values)}"
-
-
-def link(axes: Axes, x: np.ndarray, y: np.ndarray, links: list[str]) -> None:
-    """Add links to points by invisible markers, which are preserved in SVG."""
-    axes.scatter(x, y, s=130, alpha=0.0, linewidth=0.0, zorder=6, clip_on=False).set_urls(links)
 
 
 def write(figure: Figure, path: Path) -> Path:

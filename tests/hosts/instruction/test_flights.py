@@ -6,9 +6,12 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from mavfi.campaign import divergence
+from mavfi.campaign.divergence import Publication
 from mavfi.campaign.samplers.instruction import draw_instruction_faults
 from mavfi.errors import BadInputError
 from mavfi.faults import instruction
+from mavfi.faults.fault import MessageFault
 from mavfi.faults.instruction import MismatchError
 from mavfi.faults.instruction.forked import WILD
 from mavfi.faults.instruction.plan import stratum_of
@@ -18,6 +21,7 @@ from mavfi.flight_record import plain
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.instruction.case import Output, first_difference
 from mavfi.hosts.local import fly
+from mavfi.hosts.local.recorded import fly_recorded
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import kernel_jit
@@ -94,6 +98,30 @@ def test_masked_means_the_golden_flight_and_sdc_of_a_command_another_one(golden,
         and kernel.first_difference["field"] in ("vx", "vy", "vz")
     ]  # fmt: skip
     assert commands and not any(commands)
+
+
+def test_publications_of_an_injected_flight_are_recorded_without_a_change_of_it(drawn, flown):
+    golden = [Publication(time_us, state) for state, time_us in fly_recorded(scenario())[1]]
+    effects = [flight.log.kernel for flight in flown.flights]
+    faults = [*drawn.faults["pid"], *drawn.faults["point_cloud"]]
+    masked = next(place for place, effect in enumerate(effects) if effect.effect == "masked")
+    wrong = next(place for place, effect in enumerate(effects) if effect.first_difference)
+    for place in (masked, wrong):
+        flight, published = fly_recorded(scenario(), faults[place])
+        assert flight.log.digest() == flown.flights[place].log.digest()
+        seen = [Publication(time_us, state) for state, time_us in published]
+        found, told = divergence.first_difference(golden, seen), effects[place].first_difference
+        if told is None:
+            assert found is None and len(seen) == len(golden)
+        else:
+            late_us = found.time_us - round(1e6 * flight.log.injections[0].time_s)
+            assert found.state == told["state"] and 0 <= late_us < 10_000, "published at the end of the injected step"
+            assert found.field.startswith(told["field"])
+
+
+def test_publications_are_recorded_for_levels_of_this_host_only():
+    with pytest.raises(BadInputError, match="host local: faults of level 'message'"):
+        fly_recorded(scenario(), MessageFault("/topic", "x"))
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from mavfi.campaign.divergence import Publication, departure, first_difference, spread, spread_in_log
+from mavfi.campaign.divergence import Publication, departure, first_difference, spread
 from mavfi.flight_log import COLUMNS, FlightLog
 from mavfi.mission import MissionStatus
 from mavfi.states import STATES, new_state
@@ -138,21 +138,3 @@ def test_an_error_spreads_from_state_to_state_and_may_die_out():
     assert (second.name, second.first_us, second.kernel) == ("sensor.odometry", 3, STATES["sensor.odometry"].writer)
     late = [*golden[:-1], odometry(9)]
     assert spread(golden, late) == [], "an instant is no value"
-
-
-def test_an_error_in_the_log_is_told_by_its_columns():
-    rows = np.zeros((10, len(COLUMNS)))
-    rows[:, 0] = np.arange(10) / 10
-    other = rows.copy()
-    other[3:5, COLUMNS.index("command_vx")] = 1.0
-    other[4:, COLUMNS.index("y")] = 0.1
-    logs = [FlightLog(part, MissionStatus.SUCCESS, [], [], [], {}) for part in (rows, other)]
-    first, second = spread_in_log(*logs)
-    assert (first.name, first.first_us, first.last_us, first.to_the_end) == (
-        "velocity command",
-        300_000,
-        400_000,
-        False,
-    )
-    assert (second.name, second.first_us, second.differing, second.to_the_end) == ("vehicle", 400_000, 6, True)
-    assert spread_in_log(logs[0], logs[0]) == []

@@ -1,4 +1,5 @@
 import json
+import shlex
 
 import numpy as np
 import polars as pl
@@ -7,11 +8,14 @@ import pytest
 from mavfi.campaign.analysis import Runs
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
+from mavfi.campaign.samplers.request import text_of
 from mavfi.campaign.samplers.smaller import change_of
-from mavfi.campaign.shrink import shrink
+from mavfi.campaign.shrink import Shrunk, Trial, shrink
+from mavfi.campaign.store import Store
 from mavfi.cli import run
+from mavfi.cli.shrink import command
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import StateFault
+from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, StateFault
 from mavfi.faults.spec import parse
 from mavfi.faults.strata import WORD_BITS
 from mavfi.states import STATES
@@ -34,7 +38,6 @@ def lost(directory):
 
 def test_the_smallest_fault_loses_the_mission_and_no_smaller_one_does(directory, lost):
     from mavfi.campaign.replay import setup_of_run
-    from mavfi.campaign.store import Store
 
     for run_id in lost:
         found = shrink(directory, run_id)
@@ -68,7 +71,21 @@ def test_it_ends_with_a_command_that_flies_the_smallest_fault(capsys, directory,
     assert data["command"].startswith("mavfi fly --environment dense --seed") and text in data["command"]
     assert parse(text).resolve(0, "published").bit == data["smallest"]["fault"]["bit"]
     assert run(["shrink", str(directory), lost[0], "--instants", "0"]) == 0
-    assert capsys.readouterr().out.startswith("smallest")
+    out = capsys.readouterr().out
+    assert out.startswith("smallest") and out.splitlines()[-1].split(maxsplit=3)[3] == data["command"]
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [(InstructionFault("m.f", "ab" * 32, 42, 7, (3,), budget=9, kernel="pid", entry="track"), []),
+     (MemoryFault("waypoint", "points", 33, "f8", 20_000_000, 62), []),
+     (StateFault(FaultSite("control.command", "vx"), 20, 62, lasts_s=2.0, share=0.5, seed=4), ["--fault-seed", "4"])],
+)  # fmt: skip
+def test_the_command_has_a_text_for_faults_of_every_level(directory, lost, fault, words):
+    spec, trial = Store.open(directory).run(lost[0]).spec, Trial(fault, "collision", 9.0, None)
+    told = shlex.split(command(Shrunk(directory, spec, trial, trial, (), (), None)))
+    assert told[:2] == ["mavfi", "fly"] and told[-len(words) - 2 :] == [*words, "--fault", text_of(fault)]
+    parse(told[-1])
 
 
 def test_missions_that_are_not_lost_by_their_fault_are_refused(directory):

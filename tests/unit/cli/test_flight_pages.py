@@ -39,6 +39,17 @@ def test_a_watched_fault_is_shown_with_and_without_its_detector(capsys, tmp_path
     assert page["commands"][0][1] == f"mavfi fly {' '.join(arguments)}"
 
 
+def test_a_fault_in_an_instruction_has_time_lines_of_what_it_made_wrong(capsys, tmp_path):
+    short = ("--environment", "sparse", "--seed", "7", "--start", "2", "0", "3", "--goal", "9", "0", "3")
+    fault = ("--fault", "instruction:pid:which=floating_point", "--fault-seed", "1")
+    page = written(capsys, tmp_path / "a.html", "fly", *short, *fault)
+    labels = [line["label"] for line in page["data"]["lines"]]
+    assert labels and labels[0].startswith("control.command.")
+    assert not any(line["site"] for line in page["data"]["lines"]), "the fault is in an instruction, not in a field"
+    lines = page["data"]["lines"][0]["data"]
+    assert lines["golden"][1] != lines["injected"][1]
+
+
 def test_another_ending_is_refused_before_anything_is_flown(capsys, tmp_path):
     assert run(["fly", "--html", str(tmp_path / "a.pdf")]) == 2
     assert "allowed ending: .html" in capsys.readouterr().err

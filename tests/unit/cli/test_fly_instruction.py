@@ -5,7 +5,9 @@ import re
 
 import pytest
 
+from mavfi.campaign.samplers.request import text_of
 from mavfi.cli import run
+from mavfi.faults.fault import fault_from_json
 from mavfi.faults.instruction.build import name_of
 from mavfi.pipeline.functions import PLAIN
 from mavfi.states import INJECTABLE
@@ -47,6 +49,16 @@ def test_the_record_is_of_the_fault_that_was_drawn(told):
     assert fault["function"] == name_of(getattr(PLAIN, details["function"]))
     for key in ("ir_sha256", "index", "call", "bits", "value_class"):
         assert fault[key] == details[key], key
+
+
+def test_the_text_of_the_drawn_fault_flies_it_again(capsys, told):
+    text = text_of(fault_from_json(told["fault"]))
+    assert run([*MISSION, "--fault", text, "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["digest"] == told["digest"] and again["kernel"] == told["kernel"]
+    assert again["injections"] == told["injections"]
+    assert run([*MISSION, "--fault", re.sub("ir=.{8}", "ir=00000000", text)]) != 0
+    assert "drawn for IR 00000000" in capsys.readouterr().err
 
 
 def test_the_effects_on_kernel_and_mission_are_told(told):

@@ -106,6 +106,11 @@ def test_no_site_without_a_publication():
         ("memory:planner.acted_seq@1e99", "0 to 1e+09"),
         ("instruction:", "allowed: null, state:"),
         ("instruction:pid:bit=3", "allowed: null, state:"),
+        ("instruction:pid.track:call=1:index=2:bit=3", "allowed: null, state:"),
+        (
+            f"instruction:pid.track:call=1:index=2:bit=3:model=two:budget=9:ir={'ab' * 32}",
+            "no model 'two'; allowed: one",
+        ),
         ("instruction:pid:which=left", "instructions 'left': not understood; allowed: all, floating_point"),
         ("instruction:pid:model=two_bits", "no model 'two_bits'; allowed: one_bit"),
         ("register:1234", "registers are injected by mavfi inject; allowed: state, memory"),

@@ -5,8 +5,8 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from mavfi.reports import style
 from mavfi.reports.figure_files import COLUMN, PAGE, drawn_data, write_figure
+from mavfi.reports.figures import links
 from mavfi.reports.html.report_page import drawn
 
 
@@ -37,7 +37,7 @@ def test_lines_bars_images_and_marks_are_read_from_a_figure():
     left, right = figure.subplots(1, 2)
     left.plot([1, 2], [3, 4], label="line")
     left.bar([0.0], [2.0], label="bar")
-    style.link(left, np.array([9.0]), np.array([9.0]), ["#runs?a=b"])  # invisible: no data
+    links.points(left, [9.0], [9.0], ["#runs?a=b"])  # invisible: no data
     right.scatter([5.0], [6.0], label="mark")
     right.imshow([[0.25, 0.5]])
     rows = [(row["series"], row["x"], row["y"]) for row in drawn_data(figure)]

@@ -14,7 +14,10 @@ COMMON = {
 
 
 def runs(*rows, campaign=None):
-    full = [{**COMMON, "seed": seed, "world": f"dense {seed}", "index": seed, **row} for seed, row in enumerate(rows)]
+    full = [
+        {**COMMON, "run_id": f"run-{seed}", "seed": seed, "world": f"dense {seed}", "index": seed, **row}
+        for seed, row in enumerate(rows)
+    ]
     return Runs(pl.DataFrame(full, schema=SCHEMA), {}, campaign or {"profile": "published"})
 
 

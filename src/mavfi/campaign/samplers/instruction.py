@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from mavfi.detectors.detector import Detector, part_of
+from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.faults.instruction import Locating, Profiling, Resolving, Site, budget_for, choose
 from mavfi.faults.instruction.build import name_of
@@ -20,7 +21,7 @@ from mavfi.faults.instruction.plan import plan
 from mavfi.faults.instruction.selection import parse_selection
 from mavfi.faults.instruction.strata import pick
 from mavfi.faults.sampling import stream
-from mavfi.faults.spec import InstructionRequest
+from mavfi.faults.spec import InstructionRequest, InstructionSite
 from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import check_kernel
 from mavfi.hosts.local import fly
@@ -82,6 +83,19 @@ def draw_instruction_faults(
         {draw.kernel: _counts(list(draw.counted.values())) for draw in draws},
         {draw.kernel: draw.faults() for draw in draws},
     )
+
+
+def instruction_fault(scenario: Scenario, site: InstructionSite, detector: Detector | None = None) -> InstructionFault:
+    """The fault in a given instruction.
+
+    Raises:
+        BadInputError: The mission lacks the kernel, or the kernel the function.
+    """
+    check_kernel(site.kernel, scenario.planner.name, detector)
+    functions = _functions(site.kernel, detector)
+    if site.entry not in functions:
+        raise BadInputError(f"kernel {site.kernel!r}: no function {site.entry!r}; allowed: {', '.join(functions)}")
+    return InstructionFault(name_of(functions[site.entry]), kernel=site.kernel, entry=site.entry, **site.given)
 
 
 def _functions(kernel: str, detector: Detector | None) -> dict[str, Any]:

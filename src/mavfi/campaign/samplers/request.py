@@ -1,11 +1,11 @@
 """One fault requested by a user: unspecified parts are drawn from the golden run of a mission."""
 
-from mavfi.campaign.samplers.instruction import draw_instruction_faults
+from mavfi.campaign.samplers.instruction import draw_instruction_faults, instruction_fault
 from mavfi.campaign.samplers.memory import draw_memory
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import LIFETIME, Fault, InstructionFault, MemoryFault, StateFault
-from mavfi.faults.spec import MemoryRequest, Request, StateRequest
+from mavfi.faults.spec import InstructionSite, MemoryRequest, Request, StateRequest
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.recovery import INLINE, Recovery
@@ -28,6 +28,8 @@ def draw_request(
     if isinstance(request, MemoryRequest):
         return draw_memory(scenario, request, seed)
     own = detector if request.kernel in DETECTORS else None
+    if isinstance(request, InstructionSite):
+        return instruction_fault(scenario, request, own), None
     drawn = draw_instruction_faults(scenario, request, seed=seed, detector=own, recovery=recovery)
     fault = drawn.faults[request.kernel][0]
     if not fault.has_site:
@@ -44,8 +46,15 @@ def draw_state(scenario: Scenario, request: StateRequest, seed: int) -> tuple[St
     return request.resolve(seed, scenario.stack.name, None if golden is None else golden.profile), golden
 
 
+def seed_of(fault: Fault) -> int | None:
+    """The seed that a fault needs besides its text, to choose among publications; None = none."""
+    return fault.seed if isinstance(fault, StateFault) and fault.share < 1.0 else None
+
+
 def text_of(fault: Fault) -> str | None:
-    """The text that names a fault in full, for `mavfi fly --fault`; None = its level has no such text."""
+    """The text that names a fault in full, for `mavfi fly --fault`; None = it is in no mission of this host."""
+    if isinstance(fault, InstructionFault) and fault.kernel:
+        return InstructionSite.text_of(fault)
     bit = "" if fault.bit is None else f":bit={fault.bit}"
     if isinstance(fault, MemoryFault):
         index = "" if fault.index is None else f"[{fault.index}]"

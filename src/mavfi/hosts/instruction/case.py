@@ -23,6 +23,10 @@ WAITING = "not_activated"
 """State of a case whose instruction has not been reached."""
 
 
+Published = tuple[State, int]
+"""A publication as received by consumers, and its instant (us)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Output:
     """Output of one kernel step: header and elements of each publication, by name, and a hash of its memory."""
@@ -50,12 +54,14 @@ class ChildReport:
         output: Output of the injected step; None = none was computed.
         call_same: Whether result and arguments of the injected call are bit-identical to the golden ones.
         missed: Whether the call ended before the instruction was reached, or the value has no such bit.
+        published: Publications of its flight from the start, in order; None = not recorded.
     """
 
     log: FlightLog | None
     output: Output | None
     call_same: bool
     missed: bool = False
+    published: list[Published] | None = None
 
 
 @dataclass(slots=True)

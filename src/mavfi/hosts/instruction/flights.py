@@ -8,7 +8,7 @@ import numpy as np
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import InstructionFault
 from mavfi.hosts.host import Flight
-from mavfi.hosts.instruction.case import flight_of
+from mavfi.hosts.instruction.case import Published, flight_of
 from mavfi.hosts.instruction.forking import ForksFromTakeOff
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.mission import Scenario
@@ -26,6 +26,21 @@ class InjectedFlights:
 
     golden: Flight
     flights: list[Flight]
+
+
+def fly_with_publications(
+    scenario: Scenario, fault: InstructionFault, detector: Detector | None = None, recovery: Recovery = INLINE
+) -> tuple[Flight, list[Published]]:
+    """Fly one mission with an instruction fault; also returns its publications, in order.
+
+    Raises the errors of `fly_instruction_faults`.
+    """
+    with np.errstate(all="ignore"):
+        forks = ForksFromTakeOff(scenario, [fault], detector, recovery, record=True)
+        _, (flight,) = forks.fly_all()
+    report = forks.cases[0].report
+    injected = None if report is None else report.published
+    return flight, (forks.published or []) if injected is None else injected
 
 
 def fly_instruction_faults(

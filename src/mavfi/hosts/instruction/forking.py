@@ -30,7 +30,7 @@ from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
 from mavfi.faults.instruction.variant import Variant, variant_for
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.host import Flight
-from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, Output, case_of, flight_of
+from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, Output, Published, case_of, flight_of
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
@@ -108,6 +108,7 @@ class Forks(ABC):
 
     Attributes:
         cases: The faults, in order.
+        published: Publications so far, with their instants (us), in order; None = not recorded.
         child: Task of this process if it is a forked child; None = it flies the golden flight.
         loop: The loop of the golden flight.
 
@@ -116,6 +117,7 @@ class Forks(ABC):
     """
 
     loop: Loop
+    published: list[Published] | None = None
 
     def __init__(self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None) -> None:
         self.cases = [case_of(fault, scenario, detector) for fault in faults]
@@ -216,7 +218,8 @@ class Forks(ABC):
     def report(self, log: FlightLog) -> NoReturn:
         """End this child with the log of its flight."""
         assert self.child is not None  # called in children only
-        self.child.point.finish(pickle.dumps(ChildReport(log, self.child.output, self.child.call_same)))
+        report = ChildReport(log, self.child.output, self.child.call_same, published=self.published)
+        self.child.point.finish(pickle.dumps(report))
 
 
 class ForksFromTakeOff(Forks):
@@ -228,9 +231,10 @@ class ForksFromTakeOff(Forks):
 
     def __init__(
         self, scenario: Scenario, faults: Sequence[InstructionFault], detector: Detector | None = None,
-        recovery: Recovery = INLINE,
+        recovery: Recovery = INLINE, *, record: bool = False,
     ) -> None:  # fmt: skip
         super().__init__(scenario, faults, detector)
+        self.published = [] if record else None
         made: list[ForkingFunction] = []
 
         def forking(name: str, function: Callable[..., Any]) -> ForkingFunction:
@@ -247,8 +251,14 @@ class ForksFromTakeOff(Forks):
         for function in made:
             function.attach(self.loop)
         watch(self.loop, detector, recovery)
+        if self.published is not None:
+            self.loop.taps.recorders.append(self._note)
         self._restarts = Restarts(self.loop, scenario.dead_node)
         self.loop.after_step.append(self.stepped)
+
+    def _note(self, state: State, now: int) -> None:
+        assert self.published is not None  # a recorder only then
+        self.published.append((state.copy(), now))
 
     def restarts(self) -> Restarts:
         """See `Forks.restarts`."""

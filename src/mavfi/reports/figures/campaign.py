@@ -11,12 +11,20 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from mavfi.campaign.analysis import paper
-from mavfi.campaign.analysis.measures import FAILS_OR_SLOWER, POPULATIONS, leading, population_names, populations
+from mavfi.campaign.analysis.measures import (
+    FAILS_OR_SLOWER,
+    POPULATIONS,
+    in_leading,
+    leading,
+    population_names,
+    populations,
+)
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.analysis.statistics import Rate
 from mavfi.campaign.analysis.views import has
 from mavfi.campaign.plan import FI, GOLDEN
 from mavfi.reports import style
+from mavfi.reports.figures import links
 from mavfi.reports.figures.registry import Drawing, register
 
 _LEGEND: dict[str, Any] = {"ncols": 6, "columnspacing": 1.2, "fontsize": 8.5, "handlelength": 1.8}
@@ -39,9 +47,9 @@ def success(runs: Runs) -> Figure | None:
         at = np.array([environments.index(name) for name in found]) - 0.4 + (place + 0.5) * width
         rates = list(found.values())
         look = looks[setting]
-        links = [style.runs_link(environment=name, setting=setting, population=_population(chosen, setting, names))
-                 for name in found]  # fmt: skip
-        _points(axes, at, rates, look, links, vertical=True)
+        behind = {name: in_leading(chosen.where(environment=name, setting=setting), names) for name in found}
+        urls = [links.to_runs(own, environment=name, setting=setting) for name, own in behind.items()]
+        _points(axes, at, rates, look, urls, vertical=True)
         handles.append(_handle(setting, look, 7))
         lowest = min([lowest, *(rate.low for rate in rates if rate.low is not None)])
         for x, (environment, rate) in zip(at, found.items(), strict=True):
@@ -81,12 +89,6 @@ def _flown(runs: Runs) -> Runs:
     return judged.where(pl.col("setting").is_in(kept))
 
 
-def _population(runs: Runs, setting: str, names: list[str]) -> str:
-    """Population for the rates of a setting."""
-    own = runs.where(setting=setting).values("population")
-    return "all" if "all" in own or not names else names[0]
-
-
 def _settings(runs: Runs) -> list[str]:
     """Settings in order: golden, faults without a detector, arms."""
     injected = runs.settings()
@@ -113,7 +115,7 @@ def _handle(setting: str, look: Mapping[str, Any], size: float) -> Line2D:
 
 
 def _points(
-    axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, Any], links: list[str], *, vertical: bool
+    axes: Axes, at: np.ndarray, rates: list[Rate], look: Mapping[str, Any], urls: list[str], *, vertical: bool
 ) -> None:  # fmt: skip
     """Draw rates with intervals along the y axis (`vertical`) or the x axis, each linked to its runs."""
     values = np.array([rate.rate or 0.0 for rate in rates])
@@ -125,7 +127,7 @@ def _points(
         axes.errorbar(at, values, yerr=errors, **common)
     else:
         axes.errorbar(values, at, xerr=errors, capsize=2, **common)
-    style.link(axes, *((at, values) if vertical else (values, at)), links)
+    links.points(axes, *((at, values) if vertical else (values, at)), urls)
 
 
 # ---- flight time -------------------------------------------------------------------------------------------------
@@ -149,7 +151,8 @@ def flight_time(runs: Runs) -> Figure | None:
             share = np.concatenate([[0.0], np.arange(1, len(part) + 1), [len(part)]]) / n
             look = style.curve(looks[setting], wide=setting == FI)  # visible where an arm coincides with fi
             x = np.concatenate([[-1.0], part, [reach]])
-            axes.step(x, share, where="post", label=style.setting_label(setting), **look)
+            curve = axes.step(x, share, where="post", label=style.setting_label(setting), **look)
+            links.lines(curve, links.to_runs(own[setting], environment=environment, setting=setting))
             lowest = min(lowest, float((part <= -0.02).sum()) / n)
         axes.set_title(f"{environment}, n = {_range(counts.values())}")
         axes.set_xlim(fastest - 0.02, reach)
@@ -182,10 +185,6 @@ _SITES = {"state": "state", "memory": "kernel", "instruction": "kernel", "messag
 """Column to compare by, for each fault level."""
 
 
-_LISTED = {"state": "place", "kernel": "place"}
-"""Different column names in the list of runs of an HTML page."""
-
-
 def sites(runs: Runs) -> Figure | None:
     """Share of missions that fail or take more than 5 % longer, by injected state, group of fields or kernel."""
     judged = runs.injected.where("judged")
@@ -201,13 +200,11 @@ def sites(runs: Runs) -> Figure | None:
     looks = style.setting_looks(settings)
     handles = []
     for place, setting in enumerate(settings):
-        populations_of = {name: population for (name, flown), (population, _) in shown.items() if flown == setting}
         own = {name: rate for (name, flown), (_, rate) in shown.items() if flown == setting}
-        listed = _LISTED.get(column, column)
-        links = [style.runs_link(setting=setting, population=populations_of[name], **{listed: name}) for name in own]
+        urls = [_link_of_site(judged, setting, column, name, shown[name, setting][0]) for name in own]
         offset = 0.7 * (place - (len(settings) - 1) / 2) / len(settings)
         _points(axes, np.array([names.index(name) for name in own]) + offset, list(own.values()), looks[setting],
-                links, vertical=False)  # fmt: skip
+                urls, vertical=False)  # fmt: skip
         handles.append(_handle(setting, looks[setting], 6))
     axes.set_yticks(range(len(names)), [f"{name}  (n = {count})" for name, count in zip(names, counts, strict=True)])
     axes.set_ylim(len(names) - 0.5, -0.5)
@@ -221,6 +218,11 @@ def sites(runs: Runs) -> Figure | None:
     axes.set_xlabel(f"missions that fail or take more than 5 % longer\n(faults in {bits}; {where}; 95 % intervals)")
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=(0, 1.0), **_LEGEND)
     return figure
+
+
+def _link_of_site(judged: Runs, setting: str, column: str, name: str, population: str) -> str:
+    site = judged.where(**{"setting": setting, column: name})
+    return links.to_runs(in_leading(site, [population]), setting=setting, **{column: name})
 
 
 def _shown(judged: Runs, column: str) -> dict[tuple[str, str], tuple[str, Rate]]:

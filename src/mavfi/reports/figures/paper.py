@@ -1,6 +1,6 @@
 """Figures of the paper: flight time and success by kernel, state and bit class (Fig. 3, 4), distributions (Fig. 6)."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +12,7 @@ from mavfi.campaign.analysis.measures import rate_of
 from mavfi.campaign.analysis.paper_views import GOLDEN_ROW, by_bits, by_kernel, by_state, distribution, value_at_risk
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.reports import style
+from mavfi.reports.figures import links
 from mavfi.reports.figures.registry import Drawing, register
 
 _ROW = 0.3
@@ -35,10 +36,13 @@ def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | N
         _times(left, [own.where("success")["flight_time_s"] for own in groups.values()], names.index(GOLDEN_ROW)
                if GOLDEN_ROW in names else None)  # fmt: skip
         for place, own in enumerate(groups.values()):
+            label = {"environment": environment, column: names[place]}
+            _link_times(left, own, place, label)
             rate = rate_of(own, "success")
             if rate.rate is None or rate.low is None or rate.high is None:
                 continue
             look = _look(names[place])
+            links.points(right, [rate.rate], [place], [links.to_runs(own, **label)])
             right.errorbar(rate.rate, place, xerr=[[rate.rate - rate.low], [rate.high - rate.rate]], markersize=6,
                            linestyle="", elinewidth=1.8, capsize=2, clip_on=False, zorder=4, **look)  # fmt: skip
         sizes = [len(own) for own in groups.values()]
@@ -84,6 +88,13 @@ def _box(axes: Axes, values: Sequence[float], place: float, colour: str, *, upri
     axes.plot(*at, ".", color=colour, markersize=4.5, markeredgewidth=0, alpha=0.65, zorder=2)
 
 
+def _link_times(axes: Axes, own: Runs, place: float, label: Mapping[str, str], *, upright: bool = False) -> None:
+    """Link the band of box and dots to the missions that succeed."""
+    arrived = own.where("success")
+    if len(arrived):
+        links.band(axes, place, links.to_runs(arrived, **label), upright=upright)
+
+
 # ---- Fig. 6 ------------------------------------------------------------------------------------------------------
 def distributions(runs: Runs) -> Figure | None:
     """Flight times of successful missions by environment and setting, with the conditional value at risk."""
@@ -104,6 +115,9 @@ def distributions(runs: Runs) -> Figure | None:
                 tail = value_at_risk(values)
                 axes.plot([place], [tail], "_", color=style.INK, markersize=15, markeredgewidth=1.2, zorder=4)
                 axes.plot([place], [max(values)], linestyle="", markersize=6.5, zorder=5, **looks[setting])
+                _link_times(axes, part, place, {"environment": environment, "setting": setting}, upright=True)
+                worst = part.where("success", flight_time_s=max(values)).first("run_id")
+                links.points(axes, [place], [max(values)], [links.to_run(worst)])
                 axes.annotate(f"{max(values):.0f} s", (place, max(values)), (0, 6), textcoords="offset points",
                               ha="center", fontsize=8)  # fmt: skip
         limit = own.frame["time_limit_s"].max()

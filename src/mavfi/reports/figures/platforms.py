@@ -8,6 +8,7 @@ from mavfi.campaign.analysis.platform_views import compared, platforms
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.campaign.plan import GOLDEN
 from mavfi.reports import style
+from mavfi.reports.figures import links
 from mavfi.reports.figures.registry import Drawing, register
 
 
@@ -26,11 +27,13 @@ def flight_times(runs: Runs) -> Figure | None:
     looks = style.setting_looks(settings)
     for axes, (environment, platform) in zip(panels, known.items(), strict=True):
         for place, setting in enumerate(settings):
-            times = np.sort(flown.where(environment=environment, setting=setting).frame["flight_time_s"].to_numpy())
+            own = flown.where(environment=environment, setting=setting)
+            times = np.sort(own.frame["flight_time_s"].to_numpy())
             if not len(times):
                 continue
             spread = place - 0.32 + 0.64 * ((np.arange(len(times)) * 0.618034) % 1.0)
             axes.plot(spread, times, linestyle="", markersize=3, alpha=0.45, markeredgewidth=0, **looks[setting])
+            links.band(axes, place, links.to_runs(own, platform=platform, setting=setting), upright=True)
             low, middle, high = np.quantile(times, (0.25, 0.5, 0.75))
             axes.plot([place, place], [low, high], color=style.INK, linewidth=3.2, solid_capstyle="butt")
             axes.plot(place, middle, "o", color="white", markeredgecolor=style.INK, markersize=5, zorder=5)

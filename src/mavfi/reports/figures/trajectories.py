@@ -15,6 +15,7 @@ from mavfi.campaign.analysis.cases import RULE, Case, path_cases
 from mavfi.campaign.analysis.runs import Runs
 from mavfi.hosts.host import Flight
 from mavfi.reports import style
+from mavfi.reports.figures import links
 from mavfi.reports.figures.registry import Drawing, register
 from mavfi.reports.picture import near_boxes, positions
 from mavfi.reports.text import signed_percent
@@ -42,11 +43,15 @@ def trajectories(runs: Runs) -> Figure | None:
     figure = Figure(figsize=(11.0, 0.4 + 3.1 * len(cases)), layout="constrained")
     parts = figure.subfigures(len(cases), 1, squeeze=False)[:, 0]
     for part, case in zip(parts, cases, strict=True):
-        flights = [runs.flights[name] for name in (case.golden, case.fault, case.recovered) if name in runs.flights]
+        flown = [name for name in (case.golden, case.fault, case.recovered) if name in runs.flights]
+        flights = [runs.flights[name] for name in flown]
         grid = part.add_gridspec(1, 2, width_ratios=(1, 1))
         above, space = part.add_subplot(grid[0, 0]), part.add_subplot(grid[0, 1], projection="3d")
         _from_above(above, flights)
         _in_space(space, flights)
+        for axes in (above, space):  # lines are paths, in this order, before marks
+            for line, run_id in zip(axes.get_lines(), flown, strict=False):
+                links.lines([line], links.to_run(run_id))
         part.suptitle(f"fault in {case.stage}: {_fault(flights[1])}\n{_ends(case, flights)}", fontsize=9.5)
         labels = ("golden run", "with the fault", f"with the fault and detector {case.arm}")
         for line, label in zip(above.get_lines(), labels, strict=False):

@@ -2,7 +2,7 @@
 
 import io
 import re
-from html import escape
+from html import escape, unescape
 from urllib.parse import parse_qsl
 
 from markupsafe import Markup
@@ -10,6 +10,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from mavfi.reports import style
+from mavfi.reports.figures import links
+from mavfi.reports.html.table_data import RunSets
 
 _COLOURS = {
     style.INK: "ink", style.GREY: "soft", style.PALE: "line", style.BLUE: "golden", style.ORANGE: "injected",
@@ -18,13 +20,14 @@ _COLOURS = {
 """Style sheet variables by colour."""
 
 
-def svg_of(figure: Figure, name: str, caption: str) -> Markup:
+def svg_of(figure: Figure, name: str, caption: str, sets: RunSets) -> Markup:
     """Convert a figure to an SVG element.
 
     Args:
         figure: The figure.
         name: Prefix of ids, unique within the page.
         caption: Label for screen readers.
+        sets: Sets of runs of the page, to which those behind points are added.
     """
     buffer = io.StringIO()
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": "mavfi"}):
@@ -32,17 +35,21 @@ def svg_of(figure: Figure, name: str, caption: str) -> Markup:
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    text = re.sub(r'(\bid="|url\(#|href="#)(?!runs\?)', rf"\g<1>{name}-", text)
+    text = re.sub(r'(\bid="|url\(#|href="#)(?!runs\?|run/)', rf"\g<1>{name}-", text)
     for colour, variable in _COLOURS.items():
         text = re.sub(re.escape(colour), f"var(--{variable})", text, flags=re.IGNORECASE)
-    text = re.sub(r'<a xlink:href="#runs\?([^"]*)" target="_blank"', _link, text)
+    text = re.sub(r'<a xlink:href="(#runs?[?/][^"]*)" target="_blank"', lambda found: _link(found[1], sets), text)
     text = re.sub(r'(<svg[^>]*?) height="[^"]*"', r"\1", text, count=1)
     label = escape(caption, quote=True)
     return Markup(text.replace("<svg ", f'<svg role="group" aria-label="{label}" ', 1))  # noqa: S704 - from matplotlib
 
 
-def _link(found: re.Match[str]) -> str:
-    """Rewrite a link, with a label for screen readers."""
-    query = found[1].replace("&amp;", "&")
-    told = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in parse_qsl(query))
-    return f'<a href="#runs?{found[1]}" aria-label="{escape(f"runs: {told}", quote=True)}"'
+def _link(link: str, sets: RunSets) -> str:
+    """Rewrite a link of `figures.links` for the page, with a label for screen readers."""
+    if link.startswith(links.RUN):
+        return f'<a href="{link}" aria-label="run {link.removeprefix(links.RUN)}"'
+    label = dict(parse_qsl(unescape(link).removeprefix(links.RUNS)))
+    run_ids = label.pop(links.IDS).split()
+    told = ", ".join(f"{key.replace('_', ' ')} {value}" for key, value in label.items())
+    count = "1 run" if len(run_ids) == 1 else f"{len(run_ids)} runs"
+    return f'<a href="{sets.link(run_ids)}" aria-label="{escape(f"{count}: {told}", quote=True)}"'

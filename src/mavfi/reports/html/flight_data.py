@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from mavfi.campaign.divergence import Publication
 from mavfi.flight_log import FlightLog
 from mavfi.mission import MissionStatus
-from mavfi.reports.explain import around
+from mavfi.reports.explain import around, published_field
 from mavfi.reports.html.page import encoded
 from mavfi.reports.html.time_lines import time_lines
 from mavfi.sim.environments import World
@@ -56,8 +56,17 @@ def flight_data(courses: Sequence[Course], world: World, site: str = "") -> dict
     at = next((path["fault"] for path in paths if path["fault"] is not None), None)
     return {
         "world": world_data(world, courses), "paths": paths, "fault": at,
-        "lines": [] if at is None else time_lines({course.role: course.published for course in courses}, at, site),
+        "lines": [] if at is None else time_lines(
+            {course.role: course.published for course in courses}, at, site, _first_wrong(courses)
+        ),
     }  # fmt: skip
+
+
+def _first_wrong(courses: Sequence[Course]) -> str:
+    """The first field that differs in the output of the injected kernel; "" = none, or no kernel was injected."""
+    effects = [course.log.kernel for course in courses if course.log.kernel is not None]
+    found = next((effect.first_difference for effect in effects if effect.first_difference), None)
+    return "" if found is None else published_field(found)
 
 
 def course_data(course: Course) -> dict[str, Any]:

@@ -162,7 +162,7 @@ def _section_data(sections: Sequence[Section], sets: RunSets) -> Iterator[dict[s
                 table | {"id": f"{place}-{table['name']}", "long": len(table["rows"]) > _LONG} for table in tables
             ],
             "figures": [
-                {"svg": svg_of(one.figure, f"s{place}-{one.name}", one.caption), "caption": one.caption}
+                {"svg": svg_of(one.figure, f"s{place}-{one.name}", one.caption, sets), "caption": one.caption}
                 for one in section.figures
             ],
         }  # fmt: skip

@@ -15,18 +15,16 @@ FILTERS = {
 """Filter columns with their labels."""
 NUMBERS = {"flight_time_s": 2, "inflation": 4, "alarms_total": 0, "time_s": 3}
 """Numeric columns with their number of decimals."""
-HIDDEN = ("population", "kind", "target", "site")
-"""Columns without a filter control, used in links of figures."""
 
 
 def run_list(ledgers: Mapping[str, Runs]) -> dict[str, Any]:
-    """Ids and the columns in `FILTERS`, `HIDDEN` and `NUMBERS` of all runs; `ledgers` is keyed by folder."""
+    """Ids and the columns in `FILTERS` and `NUMBERS` of all runs; `ledgers` is keyed by folder."""
     frames = [runs.frame.with_columns(folder=pl.lit(folder)) for folder, runs in ledgers.items()]
     frame = pl.concat(frames).with_columns(
         place=pl.when(pl.col("state") != "").then(pl.col("state")).otherwise(pl.col("kernel")),
         bit=pl.col("bit").cast(pl.String).fill_null(""),
     )
-    texts = {name: _coded(frame[name]) for name in (*FILTERS, *HIDDEN)}
+    texts = {name: _coded(frame[name]) for name in FILTERS}
     numbers = {name: _rounded(frame[name], digits) for name, digits in NUMBERS.items()}
     return {"ids": frame["run_id"].to_list(), "texts": texts, "numbers": numbers, "filters": FILTERS}
 

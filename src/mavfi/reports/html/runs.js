@@ -75,8 +75,9 @@ class RunList {
   }
 
   show() {
-    const filters = Object.entries(this.chosen).map(([name, value]) => `${this.data.filters[name] ?? name} ${value}`);
-    const source = this.set === null ? "" : " behind the chosen cell";
+    const told = { ...this.shared(), ...this.chosen };
+    const filters = Object.entries(told).map(([name, value]) => `${this.data.filters[name] ?? name} ${value}`);
+    const source = this.set === null ? "" : " behind the chosen cell or point";
     document.getElementById("runs-told").textContent =
       `${this.found.length} of ${this.data.ids.length} runs${source}${filters.length ? `; ${filters.join(", ")}` : ""}.`
       + ` ${this.stored.size} have their flight in this file (●).`;
@@ -85,6 +86,14 @@ class RunList {
     this.buildHead();
     document.querySelector(".runs tbody").replaceChildren(...rows.map((run) => this.row(run)));
     this.showPager();
+  }
+
+  /** The values that all runs of a set have in common. */
+  shared() {
+    if (this.set === null || !this.found.length) return {};
+    const values = this.shownFilters.map((name) => [name, this.text(name, this.found[0])]);
+    return Object.fromEntries(values.filter(([name, value]) => (
+      value !== "" && this.found.every((run) => this.text(name, run) === value))));
   }
 
   row(run) {

@@ -13,7 +13,7 @@ _INTERVAL = re.compile(r"^(\S+) (\[.*)$")
 
 @dataclass(slots=True)
 class RunSets:
-    """Deduplicated sets of runs to which cells link.
+    """Deduplicated sets of runs to which cells and figures link.
 
     Attributes:
         places: Index of each run in the list of runs, by id.

@@ -35,24 +35,30 @@ Line = tuple[np.ndarray, np.ndarray]
 """Instants (s) and values. Shapes (n,), (n,)."""
 
 
-def time_lines(published: Mapping[str, Sequence[Publication]], at: float, site: str) -> list[dict[str, Any]]:
-    """Time lines of the injected field and of those that differ most from the golden run, in data-flow order.
+def time_lines(
+    published: Mapping[str, Sequence[Publication]], at: float, site: str, wrong: str = ""
+) -> list[dict[str, Any]]:
+    """Time lines of the injected field, or of the first wrong one, and of those that differ most from the golden run.
+
+    They are in data-flow order after the first.
 
     Args:
         published: Publications by role of the flight; the result is empty without those of the golden run and of
             another flight.
         at: Instant of the fault (s).
         site: Site of the fault, as text.
+        wrong: First field that the injected kernel published wrong, as text; "" = none, or not known.
     """
     near = {role: _near(publications, at) for role, publications in published.items() if publications}
     if "golden" not in near or len(near) < 2:
         return []
     injected = near.get("injected") or near["recovered"]
-    first = [] if (own := _site(site)) is None else [own]
+    own = _site(site)
+    first = [one for one in (own or _site(wrong),) if one is not None]
     scores = {site: _difference(near["golden"], injected, site) for site in _candidates() if site not in first}
     worst = sorted((site for site in scores if scores[site] > 0), key=lambda site: -scores[site])[: MOST - len(first)]
     shown = first + [site for site in scores if site in worst]
-    return [_line(site, near, is_site=site in first) for site in shown]
+    return [_line(site, near, is_site=site == own) for site in shown]
 
 
 def _near(publications: Sequence[Publication], at: float) -> dict[str, list[Publication]]:
@@ -70,11 +76,13 @@ def _near(publications: Sequence[Publication], at: float) -> dict[str, list[Publ
 
 
 def _site(text: str) -> Site | None:
-    """Parse the text of a state field, e.g. "planning.trajectory.x[3]"; None for sites of other kinds."""
+    """Parse the text of a numeric state field, e.g. "planning.trajectory.x[3]"; None for sites of other kinds."""
     found = re.fullmatch(r"(\w+\.\w+)\.(\w+)(?:\[(\d+)\])?", text)
     if found is None or found[1] not in STATES:
         return None
-    in_elements = STATES[found[1]].in_elements(found[2])
+    spec, in_elements = STATES[found[1]], STATES[found[1]].in_elements(found[2])
+    if not in_elements and found[2] not in (spec.header_dtype.names or ()):  # e.g. the number of elements
+        return None
     return Site(found[1], found[2], int(found[3] or 0) if in_elements else None)
 
 

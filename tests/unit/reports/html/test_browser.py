@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from mavfi.campaign.analysis.paper_views import by_bits
+from mavfi.reports.campaign_report import report_of
+from mavfi.reports.figures import figure
 from mavfi.reports.html.flight_data import Course
 from mavfi.reports.html.flight_page import FlightPage, write_flight_page
+from mavfi.reports.html.report_page import Drawn, Part, Section, write_report_page
 from tests.unit.reports.html.made import scene, straight
 
 pytestmark = pytest.mark.slow  # starts a browser, and draws in software
@@ -120,10 +124,35 @@ def test_a_cell_opens_exactly_the_runs_behind_it(browser, report_html):
 
 def test_a_point_of_a_figure_opens_its_runs(browser, report_html):
     browser.open(report_html)
-    browser.driver.find_element("css selector", "figure a[href*='setting=fi']").click()
+    browser.driver.find_element("css selector", "figure a[aria-label*='setting fi']").click()
     browser.until("return document.getElementById('runs-told').textContent.includes('arm fi')")
     assert not browser.text("#runs-told").startswith("0 of")
     assert len(browser.driver.window_handles) == 1
+
+
+def test_a_box_and_a_curve_open_exactly_their_runs(browser, flown, runs, tmp_path):
+    figures = [Drawn(name, figure(runs, name), name) for name in ("bit_fields", "flight_time")]
+    page = tmp_path / "figures.html"
+    write_report_page(page, [Part(flown, report_of(runs))], [Section("first"), Section("second", (), figures)], [])
+    browser.open(page)
+    shown = by_bits(runs).where("success", bits="mantissa")
+    box = f"figure a[aria-label='{len(shown)} runs: environment sparse, bits mantissa']"
+    browser.run("document.querySelector(arguments[0]).scrollIntoView({block: 'center', behavior: 'instant'})", box)
+    browser.driver.find_element("css selector", box).click()
+    browser.until(f"return document.getElementById('runs-told').textContent.startsWith('{len(shown)} of ')")
+    listed = browser.run(
+        "return [...document.querySelectorAll('.runs tbody td:first-child a')].map((a) => a.textContent)"
+    )
+    assert sorted(listed) == sorted(shown["run_id"])
+    assert "bit class mantissa" in browser.text("#runs-told")
+    on_curve = """const line = document.querySelector(arguments[0] + ' path');
+        line.scrollIntoView({block: 'center', behavior: 'instant'});
+        const place = line.getPointAtLength(0.7 * line.getTotalLength()).matrixTransform(line.getScreenCTM());
+        return document.elementFromPoint(place.x, place.y).closest('a')?.getAttribute('aria-label')"""
+    n = len(runs.injected.where("judged", setting="dr_idle"))
+    label = f"{n} runs: environment sparse, setting dr_idle"
+    assert browser.run(on_curve, f"svg[aria-label=flight_time] a[aria-label='{label}']") == label
+    assert browser.complaints() == []
 
 
 def test_filters_narrow_the_list(browser, report_html, runs):

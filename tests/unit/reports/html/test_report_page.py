@@ -4,6 +4,7 @@ import json
 import re
 
 import pytest
+from matplotlib.figure import Figure
 
 from mavfi.campaign.analysis import table as table_of
 from mavfi.campaign.analysis.table import Table
@@ -11,6 +12,7 @@ from mavfi.cli.flight_pages import fly_command
 from mavfi.errors import BadInputError
 from mavfi.mission import MissionSpec
 from mavfi.reports.campaign_report import report_of
+from mavfi.reports.figures import links
 from mavfi.reports.html import page
 from mavfi.reports.html.figure_svg import svg_of
 from mavfi.reports.html.report_page import Part, Section, drawn, sections_of, write_report_page
@@ -97,11 +99,23 @@ def test_the_libraries_are_there_with_their_licences(flight_html):
 
 def test_figures_follow_the_theme_and_their_ids_are_unique(runs):
     figures = drawn(runs)
-    text = "".join(svg_of(one.figure, f"f{place}", one.caption) for place, one in enumerate(figures))
+    text = "".join(svg_of(one.figure, f"f{place}", one.caption, RunSets({})) for place, one in enumerate(figures))
     assert "var(--ink)" in text and "#222222" not in text
     ids = re.findall(r'\bid="([^"]*)"', text)
     assert ids and len(ids) == len(set(ids))
-    assert 'aria-label="runs: environment sparse, setting fi' in text
+    n = len(runs.where("judged", setting="fi", population="sign_exponent"))
+    assert f'aria-label="{n} runs: environment sparse, setting fi' in text
+
+
+def test_a_point_of_a_figure_links_to_a_set_of_its_runs(runs):
+    figure = Figure()
+    own = runs.where(setting="fi", population="mantissa")
+    links.points(figure.subplots(), [0.0], [0.0], [links.to_runs(own, place="a & b")])
+    sets = RunSets({run_id: place for place, run_id in enumerate(runs["run_id"])})
+    text = svg_of(figure, "one", "caption", sets)
+    assert f'<a href="#runs?set=0" aria-label="{len(own)} runs: place a &amp; b"' in text
+    [ranges] = sets.texts
+    assert sum(_length(part) for part in ranges.split()) == len(own) and own.first("run_id") not in text
 
 
 def test_the_list_of_runs_has_every_run(runs):

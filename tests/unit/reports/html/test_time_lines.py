@@ -37,6 +37,17 @@ def test_of_other_faults_only_what_differs_is_shown(site):
     assert [(line["label"], line["site"]) for line in lines] == [("planning.waypoint.x", False)]
 
 
+@pytest.mark.parametrize(
+    ("wrong", "shown"),
+    [("planning.waypoint.y", ["planning.waypoint.y", "planning.waypoint.x"]),
+     ("planning.waypoint.elements", ["planning.waypoint.x"]), ("planning.waypoint.", ["planning.waypoint.x"])],
+)  # fmt: skip
+def test_the_first_wrong_field_of_an_injected_kernel_comes_first(wrong, shown):
+    injected = waypoints(lambda time_s: 3.0 if time_s >= AT else 0.0)
+    lines = time_lines({"golden": waypoints(), "injected": injected}, AT, "pid.track", wrong)
+    assert [(line["label"], line["site"]) for line in lines] == [(label, False) for label in shown]
+
+
 def test_an_element_of_a_list_is_followed():
     def trajectories(value):
         state = new_state("planning.trajectory", 3)
