@@ -11,6 +11,12 @@ from mavfi.reports.study_report import study_report
 from tests.unit.campaign.fakes import HOST
 
 
+@pytest.fixture(autouse=True)
+def few_flights(monkeypatch):
+    """Two flights in the page of a study."""
+    monkeypatch.setattr("mavfi.cli.reproduce.FLIGHTS", 2)
+
+
 def study(folder, **changes):
     """One environment and one mission at both levels instead of the paper's tables; the training flights are three."""
     both = {"environments": ["sparse"], "missions": 1, "faults": 1, "arms": {"gaussian": {"detector": "gaussian"}}}

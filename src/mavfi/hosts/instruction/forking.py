@@ -140,6 +140,9 @@ class Forks(ABC):
                 raise
             case.call += 1  # call numbers have shifted: the arguments of this call have other types
             return False, None
+        if self._detector is not None and not _has_bit(variant, case.fault, args):
+            case.call += 1
+            return False, None
         variant.own_report()
         case.time_us = self.loop.now
         ended = self._fork(case, dead=False)
@@ -315,6 +318,13 @@ def same_bits(one: Any, other: Any) -> bool:
 
 def _bytes_of(array: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+
+
+def _has_bit(variant: Variant, fault: InstructionFault, args: tuple[Any, ...]) -> bool:
+    """Whether a call reaches the instruction's index with a value that has such a bit; without forking."""
+    _, (site,) = variant.resolve([fault.index], *copied(args))
+    keep, flip = fault.masks
+    return site is not None and (flip | ~keep) % (1 << site.width) != 0
 
 
 def _is_contained(entry: str, before: Any, golden: Any, injected: Any) -> bool:
