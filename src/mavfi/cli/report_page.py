@@ -100,12 +100,14 @@ def write_html(path: Path, directory: Path, report: Report, flights: int | None,
     return _write(path, [Part(directory, report)], sections_of(report), commands(directory), flights, workers)
 
 
-def write_study_html(path: Path, study: StudyReport, reports: Mapping[Path, Report], flights: int, workers: int) -> int:
-    """Write the page of a study; `reports` is keyed by ledger folder, other arguments: see `_write`."""
+def write_study_html(
+    path: Path, study: StudyReport, scale: str, reports: Mapping[Path, Report], flights: int, workers: int
+) -> int:  # fmt: skip
+    """Write the page of a study at a scale; `reports` is keyed by ledger folder, other arguments: see `_write`."""
     parts = [Part(directory, report) for directory, report in reports.items()]
     root = path.parent
     repeat = [
-        ("Fly the study, or what is left of it", f"mavfi reproduce {study.study.name} --out {root}"),
+        ("Fly the study, or what is left of it", f"mavfi reproduce {study.study.name} --scale {scale} --out {root}"),
         (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {root} --share 0.02"),
     ]
     return _write(path, parts, sections_of_study(study), repeat, flights, workers, headline_of_study(study))

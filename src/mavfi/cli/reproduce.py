@@ -73,7 +73,7 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
             bar.begin(folder, f"campaign {campaign.name}")
             show = bar.show_campaign
             run_campaign(campaign, out / folder, executor=executor, models_dir=out / MODELS, progress=show)
-    _report(chosen, out, workers, show_all, as_json)
+    _report(chosen, scale, out, workers, show_all, as_json)
     if not as_json:
         where = f"The models are in {out / MODELS}. It took {duration(time.perf_counter() - begun)}."
         console().print(where, soft_wrap=True)
@@ -152,7 +152,9 @@ def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights
     return all((arm.detector, arm.profile) in held for arm in campaign.arms.values() if arm.detector)
 
 
-def _report(study: "Study", out: Path, workers: int, show_all: bool, as_json: bool) -> None:
+def _report(  # noqa: PLR0913 - what the command was given
+    study: "Study", scale: str, out: Path, workers: int, show_all: bool, as_json: bool
+) -> None:  # fmt: skip
     """Write the reports of the campaigns and of the study; print the study's headline, all tables, or JSON."""
     from mavfi.cli.report_page import write_study_html
     from mavfi.reports.campaign_report import write_report
@@ -161,7 +163,7 @@ def _report(study: "Study", out: Path, workers: int, show_all: bool, as_json: bo
 
     reports = {out / folder: write_report(out / folder) for folder in study.campaigns}
     written = write_study(study, out)
-    write_study_html(out / PAGE, written, reports, FLIGHTS, workers)
+    write_study_html(out / PAGE, written, scale, reports, FLIGHTS, workers)
     if as_json:
         write_json(written.to_json())
         return

@@ -76,6 +76,7 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
     assert VIEWS["kernel_missions"].title in report and "(figures/table1_sites.png)" in report
     assert (out / "figures" / "table1_sites.png").stat().st_size > 10_000
     page = (out / "report.html").read_text(encoding="utf-8")
+    assert "mavfi reproduce small --scale quick --out" in page, "how to repeat it"
     assert "Study small" in page and "<svg" in page and all(f">{title}<" in page for title in ("One", "Two"))
     assert all(line in page for line in study_report(load_study(tmp_path / "small.yaml"), out, fly=False).findings)
 
