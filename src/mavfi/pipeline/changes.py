@@ -4,8 +4,9 @@ A map has 10^5 to 10^7 voxels, of which a scan updates a few thousand.  A snapsh
 changes so far (shared with all other snapshots), not a copy of its voxels.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -77,7 +78,7 @@ class Changes:
         """A second copy of the array, moved from the snapshot used last to `saved`."""
         if self._twin is None:
             self._twin = np.zeros_like(self._array)
-        common = _common(self._twin_list, saved)
+        common = common_length(self._twin_list, saved)
         for change in reversed(self._twin_list[common:]):
             self._twin[change.places[::-1]] = change.before[::-1]
         for change in saved[common:]:
@@ -92,7 +93,7 @@ class Changes:
             saved: Result of `save`.
             revocable: Number of latest changes that may be undone, which must also be identical.
         """
-        if len(saved) == len(self._list) == _common(self._list, saved):
+        if len(saved) == len(self._list) == common_length(self._list, saved):
             return True
         if not self._same_newest(saved, revocable):
             return False
@@ -111,7 +112,7 @@ class Changes:
         )
 
 
-def _common(one: list[Change], other: tuple[Change, ...]) -> int:
+def common_length(one: Sequence[Any], other: Sequence[Any]) -> int:
     """Number of leading changes that are identical objects."""
     count = 0
     for mine, theirs in zip(one, other, strict=False):

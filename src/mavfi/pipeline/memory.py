@@ -131,6 +131,8 @@ def same(value: Any, other: Any) -> bool:  # noqa: ANN401, PLR0911 (one line for
         return alike and bool(value.tobytes() == other.tobytes())
     if isinstance(value, State):
         return value.spec is other.spec and value.same_bits(other)
+    if isinstance(value, np.generic):
+        return bool(value.dtype == other.dtype and value.tobytes() == other.tobytes())
     if isinstance(value, float):
         return struct.pack("d", value) == struct.pack("d", other)
     if isinstance(value, (list, tuple)):

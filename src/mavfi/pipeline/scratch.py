@@ -12,6 +12,7 @@ import numpy as np
 from mavfi.errors import MavfiError
 from mavfi.kernels.perception.key_sets import KeyFrame
 from mavfi.kernels.perception.octomap import UpdateRule, insert_scan, undo_scan
+from mavfi.pipeline.changes import common_length
 
 Scan = tuple[np.ndarray, np.ndarray] | None
 """Points and origin of an integrated scan; None = the last scan was undone."""
@@ -55,7 +56,7 @@ class ScanArrays:
 
     def repeat(self, scans: Sequence[Scan]) -> None:
         """Integrate scans again; what has been integrated already is not repeated."""
-        if not _begins(scans, self._done):
+        if common_length(self._done, scans) < len(self._done):
             for array in (self.log_odds, self.stamp, self.touched, self.before):
                 array[:] = 0
             self.scans, self._done = 0, []
@@ -105,11 +106,6 @@ class ScanScratch:
         if self._again.log_odds.tobytes() != own.log_odds.tobytes():
             raise MavfiError("a map differs from its scans")
         own.take(self._again)
-
-
-def _begins(scans: Sequence[Scan], first: Sequence[Scan]) -> bool:
-    """Whether a sequence begins with the scans `first`."""
-    return len(first) <= len(scans) and all(one is other for one, other in zip(first, scans, strict=False))
 
 
 class SearchScratch:

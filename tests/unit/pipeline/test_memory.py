@@ -104,6 +104,10 @@ def test_states_are_shared_and_arrays_are_not():
 def test_bits_count_not_values():
     assert same(float("nan"), float("nan"))
     assert not same(0.0, -0.0)
+    quiet, signalling = np.array([0x7FC00000, 0x7F800001], np.uint32).view(np.float32)
+    assert same(quiet, np.array([quiet])[0]) and not same(quiet, signalling)
+    assert not same(np.float32(0.0), np.float32(-0.0))
+    assert same(np.zeros((4, 4))[::2, 1], np.zeros(2)) and not same(np.zeros(2), np.zeros(2, np.float32))
     assert not same(1, 1.0)
     assert not same(True, 1)
     state = new_state("control.command")

@@ -18,8 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NoReturn, TypeVar
 
-import numpy as np
-
 from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import MavfiError
 from mavfi.faults.fault import InstructionFault
@@ -186,7 +184,7 @@ class Forks(ABC):
         copies = tuple(copied(argument) for argument in args) if placed is None else placed.args
         golden, before = own((function(*copies), copies)), own(args)  # the injected call reuses the arena
         result = variant.inject(fault.index, *fault.masks, fault.budget, *args)
-        child.call_same = same_bits((result, args), golden)
+        child.call_same = same((result, args), golden)
         report = variant.report()
         child.comparable = report is not None and report.planned and _is_contained(fault.entry, before, golden[1], args)
         if self._detector is not None and changed_nothing(report):
@@ -304,22 +302,6 @@ def _report_of(ended: Ended) -> ChildReport:
     return report
 
 
-def same_bits(one: Any, other: Any) -> bool:
-    """Whether results or arguments are bit-identical; tuples of any type are equal if their parts are."""
-    if isinstance(one, tuple) and isinstance(other, tuple):
-        return len(one) == len(other) and all(map(same_bits, one, other))
-    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
-        alike = one.shape == other.shape and one.dtype == other.dtype
-        return alike and np.array_equal(_bytes_of(one), _bytes_of(other))
-    if isinstance(one, np.generic) and isinstance(other, np.generic):
-        return one.dtype == other.dtype and one.tobytes() == other.tobytes()
-    return same(one, other)
-
-
-def _bytes_of(array: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-
-
 def _has_bit(variant: Variant, fault: InstructionFault, args: tuple[Any, ...]) -> bool:
     """Whether a call reaches the instruction's index with a value that has such a bit; without forking."""
     _, (site,) = variant.resolve([fault.index], *copied(args))
@@ -335,4 +317,4 @@ def _is_contained(entry: str, before: Any, golden: Any, injected: Any) -> bool:
     """
     if isinstance(golden, tuple):
         return all(_is_contained(entry, *parts) for parts in zip(before, golden, injected, strict=True))
-    return same_bits(golden, injected) or (entry not in MAP_FUNCTIONS and not same_bits(before, golden))
+    return same(golden, injected) or (entry not in MAP_FUNCTIONS and not same(before, golden))

@@ -78,7 +78,7 @@ class FastForward:
         loop: The loop of all flights; its record counts the calls of `functions`, and checkpoints contain the counts.
         functions: The functions of its kernels, at whose calls flights can fork, by name.
         scratch: Whether checkpoints contain the work arrays of kernels, so that faults in instructions can be injected
-            after them; requires that these are known.
+            after them: if that is requested, and all of these can be saved.
 
     Raises:
         BadInputError: The scenario cannot be flown.
@@ -95,9 +95,7 @@ class FastForward:
         self.loop = new_loop(scenario, profile=True, rewindable=True, functions=table)
         for function in self.functions.values():
             function.attach(self.loop)
-        self.scratch = scratch
-        if scratch and not has_scratch(self.loop):
-            raise MavfiError("the work arrays of a kernel cannot be saved")
+        self.scratch = scratch and has_scratch(self.loop)
         self.pitch = TICKS.get(scenario.map.kind, TICKS["octree"])
         self.share = Share()
         self._golden: dict[str, Track] = {}

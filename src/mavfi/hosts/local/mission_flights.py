@@ -1,6 +1,7 @@
 """In-process flights of one mission: fast-forwarded where the result is bit-identical, otherwise flown in full."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TypeVar
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, InstructionFault, MemoryFault, StateFault
@@ -12,6 +13,8 @@ from mavfi.hosts.local.forks import fly_from_checkpoints
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec, Scenario
 from mavfi.states import DETECTORS
+
+Found = TypeVar("Found")
 
 
 class LocalHost:
@@ -88,33 +91,36 @@ class LocalFlights(ArmFlights):
 
     def _from_checkpoints(self, arm: str, faults: Sequence[InstructionFault]) -> list[Flight]:
         """As `_from_take_off`, fast-forwarded; empty if that is not possible."""
-        setup, detector, golden = self._arms[arm], self._detector(arm), self._golden.get(arm)
-        if (
-            golden is None
-            or not (self._scratch and self._may_forward(arm))
-            or any(fault.kernel in DETECTORS for fault in faults)
-        ):
+        golden, detector, recovery = self._golden.get(arm), self._detector(arm), self._arms[arm].recovery
+        if golden is None or any(fault.kernel in DETECTORS for fault in faults):
             return []
-        key = setup.scenario.key()
-        try:
-            forward = self._forward.get(key) or FastForward(setup.scenario, scratch=self._scratch)
-            name = arm if detector is not None else ""
-            found = fly_from_checkpoints(forward, faults, golden, detector, name, setup.recovery)
-        except Exception:  # noqa: BLE001 - as in `_fly`
-            self._forward.pop(key, None)
-            return []
-        self._forward[key] = forward
-        return found
 
-    def _may_forward(self, arm: str) -> bool:
-        """Whether flights of an arm can be fast-forwarded.
+        def fly_all(forward: FastForward, name: str) -> list[Flight]:
+            if not forward.scratch:
+                return []
+            return fly_from_checkpoints(forward, faults, golden, detector, name, recovery)
+
+        return self._forwarded(arm, fly_all) or []
+
+    def _forwarded(self, arm: str, fly: Callable[[FastForward, str], Found]) -> Found | None:
+        """Result of `fly`, called with the fast-forward of an arm and the arm's name there; None if not possible.
 
         Excluded are detectors whose recovery restarts nodes or degrades, as responses depend on earlier alarms; and
         detectors with `seal` or `duplicates`, which act on unpublished values.
         """
-        detector = self._detector(arm)
+        setup, detector = self._arms[arm], self._detector(arm)
         takes_part = hasattr(detector, "seal") or hasattr(detector, "duplicates")
-        return self._fast and not (detector is not None and (self._arms[arm].recovery.remembers or takes_part))
+        if not self._fast or (detector is not None and (setup.recovery.remembers or takes_part)):
+            return None
+        key = setup.scenario.key()
+        try:
+            forward = self._forward.get(key) or FastForward(setup.scenario, scratch=self._scratch)
+            found = fly(forward, arm if detector is not None else "")
+        except Exception:  # noqa: BLE001 - state that cannot be copied or compared: the full flight decides
+            self._forward.pop(key, None)
+            return None
+        self._forward[key] = forward
+        return found
 
     def _fly(self, arm: str, fault: StateFault | MemoryFault | None, *, profile: bool = False) -> Flight:
         """Fly one run, fast-forwarded if possible.
@@ -122,17 +128,8 @@ class LocalFlights(ArmFlights):
         Excluded are also null faults, whose purpose is to exercise the injector, and memory faults, which checkpoints
         do not contain.
         """
-        setup = self._arms[arm]
-        detector = self._detector(arm)
-        through = fault is not None and fault.bit is None
-        if self._may_forward(arm) and not through and not isinstance(fault, MemoryFault):
-            key = setup.scenario.key()
-            try:
-                forward = self._forward.get(key) or FastForward(setup.scenario, scratch=self._scratch)
-                flight = forward.fly(fault, detector, arm if detector is not None else "", setup.recovery)
-            except Exception:  # noqa: BLE001 - state that cannot be copied or compared: the full flight decides
-                self._forward.pop(key, None)
-            else:
-                self._forward[key] = forward
-                return flight
-        return fly(setup.scenario, fault, detector, recovery=setup.recovery, profile=profile)
+        setup, detector = self._arms[arm], self._detector(arm)
+        found = None
+        if not isinstance(fault, MemoryFault) and (fault is None or fault.bit is not None):
+            found = self._forwarded(arm, lambda forward, name: forward.fly(fault, detector, name, setup.recovery))
+        return found or fly(setup.scenario, fault, detector, recovery=setup.recovery, profile=profile)

@@ -30,6 +30,7 @@ def calls(monkeypatch):
     class FastForward:
         def __init__(self, scenario, *, scratch):
             found.made.append(f"{scenario.name} with scratch" if scratch else scenario.name)
+            self.scratch = scratch and scenario.name != "octree"
 
         def fly(self, fault, detector, arm, recovery):
             if found.broken:
@@ -138,10 +139,12 @@ def test_instruction_faults_are_flown_arm_by_arm_and_keep_their_places(calls, ar
     assert calls.made == ["own with scratch"]
 
 
-@pytest.mark.parametrize("why", ["broken", "detector", "unknown", "no fast-forward", "restarts"])
+@pytest.mark.parametrize("why", ["broken", "detector", "unknown", "no fast-forward", "restarts", "octree"])
 def test_instruction_faults_are_flown_from_take_off_where_checkpoints_cannot_be_used(calls, arms, why):
     if why == "restarts":
         arms["g"] = ArmSetup(Scenario(name="own"), arms["g"].make_detector, Recovery(answer_s=0.6))
+    if why == "octree":
+        arms["g"] = ArmSetup(Scenario(name="octree"), arms["g"].make_detector)
     flights = LocalHost().mission(arms, fast_forward=why != "no fast-forward")
     if why != "unknown":
         flights.know("g", Flight("golden"))
