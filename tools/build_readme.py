@@ -3,7 +3,7 @@
     python -m tools.build_readme out/reproduce
 
 The reports write `readme_block.md` and, optionally, `flight.png` to their folders; the study writes `study.md`, its
-figures and `report.html`. All are copied verbatim, and the figures of the README are parsed from the tables, so that
+figures and `report.html`. All are copied verbatim, and the numbers of the README are parsed from the tables, so that
 none is entered by hand.
 """
 
@@ -71,6 +71,39 @@ def headline(block: str) -> str:
     )
 
 
+def compact(block: str) -> str:
+    """Success rates in per cent by setting and environment, with the paper's in brackets, as a Markdown table.
+
+    Args:
+        block: The success table at instruction level; nodes that die restart.
+
+    Raises:
+        ValueError: The block is not a success table.
+    """
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in block.splitlines() if line.startswith("|")
+    ]
+    shown: dict[str, dict[str, list[str]]] = {}
+    setting = ""
+    for name, policy, *cells in rows[2:]:
+        setting = name or setting
+        kind = {"here": "here", "here, node restarts": "here", "paper": "paper"}.get(policy)
+        if kind:
+            shown.setdefault(setting, {})[kind] = [cell.split()[0] for cell in cells]
+    if not shown or any(set(kinds) != {"here", "paper"} for kinds in shown.values()):
+        raise ValueError("not a success table beside the paper's")
+    sizes = sorted({int(n) for line in rows for cell in line for n in re.findall(r" \d+/(\d+)$", cell)})
+    lines = [
+        f"| missions that succeed, % (the paper's) | {' | '.join(rows[0][2:])} |",
+        "| --- |" + " ---: |" * len(rows[0][2:]),
+    ]
+    for setting, kinds in shown.items():
+        cells = [f"{here} ({paper})" for here, paper in zip(kinds["here"], kinds["paper"], strict=True)]
+        lines.append(f"| {setting} | {' | '.join(cells)} |")
+    about = "One bit in one instruction per mission; a node that dies restarts"
+    return "\n".join([*lines, "", f"{about}; n = {sizes[0]} to {sizes[-1]} per cell."])
+
+
 def copy_study(out: Path) -> None:
     """Copy the report of a study, its figures and its page to docs/results/, in the place of the former ones."""
     results = DOCS / "results"
@@ -89,7 +122,8 @@ def main(out: Path) -> int:
             return 2
     blocks = {name: (out / file).read_text(encoding="utf-8") for name, file in BLOCKS.items()}
     fill(DOCS / "results.md", blocks)
-    fill(ROOT / "README.md", {"headline": headline(blocks["instruction_table"])})
+    table = blocks["instruction_table"]
+    fill(ROOT / "README.md", {"headline": f"{headline(table)}\n\n{compact(table)}"})
     if (out / "study.md").is_file():
         copy_study(out)
     picture = out / "flight.png"

@@ -100,12 +100,25 @@ def write_html(path: Path, directory: Path, report: Report, flights: int | None,
     return _write(path, [Part(directory, report)], sections_of(report), commands(directory), flights, workers)
 
 
-def write_study_html(
-    path: Path, study: StudyReport, scale: str, reports: Mapping[Path, Report], flights: int, workers: int
+def write_study_html(  # noqa: PLR0913 - what the command was given
+    path: Path, root: Path, study: StudyReport, scale: str, reports: Mapping[Path, Report], flights: int | None,
+    workers: int,
 ) -> int:  # fmt: skip
-    """Write the page of a study at a scale; `reports` is keyed by ledger folder, other arguments: see `_write`."""
+    """Write the page of a study.
+
+    Args:
+        path: File to write.
+        root: Folder of the study.
+        study: Its results.
+        scale: Its scale.
+        reports: Reports of its campaigns, by folder of the ledger.
+        flights: Maximum number of flights; None = as many as fit.
+        workers: Number of processes.
+
+    Returns:
+        Number of flights in the page.
+    """
     parts = [Part(directory, report) for directory, report in reports.items()]
-    root = path.parent
     repeat = [
         ("Fly the study, or what is left of it", f"mavfi reproduce {study.study.name} --scale {scale} --out {root}"),
         (f"Check {FILE}, and fly a share of it again", f"mavfi campaign verify {root} --share 0.02"),

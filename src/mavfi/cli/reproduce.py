@@ -9,13 +9,12 @@ import typer
 from rich.text import Text
 
 from mavfi.cli import options
-from mavfi.cli.console import check_folder, console, write_json
+from mavfi.cli.console import check_folder, console
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 
 if TYPE_CHECKING:
     from mavfi.campaign.config import Campaign
-    from mavfi.campaign.study import Study
     from mavfi.cli.progress import Part
     from mavfi.mission import MissionSpec
 
@@ -49,7 +48,8 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     from mavfi.campaign.study import load_study
     from mavfi.campaign.training import train
     from mavfi.cli.progress import Part, StudyBar, duration
-    from mavfi.reports.study_report import check_names
+    from mavfi.cli.study_report import show_study_report, write_study_report
+    from mavfi.reports.study_report import MARKDOWN, check_names
 
     begun = time.perf_counter()
     chosen = load_study(study)
@@ -73,10 +73,14 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
             bar.begin(folder, f"campaign {campaign.name}")
             show = bar.show_campaign
             run_campaign(campaign, out / folder, executor=executor, models_dir=out / MODELS, progress=show)
-    _report(chosen, scale, out, workers, show_all, as_json)
+    written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers)
+    show_study_report(written, show_all=show_all, as_json=as_json)
     if not as_json:
+        terminal = console()
+        terminal.print(Text(f"The report: {out / PAGE} (tables, figures, runs, flights), {out / MARKDOWN} as text."))
+        terminal.print(Text(f"The ledgers: {', '.join(str(out / folder) for folder in campaigns)}."), soft_wrap=True)
         where = f"The models are in {out / MODELS}. It took {duration(time.perf_counter() - begun)}."
-        console().print(where, soft_wrap=True)
+        terminal.print(where, soft_wrap=True)
 
 
 def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["MissionSpec"]:
@@ -150,32 +154,3 @@ def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights
         if fresh and all(origin.get(key) == value for key, value in wanted.items()):
             held.add((model.kind, model.profile))
     return all((arm.detector, arm.profile) in held for arm in campaign.arms.values() if arm.detector)
-
-
-def _report(  # noqa: PLR0913 - what the command was given
-    study: "Study", scale: str, out: Path, workers: int, show_all: bool, as_json: bool
-) -> None:  # fmt: skip
-    """Write the reports of the campaigns and of the study; print the study's headline, all tables, or JSON."""
-    from mavfi.cli.report_page import write_study_html
-    from mavfi.reports.campaign_report import write_report
-    from mavfi.reports.study_report import MARKDOWN, write_study
-    from mavfi.reports.terminal import show_table
-
-    reports = {out / folder: write_report(out / folder) for folder in study.campaigns}
-    written = write_study(study, out)
-    write_study_html(out / PAGE, written, scale, reports, FLIGHTS, workers)
-    if as_json:
-        write_json(written.to_json())
-        return
-    terminal = console()
-    for section in written.sections if show_all else written.headline:
-        terminal.print(Text(section.section.title, "bold"))
-        for table in section.tables if show_all else section.tables[:1]:
-            show_table(table, terminal)
-    if show_all:
-        show_table(written.times, terminal)
-    for line in written.findings:
-        terminal.print(Text(f"· {line}"))
-    terminal.print(Text(f"The report: {out / PAGE} (tables, figures, runs, flights), {out / MARKDOWN} as text."))
-    ledgers = ", ".join(str(folder) for folder in reports)
-    terminal.print(Text(f"The ledgers: {ledgers}."), soft_wrap=True)

@@ -16,7 +16,9 @@ from mavfi.campaign.analysis.table import Table
 from mavfi.campaign.analysis.times import time_table
 from mavfi.campaign.study import Section, Study
 from mavfi.campaign.telling import with_flights
+from mavfi.config import parse
 from mavfi.errors import BadInputError, writing
+from mavfi.files import LARGEST_TEXT, read_file
 from mavfi.flight_record import plain
 from mavfi.reports.campaign_report import markdown_table
 from mavfi.reports.figures import FIGURES, draw, drawing
@@ -138,19 +140,41 @@ def _section(section: Section, campaigns: Mapping[str, Runs], folder: Path, *, f
     return SectionReport(section, shown, tuple(table for table in tables if table.rows), captions)
 
 
-def write_study(study: Study, folder: Path, *, fly: bool = True) -> StudyReport:
-    """Analyse a study, and write study.md, study.json and figures to its folder; errors: see `study_report`."""
+def write_study(study: Study, scale: str, folder: Path, *, fly: bool = True) -> StudyReport:
+    """Analyse a study flown at a scale, and write study.md, study.json and figures to its folder.
+
+    Raises:
+        BadInputError: See `study_report`.
+    """
     found = study_report(study, folder, fly=fly)
     today = date.today().isoformat()
+    flown = {"date": today, "scale": scale, "definition": study.model_dump(mode="json", exclude_defaults=True)}
     texts = {
         MARKDOWN: _markdown(found, today),
-        JSON: json.dumps({"date": today, **found.to_json()}, indent=1, allow_nan=False) + "\n",
+        JSON: json.dumps({**flown, **found.to_json()}, indent=1, allow_nan=False) + "\n",
     }
     for name, content in texts.items():
         with writing(folder / name):
             (folder / name).write_text(content, encoding="utf-8")
     files = [*texts, *(name for section in found.sections for name in section.captions)]
     return StudyReport(study, found.campaigns, found.sections, tuple(folder / name for name in files))
+
+
+def stored_study(folder: Path) -> tuple[Study, str] | None:
+    """The study that was reported in a folder, and its scale; None if the folder holds no study.
+
+    Raises:
+        BadInputError: The file is invalid, or was written by a version that did not store the study.
+    """
+    path = folder / JSON
+    if not path.is_file():
+        return None
+    try:
+        held = json.loads(read_file(path, LARGEST_TEXT))
+        definition, scale = held["definition"], str(held["scale"])
+    except (ValueError, TypeError, KeyError) as error:
+        raise BadInputError(f"{path}: is no record of a study ({error!r}); `mavfi reproduce` writes it again") from None
+    return parse(Study, definition, f"{path}: definition"), scale
 
 
 def _markdown(found: StudyReport, today: str) -> str:

@@ -4,17 +4,25 @@ import pytest
 import yaml
 
 from mavfi.campaign.analysis import VIEWS
+from mavfi.campaign.executors.local import LocalExecutor
+from mavfi.campaign.run import run_campaign
 from mavfi.campaign.study import load_study
 from mavfi.cli import run
 from mavfi.cli.progress import StudyBar
 from mavfi.reports.study_report import study_report
-from tests.unit.campaign.fakes import HOST
+from tests.unit.campaign.fakes import HOST, small
 
 
 @pytest.fixture(autouse=True)
 def few_flights(monkeypatch):
     """Two flights in the page of a study."""
     monkeypatch.setattr("mavfi.cli.reproduce.FLIGHTS", 2)
+
+
+def no_report(monkeypatch):
+    """Write and print nothing after the flights."""
+    monkeypatch.setattr("mavfi.cli.study_report.write_study_report", lambda *_: (None, 0))
+    monkeypatch.setattr("mavfi.cli.study_report.show_study_report", lambda *_, **__: None)
 
 
 def study(folder, **changes):
@@ -80,6 +88,14 @@ def test_sections_of_a_study_come_in_its_order_with_their_tables_and_figures(cap
     assert "Study small" in page and "<svg" in page and all(f">{title}<" in page for title in ("One", "Two"))
     assert all(line in page for line in study_report(load_study(tmp_path / "small.yaml"), out, fly=False).findings)
 
+    assert run(["report", str(out), "--html", str(tmp_path / "page.html"), "--flights", "1", "--no-draw-run"]) == 0
+    printed = capsys.readouterr().out
+    assert all(title in printed for title in titles)
+    again = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "Study small" in again and "mavfi reproduce small --scale quick --out" in again
+    assert run(["report", str(out / "instructions"), "--no-draw-run", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["campaign"]["name"] == "table1_instructions"
+
     sections[1]["headline"] = True
     assert run(["reproduce", study(tmp_path, **changes), "--out", str(out), "--workers", "1"]) == 0
     printed = capsys.readouterr().out
@@ -102,6 +118,17 @@ def test_wrong_names_are_refused_before_anything_is_flown(section, told, capsys,
     assert told in capsys.readouterr().err and not out.exists()
 
 
+def test_a_damaged_record_of_a_study_is_named(capsys, tmp_path):
+    run_campaign(small(missions=1, faults=1), tmp_path, executor=LocalExecutor(1))
+    for content in ("{", "[]", '{"scale": "quick"}'):
+        (tmp_path / "study.json").write_text(content, encoding="utf-8")
+        assert run(["report", str(tmp_path)]) == 2
+        assert "study.json: is no record of a study" in capsys.readouterr().err
+    (tmp_path / "study.json").write_text('{"scale": "quick", "definition": {"name": 3}}', encoding="utf-8")
+    assert run(["report", str(tmp_path)]) == 2
+    assert "study.json: definition: key 'name': 3: " in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_training_that_is_stopped_resumes(capsys, tmp_path, monkeypatch):
     out, arguments = tmp_path / "out", ["reproduce", study(tmp_path), "--workers", "1"]
@@ -115,7 +142,7 @@ def test_training_that_is_stopped_resumes(capsys, tmp_path, monkeypatch):
 
     monkeypatch.setattr(StudyBar, "show", stop)
     monkeypatch.setattr("mavfi.campaign.run.run_campaign", lambda *_, **__: None)
-    monkeypatch.setattr("mavfi.cli.reproduce._report", lambda *_: None)
+    no_report(monkeypatch)
     assert run([*arguments, "--out", str(out)]) == 130
     assert "the same command resumes" in capsys.readouterr().err
     assert told == [(0, 3), (1, 3), (2, 3)] and not list((out / "models").glob("*.json"))
@@ -130,7 +157,7 @@ def trained(monkeypatch):
     """Autopilot profiles that detectors were trained for; nothing is flown."""
     found = []
     monkeypatch.setattr("mavfi.cli.reproduce._trained", lambda campaign, *_: campaign.mission.get("autopilot") in found)
-    monkeypatch.setattr("mavfi.cli.reproduce._report", lambda *_: None)
+    no_report(monkeypatch)
     monkeypatch.setattr("mavfi.campaign.run.run_campaign", lambda *_, **__: None)
     monkeypatch.setattr("mavfi.campaign.training.train", lambda _, __, mission, **___: found.append(mission.autopilot))
     return found

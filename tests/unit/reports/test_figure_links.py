@@ -114,6 +114,18 @@ def test_rows_open_their_missions_and_boxes_those_that_succeed(
         assert sorted(counts) == sorted(len(ids(url)) for url in linked(success))
 
 
+@pytest.mark.parametrize("name", ["states", "bit_fields", "flight_time_distribution"])
+def test_dots_name_their_runs_in_order(flown_by_hand, name):
+    times = dict(zip(flown_by_hand["run_id"], flown_by_hand["flight_time_s"], strict=True))
+    upright = name == "flight_time_distribution"
+    drawn = [line for axes in figures.figure(flown_by_hand, name).axes for line in axes.lines
+             if (line.get_gid() or "").startswith(links.DOTS)]  # fmt: skip
+    assert drawn
+    for line in drawn:
+        named = line.get_gid().removeprefix(links.DOTS).split()
+        assert list(line.get_ydata() if upright else line.get_xdata()) == [times[run_id] for run_id in named]
+
+
 def test_distributions_open_the_missions_that_succeed_and_the_worst_case_its_run(flown_by_hand):
     panels = figures.figure(flown_by_hand, "flight_time_distribution").axes
     for axes, environment in zip(panels, ("sparse", "dense"), strict=True):

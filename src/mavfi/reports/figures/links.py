@@ -13,6 +13,8 @@ from mavfi.campaign.analysis.runs import Runs
 
 RUNS, RUN = "#runs?", "#run/"
 """Starts of links to a list of runs and to the page of a run."""
+DOTS = "dots:"
+"""Start of the id of a group of dots, followed by their run ids, separated by blanks."""
 IDS = "ids"
 """Key of the run ids in a link, separated by blanks; the page replaces them by the number of a set."""
 _TRANSPARENT: dict[str, Any] = {"alpha": 0.0, "linewidth": 0.0, "clip_on": False}
@@ -50,3 +52,9 @@ def lines(drawn: Iterable[Artist], link: str) -> None:
     """Link drawn lines or markers themselves, so that each visible part of overlapping lines opens its own runs."""
     for artist in drawn:
         artist.set_url(link)
+
+
+def dots(drawn: Iterable[Artist], run_ids: Sequence[str]) -> None:
+    """Name the run behind each dot of a marker series; a click on a dot opens its run instead of the linked set."""
+    for artist in drawn:
+        artist.set_gid(DOTS + " ".join(run_ids))

@@ -33,8 +33,8 @@ def _rows(runs: Runs, select: Callable[[Runs], Runs], column: str) -> Figure | N
     panels = figure.subplots(len(counts), 2, squeeze=False, height_ratios=counts, width_ratios=(1.6, 1), sharex="col")
     for (left, right), (environment, groups) in zip(panels, environments.items(), strict=True):
         names = [str(name) for (name,) in groups]
-        _times(left, [own.where("success")["flight_time_s"] for own in groups.values()], names.index(GOLDEN_ROW)
-               if GOLDEN_ROW in names else None)  # fmt: skip
+        golden = names.index(GOLDEN_ROW) if GOLDEN_ROW in names else None
+        _times(left, [own.where("success") for own in groups.values()], golden)
         for place, own in enumerate(groups.values()):
             label = {"environment": environment, column: names[place]}
             _link_times(left, own, place, label)
@@ -65,19 +65,24 @@ def _look(name: str) -> dict[str, str]:
     return {"color": style.BLUE, "marker": "o"} if name == GOLDEN_ROW else {"color": style.ORANGE, "marker": "s"}
 
 
-def _times(axes: Axes, parts: Sequence[Sequence[float]], golden: int | None) -> None:
+def _times(axes: Axes, parts: Sequence[Runs], golden: int | None) -> None:
     """Draw a box per part, and a line at the golden median."""
-    for place, values in enumerate(parts):
-        if not len(values):
-            continue
-        colour = style.BLUE if place == golden else style.ORANGE
-        _box(axes, values, place, colour)
+    for place, arrived in enumerate(parts):
+        if len(arrived):
+            _box(axes, arrived, place, style.BLUE if place == golden else style.ORANGE)
     if golden is not None and len(parts[golden]):
-        axes.axvline(float(np.median(parts[golden])), color=style.BLUE, linewidth=0.9, linestyle=(0, (4, 3)), zorder=1)
+        axes.axvline(
+            float(np.median(parts[golden]["flight_time_s"])),
+            color=style.BLUE,
+            linewidth=0.9,
+            linestyle=(0, (4, 3)),
+            zorder=1,
+        )
 
 
-def _box(axes: Axes, values: Sequence[float], place: float, colour: str, *, upright: bool = False) -> None:
-    """Draw median and quartiles, with every value as a dot; dots have deterministic jitter."""
+def _box(axes: Axes, arrived: Runs, place: float, colour: str, *, upright: bool = False) -> None:
+    """Draw median and quartiles of flight times, with every run as a dot; dots have deterministic jitter."""
+    values = arrived["flight_time_s"]
     axes.boxplot(
         [values], positions=[place], widths=_BOX, orientation="vertical" if upright else "horizontal", whis=0,
         showfliers=False, showcaps=False, manage_ticks=False, zorder=3,
@@ -85,7 +90,8 @@ def _box(axes: Axes, values: Sequence[float], place: float, colour: str, *, upri
     )  # fmt: skip
     spread = place + 0.8 * _BOX * (np.arange(len(values)) * 0.618 % 1.0 - 0.5)  # golden ratio: even, without overlap
     at = (spread, values) if upright else (values, spread)
-    axes.plot(*at, ".", color=colour, markersize=4.5, markeredgewidth=0, alpha=0.65, zorder=2)
+    drawn = axes.plot(*at, ".", color=colour, markersize=4.5, markeredgewidth=0, alpha=0.65, zorder=2)
+    links.dots(drawn, arrived["run_id"])
 
 
 def _link_times(axes: Axes, own: Runs, place: float, label: Mapping[str, str], *, upright: bool = False) -> None:
@@ -109,9 +115,10 @@ def distributions(runs: Runs) -> Figure | None:
         own = shown.where(environment=environment)
         for place, setting in enumerate(settings):
             part = own.where(setting=setting)
-            values = part.where("success")["flight_time_s"]
+            arrived = part.where("success")
+            values = arrived["flight_time_s"]
             if values:
-                _box(axes, values, place, looks[setting]["color"], upright=True)
+                _box(axes, arrived, place, looks[setting]["color"], upright=True)
                 tail = value_at_risk(values)
                 axes.plot([place], [tail], "_", color=style.INK, markersize=15, markeredgewidth=1.2, zorder=4)
                 axes.plot([place], [max(values)], linestyle="", markersize=6.5, zorder=5, **looks[setting])

@@ -35,6 +35,9 @@ def svg_of(figure: Figure, name: str, caption: str, sets: RunSets) -> Markup:
     text = buffer.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(
+        rf'\bid="{links.DOTS}([^"]*)"', lambda found: f'class="dots" data-runs="{sets.ordered(found[1].split())}"', text
+    )
     text = re.sub(r'(\bid="|url\(#|href="#)(?!runs\?|run/)', rf"\g<1>{name}-", text)
     for colour, variable in _COLOURS.items():
         text = re.sub(re.escape(colour), f"var(--{variable})", text, flags=re.IGNORECASE)

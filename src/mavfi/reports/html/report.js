@@ -5,6 +5,7 @@ const stored = new Map(Array.from(document.querySelectorAll(".flight-data"), (no
 const runList = new RunList(pageData("runs-data"), stored);
 const csvTexts = pageData("csv-data");
 let shownPlayer = null;
+const REACH = 6;
 
 function route() {
   const [name, rest = ""] = location.hash.slice(1).split(/[/?](.*)/s);
@@ -68,7 +69,27 @@ function watchSections() {
   document.querySelectorAll("#report > section").forEach((section) => observer.observe(section));
 }
 
+/** Run of the dot at a click within a linked set, at most REACH pixels away; undefined = none. */
+function runOfDot(event) {
+  let [nearest, found] = [REACH, undefined];
+  for (const group of event.target.closest("svg").querySelectorAll("g.dots")) {
+    const runs = rangesOf(group.dataset.runs);
+    group.querySelectorAll("use").forEach((dot, place) => {
+      const box = dot.getBoundingClientRect();
+      const away = Math.hypot(box.x + box.width / 2 - event.clientX, box.y + box.height / 2 - event.clientY);
+      if (away < nearest) [nearest, found] = [away, runs[place]];
+    });
+  }
+  return found;
+}
+
 document.addEventListener("click", (event) => {
+  const set = event.target.closest('svg a[href^="#runs?"]');
+  const run = set && event.detail > 0 ? runOfDot(event) : undefined;
+  if (run !== undefined) {
+    event.preventDefault();
+    location.hash = `run/${runList.data.ids[run]}`;
+  }
   const button = event.target.closest("button.csv");
   if (button) download(button.dataset.file, csvTexts[button.dataset.table]);
 });

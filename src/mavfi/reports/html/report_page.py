@@ -72,6 +72,16 @@ def sections_of_study(study: StudyReport) -> list[Section]:
     return [*first, *found, Section(study.times.title, [study.times])]
 
 
+def drawn_of_study(study: StudyReport) -> dict[str, Drawn]:
+    """Figures of a study by unique name: campaign and figure."""
+    return {
+        f"{one.runs.campaign['name']}_{found.name}": found
+        for one in study.sections
+        if one.runs is not None
+        for found in _drawn(one.runs, one.section.figures)
+    }
+
+
 def sections_of(report: Report) -> list[Section]:
     """Sections of a campaign: leading table with leading figure, other figures, and one section per other table."""
     figures, (leading, *others) = drawn(report.runs), report.tables or (None,)

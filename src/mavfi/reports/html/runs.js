@@ -4,6 +4,14 @@
 const ROWS = 50;
 const NUMBER_HEADINGS = { flight_time_s: "flight time", inflation: "against golden", alarms_total: "alarms" };
 
+/** Numbers of a text of ranges, in order: "0-2 45" = [0, 1, 2, 45]. */
+function rangesOf(text) {
+  return text.split(" ").flatMap((range) => {
+    const [low, high = low] = range.split("-").map(Number);
+    return Array.from({ length: high - low + 1 }, (_, place) => low + place);
+  });
+}
+
 class RunList {
   constructor(data, stored) {
     Object.assign(this, { data, stored, page: 0, chosen: {}, set: null });
@@ -60,10 +68,7 @@ class RunList {
 
   candidates() {
     if (this.set === null) return this.data.ids.map((_, run) => run);
-    return this.data.sets[this.set].split(" ").flatMap((range) => {
-      const [low, high = low] = range.split("-").map(Number);
-      return Array.from({ length: high - low + 1 }, (_, place) => low + place);
-    });
+    return rangesOf(this.data.sets[this.set]);
   }
 
   meets(run) {

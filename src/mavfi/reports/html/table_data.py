@@ -1,7 +1,7 @@
 """Tables as data for a page: cells as text, with links to the runs behind them."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,9 +28,17 @@ class RunSets:
         places = sorted(self.places[run_id] for run_id in run_ids if run_id in self.places)
         return f"#runs?set={self.texts.setdefault(_ranges(places), len(self.texts))}" if places else ""
 
+    def ordered(self, run_ids: Iterable[str]) -> str:
+        """Indices of runs in the list of runs, in the given order, as text of ranges.
+
+        Raises:
+            KeyError: A run is not listed.
+        """
+        return _ranges([self.places[run_id] for run_id in run_ids])
+
 
 def _ranges(places: Sequence[int]) -> str:
-    """Format ascending numbers as ranges: "0-29 45"."""
+    """Format numbers as ranges of ascending ones, in order: "0-29 45"."""
     found: list[list[int]] = []
     for place in places:
         if found and place == found[-1][1] + 1:

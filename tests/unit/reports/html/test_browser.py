@@ -137,8 +137,11 @@ def test_a_box_and_a_curve_open_exactly_their_runs(browser, flown, runs, tmp_pat
     browser.open(page)
     shown = by_bits(runs).where("success", bits="mantissa")
     box = f"figure a[aria-label='{len(shown)} runs: environment sparse, bits mantissa']"
-    browser.run("document.querySelector(arguments[0]).scrollIntoView({block: 'center', behavior: 'instant'})", box)
-    browser.driver.find_element("css selector", box).click()
+    right_end = """const band = document.querySelector(arguments[0]);
+        band.scrollIntoView({block: "center", behavior: "instant"});
+        const box = band.getBoundingClientRect();
+        return [box.right - 2, box.y + box.height / 2];"""
+    browser.click_at(*browser.run(right_end, box))
     browser.until(f"return document.getElementById('runs-told').textContent.startsWith('{len(shown)} of ')")
     listed = browser.run(
         "return [...document.querySelectorAll('.runs tbody td:first-child a')].map((a) => a.textContent)"
@@ -152,6 +155,31 @@ def test_a_box_and_a_curve_open_exactly_their_runs(browser, flown, runs, tmp_pat
     n = len(runs.injected.where("judged", setting="dr_idle"))
     label = f"{n} runs: environment sparse, setting dr_idle"
     assert browser.run(on_curve, f"svg[aria-label=flight_time] a[aria-label='{label}']") == label
+    assert browser.complaints() == []
+
+
+def test_each_dot_of_a_box_opens_its_run(browser, flown, runs, tmp_path):
+    page = tmp_path / "figures.html"
+    figures = [Drawn("bit_fields", figure(runs, "bit_fields"), "bit_fields")]
+    write_report_page(page, [Part(flown, report_of(runs))], [Section("first"), Section("second", (), figures)], [])
+    browser.open(page)
+    shown = by_bits(runs).where("success", bits="mantissa")
+    group = list(by_bits(runs).groups("bits")).index(("mantissa",))
+    times = []
+    for place in range(len(shown)):
+        browser.run("location.hash = ''")
+        browser.until("return !document.getElementById('report').hidden")
+        where = browser.run(
+            """const dot = document.querySelectorAll("g.dots")[arguments[0]].querySelectorAll("use")[arguments[1]];
+            dot.scrollIntoView({block: "center", behavior: "instant"});
+            const box = dot.getBoundingClientRect();
+            return [box.x + box.width / 2, box.y + box.height / 2];""",
+            group, place,
+        )  # fmt: skip
+        browser.click_at(*where)
+        browser.until("return location.hash.startsWith('#run/')")
+        times.append(browser.run("return location.hash").removeprefix("#run/"))
+    assert times == shown["run_id"]
     assert browser.complaints() == []
 
 

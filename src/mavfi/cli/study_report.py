@@ -1,0 +1,55 @@
+"""Reports of studies: write files and page, print the headline."""
+
+from pathlib import Path
+
+from rich.text import Text
+
+from mavfi.campaign.study import Study
+from mavfi.cli.console import console, write_json
+from mavfi.cli.report_page import write_study_html
+from mavfi.reports.campaign_report import write_report
+from mavfi.reports.study_report import StudyReport, write_study
+from mavfi.reports.terminal import show_table
+
+
+def write_study_report(  # noqa: PLR0913 - what the command was given
+    study: Study, scale: str, folder: Path, page: Path | None, flights: int | None, workers: int, *,
+    draw_run: bool = True,
+) -> tuple[StudyReport, int]:  # fmt: skip
+    """Write the reports of a study and of its campaigns.
+
+    Args:
+        study: The study.
+        scale: The scale at which it was flown.
+        folder: Its folder.
+        page: HTML file to write; None = none.
+        flights: Maximum number of flights in the page; None = as many as fit.
+        workers: Number of processes.
+        draw_run: Whether to fly a run of each campaign again and draw it.
+
+    Returns:
+        The report of the study, and the number of flights in the page.
+
+    Raises:
+        BadInputError: A ledger is missing or damaged, or a file cannot be written.
+    """
+    reports = {folder / name: write_report(folder / name, draw_run=draw_run) for name in study.campaigns}
+    written = write_study(study, scale, folder)
+    count = 0 if page is None else write_study_html(page, folder, written, scale, reports, flights, workers)
+    return written, count
+
+
+def show_study_report(written: StudyReport, *, show_all: bool, as_json: bool) -> None:
+    """Print a study: the first table of each headline section (all tables of all sections) and findings; or JSON."""
+    if as_json:
+        write_json(written.to_json())
+        return
+    terminal = console()
+    for section in written.sections if show_all else written.headline:
+        terminal.print(Text(section.section.title, "bold"))
+        for table in section.tables if show_all else section.tables[:1]:
+            show_table(table, terminal)
+    if show_all:
+        show_table(written.times, terminal)
+    for line in written.findings:
+        terminal.print(Text(f"· {line}"))
