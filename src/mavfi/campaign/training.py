@@ -8,7 +8,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -180,6 +180,7 @@ def record_flights(
 def train(
     folder: Path, flights: int = 100, mission: MissionSpec | None = None, *, workers: int = 2,
     progress: Progress | None = None, environments: Sequence[str] = (ENVIRONMENT,), extras: Sequence[str] = (),
+    only: Collection[tuple[str, str]] | None = None,
 ) -> list[Path]:  # fmt: skip
     """Fly error-free missions, fit every detector in every profile, and write the models.
 
@@ -193,6 +194,7 @@ def train(
         progress: Called with the numbers of recorded and required flights, for each environment in turn.
         environments: Environments of the missions.
         extras: Optional dependencies whose detectors are fitted, too: "bench".
+        only: Detectors to fit, as (name, profile); None = all in every profile.
 
     Raises:
         BadInputError: A name is unknown, too few flights arrive, or the folder cannot be written.
@@ -217,9 +219,10 @@ def train(
         "planner": scenario.planner.name,
         "environment": ", ".join(environments),
         "flights": flights * len(flown),
-        "seeds": [seed for recordings in flown for seed in recordings],
+        "seeds": [seed for found in flown for seed in found],
     }
-    files = save(fit([one for recordings in flown for one in recordings.values()], provenance, extras=extras), folder)
+    recordings = [one for found in flown for one in found.values()]
+    files = save(fit(recordings, provenance, extras=extras, only=only), folder)
     for disk in disks:
         disk.delete()
     return files

@@ -2,8 +2,11 @@
 
 import fcntl
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from pathlib import Path
 
+from mavfi.campaign.config import Campaign
+from mavfi.campaign.executors.executor import Executor, map_each
 from mavfi.campaign.mission import MissionPlan, fly_mission, host_of
 from mavfi.campaign.plan import Flown, Planned
 from mavfi.numerics.jit import code_folder
@@ -16,6 +19,25 @@ def warm_up(mission: MissionPlan) -> None:
             return
 
 
+def compile_ahead(campaigns: Iterable[Campaign], executor: Executor) -> None:
+    """Compile the code of several campaigns, one campaign per worker at a time; nothing if that was done before.
+
+    Detectors are left out: their models may not exist yet.  Each process then finds the code in the cache.
+
+    Raises:
+        BadInputError: A campaign cannot be flown.
+        MavfiError: A worker was lost.
+    """
+    bare = [campaign.model_copy(update={"arms": {}}) for campaign in campaigns]
+    missions = [
+        MissionPlan(campaign, campaign.environments[0], campaign.first_seed)
+        for campaign in sorted(bare, key=lambda one: one.sampling.level != "instruction")  # these take longest
+        if host_of(campaign).in_process and not _done(campaign).exists()
+    ]
+    for mission, _ in map_each(executor, warm_up, missions):
+        _done(mission.campaign).touch()
+
+
 def fly_mission_anywhere(mission: MissionPlan) -> Iterator[Planned | Flown]:
     """`fly_mission` in a process that is not a fork of the campaign's."""
     if host_of(mission.campaign).in_process:
@@ -25,14 +47,18 @@ def fly_mission_anywhere(mission: MissionPlan) -> Iterator[Planned | Flown]:
 
 def _warm_up_machine(mission: MissionPlan) -> None:
     """Compile in one process of this machine, while the others wait."""
-    folder = code_folder()
-    folder.mkdir(parents=True, exist_ok=True)
-    key = hashlib.sha256(mission.campaign.model_dump_json().encode()).hexdigest()[:16]
-    done = folder / f"{key}.warm"
+    done = _done(mission.campaign)
     if done.exists():
         return
-    with (folder / "warm-up.lock").open("w", encoding="utf-8") as lock:
+    with (code_folder() / "warm-up.lock").open("w", encoding="utf-8") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not done.exists():
             warm_up(mission)
             done.touch()
+
+
+def _done(campaign: Campaign) -> Path:
+    """File that exists if the code of a campaign is in the cache."""
+    folder = code_folder()
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder / f"{hashlib.sha256(campaign.model_dump_json().encode()).hexdigest()[:16]}.warm"

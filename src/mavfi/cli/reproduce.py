@@ -47,7 +47,8 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     from mavfi.campaign.run import run_campaign
     from mavfi.campaign.study import load_study
     from mavfi.campaign.training import train
-    from mavfi.cli.progress import Part, StudyBar, duration
+    from mavfi.campaign.warm_up import compile_ahead
+    from mavfi.cli.progress import Part, StudyBar, compiling, duration
     from mavfi.cli.study_report import show_study_report, write_study_report
     from mavfi.reports.study_report import MARKDOWN, check_names
 
@@ -62,13 +63,16 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
     check_folder(out)
     flights = chosen.training_flights
     lacking = _untrained(campaigns.values(), out / MODELS, flights)
+    wanted = {pair for campaign in campaigns.values() for pair in _detectors(campaign)}
     parts = {f"training {place}": Part(0, flights, 1.0 / workers) for place in range(1, 1 + len(lacking))}
     parts |= {folder: _part(campaign, out / folder, workers) for folder, campaign in campaigns.items()}
     stopped = f"Stopped. What is done is kept in {out}; the same command resumes."
+    with stoppable(stopped), compiling(instrumented=True):
+        compile_ahead(campaigns.values(), executor)
     with stoppable(stopped), StudyBar(f"study {chosen.name}", parts) as bar:
         for place, mission in enumerate(lacking, 1):
             bar.begin(f"training {place}", "training flights")
-            train(out / MODELS, flights, mission, workers=workers, progress=bar.show)
+            train(out / MODELS, flights, mission, workers=workers, progress=bar.show, only=wanted)
         for folder, campaign in campaigns.items():
             bar.begin(folder, f"campaign {campaign.name}")
             show = bar.show_campaign
@@ -153,4 +157,9 @@ def _trained(campaign: "Campaign", mission: "MissionSpec", folder: Path, flights
         fresh = all(here.get(name) == version for name, version in origin.get("versions", {}).items())
         if fresh and all(origin.get(key) == value for key, value in wanted.items()):
             held.add((model.kind, model.profile))
-    return all((arm.detector, arm.profile) in held for arm in campaign.arms.values() if arm.detector)
+    return _detectors(campaign) <= held
+
+
+def _detectors(campaign: "Campaign") -> set[tuple[str, str]]:
+    """Detectors of a campaign's arms, as (name, profile)."""
+    return {(arm.detector, arm.profile) for arm in campaign.arms.values() if arm.detector}

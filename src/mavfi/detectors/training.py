@@ -23,6 +23,7 @@ def fit(
     provenance: Mapping[str, Any],
     monitored: str = "paper-13",
     extras: Collection[str] = (),
+    only: Collection[tuple[str, str]] | None = None,
 ) -> dict[str, Model]:
     """Fit all trainable detectors: those of monitored fields in both profiles, those of all fields in one.
 
@@ -31,6 +32,7 @@ def fit(
         provenance: Origin of the flights: stack, platform, v_max, planner, and further keys (seeds, flights).
         monitored: Name of the set of monitored fields.
         extras: Include detectors that need packages of these extras: "bench".
+        only: Detectors to fit, as (name, profile); None = all.  A model does not depend on the others.
 
     Returns:
         Models by "<kind>-<profile>".  Identical recordings give identical models.
@@ -43,12 +45,14 @@ def fit(
         raise BadInputError(f"provenance of a model: lacks {', '.join(missing)}")
     prediction, errors = best_prediction(recordings)
     origin = {**provenance, "versions": {name: version(name) for name in ("numpy", "scikit-learn")}}
-    models = fit_all_fields(recordings, origin, extras)
+    models = fit_all_fields(recordings, origin, extras, only)
     for profile in PROFILES:
         preprocessor = Preprocessor(monitored, profile, prediction)
         sample = collect(recordings, preprocessor)
         told = origin if profile == "paper" else {**origin, "innovation_m": errors}
         for name, detector in of_monitored_fields().items():
+            if only is not None and (name, profile) not in only:
+                continue
             parameters = detector.fit(sample, preprocessor, settings_of(name, profile).fit)
             kind = detector.model_kind
             models[f"{kind}-{profile}"] = Model(kind, profile, monitored, prediction, parameters, told)
@@ -56,9 +60,17 @@ def fit(
 
 
 def fit_all_fields(
-    recordings: Sequence[Recording], origin: Mapping[str, Any], extras: Collection[str] = ()
+    recordings: Sequence[Recording], origin: Mapping[str, Any], extras: Collection[str] = (),
+    only: Collection[tuple[str, str]] | None = None,
 ) -> dict[str, Model]:  # fmt: skip
-    """Fit all detectors of all fields; none if the recordings lack their codes.  Arguments as for `fit`."""
+    """Fit the detectors of all fields; none if the recordings lack their codes.  Arguments as for `fit`."""
+    wanted = {
+        name: detector
+        for name, detector in of_all_fields(extras).items()
+        if only is None or (name, ONLY_PROFILE) in only
+    }
+    if not wanted:
+        return {}
     found = [Codes(recording.slots, recording.regimes, recording.codes) for recording in recordings]
     if not all(len(codes.slots) for codes in found):
         return {}
@@ -66,7 +78,7 @@ def fit_all_fields(
     sample = join([sample_of(codes, everything) for codes in found])
     check_finite(sample)
     models = {}
-    for name, detector in of_all_fields(extras).items():
+    for name, detector in wanted.items():
         parameters = detector.fit(sample, everything, settings_of(name, ONLY_PROFILE).fit)
         kind = detector.model_kind
         models[kind] = Model(kind, ONLY_PROFILE, MONITORED, "", parameters, dict(origin))
