@@ -5,11 +5,12 @@ import hashlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from mavfi.campaign.config import Campaign
+from mavfi.campaign.config import Campaign, InstructionSampling
 from mavfi.campaign.executors.executor import Executor, map_each
 from mavfi.campaign.mission import MissionPlan, fly_mission, host_of
 from mavfi.campaign.plan import Flown, Planned
 from mavfi.numerics.jit import code_folder
+from mavfi.states import DETECTORS
 
 
 def warm_up(mission: MissionPlan) -> None:
@@ -28,11 +29,11 @@ def compile_ahead(campaigns: Iterable[Campaign], executor: Executor) -> None:
         BadInputError: A campaign cannot be flown.
         MavfiError: A worker was lost.
     """
-    bare = [campaign.model_copy(update={"arms": {}}) for campaign in campaigns]
+    bare = [_without_detectors(campaign) for campaign in campaigns if host_of(campaign).in_process]
     missions = [
         MissionPlan(campaign, campaign.environments[0], campaign.first_seed)
         for campaign in sorted(bare, key=lambda one: one.sampling.level != "instruction")  # these take longest
-        if host_of(campaign).in_process and not _done(campaign).exists()
+        if not _done(campaign).exists()
     ]
     for mission, _ in map_each(executor, warm_up, missions):
         _done(mission.campaign).touch()
@@ -55,6 +56,16 @@ def _warm_up_machine(mission: MissionPlan) -> None:
         if not done.exists():
             warm_up(mission)
             done.touch()
+
+
+def _without_detectors(campaign: Campaign) -> Campaign:
+    """The campaign without arms that have a detector, and without faults in detectors."""
+    arms = {name: arm for name, arm in campaign.arms.items() if not arm.detector}
+    sampling = campaign.sampling
+    if isinstance(sampling, InstructionSampling):
+        kernels = tuple(kernel for kernel in sampling.kernels if kernel not in DETECTORS)
+        sampling = sampling.model_copy(update={"kernels": kernels})
+    return campaign.model_copy(update={"arms": arms, "sampling": sampling})
 
 
 def _done(campaign: Campaign) -> Path:

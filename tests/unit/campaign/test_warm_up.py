@@ -5,6 +5,8 @@ import pytest
 from mavfi.campaign import warm_up
 from mavfi.campaign.config import load_campaign
 from mavfi.campaign.executors.executor import Done
+from mavfi.campaign.mission import plan_of
+from mavfi.campaign.study import load_study
 
 
 class Inline:
@@ -34,6 +36,14 @@ def test_each_campaign_is_compiled_once_and_those_of_instructions_first(compiled
     assert compiled == [("table1_instructions", {}), ("table1", {}), ("smoke", {})]
     warm_up.compile_ahead(campaigns, Inline())
     assert len(compiled) == 3, "found in the cache"
+
+
+def test_campaigns_of_the_paper_need_no_models(compiled):
+    campaigns = load_study("paper").campaigns_at("quick").values()
+    warm_up.compile_ahead(campaigns, Inline())
+    assert len(compiled) == len(campaigns) and not any(arms for _, arms in compiled)
+    for campaign in campaigns:
+        assert plan_of(warm_up._without_detectors(campaign), {}, {}).count()
 
 
 def test_what_failed_is_compiled_again(compiled, monkeypatch):
