@@ -29,9 +29,6 @@ from mavfi.faults.instruction.accesses import (
     visible,
 )
 from mavfi.faults.instruction.arena import LINE
-from mavfi.faults.instruction.ir import Block, Function, Instruction, parts, width
-from mavfi.faults.instruction.parser import parse_module
-from mavfi.faults.instruction.refusal import RefusedError
 from mavfi.faults.instruction.runtime import (
     MASK_BYTES,
     MEMORY,
@@ -43,6 +40,9 @@ from mavfi.faults.instruction.runtime import (
 )
 from mavfi.faults.instruction.table import Table, make_table
 from mavfi.faults.instruction.tally import tallied
+from mavfi.ir.module import Block, Function, Instruction, parts, width
+from mavfi.ir.parser import parse_module
+from mavfi.ir.refusal import RefusedError
 
 _ENVIRONMENT = re.compile(r'@"?_ZN08NumbaEnv')
 _UNLIKELY = '!0 = !{!"branch_weights", i32 1, i32 100000}'

@@ -8,12 +8,12 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import MODELS, InstructionFault, Model
-from mavfi.faults.instruction.build import name_of
 from mavfi.faults.instruction.classify import FLOATING, INTEGER
 from mavfi.faults.instruction.refusal import MismatchError
 from mavfi.faults.instruction.table import Site
 from mavfi.faults.instruction.variant import Report, Variant
 from mavfi.flight_log import Injection
+from mavfi.ir import name_of
 
 DATA = (FLOATING, INTEGER)
 """Value classes that feed neither addresses nor branches."""

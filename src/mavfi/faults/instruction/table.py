@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from mavfi.faults.instruction.classify import roles
-from mavfi.faults.instruction.ir import Block, Function, Module, is_floating, width
-from mavfi.faults.instruction.metadata import Frame, Locations
+from mavfi.ir.metadata import Frame, Locations
+from mavfi.ir.module import Block, Function, Module, is_floating, width
 
 
 @dataclass(frozen=True, slots=True)

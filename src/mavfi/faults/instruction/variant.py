@@ -16,12 +16,12 @@ import numba
 import numpy as np
 
 from mavfi.faults.instruction.arena import FRAMES, arena, own
-from mavfi.faults.instruction.build import Built, check, target_machine
-from mavfi.faults.instruction.object_cache import cached_build
+from mavfi.faults.instruction.build import Built, cached_build
 from mavfi.faults.instruction.refusal import AllocationError
 from mavfi.faults.instruction.runtime import MASK_BYTES, NEVER, REPORT_BYTES, REPORT_WORDS, WORDS, Control, Mode
 from mavfi.faults.instruction.table import Site, Table
 from mavfi.faults.instruction.tally import HISTOGRAM
+from mavfi.ir.build import check, target_machine
 
 _CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
 

@@ -9,11 +9,11 @@ import numba
 import pytest
 
 from mavfi.faults.instruction import RefusedError
-from mavfi.faults.instruction import build as building
 from mavfi.faults.instruction.build import build
 from mavfi.faults.instruction.instrument import _digest as fault_space_digest
 from mavfi.faults.instruction.instrument import instrument
-from mavfi.faults.instruction.refusal import BuildError
+from mavfi.ir import BuildError, Ended
+from mavfi.ir import build as building
 from mavfi.numerics.jit import kernel_jit, uncached_copy
 from tests.unit.faults.instruction.test_refusals import calling
 from tests.unit.kernels.cases import CASES
@@ -81,10 +81,8 @@ def test_the_digest_does_not_depend_on_hashes_of_texts():
 def test_a_kernel_is_prepared_for_any_cpu_where_nothing_was_compiled_before(monkeypatch, tmp_path):
     """What LLVM inlines depends on what a process did before (compiled a callee, or loaded it), vectors on the CPU."""
 
-    def fail(*_arguments):
-        raise AssertionError("prepared in a fork of this process")
-
-    monkeypatch.setattr(building, "make", fail)
+    in_fork = Ended("exception", detail="prepared in a fork of this process")
+    monkeypatch.setattr(building, "run_in_child", lambda *_: in_fork)
     case = CASES["time_to_collision"]
     signature = tuple(numba.typeof(argument) for argument in case.arguments())
     built = build(case.function, signature)

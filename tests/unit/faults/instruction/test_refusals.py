@@ -9,7 +9,7 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.faults.instruction import Injecting, MismatchError, RefusedError, count, draw, inject, run_forked
 from mavfi.faults.instruction.instrument import instrument
-from mavfi.faults.instruction.parser import parse_module
+from mavfi.ir.parser import parse_module
 from mavfi.numerics.jit import kernel_jit
 from tests.unit.faults.instruction.kernels import LOOP, fill, loop
 

@@ -2,8 +2,8 @@
 
 import re
 
-from mavfi.faults.instruction.ir import Instruction, holds_pointer, parts
-from mavfi.faults.instruction.lexer import Cursor
+from mavfi.ir.lexer import Cursor
+from mavfi.ir.module import Instruction, holds_pointer, parts
 
 ABI_ATTRIBUTES = ("signext", "zeroext")
 PROMISES = {
