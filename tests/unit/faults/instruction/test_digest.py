@@ -10,10 +10,10 @@ import pytest
 
 from mavfi.faults.instruction import RefusedError
 from mavfi.faults.instruction.build import build
-from mavfi.faults.instruction.instrument import _digest as fault_space_digest
 from mavfi.faults.instruction.instrument import instrument
 from mavfi.ir import BuildError, Ended
 from mavfi.ir import build as building
+from mavfi.ir.digest import digest_of_text
 from mavfi.numerics.jit import kernel_jit, uncached_copy
 from tests.unit.faults.instruction.test_refusals import calling
 from tests.unit.kernels.cases import CASES
@@ -142,7 +142,7 @@ def test_the_digest_does_not_depend_on_the_folder_of_the_installation():
     """An exception that is raised in two steps is pickled with the path of its source: name and length follow it."""
 
     def digest(name, size, step=8):
-        return fault_space_digest(PICKLED.format(name=name, size=size, step=step))
+        return digest_of_text(PICKLED.format(name=name, size=size, step=step))
 
     assert digest("ef8f37db74", "411") == digest("538f24ddc4", "406")
     assert digest("ef8f37db74", "411") != digest("ef8f37db74", "411", step=16)
