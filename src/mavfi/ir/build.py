@@ -5,18 +5,33 @@ Both are made in a process of their own, since LLVM aborts on a malformed module
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import llvmlite.binding as llvm
 
+from mavfi.errors import BadInputError
 from mavfi.ir.forked import run_in_child
 from mavfi.ir.fresh import run_fresh
+from mavfi.ir.module import Module
 from mavfi.ir.refusal import BuildError, RefusedError
 from mavfi.numerics.jit import uncached_copy
 
 _PATIENCE = 600.0
 _OPTIMISATION = 3
 """Optimisation level of code generation, as Numba's."""
+
+
+class Rewrite(Protocol):
+    """A transformation of a module, which can be sent to another process; `key` identifies it in caches."""
+
+    @property
+    def key(self) -> bytes:
+        """Its identity."""
+
+    def __call__(self, module: Module) -> Module:
+        """The transformed module, e.g. with protection; a BadInputError if it was made for another module."""
+
+
 Make = Callable[[Any, tuple[Any, ...]], bytes]
 """Rewrites and translates a kernel for a signature; a function of a module, so that a fresh process finds it."""
 
@@ -58,6 +73,7 @@ def build_apart(kernel: Any, signature: tuple[Any, ...], make: Make) -> bytes:
 
     Raises:
         RefusedError: `make` met an unknown construct.
+        BadInputError: `make` does not fit the kernel.
         BuildError: The compiler crashed.
     """
     check(kernel)
@@ -68,15 +84,19 @@ def build_apart(kernel: Any, signature: tuple[Any, ...], make: Make) -> bytes:
         raise BuildError(f"{name_of(kernel)}: the compiler ended with {ended.detail}")
     if ended.payload[:1] == b"R":
         raise RefusedError(name_of(kernel), ended.payload[1:].decode())
+    if ended.payload[:1] == b"I":
+        raise BadInputError(ended.payload[1:].decode())
     return ended.payload[1:]
 
 
 def answer(make: Make, kernel: Any, signature: tuple[Any, ...]) -> bytes:
-    """The part of `build_apart` that runs in another process: a refusal, or the result of `make`."""
+    """The part of `build_apart` that runs in another process: the result of `make`, or why there is none."""
     try:
         return b"B" + make(kernel, signature)
     except RefusedError as error:
         return b"R" + error.construct.encode()
+    except BadInputError as error:
+        return b"I" + str(error).encode()
 
 
 def source_of(kernel: Any, signature: tuple[Any, ...]) -> Source:

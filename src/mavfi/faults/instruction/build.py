@@ -3,6 +3,7 @@
 import json
 import zlib
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from mavfi.faults.instruction.accesses import Constant
 from mavfi.faults.instruction.instrument import Instrumented, instrument
 from mavfi.faults.instruction.table import Table
 from mavfi.faults.instruction.tally import optimised
-from mavfi.ir.build import Source, build_apart, source_of, translate
+from mavfi.ir.build import Rewrite, Source, build_apart, source_of, translate
 from mavfi.ir.object_cache import ObjectCache
 
 
@@ -51,35 +52,37 @@ class Built:
         return Built(code, tally, Table.from_json(rows), digest, placed, *others)
 
 
-def cached_build(kernel: Any, signature: tuple[Any, ...]) -> Built:
+def cached_build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Built:
     """The instrumented variant from the cache, or from `build` (whose errors it raises) if missing or invalid."""
     cache = ObjectCache("instruction", Path(__file__).parent)
-    key = cache.key(kernel, signature)
+    key = cache.key(kernel, signature, *([] if rewrite is None else [rewrite.key]))
     data = cache.load(key)
     if data is not None:
         return Built.unpack(data)
-    built = build(kernel, signature)
+    built = build(kernel, signature, rewrite)
     cache.store(key, built.pack(), built.table.files())
     return built
 
 
-def build(kernel: Any, signature: tuple[Any, ...]) -> Built:
-    """Instrument a Numba dispatcher for one signature (Numba types of the arguments).
+def build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Built:
+    """Instrument a Numba dispatcher for one signature (Numba types of the arguments), rewritten before.
 
     Raises a RefusedError for an unknown construct, and a BuildError if the compiler crashes.
     """
-    return Built.unpack(build_apart(kernel, signature, make))
+    return Built.unpack(build_apart(kernel, signature, partial(make, rewrite=rewrite)))
 
 
-def make(kernel: Any, signature: tuple[Any, ...]) -> bytes:
+def make(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> bytes:
     """The part of `build` that runs in another process, since LLVM aborts on a malformed module."""
-    return assemble(*prepare(kernel, signature)).pack()
+    return assemble(*prepare(kernel, signature, rewrite)).pack()
 
 
-def prepare(kernel: Any, signature: tuple[Any, ...]) -> tuple[Instrumented, Source]:
+def prepare(
+    kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None
+) -> tuple[Instrumented, Source]:  # fmt: skip
     """Recompile a kernel in this process and instrument its IR."""
     source = source_of(kernel, signature)
-    return instrument(source.text, source.kernel), source
+    return instrument(source.text, source.kernel, rewrite), source
 
 
 def assemble(made: Instrumented, source: Source) -> Built:

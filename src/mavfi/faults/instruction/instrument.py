@@ -39,6 +39,7 @@ from mavfi.faults.instruction.runtime import (
 )
 from mavfi.faults.instruction.table import Table, make_table
 from mavfi.faults.instruction.tally import tallied
+from mavfi.ir.build import Rewrite
 from mavfi.ir.digest import bodies_of, digest_of
 from mavfi.ir.module import Block, Function, Instruction, parts, width
 from mavfi.ir.parser import parse_module
@@ -69,8 +70,8 @@ class Instrumented:
     owned: bool
 
 
-def instrument(text: str, kernel: str) -> Instrumented:
-    """Instrument a module from `Dispatcher.inspect_llvm`; `kernel` is the name for error messages.
+def instrument(text: str, kernel: str, rewrite: Rewrite | None = None) -> Instrumented:
+    """Instrument a module from `Dispatcher.inspect_llvm`, rewritten before; `kernel` is the name for error messages.
 
     Raises:
         RefusedError: A construct is unknown, or cannot be instrumented exactly.
@@ -78,6 +79,8 @@ def instrument(text: str, kernel: str) -> Instrumented:
     module = parse_module(text, kernel)
     if not module.functions:
         raise RefusedError(kernel, "there is no IR: was it loaded from a cache?")
+    if rewrite is not None:
+        module = rewrite(module)
     table = make_table(module)
     widest = max((site.width for block in table.blocks for site in block), default=0)
     if widest > 8 * MASK_BYTES:

@@ -38,9 +38,9 @@ def builds(monkeypatch):
 
     plain = build.build
 
-    def counting(kernel, signature):
+    def counting(kernel, signature, rewrite=None):
         names.append(kernel.py_func.__name__)
-        return plain(kernel, signature)
+        return plain(kernel, signature, rewrite)
 
     monkeypatch.setattr(build, "build", counting)
     return names
