@@ -8,8 +8,9 @@ five others, one inside a duplicated slice little more than itself.
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 
-from mavfi.hardening.duplicate import candidates, reads_memory
+from mavfi.hardening.candidates import candidates, reads_memory
 from mavfi.hardening.plan import Site
+from mavfi.ir.flow import back_edges, successors
 from mavfi.ir.module import Block, Function, Instruction, Module, is_floating
 
 OUTSIDE = -1
@@ -99,7 +100,7 @@ class _Reader:
     ) -> None:  # fmt: skip
         self.number, self.function, self.counts, self.addresses = number, function, counts, addresses
         self.index: dict[str, int] = {}
-        self.back = _back_edges(function)
+        self.back = back_edges(function)
 
     def values(self, first: int, allowed: Set[Site]) -> list[Value]:
         """The function's values at the allowed sites, numbered from `first`."""
@@ -143,37 +144,6 @@ class _Reader:
                 compared = self.addresses and reads_memory(instruction) and name in instruction.addresses
                 use = Use(user, block.label, self.counts[block.label], compared)
                 values[self.index[name] - first].uses.append(use)
-
-
-def successors(terminator: Instruction) -> list[str]:
-    """Labels to which a terminator can jump; empty for other instructions."""
-    tokens = terminator.tokens
-    return [after for token, after in zip(tokens, tokens[1:], strict=False) if token == "label"]
-
-
-def _back_edges(function: Function) -> set[tuple[str, str]]:
-    """Edges (from, to) that close a loop: their target is on the path of a depth-first search."""
-    following = {
-        block.label: [] if block.terminator is None else successors(block.terminator) for block in function.blocks
-    }
-    found: set[tuple[str, str]] = set()
-    if not following:
-        return found
-    entry = function.blocks[0].label
-    path, done, stack = {entry}, {entry}, [(entry, iter(following[entry]))]
-    while stack:
-        here, rest = stack[-1]
-        label = next(rest, None)
-        if label is None:
-            path.discard(here)
-            stack.pop()
-        elif label in path:
-            found.add((here, label))
-        elif label not in done:
-            path.add(label)
-            done.add(label)
-            stack.append((label, iter(following[label])))
-    return found
 
 
 def cost(values: Sequence[Value], index: int, chosen: Set[int]) -> float:

@@ -4,19 +4,17 @@ Instructions are a poor guide to time: latency-bound code has free slots for sha
 Variants are timed in turn, and compared within rounds, so that a slow phase of the machine affects all of them.
 """
 
-import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import llvmlite.binding as llvm
 import numpy as np
 
+from mavfi.hardening.compiled import Compiled, text_of
 from mavfi.hardening.recorded import copied
-from mavfi.ir.build import Source, target_machine, translate
-from mavfi.ir.module import Module
+from mavfi.ir.build import Source
+from mavfi.ir.module import Function, Module
 
-_CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
 _REPETITIONS, _TICKS = "mavfi_repetitions", "mavfi_ticks"
 _LONG_ENOUGH = 60_000
 """Ticks of a measured loop (about 20 us), far more than those of reading the counter."""
@@ -39,38 +37,29 @@ class Timing:
     rounds: int
 
 
-class Timed:
+class Timed(Compiled):
     """Machine code of a function, run many times within one call from Python.
 
     Args:
         source: The function.
-        text: IR of a variant of its module.
-        main: The function that Numba's wrapper calls, in this variant.
-        environment: Numba's environment of the function, which the code points to.
+        module: A variant of its module.
+        environment: See `Compiled`.
     """
 
-    def __init__(self, source: Source, text: str, main: tuple[str, list[tuple[str, str]]], environment: Any) -> None:
-        self._environment = environment
-        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target_machine())
-        self._engine.add_object_file(llvm.ObjectFileRef.from_data(translate(looping(text, source.wrapper, *main))))
-        self._engine.finalize_object()
-        place = self._engine.get_global_value_address(source.environment)
-        if place:
-            ctypes.c_void_p.from_address(place).value = id(environment)
-        self._function = _CALL(self._engine.get_function_address(source.wrapper))
-        self._repetitions, self._ticks = (
-            ctypes.c_int64.from_address(self._engine.get_global_value_address(name)) for name in (_REPETITIONS, _TICKS)
-        )
+    def __init__(self, source: Source, module: Module, environment: Any) -> None:
+        main = main_function(module, source.wrapper)
+        super().__init__(source, looping(text_of(module), source.wrapper, main), environment)
+        self._repetitions, self._ticks = self.word(_REPETITIONS), self.word(_TICKS)
 
     def ticks(self, args: tuple[Any, ...], repetitions: int) -> float:
         """Ticks per repetition of a call; modifies the arguments as so many calls do."""
         self._repetitions.value = repetitions
-        self._function(None, args, None)
+        self(*args)
         return self._ticks.value / repetitions
 
 
-def main_function(module: Module, wrapper: str) -> tuple[str, list[tuple[str, str]]]:
-    """Name and parameters of the function that a wrapper calls.
+def main_function(module: Module, wrapper: str) -> Function:
+    """The function that a wrapper calls.
 
     Raises:
         ValueError: It calls none of the module's functions.
@@ -79,17 +68,18 @@ def main_function(module: Module, wrapper: str) -> tuple[str, list[tuple[str, st
         if wrapper in text.split("\n", 1)[0]:
             for function in module.functions:
                 if f"{function.name} (" in text or f"{function.name}(" in text:
-                    return function.name, function.parameters
+                    return function
     raise ValueError(f"{wrapper}: calls no function of its module")
 
 
-def looping(text: str, wrapper: str, name: str, parameters: Sequence[tuple[str, str]]) -> str:
+def looping(text: str, wrapper: str, main: Function) -> str:
     """IR in which the wrapper calls a function in a loop, and stores the ticks of the time stamp counter."""
+    name = main.name
     parts = text.split("\ndefine ")
     for place, part in enumerate(parts):
         if wrapper in part.split("\n", 1)[0]:
             parts[place] = part.replace(f"{name} (", "@mavfi_loop (").replace(f"{name}(", "@mavfi_loop(")
-    typed = ", ".join(f"{kind} {parameter}" for kind, parameter in parameters)
+    typed = ", ".join(f"{kind} {parameter}" for kind, parameter in main.parameters)
     return (
         "\ndefine ".join(parts)
         + f"""

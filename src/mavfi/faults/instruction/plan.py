@@ -103,7 +103,8 @@ def injection_of(
     details = {
         "function": function, "replayable": report.planned or site.value_class in DATA,
         "call": fault.call if call is None else call,
-        "index": fault.index, "block": site.block, "offset": site.offset, "opcode": site.opcode, "type": site.kind, "width": site.width,
+        "index": fault.index, "block": site.block, "offset": site.offset, "opcode": site.opcode, "type": site.kind,
+        "width": site.width,
         "value_class": site.value_class, "line_is_near": site.near,
         "inlined": [f"{file}:{line}" for file, line in site.frames[1:]], "variable": site.variable or "",
         "ir_sha256": fault.ir_sha256, "bits": list(fault.bits), "model": fault.model, "before_bits": hex(before),
