@@ -19,11 +19,11 @@ from typing import Any
 
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction import Counting, Injecting, run_in_child
-from mavfi.faults.instruction.build import name_of
 from mavfi.faults.instruction.runtime import NEVER
 from mavfi.faults.instruction.variant import signature_of, variant_for
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve
+from mavfi.ir import name_of
 from mavfi.kernels.control import pid
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN

@@ -18,11 +18,11 @@ from mavfi.campaign.samplers import sampler_for
 from mavfi.campaign.samplers.sampler import NULL, Sampled, Sampler
 from mavfi.detectors.detector import Detector
 from mavfi.errors import MachineError, SpecMismatchError, machine_failure
-from mavfi.faults.instruction.forked import WALL_CLOCK, run_in_child
 from mavfi.flight_record import End, FlightRecord
 from mavfi.hosts.host import ArmSetup, Host, MissionFlights, Recorded, find_host
 from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.watching import detector_for
+from mavfi.ir.forked import WALL_CLOCK, run_in_child
 from mavfi.mission import Scenario
 
 ATTEMPTS_ALONE = 3

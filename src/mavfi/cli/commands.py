@@ -12,6 +12,7 @@ from mavfi.cli import (
     export,
     failures,
     fly,
+    harden,
     inject,
     pack,
     redundancy,
@@ -35,7 +36,8 @@ EXIT_DONE, EXIT_FAILURE, EXIT_BAD_INPUT = 0, 1, 2
 
 app = typer.Typer(
     help="Fault injection, anomaly detection and recovery for autonomous UAVs, measured on whole missions.\n\n"
-    "Exit codes: 0 done (whatever the mission's fate), 2 bad input, 1 a failure of mavfi, 130 stopped by Ctrl-C.",
+    "Exit codes: 0 done (whatever the mission's fate), 2 bad input, 3 a refuted plan, 1 a failure of mavfi, "
+    "130 stopped by Ctrl-C.",
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -43,7 +45,7 @@ app = typer.Typer(
 for verb in (
     fly.fly, export.export, inject.inject, states.states, train.train, report.report, runs.runs, replay.replay,
     explain.explain, shrink.shrink, failures.failures, vulnerability.vulnerability, redundancy.redundancy,
-    reproduce.reproduce,
+    reproduce.reproduce, harden.harden,
 ):  # fmt: skip
     app.command(verb.__name__)(verb)
 for verb in (pack.pack, pack.unpack):

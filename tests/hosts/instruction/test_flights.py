@@ -13,7 +13,6 @@ from mavfi.errors import BadInputError
 from mavfi.faults import instruction
 from mavfi.faults.fault import MessageFault
 from mavfi.faults.instruction import MismatchError
-from mavfi.faults.instruction.forked import WILD
 from mavfi.faults.instruction.plan import stratum_of
 from mavfi.faults.instruction.variant import variant_for
 from mavfi.faults.spec import InstructionRequest
@@ -23,6 +22,7 @@ from mavfi.hosts.instruction.case import Output, first_difference
 from mavfi.hosts.local import fly
 from mavfi.hosts.local.recorded import fly_recorded
 from mavfi.hosts.loop.compose import resolve
+from mavfi.ir.forked import WILD
 from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import kernel_jit
 

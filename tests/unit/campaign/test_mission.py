@@ -10,8 +10,8 @@ from mavfi.campaign import mission as mission_module
 from mavfi.campaign.mission import ATTEMPTS_ALONE, MissionPlan, fly_mission
 from mavfi.campaign.plan import Flown, Planned
 from mavfi.errors import BadInputError
-from mavfi.faults.instruction.forked import WALL_CLOCK, Ended
 from mavfi.flight_record import End
+from mavfi.ir.forked import WALL_CLOCK, Ended
 from tests.unit.campaign import fakes
 from tests.unit.campaign.fakes import DEADLY, TROUBLE, deaths, small
 

@@ -16,7 +16,6 @@ from mavfi.detectors.detector import Detector, part_of
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import NO_SITE, InstructionFault
 from mavfi.faults.instruction import Locating, Profiling, Resolving, Site, budget_for, choose
-from mavfi.faults.instruction.build import name_of
 from mavfi.faults.instruction.plan import plan
 from mavfi.faults.instruction.selection import parse_selection
 from mavfi.faults.instruction.strata import pick
@@ -28,6 +27,7 @@ from mavfi.hosts.local import fly
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import fly_until, prefix_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.ir import name_of
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.states import DETECTORS, INJECTABLE

@@ -2,12 +2,13 @@
 
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction.api import InjectedCall, count, draw, histogram, inject, resolve, run_forked
-from mavfi.faults.instruction.forked import Ended, ForkPoint, run_in_child
 from mavfi.faults.instruction.instrumented import Counting, Injecting, Locating, Profiling, Resolving
 from mavfi.faults.instruction.plan import budget_for, injection_of
-from mavfi.faults.instruction.refusal import BuildError, MismatchError, RefusedError
+from mavfi.faults.instruction.refusal import MismatchError
 from mavfi.faults.instruction.strata import Estimate, Stratum, choose, draw_stratified, estimate
 from mavfi.faults.instruction.table import Site
+from mavfi.ir import BuildError, RefusedError
+from mavfi.ir.forked import Ended, ForkPoint, run_in_child
 
 __all__ = [
     "BuildError", "Counting", "Ended", "Estimate", "ForkPoint", "InjectedCall", "Injecting", "InstructionFault",

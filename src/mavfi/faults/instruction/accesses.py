@@ -4,8 +4,8 @@ import re
 from dataclasses import dataclass
 
 from mavfi.faults.instruction.arena import CONSTANTS, EXCEPTION, LINE, RESULT
-from mavfi.faults.instruction.ir import Instruction, Module, holds_pointer, parts, width
 from mavfi.faults.instruction.runtime import REPLACED
+from mavfi.ir.module import Instruction, Module, holds_pointer, parts, width
 
 _MASKED = re.compile(r"@llvm\.masked\.(?:load|store|expandload|compressstore|gather|scatter)\.")
 _COPIES = re.compile(r"@llvm\.mem(?:cpy|move|set)\.")

@@ -14,14 +14,14 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault, Model
-from mavfi.faults.instruction.build import name_of
-from mavfi.faults.instruction.forked import run_in_child
 from mavfi.faults.instruction.plan import budget_for, check_fault, injection_of, plan
-from mavfi.faults.instruction.refusal import BuildError
 from mavfi.faults.instruction.selection import parse_selection
 from mavfi.faults.instruction.table import Site
 from mavfi.faults.instruction.variant import variant_for
 from mavfi.flight_log import Injection
+from mavfi.ir import name_of
+from mavfi.ir.forked import run_in_child
+from mavfi.ir.refusal import BuildError
 
 _ROUNDS = 40
 _BATCH = 256

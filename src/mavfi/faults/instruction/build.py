@@ -1,25 +1,18 @@
-"""Builds the instrumented variant of a kernel, in a child process since LLVM aborts on a malformed module."""
+"""Builds the instrumented variant of a kernel, or loads it from the cache."""
 
 import json
 import zlib
-from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
-import llvmlite.binding as llvm
-
 from mavfi.faults.instruction.accesses import Constant
-from mavfi.faults.instruction.forked import run_in_child
-from mavfi.faults.instruction.fresh import run_fresh
 from mavfi.faults.instruction.instrument import Instrumented, instrument
-from mavfi.faults.instruction.refusal import BuildError, RefusedError
 from mavfi.faults.instruction.table import Table
 from mavfi.faults.instruction.tally import optimised
-from mavfi.numerics.jit import uncached_copy
-
-_PATIENCE = 600.0
-_OPTIMISATION = 3
-"""Optimisation level of code generation, as Numba's."""
+from mavfi.ir.build import Rewrite, Source, build_apart, source_of, translate
+from mavfi.ir.object_cache import ObjectCache
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,70 +52,41 @@ class Built:
         return Built(code, tally, Table.from_json(rows), digest, placed, *others)
 
 
-def name_of(kernel: Any) -> str:
-    """Module and name of a kernel."""
-    return f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
+def cached_build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Built:
+    """The instrumented variant from the cache, or from `build` (whose errors it raises) if missing or invalid."""
+    cache = ObjectCache("instruction", Path(__file__).parent)
+    key = cache.key(kernel, signature, *([] if rewrite is None else [rewrite.key]))
+    data = cache.load(key)
+    if data is not None:
+        return Built.unpack(data)
+    built = build(kernel, signature, rewrite)
+    cache.store(key, built.pack(), built.table.files())
+    return built
 
 
-def check(kernel: Any) -> None:
-    """Raise a RefusedError if it is not compiled, or compiled with flags that prevent exact replay."""
-    flags = getattr(kernel, "targetoptions", None)
-    if flags is None or not hasattr(kernel, "inspect_llvm"):
-        raise RefusedError(getattr(kernel, "__name__", repr(kernel)), "it is not a function compiled by kernel_jit")
-    for flag in ("fastmath", "parallel", "forceobj"):
-        if flags.get(flag):
-            raise RefusedError(name_of(kernel), f"{flag}={flags[flag]!r}")
-
-
-def build(kernel: Any, signature: tuple[Any, ...]) -> Built:
-    """Instrument a Numba dispatcher for one signature (Numba types of the arguments).
+def build(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Built:
+    """Instrument a Numba dispatcher for one signature (Numba types of the arguments), rewritten before.
 
     Raises a RefusedError for an unknown construct, and a BuildError if the compiler crashes.
     """
-    check(kernel)
-    ended = run_fresh(kernel, signature, _PATIENCE) or run_in_child(lambda: make(kernel, signature), _PATIENCE)
-    if ended.how != "done":
-        raise BuildError(f"{name_of(kernel)}: the compiler ended with {ended.detail}")
-    if ended.payload[:1] == b"R":
-        raise RefusedError(name_of(kernel), ended.payload[1:].decode())
-    return Built.unpack(ended.payload[1:])
+    return Built.unpack(build_apart(kernel, signature, partial(make, rewrite=rewrite)))
 
 
-def make(kernel: Any, signature: tuple[Any, ...]) -> bytes:
+def make(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> bytes:
     """The part of `build` that runs in another process, since LLVM aborts on a malformed module."""
-    try:
-        return b"B" + assemble(*prepare(kernel, signature)).pack()
-    except RefusedError as error:
-        return b"R" + error.construct.encode()
+    return assemble(*prepare(kernel, signature, rewrite)).pack()
 
 
-def prepare(kernel: Any, signature: tuple[Any, ...]) -> tuple[Instrumented, str, str]:
-    """Recompile a kernel in this process and instrument its IR; also returns the names of wrapper and environment."""
-    copy = uncached_copy(kernel)
-    copy.compile(signature)
-    names = copy.overloads[signature].fndesc
-    made = instrument(copy.inspect_llvm(signature), name_of(kernel))
-    return made, names.llvm_cpython_wrapper_name, names.env_name
+def prepare(
+    kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None
+) -> tuple[Instrumented, Source]:  # fmt: skip
+    """Recompile a kernel in this process and instrument its IR."""
+    source = source_of(kernel, signature)
+    return instrument(source.text, source.kernel, rewrite), source
 
 
-def assemble(made: Instrumented, wrapper: str, environment: str) -> Built:
+def assemble(made: Instrumented, source: Source) -> Built:
     """Translate instrumented IR into machine code."""
     code, tally = translate(made.text), translate(made.tally, optimised)
-    return Built(code, tally, made.table, made.ir_sha256, made.constants, made.owned, wrapper, environment)
-
-
-def target_machine() -> Any:
-    """A generic x86-64 CPU, for the same code everywhere."""
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    target = llvm.Target.from_triple(llvm.get_process_triple())
-    return target.create_target_machine(
-        cpu="generic", features="", opt=_OPTIMISATION, reloc="static", codemodel="jitdefault", jit=True,
-    )  # fmt: skip
-
-
-def translate(text: str, prepare: Callable[[Any, Any], Any] = lambda module, machine: module) -> bytes:
-    """Compile IR, after `prepare`, to an object file; malformed IR is a RuntimeError unless LLVM aborts."""
-    module, machine = llvm.parse_assembly(text), target_machine()
-    module.verify()
-    return bytes(machine.emit_object(prepare(module, machine)))
+    return Built(code, tally, made.table, made.ir_sha256, made.constants, made.owned, source.wrapper,
+                 source.environment)  # fmt: skip

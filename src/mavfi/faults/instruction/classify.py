@@ -12,7 +12,7 @@ comparison: loop counters and bounds do.
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
-from mavfi.faults.instruction.ir import Function, Instruction, Module, holds_pointer, is_floating
+from mavfi.ir.module import Function, Instruction, Module, holds_pointer, is_floating
 
 ADDRESS, CONTROL, FLOATING, INTEGER = "address", "control", "floating_point", "integer"
 _ADDRESS_STOPS = ("load", "call", "icmp", "fcmp")

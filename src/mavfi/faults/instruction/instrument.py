@@ -11,7 +11,6 @@ so that all blocks but the injected one run as before.  After the injection all 
 each memory access.  The result is not optimised further, only translated.
 """
 
-import hashlib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -29,9 +28,6 @@ from mavfi.faults.instruction.accesses import (
     visible,
 )
 from mavfi.faults.instruction.arena import LINE
-from mavfi.faults.instruction.ir import Block, Function, Instruction, parts, width
-from mavfi.faults.instruction.parser import parse_module
-from mavfi.faults.instruction.refusal import RefusedError
 from mavfi.faults.instruction.runtime import (
     MASK_BYTES,
     MEMORY,
@@ -43,16 +39,14 @@ from mavfi.faults.instruction.runtime import (
 )
 from mavfi.faults.instruction.table import Table, make_table
 from mavfi.faults.instruction.tally import tallied
+from mavfi.ir.build import Rewrite
+from mavfi.ir.digest import bodies_of, digest_of
+from mavfi.ir.module import Block, Function, Instruction, parts, width
+from mavfi.ir.parser import parse_module
+from mavfi.ir.refusal import RefusedError
 
 _ENVIRONMENT = re.compile(r'@"?_ZN08NumbaEnv')
 _UNLIKELY = '!0 = !{!"branch_weights", i32 1, i32 100000}'
-_PER_PROCESS = re.compile(
-    r"B\d+v\d+(?!\d)|0x[0-9a-f]{6,}|(?<=picklebuf\.)[0-9a-f]+|(?<=pickledata\.)[0-9a-f]+|-?\d{9,}"
-)
-"""Process- or folder-dependent parts of Numba's global names: function counters, addresses, digests of exceptions with
-the path of their source, hashes of strings, which may be negative."""
-_PICKLED_SIZE = re.compile(r"(store ptr @\.const\.pickledata\.\S+ ,?[^\n]*\n[^\n]*\n\s*store i32 )\d+")
-"""Stored length of such an exception: it grows with the path."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +70,8 @@ class Instrumented:
     owned: bool
 
 
-def instrument(text: str, kernel: str) -> Instrumented:
-    """Instrument a module from `Dispatcher.inspect_llvm`; `kernel` is the name for error messages.
+def instrument(text: str, kernel: str, rewrite: Rewrite | None = None) -> Instrumented:
+    """Instrument a module from `Dispatcher.inspect_llvm`, rewritten before; `kernel` is the name for error messages.
 
     Raises:
         RefusedError: A construct is unknown, or cannot be instrumented exactly.
@@ -85,14 +79,15 @@ def instrument(text: str, kernel: str) -> Instrumented:
     module = parse_module(text, kernel)
     if not module.functions:
         raise RefusedError(kernel, "there is no IR: was it loaded from a cache?")
+    if rewrite is not None:
+        module = rewrite(module)
     table = make_table(module)
     widest = max((site.width for block in table.blocks for site in block), default=0)
     if widest > 8 * MASK_BYTES:
         raise RefusedError(kernel, f"a value of {widest} bits")
-    bodies = "\n".join(function.text() for function in module.functions)
-    if _ENVIRONMENT.search(bodies):
+    if _ENVIRONMENT.search(bodies_of(module)):
         raise RefusedError(kernel, "Python objects are used within compiled code (Numba's environment)")
-    digest, owned, constants = _digest(bodies), is_owned(module), constants_of(module)
+    digest, owned, constants = digest_of(module), is_owned(module), constants_of(module)
     tally = tallied(module)  # before functions are redirected to the arena
     names = [function.name for function in module.functions]
     others = [planned_wrapper(text, names) for text in module.others]
@@ -112,12 +107,6 @@ def _move(function: Function, constants: dict[str, Constant]) -> None:
             instruction.tokens = [moved(token, constants) for token in instruction.tokens]
             instruction.incoming = [(moved(value, constants), label) for value, label in instruction.incoming]
             instruction.arguments = [(kind, moved(value, constants)) for kind, value in instruction.arguments]
-
-
-def _digest(bodies: str) -> str:
-    bodies = _PICKLED_SIZE.sub(r"\1*", bodies)
-    neutral = re.sub(r'@(?:"[^"]*"|[-\w$.]+)', lambda name: _PER_PROCESS.sub("*", name[0]), bodies)
-    return hashlib.sha256(neutral.encode()).hexdigest()
 
 
 class _Rewriter:

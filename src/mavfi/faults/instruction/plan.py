@@ -8,12 +8,12 @@ import numpy as np
 
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import MODELS, InstructionFault, Model
-from mavfi.faults.instruction.build import name_of
 from mavfi.faults.instruction.classify import FLOATING, INTEGER
 from mavfi.faults.instruction.refusal import MismatchError
 from mavfi.faults.instruction.table import Site
 from mavfi.faults.instruction.variant import Report, Variant
 from mavfi.flight_log import Injection
+from mavfi.ir import name_of
 
 DATA = (FLOATING, INTEGER)
 """Value classes that feed neither addresses nor branches."""
@@ -103,7 +103,8 @@ def injection_of(
     details = {
         "function": function, "replayable": report.planned or site.value_class in DATA,
         "call": fault.call if call is None else call,
-        "index": fault.index, "opcode": site.opcode, "type": site.kind, "width": site.width,
+        "index": fault.index, "block": site.block, "offset": site.offset, "opcode": site.opcode, "type": site.kind,
+        "width": site.width,
         "value_class": site.value_class, "line_is_near": site.near,
         "inlined": [f"{file}:{line}" for file, line in site.frames[1:]], "variable": site.variable or "",
         "ir_sha256": fault.ir_sha256, "bits": list(fault.bits), "model": fault.model, "before_bits": hex(before),

@@ -8,6 +8,7 @@ exceeds the threshold, and its slow copy checks every memory access.
 from enum import IntEnum
 
 from mavfi.faults.instruction.arena import BASE, CONSTANTS, LINE, SIZE
+from mavfi.ir.forked import HANG_EXIT, WILD_EXIT
 
 Control = IntEnum(
     "Control",
@@ -29,10 +30,6 @@ REPORT_WORDS = 4
 """The report begins with: injected?, block, offset, in planned memory?  Parents share it with forked children: it
 survives a crash."""
 REPORT_BYTES = 8 * REPORT_WORDS + 2 * MASK_BYTES
-HANG_EXIT = 77
-"""Exit status of a process whose kernel exhausted its instruction budget."""
-WILD_EXIT = 78
-"""Exit status of a process whose kernel accessed memory that it does not own."""
 
 
 def address(word: Control) -> str:

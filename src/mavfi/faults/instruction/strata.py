@@ -24,12 +24,12 @@ import numpy as np
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import InstructionFault, Model
 from mavfi.faults.instruction.api import apart
-from mavfi.faults.instruction.build import name_of
 from mavfi.faults.instruction.instrumented import Profiling
 from mavfi.faults.instruction.plan import budget_for, plan
 from mavfi.faults.instruction.selection import Selection, parse_selection
 from mavfi.faults.instruction.table import Site
 from mavfi.faults.instruction.variant import Passes, variant_for
+from mavfi.ir import name_of
 
 _EVEN = 0.5
 """Share of the faults spread evenly over strata."""

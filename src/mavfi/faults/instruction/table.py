@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from mavfi.faults.instruction.classify import roles
-from mavfi.faults.instruction.ir import Block, Function, Module, is_floating, width
-from mavfi.faults.instruction.metadata import Frame, Locations
+from mavfi.ir.metadata import Frame, Locations
+from mavfi.ir.module import Block, Function, Module, is_floating, width
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +27,7 @@ class Site:
         chain: Source lines, the innermost inlined call first.
         near: Whether the line is borrowed from a neighbour, since the instruction has none (most phis).
         variable: Source variable whose value it is, if known.
+        role: What it is in protected code: "shadow", "copy" or "check"; "" = as compiled.
     """
 
     block: int
@@ -38,6 +39,7 @@ class Site:
     chain: tuple[Frame, ...]
     near: bool = False
     variable: str | None = None
+    role: str = ""
 
     @property
     def floating(self) -> bool:
@@ -65,7 +67,8 @@ class Site:
 
     def __str__(self) -> str:
         variable = f" ({self.variable})" if self.variable else ""
-        return f"{self.file}:{self.line} {self.opcode} {self.kind}{variable}"
+        role = f" ({self.role})" if self.role else ""
+        return f"{self.file}:{self.line} {self.opcode} {self.kind}{variable}{role}"
 
 
 def short_path(path: str) -> str:
@@ -133,7 +136,7 @@ def make_table(module: Module) -> Table:
                     tuple(
                         Site(
                             len(blocks), offset, site.opcode, site.kind, width(site.kind), used[function.name].of(site),
-                            *chains[id(site)], site.variable,
+                            *chains[id(site)], site.variable, site.role,
                         )
                         for offset, site in enumerate(block.sites)
                     )

@@ -8,7 +8,7 @@ The instrumented variant counts the same blocks on its slow path, without optimi
 
 import llvmlite.binding as llvm
 
-from mavfi.faults.instruction.ir import Block, Function, Module
+from mavfi.ir.module import Block, Function, Module
 
 HISTOGRAM = "mavfi_histogram"
 """Global of the machine code: address of the histogram, int64 of shape (blocks,)."""

@@ -16,12 +16,12 @@ import numba
 import numpy as np
 
 from mavfi.faults.instruction.arena import FRAMES, arena, own
-from mavfi.faults.instruction.build import Built, check, target_machine
-from mavfi.faults.instruction.object_cache import cached_build
+from mavfi.faults.instruction.build import Built, cached_build
 from mavfi.faults.instruction.refusal import AllocationError
 from mavfi.faults.instruction.runtime import MASK_BYTES, NEVER, REPORT_BYTES, REPORT_WORDS, WORDS, Control, Mode
 from mavfi.faults.instruction.table import Site, Table
 from mavfi.faults.instruction.tally import HISTOGRAM
+from mavfi.ir.build import Rewrite, check, target_machine
 
 _CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
 
@@ -270,20 +270,23 @@ def _key(value: Any) -> Any:
     return None
 
 
-def variant_for(kernel: Any, args: tuple[Any, ...]) -> Variant:
+def variant_for(kernel: Any, args: tuple[Any, ...], rewrite: Rewrite | None = None) -> Variant:
     """`variant_of` for the types of these arguments."""
-    return variant_of(kernel, signature_of(args))
+    return variant_of(kernel, signature_of(args), rewrite)
 
 
-def variant_of(kernel: Any, signature: tuple[Any, ...]) -> Variant:
+def variant_of(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Variant:
     """The variant for a signature, built or loaded at its first use; a parent process loads it before it forks.
+
+    With `rewrite` it is the variant of the rewritten kernel, e.g. a protected one.
 
     Raises a RefusedError if the kernel cannot be instrumented exactly, a BuildError if the compiler crashes.
     """
     check(kernel)
     known = _variants.setdefault(kernel, {})
-    if signature not in known:
-        built = cached_build(kernel, signature)
+    key = signature, b"" if rewrite is None else rewrite.key
+    if key not in known:
+        built = cached_build(kernel, signature, rewrite)
         kernel.compile(signature)
-        known[signature] = Variant(built, kernel.overloads[signature].environment)
-    return known[signature]
+        known[key] = Variant(built, kernel.overloads[signature].environment)
+    return known[key]

@@ -23,7 +23,6 @@ from mavfi.errors import MavfiError
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction import Ended, ForkPoint, MismatchError
 from mavfi.faults.instruction.arena import arena, own
-from mavfi.faults.instruction.forked import WALL_CLOCK
 from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
 from mavfi.faults.instruction.variant import Variant, variant_for
 from mavfi.flight_log import FlightLog
@@ -34,6 +33,7 @@ from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
+from mavfi.ir.forked import WALL_CLOCK
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel

@@ -3,9 +3,9 @@ import pytest
 from mavfi.campaign.samplers.request import draw_request, text_of
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import FaultSite, InstructionFault, MemoryFault, StateFault
-from mavfi.faults.instruction.build import name_of
 from mavfi.faults.spec import MemoryRequest, parse
 from mavfi.hosts.loop.compose import resolve
+from mavfi.ir import name_of
 from mavfi.mission import MissionSpec
 from mavfi.pipeline.functions import PLAIN
 

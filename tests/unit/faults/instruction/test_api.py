@@ -10,8 +10,8 @@ import pytest
 from mavfi.faults.fault import InstructionFault, fault_from_json
 from mavfi.faults.instruction import budget_for, count, draw, histogram, inject, resolve, run_forked
 from mavfi.faults.instruction.api import digest
-from mavfi.faults.instruction.forked import WILD
 from mavfi.faults.instruction.variant import variant_for
+from mavfi.ir.forked import WILD
 from tests.architecture.source import ROOT
 from tests.unit.faults.instruction.kernels import LOOP, counted_down, double, fill, loop, raising
 

@@ -13,10 +13,10 @@ from mavfi.faults.instruction.accesses import accesses_of, size_of
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.arena import _ARGUMENTS, BASE, LINE, SIZE, _plan, arena
 from mavfi.faults.instruction.build import assemble, prepare
-from mavfi.faults.instruction.forked import WILD, run_in_child
-from mavfi.faults.instruction.grammar import parse_instruction
-from mavfi.faults.instruction.lexer import Cursor, tokens_of
 from mavfi.faults.instruction.variant import Variant, signature_of, variant_for
+from mavfi.ir.forked import WILD, run_in_child
+from mavfi.ir.grammar import parse_instruction
+from mavfi.ir.lexer import Cursor, tokens_of
 from mavfi.numerics.jit import kernel_jit
 
 Pair = namedtuple("Pair", "first second")
@@ -144,11 +144,11 @@ def test_without_the_checks_wild_accesses_leave_the_arena():
     args = arguments()
     faults = (replace(fault, bits=(40,)) for fault in drawn("opcode:getelementptr"))
     fault = next(fault for fault in faults if instruction.run_forked(shifted, fault, *args).detail == WILD)
-    made, wrapper, environment = prepare(shifted, signature_of(args))
+    made, source = prepare(shifted, signature_of(args))
     shifted(*args)
     checked = "br i1 %wild, label %stop, label %fine"
     assert made.text.count(checked) == 1
-    built = assemble(replace(made, text=made.text.replace(checked, "br label %fine")), wrapper, environment)
+    built = assemble(replace(made, text=made.text.replace(checked, "br label %fine")), source)
     variant = Variant(built, shifted.overloads[signature_of(args)].environment)
     ended = run_in_child(lambda: bytes(variant.inject(fault.index, *fault.masks, 10**6, *args).size))
     assert (ended.how, ended.detail) != ("crash", WILD)

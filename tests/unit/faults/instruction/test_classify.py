@@ -3,10 +3,10 @@
 import pytest
 
 from mavfi.errors import BadInputError
-from mavfi.faults.instruction.ir import parts, width
-from mavfi.faults.instruction.parser import parse_module
 from mavfi.faults.instruction.selection import FORM, parse_selection
 from mavfi.faults.instruction.table import make_table, short_path
+from mavfi.ir.module import parts, width
+from mavfi.ir.parser import parse_module
 
 TEXT = """
 define i64 @kernel(ptr %p, ptr %q, double %x, i64 %n) {

@@ -9,11 +9,11 @@ import numba
 import pytest
 
 from mavfi.faults.instruction import RefusedError
-from mavfi.faults.instruction import build as building
 from mavfi.faults.instruction.build import build
-from mavfi.faults.instruction.instrument import _digest as fault_space_digest
 from mavfi.faults.instruction.instrument import instrument
-from mavfi.faults.instruction.refusal import BuildError
+from mavfi.ir import BuildError, Ended
+from mavfi.ir import build as building
+from mavfi.ir.digest import digest_of_text
 from mavfi.numerics.jit import kernel_jit, uncached_copy
 from tests.unit.faults.instruction.test_refusals import calling
 from tests.unit.kernels.cases import CASES
@@ -81,10 +81,8 @@ def test_the_digest_does_not_depend_on_hashes_of_texts():
 def test_a_kernel_is_prepared_for_any_cpu_where_nothing_was_compiled_before(monkeypatch, tmp_path):
     """What LLVM inlines depends on what a process did before (compiled a callee, or loaded it), vectors on the CPU."""
 
-    def fail(*_arguments):
-        raise AssertionError("prepared in a fork of this process")
-
-    monkeypatch.setattr(building, "make", fail)
+    in_fork = Ended("exception", detail="prepared in a fork of this process")
+    monkeypatch.setattr(building, "run_in_child", lambda *_: in_fork)
     case = CASES["time_to_collision"]
     signature = tuple(numba.typeof(argument) for argument in case.arguments())
     built = build(case.function, signature)
@@ -144,7 +142,7 @@ def test_the_digest_does_not_depend_on_the_folder_of_the_installation():
     """An exception that is raised in two steps is pickled with the path of its source: name and length follow it."""
 
     def digest(name, size, step=8):
-        return fault_space_digest(PICKLED.format(name=name, size=size, step=step))
+        return digest_of_text(PICKLED.format(name=name, size=size, step=step))
 
     assert digest("ef8f37db74", "411") == digest("538f24ddc4", "406")
     assert digest("ef8f37db74", "411") != digest("ef8f37db74", "411", step=16)

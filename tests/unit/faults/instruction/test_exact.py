@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from mavfi.faults.instruction.build import assemble, prepare
-from mavfi.faults.instruction.forked import run_in_child
 from mavfi.faults.instruction.runtime import Control
 from mavfi.faults.instruction.variant import Variant
+from mavfi.ir.forked import run_in_child
 from mavfi.numerics.jit import uncached_copy
 from tests.unit.faults.instruction.interpreter import HANG, Interpreter, flipped, same, signed
 from tests.unit.faults.instruction.kernels import LOOP, STRAIGHT, loop, straight
@@ -241,11 +241,11 @@ def prepared():
 
 
 def mismatches(prepared, change, sample, limit):
-    made, wrapper, environment = prepared
+    made, source = prepared
     changed = replace(made, text=change(made.text))
     assert change is same_text or changed.text != made.text
     loop(*LOOP)
-    variant = Variant(assemble(changed, wrapper, environment), loop.overloads[signature(LOOP)].environment)
+    variant = Variant(assemble(changed, source), loop.overloads[signature(LOOP)].environment)
     wrong = sum(not same(injected(variant, LOOP, index, bit, limit), wanted) for index, bit, wanted in sample)
     return bytes([min(wrong, 255)])
 

@@ -10,10 +10,10 @@ import pytest
 from mavfi.faults.instruction import Counting, resolve
 from mavfi.faults.instruction.api import digest
 from mavfi.faults.instruction.instrument import instrument
-from mavfi.faults.instruction.ir import width
 from mavfi.faults.instruction.variant import variant_for
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.compose import resolve as scenario_of
+from mavfi.ir.module import width
 from mavfi.kernels.control import pid
 from mavfi.mission import MissionSpec
 from mavfi.numerics.jit import uncached_copy

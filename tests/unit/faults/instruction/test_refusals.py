@@ -9,7 +9,7 @@ import pytest
 from mavfi.errors import BadInputError
 from mavfi.faults.instruction import Injecting, MismatchError, RefusedError, count, draw, inject, run_forked
 from mavfi.faults.instruction.instrument import instrument
-from mavfi.faults.instruction.parser import parse_module
+from mavfi.ir.parser import parse_module
 from mavfi.numerics.jit import kernel_jit
 from tests.unit.faults.instruction.kernels import LOOP, fill, loop
 
@@ -81,7 +81,8 @@ entry:
 """
 UNKNOWN = {
     "%b = freeze token %a": "'token'",
-    "%b = load volatile i64, ptr %p, align 8": "'volatile'",
+    "store volatile i64 %a, ptr %p, align 8": "'volatile'",
+    '%b = call i64 asm "", "=m,0"(i64 %a)': "'\\=m,0'",
     "%b = load atomic i64, ptr %p seq_cst, align 8": "'atomic'",
     "store i64 %a, ptr addrspace(1) %p": "'addrspace'",
     "%b = atomicrmw add ptr %p, i64 1 monotonic, align 8": "'atomicrmw'",

@@ -18,10 +18,13 @@ from dataclasses import dataclass
 from typing import Literal, NoReturn
 
 from mavfi.errors import FROM_OUTSIDE, MachineError, machine_failure
-from mavfi.faults.instruction.runtime import HANG_EXIT, WILD_EXIT
 
 How = Literal["done", "crash", "hang", "exception"]
 _EXCEPTION_EXIT, _MACHINE_EXIT = 70, 71
+HANG_EXIT = 77
+"""Exit status of a process whose kernel exhausted its instruction budget."""
+WILD_EXIT = 78
+"""Exit status of a process whose kernel accessed memory that it does not own."""
 LENGTH_BYTES = 8
 WALL_CLOCK = "wall clock"
 """Detail of a child killed at its time limit."""

@@ -2,9 +2,11 @@
 
 import re
 
-from mavfi.faults.instruction.ir import Instruction, holds_pointer, parts
-from mavfi.faults.instruction.lexer import Cursor
+from mavfi.ir.lexer import Cursor
+from mavfi.ir.module import Instruction, holds_pointer, parts
 
+VOLATILE_LOAD = "load volatile"
+"""The first token of such a load."""
 ABI_ATTRIBUTES = ("signext", "zeroext")
 PROMISES = {
     "captures", "dead_on_return", "dead_on_unwind", "dereferenceable", "dereferenceable_or_null", "immarg",
@@ -34,6 +36,8 @@ _INTRINSICS = re.compile(
     r"masked\.(?:load|store|gather|scatter|compressstore|expandload)|vector\.reduce\.\w+|x86\.[\w.]+|"
     r"lro?und|llro?und|ldexp)(?:\.|$)"
 )
+COPIES = ('"=r,0"', '"=x,0"')
+"""Constraints of an empty assembly: its result is its operand, in a general or a vector register."""
 _DROPPED = re.compile(
     r"@llvm\.(?:lifetime\.(?:start|end)|assume|experimental\.noalias\.scope\.decl|donothing|invariant\.)"
 )
@@ -52,7 +56,8 @@ def parse_instruction(cursor: Cursor) -> Instruction | None:
         cursor.expect("=")
     cursor.accept("tail")
     opcode = cursor.expect(*_READERS)
-    instruction = Instruction(opcode, [opcode], result)
+    volatile = opcode == "load" and cursor.accept("volatile")
+    instruction = Instruction(opcode, [VOLATILE_LOAD if volatile else opcode], result)
     while cursor.accept(*POISON_FLAGS):
         pass
     if cursor.next in FAST_MATH:
@@ -177,6 +182,9 @@ def _call(cursor: Cursor, new: Instruction) -> None:
     new.tokens += [*abi, new.kind]
     if cursor.next == "(":
         new.tokens += cursor.balanced()
+    if cursor.next == "asm":
+        _copy(cursor, new)
+        return
     if not cursor.next.startswith("@"):
         raise cursor.refused(f"indirect call or assembly in {' '.join(cursor.tokens)[:120]!r}")
     new.callee = cursor.take()
@@ -185,6 +193,17 @@ def _call(cursor: Cursor, new: Instruction) -> None:
     _arguments(cursor, new)
     if cursor.next.startswith("#"):
         cursor.take()
+
+
+def _copy(cursor: Cursor, new: Instruction) -> None:
+    """An empty assembly: it copies a register, and hides from the compiler that it does."""
+    new.tokens.append(cursor.take())
+    if cursor.next != '""':
+        raise cursor.refused(f"assembly {cursor.next}")
+    new.tokens += [cursor.take(), cursor.expect(","), cursor.expect(*COPIES), cursor.expect("(")]
+    _arguments(cursor, new)
+    if [kind for kind, _ in new.arguments] != [new.kind]:
+        raise cursor.refused(f"assembly of {new.kind}")
 
 
 def _check_callee(cursor: Cursor, callee: str) -> None:

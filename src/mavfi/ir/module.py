@@ -69,6 +69,7 @@ class Instruction:
         arguments: For a call: type and value of each argument.
         location: Number of its debug location, or None.
         variable: Source variable whose value the result is, or None.
+        role: What it is in protected code, see `mavfi.hardening.duplicate`; "" = as compiled.
     """
 
     opcode: str
@@ -82,6 +83,7 @@ class Instruction:
     arguments: list[tuple[str, str]] = field(default_factory=list)
     location: int | None = None
     variable: str | None = None
+    role: str = ""
 
     def uses(self) -> list[str]:
         """Local names in its text, including labels."""

@@ -2,7 +2,7 @@
 
 import re
 
-from mavfi.faults.instruction.refusal import RefusedError
+from mavfi.ir.refusal import RefusedError
 
 _TOKEN = re.compile(
     r"""\s*(?:

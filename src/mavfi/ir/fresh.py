@@ -15,15 +15,15 @@ from functools import reduce
 from importlib import import_module
 from typing import Any
 
-from mavfi.faults.instruction.forked import Ended, framed, judge_exit, write_all
+from mavfi.ir.forked import Ended, framed, judge_exit, write_all
 
 _CPU = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
 _NOT_HERE = b"N"
 """Loaded from a file that is on no path, or compilable only where it has been compiled (recursion in Numba)."""
 
 
-def run_fresh(kernel: Any, signature: tuple[Any, ...], timeout: float) -> Ended | None:
-    """Run `build.make` in a fresh process, for at most `timeout` seconds.
+def run_fresh(kernel: Any, signature: tuple[Any, ...], make: Any, timeout: float) -> Ended | None:
+    """Run `build.answer` with `make` in a fresh process, for at most `timeout` seconds.
 
     Returns:
         How the process ended; None if the kernel cannot be prepared there.
@@ -33,7 +33,7 @@ def run_fresh(kernel: Any, signature: tuple[Any, ...], timeout: float) -> Ended 
     if _find(*address) is not kernel:
         return None
     try:
-        request = pickle.dumps((sys.path, *address, signature))
+        request = pickle.dumps((sys.path, *address, signature, make))
     except Exception:  # noqa: BLE001 - types of a user may refuse in any way
         return None
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
@@ -75,17 +75,17 @@ def _find(module: str, name: str) -> Any:
 
 def main() -> None:
     """Entry point of the fresh process: read the request, write the answer."""
-    from mavfi.faults.instruction.build import make
+    from mavfi.ir.build import answer
 
     answers = os.dup(1)
     os.dup2(2, 1)  # keep prints out of the answer
-    paths, module, name, signature = pickle.loads(sys.stdin.buffer.read())
+    paths, module, name, signature, make = pickle.loads(sys.stdin.buffer.read())
     sys.path[:] = paths
-    answer = _NOT_HERE
+    result = _NOT_HERE
     with contextlib.suppress(Exception):
         import_module(module)
-        answer = make(_find(module, name), signature)
-    write_all(answers, framed(answer))
+        result = answer(make, _find(module, name), signature)
+    write_all(answers, framed(result))
 
 
 if __name__ == "__main__":

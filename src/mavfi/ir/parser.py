@@ -7,11 +7,11 @@ promise something about a value or memory, and all metadata except source locati
 import re
 from itertools import takewhile
 
-from mavfi.faults.instruction.grammar import parse_instruction, skip_promises
-from mavfi.faults.instruction.ir import Block, Function, Instruction, Module
-from mavfi.faults.instruction.lexer import LABEL, Cursor, tokens_of
-from mavfi.faults.instruction.metadata import variable_of
-from mavfi.faults.instruction.refusal import RefusedError
+from mavfi.ir.grammar import parse_instruction, skip_promises
+from mavfi.ir.lexer import LABEL, Cursor, tokens_of
+from mavfi.ir.metadata import variable_of
+from mavfi.ir.module import Block, Function, Instruction, Module
+from mavfi.ir.refusal import RefusedError
 
 _OUTSIDE = re.compile(r'@"?(?:_ZN7cpython|cfunc\.|NRT_|nrt_|numba_|\.dtor|__excinfo)')
 """Numba's wrappers and runtime: linked into every module, but not part of a kernel."""

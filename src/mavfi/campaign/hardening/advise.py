@@ -1,0 +1,216 @@
+"""Advice from a ledger: how much of the silent corruption each share of time removes, and a plan within a budget.
+
+The ledger gives rates by instruction, a golden flight executions and calls to time.  For each function a ladder of
+choices is built and timed; the budget is spent on the steps that remove most corruptions per flight for their time.
+Coverage is predicted by cross-validation: each part of the ledger judges choices that were made from the other parts.
+"""
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from time import monotonic
+
+from mavfi.campaign.analysis.statistics import Rate, clustered_rate, weighted_rate
+from mavfi.campaign.hardening.ledger import Injected
+from mavfi.campaign.hardening.target import Target
+from mavfi.hardening.choose import NOTHING, Choice, upper_hull
+from mavfi.hardening.duplicate import protect
+from mavfi.hardening.measure import Timed, Timing, compare
+from mavfi.hardening.plan import Site
+
+FRACTIONS = (0.1, 0.25, 0.5, 0.75, 1.0)
+"""Steps of a curve: shares of the instructions that duplicating everything adds."""
+_SECONDS = 0.6
+"""Time for measuring one function."""
+Judged = Sequence[tuple[Injected, bool]]
+"""Silent corruptions of the ledger, and whether they are removed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A choice for one function.
+
+    Attributes:
+        fraction: Of the instructions that duplicating everything adds; 0 = unprotected.
+        choice: What is duplicated.
+        time: Measured time / that of plain code.
+        judged: Prediction, by injection.
+    """
+
+    fraction: float
+    choice: Choice
+    time: float
+    judged: Judged
+
+    @property
+    def coverage(self) -> Rate:
+        """Predicted share of silent corruptions that it removes."""
+        return coverage_of(self.judged)
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """Choices for one function, from nothing to everything.
+
+    Attributes:
+        target: The function.
+        ticks: Ticks of the time stamp counter in all calls of a golden flight.
+        share: Share of the flight's kernel time.
+        steps: By cost.
+    """
+
+    target: Target
+    ticks: float
+    share: float
+    steps: tuple[Step, ...]
+
+    def extra(self, step: Step) -> float:
+        """Time that a step adds, as a share of the flight's kernel time."""
+        return self.share * (step.time - 1)
+
+    def removed(self, step: Step) -> float:
+        """Silent corruptions that a step removes, per flight in which every dynamic instruction is injected once."""
+        return self.target.sdc_mass * (step.coverage.rate or 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """What to protect within a budget.
+
+    Attributes:
+        budget: Share of a flight's kernel time.
+        curves: All functions.
+        chosen: Index of the step for each of them.
+        besides: Time that protection of other functions adds to the same flight, as a share of its kernel time.
+    """
+
+    budget: float
+    curves: tuple[Curve, ...]
+    chosen: tuple[int, ...]
+    besides: float = 0.0
+
+    @property
+    def steps(self) -> list[tuple[Curve, Step]]:
+        """The chosen step of each function."""
+        return [(curve, curve.steps[place]) for curve, place in zip(self.curves, self.chosen, strict=True)]
+
+    @property
+    def spent(self) -> float:
+        """Time that the plan adds, as a share of the flight's kernel time."""
+        return self.besides + sum(curve.extra(step) for curve, step in self.steps)
+
+    def coverage(self, kernel: str = "") -> Rate:
+        """Predicted share of silent corruptions removed: of one kernel, or of all, each weighted by its number."""
+        own = [(curve, step) for curve, step in self.steps if kernel in ("", *curve.target.kernels)]
+        return together([(curve.target.name, curve.target.sdc_mass, step.judged) for curve, step in own])
+
+
+def coverage_of(judged: Judged) -> Rate:
+    """Share of silent corruptions that are removed, with an interval clustered by mission."""
+    return clustered_rate([hit for _, hit in judged], [one.world for one, _ in judged], [o.weight for o, _ in judged])
+
+
+def together(parts: Sequence[tuple[str, float, Judged]]) -> Rate:
+    """Coverage of several functions, given by name, expected corruptions and predictions."""
+    known = [(name, mass, judged) for name, mass, judged in parts if judged and mass > 0]
+    rows = [
+        (hit, mass * one.weight / (sum(o.weight for o, _ in judged) / len(judged)), name, one.world)
+        for name, mass, judged in known
+        for one, hit in judged
+    ]
+    return weighted_rate(*zip(*rows, strict=True)) if rows else Rate(0, None, None, None)
+
+
+def choices_of(target: Target, fractions: Sequence[float] = FRACTIONS) -> list[tuple[float, Choice, Judged]]:
+    """The ladder of a function: fraction, choice and prediction, from nothing to everything."""
+    full = target.chooser.full
+    found: list[tuple[float, Choice, Judged]] = [(0.0, NOTHING, target.judged(lambda _: NOTHING))]
+    for fraction in fractions:
+        choice = target.chooser.within(fraction * full.cost) if fraction < 1 else full
+        found.append((fraction, choice, target.judged(_same_share(fraction))))
+    return found
+
+
+def _same_share(fraction: float) -> Callable[..., Choice]:
+    return lambda chooser: chooser.within(fraction * chooser.full.cost) if fraction < 1 else chooser.full
+
+
+def timed(target: Target, choices: Sequence[Collection[Site]], seconds: float = _SECONDS) -> Timing:
+    """Time of plain code, and of code with each choice of sites; ratios by the index of the choice as text."""
+    source, plain, environment = target.source, target.module, target.environment
+    clocks = {
+        str(place): Timed(source, protect(plain, sites, addresses=False), environment).ticks
+        for place, sites in enumerate(choices)
+    }
+    base = Timed(source, plain, environment)
+    end = monotonic() + seconds
+    return compare(base.ticks, clocks, target.seen.calls, lambda _: monotonic() > end)
+
+
+def curves_of(
+    targets: Sequence[Target],
+    wanted: Collection[str],
+    besides: float = 0.0,
+    tell: Callable[[str], None] = lambda _: None,
+) -> tuple[Curve, ...]:
+    """Build, predict and time the ladders of the functions of a flight.
+
+    Args:
+        targets: The functions; those without an injection, or of kernels that are not `wanted`, are timed only.
+        wanted: Kernels to protect.
+        besides: Ticks of other functions in the flight.
+        tell: Called with the name of each function.
+    """
+    rows = []
+    for target in targets:
+        tell(f"choosing and timing {target.name}")
+        free = bool(target.injections) and not set(wanted).isdisjoint(target.kernels)
+        ladder = choices_of(target, FRACTIONS if free else ())
+        timing = timed(target, [target.sites(choice) for _, choice, _ in ladder[1:]])
+        times = [1.0, *(max(timing.ratios[str(place)], 1.0) for place in range(len(ladder) - 1))]
+        steps = tuple(Step(*row[:2], time, row[2]) for row, time in zip(ladder, times, strict=True))
+        rows.append((target, timing.ticks * target.seen.total, steps))
+    whole = besides + sum(ticks for _, ticks, _ in rows)
+    return tuple(Curve(target, ticks, ticks / whole, steps) for target, ticks, steps in rows)
+
+
+def allocate(curves: Sequence[Curve], budget: float) -> tuple[int, ...]:
+    """Steps of all functions that remove most within a share of the flight's kernel time.
+
+    The steps on the convex hull of each function are taken by corruptions removed per time, as long as they fit
+    (Dantzig's rule for the multiple-choice knapsack problem); then the rest of the budget buys single better steps.
+    """
+    moves: list[_Move] = []
+    for place, curve in enumerate(curves):
+        points = [
+            Choice(frozenset({number}), curve.extra(step), curve.removed(step))
+            for number, step in enumerate(curve.steps)
+        ]
+        hull = upper_hull(points)
+        for one, other in zip(hull, hull[1:], strict=False):
+            (number,) = other.chosen
+            moves.append(_Move(place, number, other.cost - one.cost, other.benefit - one.benefit))
+    chosen, spent, closed = [0] * len(curves), 0.0, set()
+    for move in sorted(moves, key=lambda move: -move.gain / max(move.cost, 1e-12)):
+        if move.curve in closed:
+            continue
+        if spent + move.cost > budget:
+            closed.add(move.curve)  # its later steps build on this one
+            continue
+        chosen[move.curve], spent = move.step, spent + move.cost
+    for place, curve in enumerate(curves):
+        own = curve.steps[chosen[place]]
+        room = budget - spent + curve.extra(own)
+        best = max((step for step in curve.steps if curve.extra(step) <= room), key=curve.removed, default=own)
+        if curve.removed(best) > curve.removed(own):
+            chosen[place], spent = curve.steps.index(best), spent + curve.extra(best) - curve.extra(own)
+    return tuple(chosen)
+
+
+@dataclass(frozen=True, slots=True)
+class _Move:
+    """From one step of a curve's hull to the next one."""
+
+    curve: int
+    step: int
+    cost: float
+    gain: float

@@ -1,0 +1,126 @@
+"""Injections into recorded calls of a function, plain or protected: uniform over dynamic instructions, then bits."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mavfi.campaign.hardening.outputs import outputs_of
+from mavfi.faults.instruction.api import digest
+from mavfi.faults.instruction.plan import budget_for
+from mavfi.faults.instruction.table import Site
+from mavfi.faults.instruction.variant import Passes, Variant
+from mavfi.hardening.recorded import copied
+from mavfi.ir.forked import run_in_child
+
+MASKED, SDC, DETECTED, NOT_ACTIVATED = "masked", "sdc", "detected", "not_activated"
+EFFECTS = (MASKED, SDC, DETECTED, "crash", "hang", "exception")
+_TIMEOUT = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A bit of the result of one dynamic instruction.
+
+    Attributes:
+        call: Index of the recorded call.
+        block: Of the table of sites.
+        number: Execution of the block within the call, from 0.
+        offset: Of the site in the block.
+        bit: 0 = least significant.
+    """
+
+    call: int
+    block: int
+    number: int
+    offset: int
+    bit: int
+
+
+class Battery:
+    """Recorded calls of a function, with instrumented code of a variant of it.
+
+    Args:
+        entry: Name of the function, see `outputs_of`.
+        function: The plain compiled function.
+        variant: Instrumented code, plain or protected.
+        calls: Arguments.
+    """
+
+    def __init__(self, entry: str, function: Any, variant: Variant, calls: Sequence[tuple[Any, ...]]) -> None:
+        self._entry, self._function, self.variant, self.calls = entry, function, variant, calls
+
+    @cached_property
+    def executions(self) -> np.ndarray:
+        """Executions of each block in each call. Shape (calls, blocks)."""
+        return np.array([self.variant.tally(*copied(args))[1] for args in self.calls])
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """Dynamic instructions of each call. Shape (calls,)."""
+        return self.executions @ np.array(self.variant.table.sizes(), np.int64)
+
+    @cached_property
+    def _golden(self) -> list[bytes]:
+        return [self._digest(self._function(*own), own) for own in map(copied, self.calls)]
+
+    def _digest(self, result: Any, args: tuple[Any, ...]) -> bytes:
+        return digest(outputs_of(self._entry, self._function, result, args))
+
+    def draw(self, random: np.random.Generator, n: int) -> list[Place]:
+        """Draw places, uniformly over the dynamic instructions of all calls, then over the bits of the result."""
+        sizes = np.array(self.variant.table.sizes(), np.int64)
+        weights = (self.executions * sizes).astype(np.float64).ravel()
+        found = []
+        for flat in random.choice(weights.size, size=n, p=weights / weights.sum()):
+            call, block = divmod(int(flat), len(sizes))
+            offset = int(random.integers(sizes[block]))
+            number = int(random.integers(self.executions[call, block]))
+            bit = int(random.integers(self.site(block, offset).width))
+            found.append(Place(call, block, number, offset, bit))
+        return found
+
+    def site(self, block: int, offset: int) -> Site:
+        """A static instruction."""
+        return self.variant.table.blocks[block][offset]
+
+    def run(self, places: Sequence[Place]) -> list[str]:
+        """Effect of each injection, in a child process of its own."""
+        indices = self._indices(places)
+        self.variant.own_report()
+        return [self._effect(place, index) for place, index in zip(places, indices, strict=True)]
+
+    def _indices(self, places: Sequence[Place]) -> list[int]:
+        """Dynamic index of each place in its call."""
+        starts: dict[tuple[int, int, int], int] = {}
+        for call in {place.call for place in places}:
+            wanted = {(place.block, place.number) for place in places if place.call == call}
+            passes = Passes(len(self.variant.table.blocks), wanted)
+            self.variant.locate(passes, *copied(self.calls[call]))
+            starts.update({(call, *one): passes.start(*one) for one in wanted})
+        return [starts[place.call, place.block, place.number] + place.offset for place in places]
+
+    def _effect(self, place: Place, index: int) -> str:
+        args, golden = self.calls[place.call], self._golden[place.call]
+        budget = budget_for(int(self.counts[place.call]))
+
+        def injected() -> bytes:
+            try:
+                result = self.variant.inject(index, -1, 1 << place.bit, budget, *args)
+            except SystemError:  # as which Numba's wrapper reports the status of a detection
+                return DETECTED.encode()
+            return (MASKED if self._digest(result, args) == golden else SDC).encode()
+
+        ended = run_in_child(injected, _TIMEOUT)
+        if self.variant.report() is None:
+            return NOT_ACTIVATED
+        return ended.payload.decode() if ended.how == "done" else ended.how
+
+
+def shares(effects: Sequence[str]) -> dict[str, int]:
+    """Number of injections by effect, in a fixed order."""
+    counted = Counter(effects)
+    return {name: counted[name] for name in (*EFFECTS, NOT_ACTIVATED) if counted[name]}

@@ -1,0 +1,186 @@
+"""Certificate of a plan: fresh faults in recorded calls of missions that the choice has not seen.
+
+Faults are drawn over the dynamic instructions of the protected program, so shadows, copies and comparisons can be hit.
+The same calls are injected without protection, and these faults once more, instruction by instruction, with it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot
+from typing import Any
+
+from mavfi.campaign.analysis.pairs import Paired, mcnemar
+from mavfi.campaign.analysis.statistics import Rate, wilson
+from mavfi.campaign.hardening.battery import SDC, Battery, Place, shares
+from mavfi.campaign.hardening.observed import Seen
+from mavfi.campaign.hardening.ratio import bounds_of, coverage, difference
+from mavfi.faults.instruction.variant import variant_of
+from mavfi.faults.sampling import stream
+from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
+from mavfi.hardening.protection import Protection
+from mavfi.hardening.sources import cached_source
+from mavfi.ir.build import name_of
+from mavfi.ir.module import Module
+from mavfi.ir.parser import parse_module
+
+CONFIRMED, REFUTED, BETTER, UNKNOWN = "confirmed", "refuted", "better", "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """What fresh faults show of the protection of one function.
+
+    Attributes:
+        kernel: That calls it, as in a campaign's sampling.
+        function: Module and name.
+        signature: Numba types of its arguments.
+        instructions: Dynamic instructions of plain code in the observed flights.
+        before: Effects of injections in plain code, by number.
+        after: The same in protected code.
+        growth: Dynamic instructions of protected code / plain code.
+        predicted: Coverage, from the plan; None = the plan has no prediction.
+        paired: Silent corruption in plain (first) and protected code (second), same instruction, execution and bit.
+    """
+
+    kernel: str
+    function: str
+    signature: str
+    instructions: int
+    before: dict[str, int]
+    after: dict[str, int]
+    growth: float
+    predicted: Coverage | None
+    paired: Paired
+
+    @property
+    def sdc_before(self) -> Rate:
+        """Silent corruptions per injection in plain code."""
+        return wilson(self.before.get(SDC, 0), sum(self.before.values()))
+
+    @property
+    def sdc_after(self) -> Rate:
+        """Silent corruptions per injection in protected code."""
+        return wilson(self.after.get(SDC, 0), sum(self.after.values()))
+
+    @property
+    def coverage(self) -> Rate:
+        """Share of the silent corruptions per call that is removed."""
+        return coverage(self.sdc_before, self.sdc_after, self.growth)
+
+    @property
+    def verdict(self) -> str:
+        """Whether the measured coverage agrees with the prediction, is lower, or higher, at 95 %."""
+        if self.predicted is None or self.coverage.rate is None:
+            return UNKNOWN
+        own = Rate(0, self.predicted.estimate, self.predicted.low, self.predicted.high)
+        low, high = difference(self.coverage, own)
+        return REFUTED if high < 0 else BETTER if low > 0 else CONFIRMED
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "kernel": self.kernel, "function": self.function, "signature": self.signature,
+            "instructions": self.instructions, "verdict": self.verdict, "growth": self.growth,
+            "before": self.before, "after": self.after, "coverage": _plain(self.coverage),
+            "sdc_before": _plain(self.sdc_before), "sdc_after": _plain(self.sdc_after),
+            "predicted": None if self.predicted is None else self.predicted.model_dump(),
+            "paired": {
+                "n": self.paired.n, "plain_only": self.paired.first_only, "protected_only": self.paired.second_only,
+                "p": self.paired.p_value,
+            },
+        }  # fmt: skip
+
+
+def _plain(found: Rate) -> dict[str, Any]:
+    return {"n": found.n, "rate": found.rate, "low": found.low, "high": found.high}
+
+
+@dataclass
+class Pair:
+    """A function with and without protection, with the same calls.
+
+    Attributes:
+        seen: The plain function.
+        planned: Its protection.
+        plain: Injections without it.
+        guarded: Injections with it.
+    """
+
+    seen: Seen
+    planned: FunctionPlan
+    plain: Battery
+    guarded: Battery
+
+    @staticmethod
+    def of(seen: Seen, planned: FunctionPlan) -> "Pair":
+        """Build the protected variant; `BadInputError` if the plan is of other code."""
+        guarded = variant_of(seen.function, seen.signature, Protection(planned))
+        batteries = (Battery(seen.entry, seen.function, variant, seen.calls) for variant in (seen.variant, guarded))
+        return Pair(seen, planned, *batteries)
+
+    @property
+    def growth(self) -> float:
+        """Dynamic instructions of protected code / plain code, over the recorded calls."""
+        return float(self.guarded.counts.sum() / self.plain.counts.sum())
+
+    def counterparts(self, places: Sequence[Place]) -> list[Place]:
+        """The same instructions, executions and bits in protected code: original instructions keep their names."""
+        source = cached_source(self.seen.function, self.seen.signature)
+        module = parse_module(source.text, source.kernel)
+        names, own = _names(module), _names(Protection(self.planned)(module))
+        there = {name: place for place, name in own.items()}
+        found = []
+        for place in places:
+            block, offset = there[names[place.block, place.offset]]
+            found.append(Place(place.call, block, place.number, offset, place.bit))
+        return found
+
+
+def _names(module: Module) -> dict[tuple[int, int], tuple[str, str]]:
+    """Function and result of each site, by block and offset of the table of sites."""
+    blocks = [(function.name, block) for function in module.functions for block in function.blocks if block.sites]
+    return {
+        (number, offset): (name, str(site.result))
+        for number, (name, block) in enumerate(blocks)
+        for offset, site in enumerate(block.sites)
+    }
+
+
+def certify(pair: Pair, faults: int, *address: Any) -> Certificate:
+    """Inject `faults` faults in plain and as many in protected code, and those of plain code in protected code, too."""
+    random = stream(0, "certificate", pair.planned.function, pair.planned.signature, *map(str, address))
+    places = pair.plain.draw(random, faults)
+    before = pair.plain.run(places)
+    again = pair.guarded.run(pair.counterparts(places))
+    after = pair.guarded.run(pair.guarded.draw(random, faults))
+    planned, seen = pair.planned, pair.seen
+    return Certificate(
+        planned.kernel, planned.function, planned.signature, seen.instructions, shares(before), shares(after),
+        pair.growth, planned.predicted, mcnemar([one == SDC for one in before], [one == SDC for one in again]),
+    )  # fmt: skip
+
+
+def together(certificates: Sequence[Certificate]) -> Rate:
+    """Coverage over several functions, each weighted by its silent corruptions per flight."""
+    known = [one for one in certificates if one.sdc_before.rate is not None]
+    if not known:
+        return Rate(0, None, None, None)
+    whole = sum(one.instructions for one in known)
+    before = _sum([(one.instructions / whole, one.sdc_before) for one in known])
+    after = _sum([(one.instructions * one.growth / whole, one.sdc_after) for one in known])
+    return coverage(before, after, 1.0)
+
+
+def _sum(parts: Sequence[tuple[float, Rate]]) -> Rate:
+    """Weighted sum of independent rates, with MOVER's interval."""
+    bounds = [(weight, *bounds_of(rate)) for weight, rate in parts]
+    value = sum(weight * rate for weight, rate, _, _ in bounds)
+    below = hypot(*(weight * (rate - low) for weight, rate, low, _ in bounds))
+    above = hypot(*(weight * (high - rate) for weight, rate, _, high in bounds))
+    return Rate(sum(rate.n for _, rate in parts), value, value - below, value + above)
+
+
+def pairs_of(seen: Sequence[Seen], plan: Plan) -> list[Pair]:
+    """The observed functions that the plan protects; `BadInputError` if it is of other code."""
+    found = [(one, plan.find(name_of(one.function), one.signature)) for one in seen]
+    return [Pair.of(one, planned) for one, planned in found if planned is not None and planned.sites]

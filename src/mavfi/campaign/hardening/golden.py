@@ -1,0 +1,106 @@
+"""Golden flights in which every call of a planned function runs its protected code."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from mavfi.faults.instruction.variant import signature_of
+from mavfi.hardening.compiled import Compiled, text_of
+from mavfi.hardening.plan import Plan
+from mavfi.hardening.protection import Protection
+from mavfi.hardening.sources import cached_source
+from mavfi.hosts.local import fly
+from mavfi.ir.build import name_of
+from mavfi.ir.parser import parse_module
+from mavfi.mission import Scenario
+from mavfi.pipeline.functions import PLAIN
+from mavfi.states import INJECTABLE
+
+
+@dataclass(frozen=True, slots=True)
+class GoldenCheck:
+    """Flights without a fault, plain and protected.
+
+    Attributes:
+        flights: Number of pairs.
+        same: Pairs with equal digests.
+        calls: Calls of protected code.
+        alarms: Of these, detections: all false.
+    """
+
+    flights: int = 0
+    same: int = 0
+    calls: int = 0
+    alarms: int = 0
+
+    @property
+    def passed(self) -> bool:
+        """Whether protection changes nothing without a fault."""
+        return self.same == self.flights and self.alarms == 0
+
+    def plus(self, other: "GoldenCheck") -> "GoldenCheck":
+        """Sums."""
+        return GoldenCheck(
+            self.flights + other.flights, self.same + other.same, self.calls + other.calls, self.alarms + other.alarms
+        )
+
+    def to_json(self) -> dict[str, int]:
+        """Plain data."""
+        return asdict(self)
+
+
+class Guarded:
+    """A function of which planned signatures run protected code; after a detection the plain one runs.
+
+    Attributes:
+        calls: Calls of protected code.
+        alarms: Detections.
+    """
+
+    def __init__(self, function: Any, plan: Plan) -> None:
+        self._function, self._plan = function, plan
+        self._compiled: dict[tuple[Any, ...], Compiled | None] = {}
+        self.calls = self.alarms = 0
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the function."""
+        signature = signature_of(args)
+        if signature not in self._compiled:
+            self._compiled[signature] = protected_code(self._function, signature, self._plan)
+        compiled = self._compiled[signature]
+        if compiled is None:
+            return self._function(*args)
+        self.calls += 1
+        try:
+            return compiled(*args)
+        except SystemError:
+            self.alarms += 1
+            return self._function(*args)
+
+
+def protected_code(function: Any, signature: tuple[Any, ...], plan: Plan) -> Compiled | None:
+    """Protected machine code of a function; None if the plan does not name it.
+
+    Raises:
+        BadInputError: The plan was made for other code.
+    """
+    planned = plan.find(name_of(function), signature)
+    if planned is None or not planned.sites:
+        return None
+    source = cached_source(function, signature)
+    module = Protection(planned)(parse_module(source.text, source.kernel))
+    function.compile(signature)
+    return Compiled(source, text_of(module), function.overloads[signature].environment)
+
+
+def check_golden(scenario: Scenario, plan: Plan, kernels: Sequence[str]) -> GoldenCheck:
+    """Fly a mission plain and with protected functions, and compare."""
+    names = tuple(dict.fromkeys(name for kernel in kernels for name in INJECTABLE[kernel]))
+    made = {name: Guarded(getattr(PLAIN, name), plan) for name in names}
+    with np.errstate(all="ignore"):
+        plain = fly(scenario).log.digest()
+        own = fly(scenario, functions=PLAIN.instrumented(names, lambda name, _: made[name])).log.digest()
+    calls, alarms = (sum(getattr(one, count) for one in made.values()) for count in ("calls", "alarms"))
+    return GoldenCheck(1, int(plain == own), calls, alarms)

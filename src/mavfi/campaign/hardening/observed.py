@@ -1,0 +1,97 @@
+"""Golden flights in which the kernels' functions are counted, and the arguments of some of their calls kept."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mavfi.faults.instruction.variant import Variant, signature_of, variant_for
+from mavfi.hardening.recorded import Recording
+from mavfi.hosts.local import fly
+from mavfi.mission import Scenario
+from mavfi.pipeline.functions import PLAIN
+from mavfi.states import INJECTABLE
+
+
+@dataclass(slots=True)
+class Seen:
+    """What golden flights showed of a function compiled for one signature.
+
+    Attributes:
+        function: The compiled function.
+        entry: Its name, a field of `KernelFunctions`.
+        signature: Numba types of the arguments.
+        variant: Its instrumented variant.
+        executions: Executions of each block with sites. Shape (blocks,).
+        calls: Arguments of some calls, in order.
+        total: Number of calls.
+    """
+
+    function: Any
+    entry: str
+    signature: tuple[Any, ...]
+    variant: Variant
+    executions: np.ndarray
+    total: int = 0
+    calls: list[tuple[Any, ...]] = field(default_factory=list)
+
+    @property
+    def instructions(self) -> int:
+        """Dynamic instructions of all calls."""
+        return self.variant.table.written(self.executions)
+
+    @property
+    def signature_text(self) -> str:
+        """The signature as in a plan."""
+        return ", ".join(map(str, self.signature))
+
+
+class Observing:
+    """Replaces a function in a flight: counts its blocks and records arguments, by signature.
+
+    Args:
+        entry: Name of the function.
+        function: Compiled by `kernel_jit`.
+        most: Recorded calls per signature, about; 0 = none.
+    """
+
+    def __init__(self, entry: str, function: Any, most: int) -> None:
+        self._entry, self._function, self._most = entry, function, most
+        self._seen: dict[tuple[Any, ...], tuple[Seen, Recording]] = {}
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the function; bit-identical result."""
+        signature = signature_of(args)
+        if signature not in self._seen:
+            variant = variant_for(self._function, args)
+            blocks = np.zeros(len(variant.table.blocks), np.int64)
+            seen = Seen(self._function, self._entry, signature, variant, blocks)
+            self._seen[signature] = seen, Recording(max(self._most, 1))
+        seen, recording = self._seen[signature]
+        if self._most:
+            recording.note(args)
+        seen.total += 1
+        result, times = seen.variant.tally(*args)
+        seen.executions += times
+        return result
+
+    def seen(self) -> list[Seen]:
+        """By signature, in order of the first call."""
+        for seen, recording in self._seen.values():
+            seen.calls = [recording.kept[call] for call in sorted(recording.kept)]
+        return [seen for seen, _ in self._seen.values()]
+
+
+def observe(scenario: Scenario, kernels: Sequence[str], most: int = 12) -> dict[str, list[Seen]]:
+    """Fly a golden mission; returns the executed functions by kernel.
+
+    Raises:
+        BadInputError: The mission cannot be flown.
+        RefusedError: A kernel cannot be instrumented exactly.
+    """
+    names = tuple(dict.fromkeys(name for kernel in kernels for name in INJECTABLE[kernel]))
+    made = {name: Observing(name, getattr(PLAIN, name), most) for name in names}
+    with np.errstate(all="ignore"):
+        fly(scenario, functions=PLAIN.instrumented(names, lambda name, _: made[name]))
+    return {kernel: [seen for name in INJECTABLE[kernel] for seen in made[name].seen()] for kernel in kernels}

@@ -1,0 +1,239 @@
+"""From a ledger to a plan, and from a plan to its certificate."""
+
+import json
+import platform
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mavfi.campaign.analysis.runs import Runs
+from mavfi.campaign.analysis.statistics import Rate
+from mavfi.campaign.config import Campaign
+from mavfi.campaign.hardening.advise import Advice, Step, allocate, curves_of
+from mavfi.campaign.hardening.certify import Certificate, certify, pairs_of
+from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
+from mavfi.campaign.hardening.ledger import injections_of
+from mavfi.campaign.hardening.observed import Seen, observe
+from mavfi.campaign.hardening.target import Target, targets_of
+from mavfi.campaign.mission import host_of
+from mavfi.campaign.run import stored_campaign
+from mavfi.campaign.store import Store
+from mavfi.errors import BadInputError, writing
+from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
+from mavfi.mission import Scenario
+from mavfi.states import INJECTABLE, PLANNERS
+
+Tell = Callable[[str], None]
+FRESH = 2
+"""Missions, per environment of the campaign, with which a plan is certified."""
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """A campaign of instruction faults, as input of the choice.
+
+    Attributes:
+        directory: Of the ledger.
+        campaign: Its campaign.
+        digest: Of its runs.
+        kernels: Kernels to protect.
+    """
+
+    directory: Path
+    campaign: Campaign
+    digest: str
+    kernels: tuple[str, ...]
+
+    @staticmethod
+    def open(directory: Path, kernels: Sequence[str] = ()) -> "Study":
+        """Open a ledger; no `kernels` = all in which it has faults.
+
+        Raises:
+            BadInputError: It is not a ledger of instruction faults, or has none in a kernel.
+        """
+        with Store.open(directory) as store:
+            campaign, digest = stored_campaign(store), store.digest()
+        known = tuple(getattr(campaign.sampling, "kernels", ()))  # detectors are not protected
+        known = tuple(kernel for kernel in known if kernel in INJECTABLE)
+        if campaign.sampling.level != "instruction":
+            raise BadInputError(
+                f"{directory}: level {campaign.sampling.level!r}; allowed: a campaign of level instruction"
+            )
+        for kernel in kernels:
+            if kernel not in known:
+                raise BadInputError(f"--kernels: {kernel!r}: allowed: {', '.join(known)}")
+        return Study(directory, campaign, digest, tuple(kernels) or known)
+
+    def by_planner(self) -> dict[str, tuple[str, ...]]:
+        """All kernels of the missions that are flown, by planner; that of the campaign's mission comes first."""
+        own = self.campaign.spec(self.campaign.environments[0], self.campaign.first_seed).planner
+        planners = dict.fromkeys([own, *(kernel for kernel in self.kernels if kernel in PLANNERS)])
+        common = tuple(kernel for kernel in INJECTABLE if kernel not in PLANNERS)
+        return {planner: (*common, planner) for planner in planners if planner in PLANNERS}
+
+    def scenario(self, environment: str, seed: int, planner: str) -> Scenario:
+        """A mission of the campaign."""
+        scenario: Scenario = host_of(self.campaign).resolve(self.campaign.spec(environment, seed, {"planner": planner}))
+        return scenario
+
+    def fresh(self, planner: str, missions: int = FRESH) -> list[Scenario]:
+        """Missions that the ledger does not contain: the seeds after its own."""
+        first = self.campaign.seeds.stop
+        return [
+            self.scenario(environment, seed, planner)
+            for environment in self.campaign.environments
+            for seed in range(first, first + missions)
+        ]
+
+
+def advise(study: Study, budget: float, tell: Tell = lambda _: None) -> list[Advice]:
+    """Advice by planner of the missions, that of the campaign's planner first.
+
+    The budget applies to each flight.  Functions that several planners share are chosen in the first one.
+
+    Raises:
+        BadInputError: The ledger has no injections in instructions, or is of other code.
+    """
+    injections = injections_of(Runs.read(study.directory), study.directory)
+    environment, seed = study.campaign.environments[0], study.campaign.first_seed
+    found: list[Advice] = []
+    for planner, kernels in study.by_planner().items():
+        tell(f"flying the golden mission {environment} {seed} with {planner}")
+        seen = observe(study.scenario(environment, seed, planner), kernels)
+        known = {curve.target.name: (curve, step) for advice in found for curve, step in advice.steps}
+        targets = targets_of(seen, injections)
+        shared = [known[target.name] for target in targets if target.name in known]
+        new = [target for target in targets if target.name not in known]
+        besides = sum(curve.ticks for curve, _ in shared)
+        curves = curves_of(new, study.kernels, besides, tell)
+        whole = besides + sum(curve.ticks for curve in curves)
+        spent = sum(curve.ticks * (step.time - 1) for curve, step in shared) / whole
+        found.append(Advice(budget, curves, allocate(curves, budget - spent), spent))
+    return found
+
+
+def plan_of(study: Study, advices: Sequence[Advice]) -> Plan:
+    """The plan of an advice."""
+    functions = [
+        planned_of(curve.target, step) for advice in advices for curve, step in advice.steps if step.choice.chosen
+    ]
+    return Plan(cpu=processor(), ledger=study.digest, functions=tuple(functions))
+
+
+def planned_of(target: Target, step: Step) -> FunctionPlan:
+    """The entry of a function in a plan."""
+    sites = target.sites(step.choice)
+    return FunctionPlan(
+        kernel=target.kernels[0], function=target.name, signature=target.seen.signature_text,
+        ir_sha256=target.seen.variant.ir_sha256, kind="duplicate" if sites else "none", sites=tuple(sites),
+        lines=target.lines(sites), time=round(step.time, 3), predicted=_coverage(step.coverage),
+    )  # fmt: skip
+
+
+def _coverage(found: Rate) -> Coverage | None:
+    if found.rate is None or found.low is None or found.high is None:
+        return None
+    return Coverage(estimate=found.rate, low=found.low, high=found.high)
+
+
+def processor() -> str:
+    """Model of the processor on which times are measured."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+@dataclass(frozen=True, slots=True)
+class Certification:
+    """Certificates of a plan's functions, and its golden flights.
+
+    Attributes:
+        plan: Digest of the plan.
+        faults: Number per function, in plain and in protected code.
+        missions: Environment and seed of the missions.
+        certificates: By function.
+        golden: Flights in which all calls run protected code.
+    """
+
+    plan: str
+    faults: int
+    missions: tuple[str, ...]
+    certificates: tuple[Certificate, ...]
+    golden: GoldenCheck
+
+    @property
+    def refuted(self) -> bool:
+        """Whether a prediction is refuted, or a golden flight differs or raises an alarm."""
+        return not self.golden.passed or any(one.verdict == "refuted" for one in self.certificates)
+
+
+def certify_plan(study: Study, plan: Plan, faults: int, tell: Tell = lambda _: None) -> Certification:
+    """Certify a plan with missions and faults that its choice has not seen.
+
+    Raises:
+        BadInputError: The plan was made from another ledger or for other code, or protects nothing here.
+    """
+    if plan.ledger != study.digest:
+        raise BadInputError(
+            f"{study.directory}: ledger {study.digest[:12]}, the plan was made from {plan.ledger[:12] or 'none'}: its "
+            "seeds are not known to be fresh; allowed: the ledger of the plan"
+        )
+    certificates: list[Certificate] = []
+    golden = GoldenCheck()
+    missions: list[str] = []
+    for planner, kernels in study.by_planner().items():
+        scenarios = study.fresh(planner)
+        done = {one.function for one in certificates}
+        flown: list[Seen] = []
+        for scenario in scenarios:
+            tell(f"flying {scenario.environment.name} {scenario.seed} with {planner}")
+            flown += [seen for own in observe(scenario, kernels).values() for seen in own]
+            golden = golden.plus(check_golden(scenario, plan, kernels))
+            missions.append(f"{scenario.environment.name}-{scenario.seed}-{planner}")
+        for pair in pairs_of(merged(flown), plan):
+            if pair.planned.function not in done:
+                tell(f"injecting {3 * faults} faults in {pair.planned.function}")
+                certificates.append(certify(pair, faults, plan.digest))
+    if not certificates:
+        raise BadInputError("the plan protects no function of these missions; allowed: one with sites")
+    return Certification(plan.digest, faults, tuple(missions), tuple(certificates), golden)
+
+
+def merged(seen: Sequence[Seen]) -> list[Seen]:
+    """Join what several flights showed of the same function and signature."""
+    found: dict[tuple[str, Any], Seen] = {}
+    for one in seen:
+        key = one.entry, one.signature
+        if key not in found:
+            found[key] = Seen(one.function, one.entry, one.signature, one.variant, np.zeros_like(one.executions))
+        own = found[key]
+        own.executions = own.executions + one.executions
+        own.total += one.total
+        own.calls = [*own.calls, *one.calls]
+    return list(found.values())
+
+
+def save_certification(certification: Certification, plan_path: Path) -> Path:
+    """Write the certificate beside a plan; returns its path, e.g. plan.certificate.json.
+
+    Raises:
+        BadInputError: The file cannot be written.
+    """
+    path = plan_path.with_suffix(".certificate.json")
+    with writing(path):
+        path.write_text(json.dumps(certification_json(certification), indent=1) + "\n", encoding="utf-8")
+    return path
+
+
+def certification_json(certification: Certification) -> dict[str, Any]:
+    """A certificate as plain data."""
+    return {
+        "plan": certification.plan, "faults": certification.faults, "missions": list(certification.missions),
+        "refuted": certification.refuted, "golden": certification.golden.to_json(),
+        "functions": [one.to_json() for one in certification.certificates],
+    }  # fmt: skip

@@ -1,0 +1,125 @@
+"""`mavfi harden`: which instructions of the kernels to duplicate, and the certificate of such a plan."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mavfi.cli import options
+from mavfi.cli.console import PAGES, check_file, check_number, check_writable, console, write_json
+from mavfi.errors import BadInputError
+
+if TYPE_CHECKING:
+    from mavfi.campaign.hardening.study import Study
+
+EXIT_REFUTED = 3
+
+
+def harden(
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaign with faults in instructions.")],
+    plan: Annotated[
+        Path | None, typer.Option(metavar="FILE.yaml", help="The plan: written, or with --certify read.")
+    ] = None,
+    budget: Annotated[
+        float | None, typer.Option(metavar="SHARE", help="Share of a flight's kernel time to spend; 0.10 by default.")
+    ] = None,
+    kernels: Annotated[str, typer.Option(metavar="NAMES", help="These kernels only, separated by commas.")] = "",
+    html: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Write the advice as one offline page.")
+    ] = None,
+    certify: Annotated[
+        bool, typer.Option("--certify", help="Test a plan with missions and faults that its choice has not seen.")
+    ] = False,
+    faults: Annotated[int | None, typer.Option(metavar="N", help="Per function; 400 by default.")] = None,
+    as_json: options.AsJson = False,
+) -> None:
+    """Advise which instructions of the kernels to duplicate within a budget of time, or certify such a plan.
+
+    The exit code is 3 if the certificate refutes the plan's prediction.
+
+    Example: [bold]mavfi harden out/kernels --budget 0.10 --plan plan.yaml --html harden.html[/bold]
+
+    Example: [bold]mavfi harden out/kernels --plan plan.yaml --certify[/bold]
+    """
+    from mavfi.campaign.hardening.study import Study
+
+    check_number("--budget", budget, 0.0, 10.0)
+    check_number("--faults", faults, 1, 100_000)
+    names = [name.strip() for name in kernels.split(",") if name.strip()]
+    if certify:
+        _check_certify(plan, budget, html)
+        _certify(Study.open(directory, names), Path(str(plan)), faults or 400, as_json=as_json)
+        return
+    if faults is not None:
+        raise BadInputError(f"--faults: {faults}: allowed: with --certify")
+    check_file("--plan", plan, (".yaml", ".yml"))
+    check_file("--html", html, PAGES)
+    _advise(Study.open(directory, names), 0.10 if budget is None else budget, plan, html, as_json=as_json)
+
+
+def _check_certify(plan: Path | None, budget: float | None, html: Path | None) -> None:
+    if plan is None:
+        raise BadInputError("--plan: not given: allowed with --certify: the file of a plan")
+    for option, value in (("--budget", budget), ("--html", html)):
+        if value is not None:
+            raise BadInputError(f"{option}: {value}: allowed: without --certify")
+
+
+def _tell(text: str) -> None:
+    console(error=True).print(text, style="dim")
+
+
+def _advise(study: "Study", budget: float, plan: Path | None, html: Path | None, *, as_json: bool) -> None:
+    from rich.text import Text
+
+    from mavfi.campaign.analysis.runs import Runs
+    from mavfi.campaign.hardening.ledger import harm_of
+    from mavfi.campaign.hardening.study import advise, plan_of
+    from mavfi.campaign.hardening.summary import summary
+    from mavfi.hardening.plan import save_plan
+    from mavfi.reports.hardening.page import write_page
+    from mavfi.reports.hardening.plain import advice_table, caveats, headline
+    from mavfi.reports.terminal import show_table
+
+    advices = advise(study, budget, _tell)
+    found = summary(study, advices, harm_of(Runs.read(study.directory)))
+    if plan is not None:
+        save_plan(plan_of(study, advices), plan)
+    if html is not None:
+        write_page(html, found, study.directory, plan)
+    if as_json:
+        write_json(found)
+        return
+    out = console()
+    out.print(Text(headline(found), style="bold"))
+    for line in caveats(found):
+        out.print(Text(line))
+    out.print()
+    show_table(advice_table(found), out)
+    for path in (plan, html):
+        if path is not None:
+            out.print(Text.assemble(("wrote ", "dim"), str(path)))
+
+
+def _certify(study: "Study", path: Path, faults: int, *, as_json: bool) -> None:
+    from rich.text import Text
+
+    from mavfi.campaign.hardening.study import certification_json, certify_plan, save_certification
+    from mavfi.hardening.plan import load_plan
+    from mavfi.reports.hardening.plain import certificate_table, verdict_line
+    from mavfi.reports.terminal import show_table
+
+    plan = load_plan(path)
+    check_writable(path.with_suffix(".certificate.json"))
+    found = certify_plan(study, plan, faults, _tell)
+    written = save_certification(found, path)
+    if as_json:
+        write_json(certification_json(found))
+    else:
+        out = console()
+        out.print(Text(verdict_line(found), style="bold"))
+        out.print()
+        show_table(certificate_table(found), out)
+        out.print(Text.assemble(("wrote ", "dim"), str(written)))
+    if found.refuted:
+        raise typer.Exit(EXIT_REFUTED)

@@ -1,0 +1,1 @@
+"""Protection of compiled kernels: which instructions are duplicated, and the transformation of their IR."""

@@ -1,0 +1,132 @@
+"""Time of protected code against plain code, measured by the processor's time stamp counter within the machine code.
+
+Instructions are a poor guide to time: latency-bound code has free slots for shadows, throughput-bound code has none.
+Variants are timed in turn, and compared within rounds, so that a slow phase of the machine affects all of them.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mavfi.hardening.compiled import Compiled, text_of
+from mavfi.hardening.recorded import copied
+from mavfi.ir.build import Source
+from mavfi.ir.module import Function, Module
+
+_REPETITIONS, _TICKS = "mavfi_repetitions", "mavfi_ticks"
+_LONG_ENOUGH = 60_000
+"""Ticks of a measured loop (about 20 us), far more than those of reading the counter."""
+_MOST_REPETITIONS = 200
+_FEWEST_ROUNDS = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Time of variants of a function over recorded calls.
+
+    Attributes:
+        ratios: Time of each variant / time of plain code: median over rounds.
+        ticks: Ticks of the time stamp counter per plain call: mean over the recorded calls.
+        rounds: Number of rounds.
+    """
+
+    ratios: dict[str, float]
+    ticks: float
+    rounds: int
+
+
+class Timed(Compiled):
+    """Machine code of a function, run many times within one call from Python.
+
+    Args:
+        source: The function.
+        module: A variant of its module.
+        environment: See `Compiled`.
+    """
+
+    def __init__(self, source: Source, module: Module, environment: Any) -> None:
+        main = main_function(module, source.wrapper)
+        super().__init__(source, looping(text_of(module), source.wrapper, main), environment)
+        self._repetitions, self._ticks = self.word(_REPETITIONS), self.word(_TICKS)
+
+    def ticks(self, args: tuple[Any, ...], repetitions: int) -> float:
+        """Ticks per repetition of a call; modifies the arguments as so many calls do."""
+        self._repetitions.value = repetitions
+        self(*args)
+        return self._ticks.value / repetitions
+
+
+def main_function(module: Module, wrapper: str) -> Function:
+    """The function that a wrapper calls.
+
+    Raises:
+        ValueError: It calls none of the module's functions.
+    """
+    for text in module.others:
+        if wrapper in text.split("\n", 1)[0]:
+            for function in module.functions:
+                if f"{function.name} (" in text or f"{function.name}(" in text:
+                    return function
+    raise ValueError(f"{wrapper}: calls no function of its module")
+
+
+def looping(text: str, wrapper: str, main: Function) -> str:
+    """IR in which the wrapper calls a function in a loop, and stores the ticks of the time stamp counter."""
+    name = main.name
+    parts = text.split("\ndefine ")
+    for place, part in enumerate(parts):
+        if wrapper in part.split("\n", 1)[0]:
+            parts[place] = part.replace(f"{name} (", "@mavfi_loop (").replace(f"{name}(", "@mavfi_loop(")
+    typed = ", ".join(f"{kind} {parameter}" for kind, parameter in main.parameters)
+    return (
+        "\ndefine ".join(parts)
+        + f"""
+@{_REPETITIONS} = global i64 1
+@{_TICKS} = global i64 0
+declare i64 @llvm.readcyclecounter()
+define internal i32 @mavfi_loop({typed}) noinline {{
+mavfi.entry:
+  %mavfi.n = load volatile i64, ptr @{_REPETITIONS}
+  %mavfi.start = call i64 @llvm.readcyclecounter()
+  br label %mavfi.loop
+mavfi.loop:
+  %mavfi.i = phi i64 [ 0, %mavfi.entry ], [ %mavfi.next, %mavfi.loop ]
+  %mavfi.status = call i32 {name}({typed})
+  %mavfi.next = add i64 %mavfi.i, 1
+  %mavfi.more = icmp ult i64 %mavfi.next, %mavfi.n
+  br i1 %mavfi.more, label %mavfi.loop, label %mavfi.done
+mavfi.done:
+  %mavfi.end = call i64 @llvm.readcyclecounter()
+  %mavfi.ticks = sub i64 %mavfi.end, %mavfi.start
+  store volatile i64 %mavfi.ticks, ptr @{_TICKS}
+  ret i32 %mavfi.status
+}}
+"""
+    )
+
+
+Clock = Callable[[tuple[Any, ...], int], float]
+"""Ticks per repetition of a call, as `Timed.ticks`."""
+
+
+def compare(
+    plain: Clock, variants: Mapping[str, Clock], calls: Sequence[tuple[Any, ...]], enough: Callable[[int], bool]
+) -> Timing:  # fmt: skip
+    """Time variants in turn on recorded calls, until `enough` of the number of rounds, each with one call.
+
+    The order of the variants changes from round to round; each runs on a copy of the arguments.
+    """
+    clocks = {"": plain, **variants}
+    names = list(clocks)
+    rows: list[dict[str, float]] = []
+    first = min(plain(copied(calls[0]), 1) for _ in range(3))
+    repetitions = int(np.clip(_LONG_ENOUGH / max(first, 1.0), 1, _MOST_REPETITIONS))
+    while len(rows) < max(_FEWEST_ROUNDS, len(calls)) or not enough(len(rows)):
+        place = len(rows) % len(names)
+        args = calls[len(rows) % len(calls)]
+        rows.append({name: clocks[name](copied(args), repetitions) for name in names[place:] + names[:place]})
+    ratios = {name: float(np.median([row[name] / row[""] for row in rows])) for name in variants}
+    by_call = [float(np.median([row[""] for row in rows[place :: len(calls)]])) for place in range(len(calls))]
+    return Timing(ratios, float(np.mean(by_call)), len(rows))

@@ -1,0 +1,25 @@
+"""The transformation that a plan describes, for the code of one function."""
+
+from dataclasses import dataclass
+
+from mavfi.hardening.duplicate import protect
+from mavfi.hardening.plan import FunctionPlan, check_code
+from mavfi.ir.digest import digest_of
+from mavfi.ir.module import Module
+
+
+@dataclass(frozen=True, slots=True)
+class Protection:
+    """Rewrites the module of a planned function; see `mavfi.ir.build.Rewrite`."""
+
+    plan: FunctionPlan
+
+    @property
+    def key(self) -> bytes:
+        """What determines the protected code; measured times and coverage do not."""
+        return repr((self.plan.ir_sha256, self.plan.addresses, self.plan.libm, self.plan.sites)).encode()
+
+    def __call__(self, module: Module) -> Module:
+        """The protected module; a BadInputError if the plan was made for other code."""
+        check_code(self.plan, digest_of(module))
+        return protect(module, self.plan.sites, addresses=self.plan.addresses, libm=self.plan.libm)

@@ -1,0 +1,124 @@
+"""IR of a kernel from Numba, and machine code from IR.
+
+Both are made in a process of their own, since LLVM aborts on a malformed module.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import llvmlite.binding as llvm
+
+from mavfi.errors import BadInputError
+from mavfi.ir.forked import run_in_child
+from mavfi.ir.fresh import run_fresh
+from mavfi.ir.module import Module
+from mavfi.ir.refusal import BuildError, RefusedError
+from mavfi.numerics.jit import uncached_copy
+
+_PATIENCE = 600.0
+_OPTIMISATION = 3
+"""Optimisation level of code generation, as Numba's."""
+
+
+class Rewrite(Protocol):
+    """A transformation of a module, which can be sent to another process; `key` identifies it in caches."""
+
+    @property
+    def key(self) -> bytes:
+        """Its identity."""
+
+    def __call__(self, module: Module) -> Module:
+        """The transformed module, e.g. with protection; a BadInputError if it was made for another module."""
+
+
+Make = Callable[[Any, tuple[Any, ...]], bytes]
+"""Rewrites and translates a kernel for a signature; a function of a module, so that a fresh process finds it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A kernel compiled by Numba for one signature.
+
+    Attributes:
+        kernel: Module and name.
+        text: IR of its module, after all optimisation.
+        wrapper: The function that Python calls.
+        environment: The global that points to Numba's environment of the kernel.
+    """
+
+    kernel: str
+    text: str
+    wrapper: str
+    environment: str
+
+
+def name_of(kernel: Any) -> str:
+    """Module and name of a kernel."""
+    return f"{kernel.py_func.__module__}.{kernel.py_func.__qualname__}"
+
+
+def check(kernel: Any) -> None:
+    """Raise a RefusedError if it is not compiled, or compiled with flags that prevent exact replay."""
+    flags = getattr(kernel, "targetoptions", None)
+    if flags is None or not hasattr(kernel, "inspect_llvm"):
+        raise RefusedError(getattr(kernel, "__name__", repr(kernel)), "it is not a function compiled by kernel_jit")
+    for flag in ("fastmath", "parallel", "forceobj"):
+        if flags.get(flag):
+            raise RefusedError(name_of(kernel), f"{flag}={flags[flag]!r}")
+
+
+def build_apart(kernel: Any, signature: tuple[Any, ...], make: Make) -> bytes:
+    """Result of `make` for a kernel and signature (Numba types of the arguments), from a fresh process if possible.
+
+    Raises:
+        RefusedError: `make` met an unknown construct.
+        BadInputError: `make` does not fit the kernel.
+        BuildError: The compiler crashed.
+    """
+    check(kernel)
+    ended = run_fresh(kernel, signature, make, _PATIENCE)
+    if ended is None:
+        ended = run_in_child(lambda: answer(make, kernel, signature), _PATIENCE)
+    if ended.how != "done":
+        raise BuildError(f"{name_of(kernel)}: the compiler ended with {ended.detail}")
+    if ended.payload[:1] == b"R":
+        raise RefusedError(name_of(kernel), ended.payload[1:].decode())
+    if ended.payload[:1] == b"I":
+        raise BadInputError(ended.payload[1:].decode())
+    return ended.payload[1:]
+
+
+def answer(make: Make, kernel: Any, signature: tuple[Any, ...]) -> bytes:
+    """The part of `build_apart` that runs in another process: the result of `make`, or why there is none."""
+    try:
+        return b"B" + make(kernel, signature)
+    except RefusedError as error:
+        return b"R" + error.construct.encode()
+    except BadInputError as error:
+        return b"I" + str(error).encode()
+
+
+def source_of(kernel: Any, signature: tuple[Any, ...]) -> Source:
+    """Recompile a kernel in this process, since code loaded from a cache has no IR."""
+    copy = uncached_copy(kernel)
+    copy.compile(signature)
+    names = copy.overloads[signature].fndesc
+    return Source(name_of(kernel), copy.inspect_llvm(signature), names.llvm_cpython_wrapper_name, names.env_name)
+
+
+def target_machine() -> Any:
+    """A generic x86-64 CPU, for the same code everywhere."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    target = llvm.Target.from_triple(llvm.get_process_triple())
+    return target.create_target_machine(
+        cpu="generic", features="", opt=_OPTIMISATION, reloc="static", codemodel="jitdefault", jit=True,
+    )  # fmt: skip
+
+
+def translate(text: str, prepare: Callable[[Any, Any], Any] = lambda module, machine: module) -> bytes:
+    """Compile IR, after `prepare`, to an object file; malformed IR is a RuntimeError unless LLVM aborts."""
+    module, machine = llvm.parse_assembly(text), target_machine()
+    module.verify()
+    return bytes(machine.emit_object(prepare(module, machine)))

@@ -1,0 +1,1 @@
+"""The hardening advice and its certificate: text, tables and a page."""

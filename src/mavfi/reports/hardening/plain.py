@@ -1,0 +1,105 @@
+"""Hardening advice and certificates as sentences and tables."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from mavfi.campaign.analysis.statistics import Rate
+from mavfi.campaign.analysis.table import Table
+from mavfi.campaign.hardening.certify import Certificate, together
+from mavfi.campaign.hardening.study import Certification
+from mavfi.reports.text import ABSENT, percent
+
+_ADVICE = ("kernel", "function", "kernel time", "time", "adds", "SDCs removed, predicted", "n SDC", "sites")
+_CERTIFICATE = (
+    "kernel", "function", "SDC before", "SDC after", "detected", "DUE after", "instr.", "SDCs removed", "predicted", "",
+)  # fmt: skip
+DUE = ("crash", "hang", "exception")
+
+
+def headline(summary: Mapping[str, Any]) -> str:
+    """The advice in one sentence."""
+    named = [row["kernel"] for row in summary["kernels"] if row["added"] > 0 or row["coverage"]["rate"]]
+    if not named:
+        return f"Nothing can be protected within {percent(summary['budget'])} of a flight's kernel time."
+    return (
+        f"Protect {', '.join(named)}: {percent(summary['spent'])} more kernel time per flight removes "
+        f"{interval(summary['coverage'])} of all silent corruptions (SDC), predicted from {summary['injections']:,} "
+        "injections."
+    )
+
+
+def caveats(summary: Mapping[str, Any]) -> list[str]:
+    """What the protection does not buy."""
+    harm = summary["harm"]
+    silent, dead, share = (harm[name] for name in ("silent", "dead", "dead_share"))
+    return [
+        f"It does not buy missions: {silent['successes']} of {silent['n']} flights with an SDC were lost, "
+        f"{interval(silent)}; {dead['successes']} of {dead['n']} with a dead kernel.",
+        f"It does not buy crashes: {interval(share)} of the injections ended in a crash, hang or exception; "
+        "duplication detects some of them, at machine level hardly any.",
+    ]
+
+
+def advice_table(summary: Mapping[str, Any]) -> Table:
+    """What to protect, by function."""
+    rows = [
+        (
+            row["kernel"], row["entry"], percent(row["share"]), f"×{row['time']:.2f}", percent(row["added"], 2),
+            interval(row["coverage"]), str(row["coverage"]["n"]), f"{row['sites']} of {row['all_sites']}",
+        )
+        for row in summary["functions"]
+    ]  # fmt: skip
+    notes = (
+        "kernel time: share of a golden flight's; time: measured, protected / plain; adds: of a flight's kernel time; "
+        "predicted by cross-validation over missions of the ledger, 95 % interval; sites: instructions that are "
+        "duplicated, of those that can be",
+    )
+    return Table.of_text("What to protect", _ADVICE, rows, notes)
+
+
+def verdict_line(certification: Certification) -> str:
+    """The certificate in one sentence."""
+    golden = certification.golden
+    verdicts = [one.verdict for one in certification.certificates]
+    outcome = "refuted" if certification.refuted else "confirmed"
+    return (
+        f"The plan is {outcome}: {interval_of(together(certification.certificates))} of all SDCs are removed, on fresh "
+        f"missions and faults; {verdicts.count('refuted')} of {len(verdicts)} predictions are refuted; golden digests "
+        f"equal in {golden.same} of {golden.flights} flights; {golden.alarms} false alarms in {golden.calls:,} calls."
+    )
+
+
+def certificate_table(certification: Certification) -> Table:
+    """Certificates by function."""
+    rows = [_certificate_row(one) for one in certification.certificates]
+    notes = (
+        f"{certification.faults} faults per function in plain code, as many in protected code, uniform over its own "
+        "dynamic instructions; SDCs removed: 1 - SDC after x instr. / SDC before, so that added instructions do not "
+        "dilute the rate; instr.: dynamic instructions, protected / plain",
+        "DUE (crash, hang, exception) at IR level",
+    )
+    return Table.of_text("Certificate", _CERTIFICATE, rows, notes)
+
+
+def _certificate_row(one: Certificate) -> tuple[str, ...]:
+    n = sum(one.after.values())
+    predicted = ABSENT if one.predicted is None else interval(
+        {"rate": one.predicted.estimate, "low": one.predicted.low, "high": one.predicted.high}
+    )  # fmt: skip
+    return (
+        one.kernel, one.function.rpartition(".")[2], interval_of(one.sdc_before), interval_of(one.sdc_after),
+        percent(one.after.get("detected", 0) / n), percent(sum(one.after.get(name, 0) for name in DUE) / n),
+        f"×{one.growth:.2f}", interval_of(one.coverage), predicted, one.verdict,
+    )  # fmt: skip
+
+
+def interval_of(found: Rate) -> str:
+    """A rate with its interval, in per cent."""
+    return interval({"rate": found.rate, "low": found.low, "high": found.high})
+
+
+def interval(found: Mapping[str, Any]) -> str:
+    """A rate with its interval, in per cent: "93.1 % [90.2, 95.4]"."""
+    if found["rate"] is None:
+        return ABSENT
+    return f"{percent(found['rate'])} [{100 * found['low']:.1f}, {100 * found['high']:.1f}]"

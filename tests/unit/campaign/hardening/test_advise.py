@@ -1,0 +1,73 @@
+"""Budget of time over functions, and predicted coverage."""
+
+from dataclasses import dataclass
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mavfi.campaign.hardening.advise import Advice, Curve, Step, allocate, coverage_of, together
+from mavfi.campaign.hardening.ledger import Injected
+from mavfi.hardening.choose import NOTHING
+
+
+@dataclass
+class Target:
+    name: str
+    sdc_mass: float
+    kernels: tuple[str, ...] = ("pid",)
+
+
+def judged(hits, n, world=lambda i: f"dense {i}"):
+    return [(Injected("pid", "track", "ir", 0, i, True, world(i)), i < hits) for i in range(n)]
+
+
+def curve(name, share, mass, *points):
+    """A curve with (time, share of SDCs removed) at each step."""
+    steps = [
+        Step(0.0, NOTHING, 1.0, judged(0, 100)),
+        *(Step(1.0, NOTHING, t, judged(round(100 * c), 100)) for t, c in points),
+    ]
+    return Curve(Target(name, mass), 1.0, share, tuple(steps))
+
+
+SMALL = curve("track", 0.1, 50.0, (1.2, 0.8), (1.4, 0.95))
+LARGE = curve("insert_scan", 0.9, 100.0, (1.1, 0.2), (2.4, 1.0))
+
+
+def test_the_cheapest_steps_are_bought_first():
+    assert allocate([SMALL, LARGE], 0.03) == (1, 0)
+    assert allocate([SMALL, LARGE], 0.05) == (2, 0)
+    assert allocate([SMALL, LARGE], 0.14) == (2, 1)
+    assert allocate([SMALL, LARGE], 2.0) == (2, 2)
+    assert allocate([SMALL, LARGE], 0.0) == (0, 0)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(0.01, 1), st.floats(0, 9), st.floats(1, 3), st.floats(0, 1)), max_size=4),
+    st.floats(0, 2),
+)
+def test_the_budget_is_kept(rows, budget):
+    curves = [curve(str(i), share, mass, (time, gain)) for i, (share, mass, time, gain) in enumerate(rows)]
+    assert Advice(budget, tuple(curves), allocate(curves, budget)).spent <= budget + 1e-12
+
+
+def test_predicted_coverage_counts_missions_as_clusters():
+    alone = coverage_of(judged(50, 100))
+    clustered = coverage_of(judged(50, 100, lambda i: f"dense {i // 50}"))
+    assert alone.rate == clustered.rate == 0.5
+    assert clustered.high - clustered.low > 2 * (alone.high - alone.low)
+
+
+def test_functions_count_by_their_silent_corruptions():
+    found = together([("a", 90.0, judged(100, 100)), ("b", 10.0, judged(0, 50)), ("c", 5.0, [])])
+    assert found.rate == pytest.approx(0.9)
+    assert found.low < 0.9 < found.high
+
+
+def test_an_advice_sums_time_over_its_functions():
+    advice = Advice(0.2, (SMALL, LARGE), allocate([SMALL, LARGE], 0.14), besides=0.01)
+    assert advice.spent == pytest.approx(0.01 + 0.1 * 0.4 + 0.9 * 0.1)
+    assert advice.coverage().rate == pytest.approx((50 * 0.95 + 100 * 0.2) / 150)
+    assert advice.coverage("octomap").rate is None

@@ -1,0 +1,88 @@
+"""Exhaustive injection: every bit of every dynamic instruction of a call."""
+
+import mmap
+from collections import Counter
+
+import numpy as np
+
+from mavfi.faults.instruction import budget_for
+from mavfi.faults.instruction.api import digest
+from mavfi.faults.instruction.build import assemble, prepare
+from mavfi.faults.instruction.variant import Variant, signature_of
+from mavfi.hardening.candidates import candidates
+from mavfi.hardening.duplicate import protect
+from mavfi.ir.build import source_of
+from mavfi.ir.forked import run_in_child
+from mavfi.ir.parser import parse_module
+
+OUTCOMES = {b"M": "masked", b"S": "sdc", b"D": "detected", b"E": "exception"}
+
+
+class Full:
+    """Duplicates whatever can be."""
+
+    key = b"full"
+
+    def __init__(self, *, addresses=False, libm=False):
+        self.addresses, self.libm = addresses, libm
+
+    def __call__(self, module):
+        return protect(module, candidates(module, libm=self.libm), addresses=self.addresses, libm=self.libm)
+
+
+def module_of(kernel, args):
+    return parse_module(source_of(kernel, signature_of(args)).text, "kernel")
+
+
+def variant(kernel, args, rewrite=None):
+    """The instrumented variant, built in this process."""
+    signature = signature_of(args)
+    kernel.compile(signature)
+    return Variant(assemble(*prepare(kernel, signature, rewrite)), kernel.overloads[signature].environment)
+
+
+def copies(args):
+    return tuple(argument.copy() if isinstance(argument, np.ndarray) else argument for argument in args)
+
+
+def sites_of(struck, args):
+    """The site of each dynamic instruction of a call."""
+    total = struck.count(*copies(args))[1]
+    return struck.resolve(range(total), *copies(args))[1]
+
+
+def strike_all(struck, args, step=1):
+    """Outcomes of all faults, or of every `step`-th: number by outcome, and the sites of silent corruptions."""
+    sites = sites_of(struck, args)
+    todo = [(index, bit) for index, site in enumerate(sites) for bit in range(site.width)][::step]
+    own = copies(args)
+    golden = digest((struck.count(*own)[0], own))
+    budget = budget_for(len(sites))
+    found = mmap.mmap(-1, len(todo) + 1)
+    hows = []
+    while len(hows) < len(todo):
+        first = len(hows)
+
+        def work(first=first):
+            for place, (index, bit) in enumerate(todo[first:], first):
+                found[place] = outcome(struck, index, bit, budget, args, golden)[0]
+            return b""
+
+        ended = run_in_child(work, 120.0)
+        while len(hows) < len(todo) and found[len(hows)]:
+            hows.append(OUTCOMES[bytes([found[len(hows)]])])
+        if len(hows) < len(todo):
+            hows.append(ended.how)
+    silent = Counter(str(sites[index]) for (index, _), how in zip(todo, hows, strict=True) if how == "sdc")
+    return Counter(hows), silent
+
+
+def outcome(struck, index, bit, budget, args, golden):
+    own = copies(args)
+    try:
+        result = struck.inject(index, -1, 1 << bit, budget, *own)
+    except SystemError:
+        return b"D"
+    except Exception:
+        return b"E"
+    return b"M" if digest((result, own)) == golden else b"S"

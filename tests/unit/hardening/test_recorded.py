@@ -1,0 +1,40 @@
+"""Copies of arguments keep what selects a compiled signature, and what two arguments share."""
+
+import numba
+import numpy as np
+
+from mavfi.hardening.recorded import Recording, copied
+
+
+def test_copies_keep_values_strides_access_and_signature():
+    table = np.arange(24.0).reshape(4, 6)
+    fixed = np.arange(3)
+    fixed.flags.writeable = False
+    args = (table[:, 1], table[::2, ::3], fixed, 2.5, np.zeros((0, 3)))
+    other = copied(args)
+    assert numba.typeof(other) == numba.typeof(args)
+    assert [a.strides for a in other if isinstance(a, np.ndarray)] == [
+        a.strides for a in args if isinstance(a, np.ndarray)
+    ]
+    np.testing.assert_equal(other, args)
+    other[0][:] = -1
+    assert table.min() == 0
+    assert other[1][0, 0] == 0 and np.shares_memory(other[0], other[1]) is False  # no common element
+
+
+def test_arrays_that_share_memory_share_it_in_the_copy():
+    table = np.arange(6.0)
+    first, second = copied((table[:4], table[2:]))
+    first[2] = 9.0
+    assert second[0] == 9.0 and table[2] == 2.0
+
+
+def test_recorded_calls_are_spread_evenly_and_taken_before_the_call():
+    recording, value = Recording(4), np.zeros(1)
+    for number in range(100):
+        recording.note((value,))
+        value += 1
+        assert recording.total == number + 1
+    calls = sorted(recording.kept)
+    assert 4 <= len(calls) <= 8 and len(set(np.diff(calls))) == 1 and calls[0] == 0
+    assert all(recording.kept[call][0][0] == call for call in calls)

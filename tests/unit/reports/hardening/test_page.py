@@ -1,0 +1,54 @@
+"""The page of an advice: complete, offline, and safe; and its sentences."""
+
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+from mavfi.reports.hardening.page import HEIGHT, WIDTH, curve, page, source
+from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval
+from tests.unit.reports.hardening.summaries import rate, summary
+
+DIRECTORY, PLAN = Path("out/my runs"), Path("plan.yaml")
+
+
+def test_the_page_says_what_to_protect_and_what_it_does_not_buy():
+    text = page(summary(), DIRECTORY, PLAN)
+    HTMLParser().feed(text)
+    assert "46.0 % [41.0, 51.0]" in text and "0 of 253 flights with an SDC were lost" in text
+    assert "hardening &lt;small&gt;" in text and "<small>\n" not in text.split("</title>")[0]
+    assert "mavfi harden &#39;out/my runs&#39; --plan plan.yaml --certify" in text
+    assert "cannot repeat: call 5.0 %" in text and "beyond the budget 15.0 %" in text
+
+
+def test_the_page_loads_nothing():
+    text = page(summary(), DIRECTORY, None)
+    assert not re.findall(r"(?:src|href)=[\"'](?!#)", text) and "<script" not in text
+    assert "default-src 'none'" in text
+
+
+def test_points_of_a_curve_lie_within_its_drawing_in_order_of_time():
+    drawn = curve(summary()["functions"][0])
+    assert [point["x"] for point in drawn["points"]] == sorted(point["x"] for point in drawn["points"])
+    assert all(
+        0 < point["x"] < WIDTH and 0 < point["high"] <= point["y"] <= point["low"] < HEIGHT for point in drawn["points"]
+    )
+    assert sum(point["chosen"] for point in drawn["points"]) == 1
+    assert drawn["xs"][0][1] == "×1" and 2 <= len(drawn["xs"]) <= 6
+
+
+def test_source_lines_have_their_text_and_gaps():
+    own = source(summary()["functions"][0])
+    (file,) = own["files"]
+    assert file["file"].endswith("pid.py") and all(line["code"] or line["number"] for line in file["lines"])
+    assert [line["gap"] for line in file["lines"]] == [False] + [True] * 9
+    assert file["lines"][9]["kept"] == "100" and file["lines"][9]["escapes"] == "0.0 %"
+
+
+def test_sentences():
+    told = summary()
+    assert headline(told).startswith("Protect pid, octomap: 9.9 % more kernel time")
+    told["kernels"] = [row | {"added": 0.0, "coverage": rate(0.0)} for row in told["kernels"]]
+    assert headline(told) == "Nothing can be protected within 10.0 % of a flight's kernel time."
+    assert "of 60 with a dead kernel" in caveats(told)[0]
+    assert interval(rate(None)) == "—"
+    assert advice_table(told).rows[0][:4] == ("pid", "track", "0.1 %", "×1.38")
