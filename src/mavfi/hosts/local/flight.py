@@ -41,7 +41,10 @@ def fly(
     loop.taps.injector = in_memory or loop.taps.injector
     watch(loop, detector, recovery)
     loop.taps.recorders.extend(recorders)
-    flight = loop.fly()
+    try:
+        flight = loop.fly()
+    finally:
+        loop.plant.close()
     if in_memory is not None and in_memory.effect is not None:
         flight.log = replace(flight.log, kernel=in_memory.effect)
     return flight
