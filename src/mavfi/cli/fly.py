@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from mavfi.cli import options
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
@@ -12,6 +14,7 @@ from mavfi.mission import RECOVERY, MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
+    from mavfi.hosts.local.mission_flights import LocalHost
     from mavfi.mission import Scenario
     from mavfi.reports.flight_result import FlightResult
 
@@ -30,6 +33,10 @@ def fly(  # noqa: PLR0913 - one parameter per option
     save: options.Save = None,
     picture: options.Picture = None,
     html: options.Html = None,
+    world: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A server of AirSim's API as the world, airsim://127.0.0.1:41451."),
+    ] = None,
 ) -> None:
     """Fly one mission and report its result; with a fault, compare it with the golden run.
 
@@ -58,7 +65,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         scenario = resolve(mission)
         watching, label = load_watcher(detector, profile, models, scenario)
         setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
-        result = fly_request(setup, request, fault_seed or 0, label, bare)
+        result = fly_request(setup, request, fault_seed or 0, label, bare, _host(world, fault))
     if save is not None:
         result.log.save(save)
     if picture is not None:
@@ -79,6 +86,23 @@ def fly(  # noqa: PLR0913 - one parameter per option
     for path in (save, picture, html):
         if path is not None:
             out.print(f"wrote {path}", style="dim", markup=False)
+
+
+def _host(world: str | None, fault: str | None) -> LocalHost:
+    """The host of the simulator's world, or of one behind an address."""
+    from mavfi.hosts.local.mission_flights import LocalHost
+
+    if world is None:
+        return LocalHost()
+    from mavfi.bridges.airsim.program import world_address
+    from mavfi.bridges.airsim.remote import Remote
+
+    if (fault or "").startswith("instruction:"):
+        raise BadInputError(
+            f"--fault: {fault}: faults in instructions fork the flight; allowed with --world: state:, memory:"
+        )
+    host, port = world_address(world)
+    return LocalHost(lambda here, scenario: Remote(here, scenario, host, port))
 
 
 def _draw(picture: Path, result: FlightResult) -> None:

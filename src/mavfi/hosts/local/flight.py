@@ -9,16 +9,18 @@ from mavfi.faults.state import StateInjector
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local.memory_faults import MemoryInjector
 from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.plant import MakePlant
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.taps import Recorder
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.sim.simulator import Simulator
 
 
 def fly(
     scenario: Scenario, fault: StateFault | MemoryFault | None = None, detector: Detector | None = None, *,
     recovery: Recovery = INLINE, profile: bool = False, recorders: Sequence[Recorder] = (),
-    functions: KernelFunctions = PLAIN,
+    functions: KernelFunctions = PLAIN, make_plant: MakePlant = Simulator,
 ) -> Flight:  # fmt: skip
     """Fly one mission; equal arguments yield bit-identical results.
 
@@ -30,18 +32,22 @@ def fly(
         profile: Whether to record the publication times of each state.
         recorders: Called with each publication as consumers receive it.
         functions: Functions that the kernels call: compiled or instrumented.
+        make_plant: Constructs the vehicle in its world.
 
     Raises:
         BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
     """
-    loop = new_loop(scenario, profile=profile, functions=functions)
+    loop = new_loop(scenario, profile=profile, functions=functions, make_plant=make_plant)
     if isinstance(fault, StateFault):
         loop.taps.injector = StateInjector(fault)
     in_memory = MemoryInjector(loop, fault) if isinstance(fault, MemoryFault) else None
     loop.taps.injector = in_memory or loop.taps.injector
     watch(loop, detector, recovery)
     loop.taps.recorders.extend(recorders)
-    flight = loop.fly()
+    try:
+        flight = loop.fly()
+    finally:
+        loop.plant.close()
     if in_memory is not None and in_memory.effect is not None:
         flight.log = replace(flight.log, kernel=in_memory.effect)
     return flight
