@@ -23,10 +23,9 @@ from mavfi.campaign.run import Progress, run_campaign
 from mavfi.campaign.samplers.request import draw_request
 from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector
-from mavfi.faults.fault import Fault
+from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.faults.spec import Request, parse
-from mavfi.hosts.host import ArmSetup, Flight
-from mavfi.hosts.local.mission_flights import LocalHost
+from mavfi.hosts.host import ArmSetup, Flight, host_for
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.watching import detector_for, with_keys_of
@@ -152,12 +151,14 @@ def figure(runs: Runs, name: str) -> "Figure":
     return figure_of(runs, name)
 
 
-def fly_request(setup: ArmSetup, request: Request | None, seed: int, label: str, bare: Scenario) -> FlightResult:
+def fly_request(
+    setup: ArmSetup, request: Request | RegisterFault | None, seed: int, label: str, bare: Scenario
+) -> FlightResult:
     """Fly the golden run, draw the requested fault from it, and fly the fault; without a request, the golden run only.
 
     Args:
         setup: Mission, detector and recovery.
-        request: The fault.
+        request: The fault; one in a register is drawn when it is injected.
         seed: Seed of the draw.
         label: Name of the detector; "" = none.
         bare: The mission without the detector and its mission keys, in which the fault is flown as well.
@@ -188,7 +189,7 @@ def _fly_fault(
 
 def _flown(setup: ArmSetup, fault: Fault | None, golden: Flight | None = None) -> tuple[Flight, Flight | None]:
     """Return the flight and its golden run; without a fault, the golden run and None."""
-    flights = LocalHost().mission({"": setup}, fast_forward=False)
+    flights: Any = host_for(fault).mission({"": setup}, fast_forward=False)  # each host has flights of its own type
     if golden is not None:
         flights.know("", golden)
     golden = flights.golden("")

@@ -11,6 +11,7 @@ from mavfi.cli import (
     explain,
     export,
     failures,
+    firmware,
     fly,
     inject,
     pack,
@@ -51,6 +52,7 @@ for verb in (pack.pack, pack.unpack):
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(bench.app, name="bench")
 app.add_typer(ros.app, name="ros")
+app.add_typer(firmware.app, name="firmware")
 
 
 def _tell_version(wanted: bool) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mavfi.cli import options
+from mavfi.cli import firmware, options
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
 from mavfi.mission import RECOVERY, MissionSpec
@@ -26,6 +26,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     detector: options.Detector = "none",
     profile: options.Profile = None,
     models: options.Models = None,
+    register_fault: firmware.FaultOption = None,
+    registers: firmware.RegistersOption = None,
+    register_seed: firmware.SeedOption = None,
     as_json: options.AsJson = False,
     save: options.Save = None,
     picture: options.Picture = None,
@@ -42,6 +45,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     check_file("--save", save, FLIGHTS)
     check_file("--picture", picture, PICTURES)
     check_file("--html", html, PAGES)
+    in_register = firmware.register_fault(register_fault, registers, register_seed, alone=not (fault or html))
     from mavfi.faults.spec import parse
 
     request = None if fault is None else parse(fault, mission.localization)
@@ -58,7 +62,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         scenario = resolve(mission)
         watching, label = load_watcher(detector, profile, models, scenario)
         setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
-        result = fly_request(setup, request, fault_seed or 0, label, bare)
+        result = fly_request(setup, in_register or request, fault_seed or 0, label, bare)
     if save is not None:
         result.log.save(save)
     if picture is not None:
