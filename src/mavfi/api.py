@@ -23,10 +23,9 @@ from mavfi.campaign.run import Progress, run_campaign
 from mavfi.campaign.samplers.request import draw_request
 from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector
-from mavfi.faults.fault import Fault
+from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.faults.spec import Request, parse
-from mavfi.hosts.host import ArmSetup, Flight
-from mavfi.hosts.local.mission_flights import LocalHost
+from mavfi.hosts.host import ArmSetup, Flight, host_for
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.watching import detector_for, with_keys_of
@@ -39,8 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from mavfi.campaign.analysis.table import Table
-
-_LOCAL = LocalHost()
 
 
 def fly(
@@ -155,17 +152,22 @@ def figure(runs: Runs, name: str) -> "Figure":
 
 
 def fly_request(
-    setup: ArmSetup, request: Request | None, seed: int, label: str, bare: Scenario, host: LocalHost = _LOCAL
+    setup: ArmSetup,
+    request: Request | RegisterFault | None,
+    seed: int,
+    label: str,
+    bare: Scenario,
+    host: LocalHost | None = None,
 ) -> FlightResult:
     """Fly the golden run, draw the requested fault from it, and fly the fault; without a request, the golden run only.
 
     Args:
         setup: Mission, detector and recovery.
-        request: The fault.
+        request: The fault; one in a register is drawn when it is injected.
         seed: Seed of the draw.
         label: Name of the detector; "" = none.
         bare: The mission without the detector and its mission keys, in which the fault is flown as well.
-        host: Where it flies; the simulator by default.
+        host: Where it flies; None = the host of the fault.
 
     Raises:
         BadInputError: The mission has no such site.
@@ -174,12 +176,12 @@ def fly_request(
     fault, golden = (
         (None, None) if request is None else draw_request(setup.scenario, request, seed, detector, setup.recovery)
     )
-    return _fly_fault(setup, fault, label, bare, golden if host is _LOCAL else None, host)
+    return _fly_fault(setup, fault, label, bare, golden if host is None else None, host)
 
 
 def _fly_fault(
     setup: ArmSetup, fault: Fault | None, label: str, bare: Scenario, golden: Flight | None = None,
-    host: LocalHost = _LOCAL,
+    host: LocalHost | None = None,
 ) -> FlightResult:  # fmt: skip
     """Fly the golden run and the fault; `golden`: the golden run without a detector, if known."""
     if setup.make_detector is None:
@@ -193,10 +195,11 @@ def _fly_fault(
 
 
 def _flown(
-    setup: ArmSetup, fault: Fault | None, golden: Flight | None = None, host: LocalHost = _LOCAL
+    setup: ArmSetup, fault: Fault | None, golden: Flight | None = None, host: LocalHost | None = None
 ) -> tuple[Flight, Flight | None]:
     """Return the flight and its golden run; without a fault, the golden run and None."""
-    flights = host.mission({"": setup}, fast_forward=False)
+    # each host has flights of its own type
+    flights: Any = (host or host_for(fault)).mission({"": setup}, fast_forward=False)
     if golden is not None:
         flights.know("", golden)
     golden = flights.golden("")

@@ -27,8 +27,12 @@ AFTERMATH = 1.0
 """Time from the injection within which every alarm is stored (s)."""
 
 
+CONTROLLER_LOST = "controller_lost"
+"""Kind of the event when a flight controller that is a program of its own ends or hangs."""
+
+
 class End(StrEnum):
-    """How a run ended as a computation: with a log, with a crash on every attempt, or with a defect of mavfi."""
+    """How a run ended as a computation: with a log, with a crash (on every attempt), or with a defect of mavfi."""
 
     FLOWN = "flown"
     DUE = "due"
@@ -148,11 +152,13 @@ def record_of(log: FlightLog) -> FlightRecord:
     """The record of a flight; course, time limit, latencies, publications and rejected commands come from `meta`."""
     duration, distance, energy = _motion(log)
     meta = log.meta
+    events = Counter(event.kind for event in log.events)
+    end = End.DUE if events[CONTROLLER_LOST] else End.FLOWN
     return FlightRecord(
-        End.FLOWN, log.status.label, log.digest(), duration, distance, energy, meta.get("course_m", 0.0),
+        end, log.status.label, log.digest(), duration, distance, energy, meta.get("course_m", 0.0),
         meta.get("time_limit_s", 0.0), tuple(log.injections), tuple(kept_alarms(log.injections, log.alarms)),
         len(log.alarms), dict(Counter(f"{a.source}/{a.action}/{a.outcome}" for a in log.alarms)),
-        dict(Counter(event.kind for event in log.events)), dict(meta.get("compute_us", {})),
+        dict(events), dict(meta.get("compute_us", {})),
         dict(meta.get("recompute_us", {})), dict(meta.get("publications", {})), {},
         meta.get("rejected_commands", 0), log.kernel,
     )  # fmt: skip

@@ -16,6 +16,7 @@ KINDS = {
 ASKED = {"level", "scheme", "host", "kernels"}
 """Attributes and names which say what kind of experiment this is."""
 ALLOWED = {
+    "bridges/firmware/host.py": 2,  # a host of its own, which refuses other faults
     "campaign/config.py": 2,  # keys that go together: groups with their scheme, a foreign node with its host
     "faults/register/tracer.py": 1,  # an order to this process is of its level
 }

@@ -12,6 +12,7 @@ from mavfi.cli import (
     explain,
     export,
     failures,
+    firmware,
     fly,
     harden,
     inject,
@@ -55,6 +56,7 @@ app.add_typer(campaign.app, name="campaign")
 app.add_typer(bench.app, name="bench")
 app.add_typer(ros.app, name="ros")
 app.add_typer(airsim.app, name="airsim")
+app.add_typer(firmware.app, name="firmware")
 
 
 def _tell_version(wanted: bool) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mavfi.cli import options
+from mavfi.cli import firmware, options
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
 from mavfi.mission import RECOVERY, MissionSpec
@@ -29,6 +29,9 @@ def fly(  # noqa: PLR0913 - one parameter per option
     detector: options.Detector = "none",
     profile: options.Profile = None,
     models: options.Models = None,
+    register_fault: firmware.FaultOption = None,
+    registers: firmware.RegistersOption = None,
+    register_seed: firmware.SeedOption = None,
     as_json: options.AsJson = False,
     save: options.Save = None,
     picture: options.Picture = None,
@@ -49,6 +52,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     check_file("--save", save, FLIGHTS)
     check_file("--picture", picture, PICTURES)
     check_file("--html", html, PAGES)
+    in_register = firmware.register_fault(register_fault, registers, register_seed, alone=not (fault or html))
     from mavfi.faults.spec import parse
 
     request = None if fault is None else parse(fault, mission.localization)
@@ -65,7 +69,8 @@ def fly(  # noqa: PLR0913 - one parameter per option
         scenario = resolve(mission)
         watching, label = load_watcher(detector, profile, models, scenario)
         setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
-        result = fly_request(setup, request, fault_seed or 0, label, bare, _host(world, fault))
+        wanted = in_register or request
+        result = fly_request(setup, wanted, fault_seed or 0, label, bare, _host(world, fault))
     if save is not None:
         result.log.save(save)
     if picture is not None:
@@ -88,12 +93,12 @@ def fly(  # noqa: PLR0913 - one parameter per option
             out.print(f"wrote {path}", style="dim", markup=False)
 
 
-def _host(world: str | None, fault: str | None) -> LocalHost:
-    """The host of the simulator's world, or of one behind an address."""
+def _host(world: str | None, fault: str | None) -> LocalHost | None:
+    """The host of a world behind an address; None = the simulator."""
     from mavfi.hosts.local.mission_flights import LocalHost
 
     if world is None:
-        return LocalHost()
+        return None
     from mavfi.bridges.airsim.program import world_address
     from mavfi.bridges.airsim.remote import Remote
 

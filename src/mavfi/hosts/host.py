@@ -18,8 +18,10 @@ GROUP = "mavfi.hosts"
 """Entry-point group of hosts: classes whose constructor arguments are host-specific keys of a campaign."""
 _SHIPPED = {
     "local": "mavfi.hosts.local.mission_flights:LocalHost", "ros1": "mavfi.hosts.ros1.host:Ros1Host",
-    "node": "mavfi.hosts.node.host:NodeHost",
+    "node": "mavfi.hosts.node.host:NodeHost", "firmware": "mavfi.bridges.firmware.host:FirmwareHost",
 }  # fmt: skip
+_HOSTS_OF_NODES = {"firmware": "firmware"}
+"""Host by `RegisterFault.node`."""
 
 
 @dataclass(slots=True)
@@ -152,6 +154,11 @@ def find_host(name: str, options: Mapping[str, Any] | None = None) -> Host:
     """
     host: Host = load_object("host", name, GROUP, _SHIPPED)(**(options or {}))
     return host
+
+
+def host_for(fault: Fault | None) -> Host:
+    """The host that flies a single mission with a fault: that of the process which the fault is in, or `local`."""
+    return find_host(_HOSTS_OF_NODES.get(getattr(fault, "node", ""), "local"))
 
 
 def require_level(host: Host, level: str) -> None:

@@ -9,7 +9,7 @@ from mavfi.campaign.plan import RunSpec
 from mavfi.campaign.replay import Explanation
 from mavfi.faults.fault import Fault
 from mavfi.flight_log import AlarmRecord, FlightLog, Injection, KernelEffect
-from mavfi.flight_record import AFTERMATH, INSTANT
+from mavfi.flight_record import AFTERMATH, CONTROLLER_LOST, INSTANT
 from mavfi.mission import MissionStatus
 from mavfi.outcomes import Effect
 from mavfi.reports.text import change, signed_percent
@@ -83,7 +83,8 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
     kernel = log.kernel
     if kernel is not None and kernel.effect in ("crash", "hang", "exception"):
         detail = f" ({kernel.detail})" if kernel.detail else ""
-        return f"{kernel.effect}{detail} of a kernel, {after_death(log)}; {_mission(log, golden)}"
+        what = "the firmware" if log.count(CONTROLLER_LOST) else "a kernel"
+        return f"{kernel.effect}{detail} of {what}, {after_death(log)}; {_mission(log, golden)}"
     return f"{_EFFECTS.get(effect, effect.label)}; {_mission(log, golden)}"
 
 
@@ -92,6 +93,8 @@ _AFTER_DEATH = {"end": "the mission ended with it", "recompute": "its step was c
 
 def after_death(log: FlightLog) -> str:
     """Consequence of a kernel's death, by the policy for dead nodes."""
+    if log.count(CONTROLLER_LOST):
+        return "its motors stopped"
     policy = log.meta.get("scenario", {}).get("dead_node", "fresh")
     how = "" if policy == "fresh" else f" ({policy})"
     return _AFTER_DEATH.get(policy, f"its node was restarted{how}")
@@ -124,8 +127,15 @@ def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -
             f"{injection.file}:{injection.line}{inlined}: {details.get('opcode')} {details.get('type')}{variable} "
             f"({value_class}), call {details.get('call')}, instruction {details.get('index')}",
         ))  # fmt: skip
+    if "instruction" in details:
+        story.append(("instruction", f"{details['instruction']} in {details['symbol'] or details['library']}"))
     if kernel is not None:
-        story.append(("kernel", _kernel(str(details.get("kernel", injection.site)), kernel, after_death(log))))
+        story.append(
+            (
+                "process" if log.count(CONTROLLER_LOST) else "kernel",
+                _kernel(str(details.get("kernel", injection.site)), kernel, after_death(log)),
+            )
+        )
     return story
 
 

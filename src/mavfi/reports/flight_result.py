@@ -59,12 +59,12 @@ class FlightResult:
     @cached_property
     def record(self) -> FlightRecord:
         """Record of the flight, as in a ledger."""
-        return record_of(self.flight.log)
+        return self.flight.record()
 
     @cached_property
     def golden_record(self) -> FlightRecord | None:
         """Record of the golden run, as in a ledger; None if the flight itself is golden."""
-        return None if self.golden is None else record_of(self.golden.log)
+        return None if self.golden is None else self.golden.record()
 
     @property
     def quality(self) -> QoF:

@@ -13,7 +13,10 @@ from mavfi.config import VehicleConfig
 from mavfi.plugins import load_object
 
 GROUP = "mavfi.flight_controllers"
-_SHIPPED = {"cascade": "mavfi.sim.cascade:Cascade"}
+_SHIPPED = {
+    "cascade": "mavfi.sim.cascade:Cascade",
+    "betaflight": "mavfi.bridges.firmware.controller:BetaflightController",
+}
 
 
 class Start(NamedTuple):

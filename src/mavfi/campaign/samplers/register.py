@@ -1,5 +1,7 @@
 """Faults in registers of a live process: `faults` for each kind of register, at the next call of a function if given.
 
+In a process that flies a mission, the instant is uniform over the golden flight.
+
 Instruction, register and bit are drawn while the process is stopped, from the seed of the fault: fault i has seed
 first_seed + i.
 """
@@ -11,6 +13,7 @@ from typing import Any
 from mavfi.campaign.config import Campaign, RegisterSampling
 from mavfi.campaign.samplers.sampler import Block, Draw, Sampled
 from mavfi.faults.fault import Fault, RegisterFault
+from mavfi.faults.sampling import stream
 from mavfi.hosts.host import ArmSetup, MissionFlights
 
 PATIENCE_S = 20.0  # time limit for the process to reach the injection point (s)
@@ -47,18 +50,22 @@ class RegisterSampler:
 
     def draw(self, draws: Sequence[Draw], environment: str, golden: Mapping[str, Sampled]) -> list[Fault | None]:
         """One fault per draw; None without a golden run for comparison."""
-        del environment
-        return [self._fault(d.target, d.index) if "" in golden else None for d in draws]
+        return [self._fault(d.target, d.index, environment, golden) if "" in golden else None for d in draws]
 
     def null(self, index: int, seed: int, environment: str, golden: Mapping[str, Sampled]) -> Fault:
         """A fault with every step except the flip; kinds of registers alternate."""
-        del seed, environment, golden
+        del seed
         kinds = self._sampling.registers
-        return self._fault(kinds[index % len(kinds)], index, null=True)
+        return self._fault(kinds[index % len(kinds)], index, environment, golden, null=True)
 
-    def _fault(self, registers: str, index: int, *, null: bool = False) -> RegisterFault:
-        sampling = self._sampling
+    def _fault(
+        self, registers: str, index: int, environment: str, golden: Mapping[str, Sampled], *, null: bool = False
+    ) -> RegisterFault:  # fmt: skip
+        sampling, seed = self._sampling, self._campaign.first_seed + index
+        flown = golden[""].flight.record() if "" in golden else None
+        length_us = 0 if flown is None else round(1e6 * flown.flight_time_s)  # 0: a process that flies no mission
         return RegisterFault(
-            registers, sampling.access, sampling.symbol, walk=sampling.walk, timeout=PATIENCE_S, null=null,
-            seed=self._campaign.first_seed + index,
+            registers, sampling.access, sampling.symbol, walk=sampling.walk, timeout=PATIENCE_S, null=null, seed=seed,
+            node="" if flown is None else str(flown.extra.get("node", "")),
+            time_us=int(stream(seed, environment, registers).integers(length_us)) if length_us else 0,
         )  # fmt: skip

