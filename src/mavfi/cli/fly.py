@@ -60,7 +60,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
         result = fly_request(setup, request, fault_seed or 0, label, bare)
     if save is not None:
-        result.log.save(save)
+        _save(save, result, asked, {"detector": detector, "profile": profile, "models": models})
     if picture is not None:
         _draw(picture, result)
     if html is not None:
@@ -79,6 +79,16 @@ def fly(  # noqa: PLR0913 - one parameter per option
     for path in (save, picture, html):
         if path is not None:
             out.print(f"wrote {path}", style="dim", markup=False)
+
+
+def _save(save: Path, result: FlightResult, asked: MissionSpec, watching: dict[str, Path | str | None]) -> None:
+    """Save a flight with its request, from which `mavfi export` flies it again."""
+    if isinstance(models := watching["models"], Path):
+        watching = watching | {"models": str(models.absolute())}
+    mission = asked.model_dump(mode="json", exclude_defaults=True)
+    fault = None if result.fault is None else result.fault.to_json()
+    result.log.meta["request"] = {"mission": mission, "fault": fault, **watching}
+    result.log.save(save)
 
 
 def _draw(picture: Path, result: FlightResult) -> None:

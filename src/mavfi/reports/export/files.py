@@ -17,7 +17,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavfi.errors import writing
 from mavfi.flight_log import COLUMNS, FlightLog
-from mavfi.reports.export.timeline import ERROR, INFO, WARN, Message
+from mavfi.reports.export.lines import ERROR, INFO, WARN
+from mavfi.reports.export.timeline import Message
 
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms\n"
 _ZEROS: dict[str, Any] = {"bool": False, "float32": 0.0, "float64": 0.0, "string": ""}
