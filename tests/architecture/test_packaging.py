@@ -51,7 +51,8 @@ def test_the_wheel_has_what_html_pages_inline():
 
 def test_whatever_is_imported_is_asked_for():
     extras = PROJECT["optional-dependencies"]
-    wanted_for_all = [*PROJECT["dependencies"], *extras["cluster"], *extras["bench"]]
+    used = ("cluster", "bench", "live", "logs", "mavlink")
+    wanted_for_all = [*PROJECT["dependencies"], *(wanted for name in used for wanted in extras[name])]
     asked = {canonicalize_name(Requirement(wanted).name) for wanted in wanted_for_all}
     imported = {name.split(".")[0] for tree in modules().values() for name in imports(tree)}
     homes = packages_distributions()
