@@ -12,6 +12,7 @@ Names are imported from `mavfi`, not from this module.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +35,9 @@ from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import allow_typed
 from mavfi.reports.flight_result import FlightResult
 from mavfi.states import DETECTORS
+
+_UNOBSERVED = "golden"
+"""Arm of a golden run with which a flight is compared."""
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -188,12 +192,13 @@ def _fly_fault(
 
 def _flown(setup: ArmSetup, fault: Fault | None, golden: Flight | None = None) -> tuple[Flight, Flight | None]:
     """Return the flight and its golden run; without a fault, the golden run and None."""
-    flights = LocalHost().mission({"": setup}, fast_forward=False)
-    if golden is not None:
-        flights.know("", golden)
-    golden = flights.golden("")
+    if fault is None and golden is None:
+        return LocalHost().mission({"": setup}, fast_forward=False).golden(""), None
+    flights = LocalHost().mission({"": setup, _UNOBSERVED: replace(setup, observers=())}, fast_forward=False)
+    golden = golden or flights.golden(_UNOBSERVED)
     if fault is None:
         return golden, None
+    flights.know("", golden)
     ((_, flight),) = flights.injected([("", fault)])
     if isinstance(flight, Exception):
         raise flight

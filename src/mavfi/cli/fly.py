@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mavfi.cli import options
+from mavfi.cli import observing, options
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
 from mavfi.mission import RECOVERY, MissionSpec
@@ -30,6 +31,10 @@ def fly(  # noqa: PLR0913 - one parameter per option
     save: options.Save = None,
     picture: options.Picture = None,
     html: options.Html = None,
+    live: observing.Live = False,
+    live_port: observing.LivePort = 8765,
+    mavlink: observing.Mavlink = None,
+    pace: observing.Pace = 1.0,
 ) -> None:
     """Fly one mission and report its result; with a fault, compare it with the golden run.
 
@@ -57,8 +62,10 @@ def fly(  # noqa: PLR0913 - one parameter per option
         asked, bare, mission = mission, resolve(mission), with_keys_of(mission, detector)
         scenario = resolve(mission)
         watching, label = load_watcher(detector, profile, models, scenario)
-        setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
-        result = fly_request(setup, request, fault_seed or 0, label, bare)
+        make = None if watching is None else lambda: watching
+        with observing.observing(live, live_port, mavlink, pace, fault) as observers:
+            setup = ArmSetup(scenario, make, Recovery.of(mission), observers)
+            result = fly_request(setup, request, fault_seed or 0, label, bare)
     if save is not None:
         _save(save, result, asked, {"detector": detector, "profile": profile, "models": models})
     if picture is not None:
@@ -72,11 +79,15 @@ def fly(  # noqa: PLR0913 - one parameter per option
     if as_json:
         write_json(result.to_json())
         return
+    _show(result, (save, picture, html))
+
+
+def _show(result: FlightResult, written: Sequence[Path | None]) -> None:
     from mavfi.cli.flight_text import panel
 
     out = console()
     out.print(panel(result))
-    for path in (save, picture, html):
+    for path in written:
         if path is not None:
             out.print(f"wrote {path}", style="dim", markup=False)
 

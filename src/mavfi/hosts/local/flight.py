@@ -1,6 +1,6 @@
 """One in-process flight, bit-reproducible."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from mavfi.detectors.detector import Detector
@@ -10,6 +10,7 @@ from mavfi.hosts.host import Flight
 from mavfi.hosts.local.memory_faults import MemoryInjector
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.taps import Recorder
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
@@ -18,7 +19,7 @@ from mavfi.pipeline.functions import PLAIN, KernelFunctions
 def fly(
     scenario: Scenario, fault: StateFault | MemoryFault | None = None, detector: Detector | None = None, *,
     recovery: Recovery = INLINE, profile: bool = False, recorders: Sequence[Recorder] = (),
-    functions: KernelFunctions = PLAIN,
+    functions: KernelFunctions = PLAIN, observers: Sequence[Callable[[Loop], None]] = (),
 ) -> Flight:  # fmt: skip
     """Fly one mission; equal arguments yield bit-identical results.
 
@@ -30,6 +31,7 @@ def fly(
         profile: Whether to record the publication times of each state.
         recorders: Called with each publication as consumers receive it.
         functions: Functions that the kernels call: compiled or instrumented.
+        observers: Called with the loop before the flight, see `hosts.loop.observe`.
 
     Raises:
         BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
@@ -41,6 +43,8 @@ def fly(
     loop.taps.injector = in_memory or loop.taps.injector
     watch(loop, detector, recovery)
     loop.taps.recorders.extend(recorders)
+    for attach in observers:
+        attach(loop)
     flight = loop.fly()
     if in_memory is not None and in_memory.effect is not None:
         flight.log = replace(flight.log, kernel=in_memory.effect)

@@ -132,4 +132,6 @@ class LocalFlights(ArmFlights):
         found = None
         if not isinstance(fault, MemoryFault) and (fault is None or fault.bit is not None):
             found = self._forwarded(arm, lambda forward, name: forward.fly(fault, detector, name, setup.recovery))
-        return found or fly(setup.scenario, fault, detector, recovery=setup.recovery, profile=profile)
+        return found or fly(
+            setup.scenario, fault, detector, recovery=setup.recovery, profile=profile, observers=setup.observers
+        )

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 
 from mavfi.flight_log import FlightLog
+from mavfi.flight_logs.lines import Line, lines_of
 from mavfi.numerics.rotations import rotation_matrix
 from mavfi.numerics.voxels import Grid
-from mavfi.reports.export.lines import Line, lines_of
 from mavfi.sim.environments.world import World
 from mavfi.states import State, floats
 
@@ -27,6 +27,8 @@ _GOAL = {"r": 0.0, "g": 0.45, "b": 0.7, "a": 0.9}
 _CUBE, _SPHERE, _CUBE_LIST = 1, 2, 6
 _GOAL_SIZE = 1.0
 _POSES = 1000
+TICK_TOPICS = ("/clock", "/tf", "/odometry", "/command", "/reference")
+"""Topics of `tick_messages`."""
 _MAP_PERIOD_US = 1_000_000
 """Shortest time between two messages with the whole map (us)."""
 _FLOAT32 = 7  # sensor_msgs/PointField.FLOAT32
@@ -169,11 +171,14 @@ class Converter:
         self._log_odds[voxels[inside]] = state.elements["log_odds"][inside]
         if time_ns >= 1000 * self._next_map_us:
             self._next_map_us = time_ns // 1000 + _MAP_PERIOD_US
-            grid = self._grid
-            cells = np.unravel_index(np.flatnonzero(self._log_odds > 0), (grid.nx, grid.ny, grid.nz))
-            corner = np.array([grid.x0, grid.y0, grid.z0])
-            centres = corner + (np.column_stack(cells) + 0.5) * grid.resolution
-            yield _cloud("/map", centres.astype(np.float32), time_ns)
+            yield map_message(self._grid, self._log_odds, time_ns)
+
+
+def map_message(grid: Grid, log_odds: np.ndarray, time_ns: int) -> Message:
+    """Centres of all occupied voxels; log-odds of every voxel of the grid, shape (size,)."""
+    cells = np.unravel_index(np.flatnonzero(log_odds > 0), (grid.nx, grid.ny, grid.nz))
+    centres = np.array([grid.x0, grid.y0, grid.z0]) + (np.column_stack(cells) + 0.5) * grid.resolution
+    return _cloud("/map", centres.astype(np.float32), time_ns)
 
 
 def _cloud(topic: str, points: np.ndarray, time_ns: int) -> Message:

@@ -13,9 +13,11 @@ import numpy as np
 
 from mavfi.errors import writing
 from mavfi.flight_log import FlightLog
-from mavfi.reports.export.lines import ERROR, INFO, WARN, lines_of
-from mavfi.reports.export.ned import NedFlight, euler, geodetic, ned_of
+from mavfi.flight_logs.lines import ERROR, INFO, WARN, Line, lines_of
+from mavfi.flight_logs.ned import euler, geodetic, ned_of
 
+Payload = tuple[tuple[int, int], bytes]
+"""Message id with CRC_EXTRA, and payload."""
 LONGEST_TEXT = 50
 """Characters of one STATUSTEXT; longer texts are sent in chunks."""
 SEVERITIES = {ERROR: 3, WARN: 4, INFO: 6}
@@ -30,13 +32,19 @@ _HEARTBEATS, _GLOBALS = 50, 5
 def write_tlog(log: FlightLog, path: Path) -> int:
     """Write a flight; returns the number of messages."""
     texts = [(line.time_us, part) for number, line in enumerate(lines_of(log))
-             for part in text_chunks(line.text, SEVERITIES[line.level], number + 1)]  # fmt: skip
-    messages = sorted([*_motion(ned_of(log)), *((time_us, (_TEXT, part)) for time_us, part in texts)],
-                      key=lambda message: message[0])  # fmt: skip
+             for part in text_messages(line, number + 1)]  # fmt: skip
+    motion = [(int(1e6 * max(0.0, row[0]) + 0.5), message) for place, row in enumerate(log.rows)
+              for message in motion_messages(row, place)]  # fmt: skip
+    messages = sorted([*motion, *texts], key=lambda message: message[0])
     with writing(path), path.open("wb") as file:
-        for number, (time_us, (kind, payload)) in enumerate(messages):
-            file.write(struct.pack(">Q", time_us) + _packet(number, kind, payload))
+        for number, (time_us, message) in enumerate(messages):
+            file.write(struct.pack(">Q", time_us) + packet(number, message))
     return len(messages)
+
+
+def text_messages(line: Line, number: int) -> list[Payload]:
+    """The STATUSTEXT messages of a line; chunks of a long text share an id that follows from `number`."""
+    return [(_TEXT, content) for content in text_chunks(line.text, SEVERITIES[line.level], number)]
 
 
 def text_chunks(text: str, severity: int, number: int) -> Iterator[bytes]:
@@ -48,20 +56,20 @@ def text_chunks(text: str, severity: int, number: int) -> Iterator[bytes]:
         yield struct.pack("<B50sHB", severity, part, own, min(place, 255))
 
 
-def _motion(ned: NedFlight) -> Iterator[tuple[int, tuple[tuple[int, int], bytes]]]:
-    """Attitude and local position at each control period, global position and heartbeat less often."""
-    with np.errstate(over="ignore"):
-        position, velocity, rates = (table.astype("<f4") for table in (ned.position, ned.velocity, ned.rates))
-    for row, time_us in enumerate(ned.time_us.tolist()):
-        ms = struct.pack("<I", time_us // 1000)
-        angles = euler(ned.quaternion[row])
-        if row % _HEARTBEATS == 0:
-            body = struct.pack("<IBBBBB", _AUTO_MISSION, _QUADROTOR, _PX4, _ARMED_AUTO, _ACTIVE, _VERSION)
-            yield time_us, (_HEARTBEAT, body)
-        yield time_us, (_ATTITUDE, ms + struct.pack("<3f", *angles) + rates[row].tobytes())
-        yield time_us, (_LOCAL_POSITION, ms + position[row].tobytes() + velocity[row].tobytes())
-        if row % _GLOBALS == 0 and np.isfinite([*ned.position[row], *ned.velocity[row], *angles]).all():
-            yield time_us, (_GLOBAL_POSITION, ms + _global(ned.position[row], ned.velocity[row], angles[2]))
+def motion_messages(row: np.ndarray, place: int) -> Iterator[Payload]:
+    """Attitude and local position of one row of a flight log, its index; global position and heartbeat less often."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        ned = ned_of(row[None])
+        position, velocity, rates = (table[0].astype("<f4") for table in (ned.position, ned.velocity, ned.rates))
+        angles = euler(ned.quaternion[0])
+    ms = struct.pack("<I", int(ned.time_us[0]) // 1000 & 0xFFFFFFFF)
+    if place % _HEARTBEATS == 0:
+        body = struct.pack("<IBBBBB", _AUTO_MISSION, _QUADROTOR, _PX4, _ARMED_AUTO, _ACTIVE, _VERSION)
+        yield _HEARTBEAT, body
+    yield _ATTITUDE, ms + struct.pack("<3f", *angles) + rates.tobytes()
+    yield _LOCAL_POSITION, ms + position.tobytes() + velocity.tobytes()
+    if place % _GLOBALS == 0 and np.isfinite([*ned.position[0], *ned.velocity[0], *angles]).all():
+        yield _GLOBAL_POSITION, ms + _global(ned.position[0], ned.velocity[0], angles[2])
 
 
 def _global(position: np.ndarray, velocity: np.ndarray, yaw: float) -> bytes:
@@ -74,9 +82,9 @@ def _global(position: np.ndarray, velocity: np.ndarray, yaw: float) -> bytes:
     return bytes(places.tobytes() + speeds.tobytes() + struct.pack("<H", heading))
 
 
-def _packet(number: int, kind: tuple[int, int], payload: bytes) -> bytes:
+def packet(number: int, message: Payload) -> bytes:
     """A MAVLink 2 packet of system 1, component 1; trailing zeros of the payload are omitted."""
-    identity, extra = kind
+    (identity, extra), payload = message
     short = payload.rstrip(b"\0") or b"\0"
     header = struct.pack("<BBBBBB", len(short), 0, 0, number % 256, 1, 1) + identity.to_bytes(3, "little")
     return b"\xfd" + header + short + struct.pack("<H", checksum(header + short + bytes([extra])))

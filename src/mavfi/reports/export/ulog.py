@@ -11,8 +11,8 @@ import numpy as np
 
 from mavfi.errors import writing
 from mavfi.flight_log import FlightLog
-from mavfi.reports.export.lines import ERROR, INFO, WARN, Line, line_of, lines_of
-from mavfi.reports.export.ned import ned_of
+from mavfi.flight_logs.lines import ERROR, INFO, WARN, Line, line_of, lines_of
+from mavfi.flight_logs.ned import ned_of
 
 FAULT_TOPIC = "mavfi_fault"
 """Topic that is 0 before and 1 from the first activated injection."""
@@ -60,7 +60,7 @@ def _definitions(log: FlightLog) -> bytes:
 
 def _samples(log: FlightLog) -> list[tuple[int, bytes]]:
     """Instant and bytes of every data sample."""
-    ned = ned_of(log)
+    ned = ned_of(log.rows)
     tables = (
         np.hstack([ned.position, ned.velocity]), ned.quaternion, ned.rates,
         np.hstack([ned.reference, ned.command, ned.yaw_rate[:, None]]),

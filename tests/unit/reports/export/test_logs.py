@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mavfi.flight_log import AlarmRecord, Event, FlightLog, Injection
+from mavfi.flight_logs.ned import euler, geodetic, local, ned_of
 from mavfi.mission import MissionStatus
-from mavfi.reports.export.ned import euler, geodetic, local, ned_of
 from mavfi.reports.export.tlog import LONGEST_TEXT, checksum, write_tlog
 from mavfi.reports.export.ulog import FAULT_TOPIC, write_ulog
 
@@ -120,6 +120,6 @@ def test_geodetic_and_back():
 
 
 def test_half_a_turn_about_x():
-    ned = ned_of(make_log())
+    ned = ned_of(make_log().rows)
     assert euler(ned.quaternion[50])[2] == pytest.approx(-1.0)
     assert np.array_equal(ned.rates[:, 2], -np.ones(len(ned.rates)))

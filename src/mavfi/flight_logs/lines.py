@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from mavfi.flight_log import AlarmRecord, Event, FlightLog, Injection
+from mavfi.mission import MissionStatus
 
 INFO, WARN, ERROR = "info", "warn", "error"
 
@@ -30,12 +31,16 @@ class Line:
 
 def lines_of(log: FlightLog) -> list[Line]:
     """All lines of a flight in chronological order; an injection without an instant (never activated) is left out."""
-    end = max(0, round(1e6 * float(log.column("time")[-1])))
     items: list[Event | AlarmRecord | Injection] = [*log.events, *log.alarms, *log.injections]
     found = map(line_of, items)
-    status = f"{log.status.label}: {log.status.value}"
     known = [line for line in found if line is not None]
-    return sorted([*known, Line(end, INFO, "mission", status, status)], key=lambda line: line.time_us)
+    return sorted([*known, end_line(float(log.column("time")[-1]), log.status)], key=lambda line: line.time_us)
+
+
+def end_line(time_s: float, status: MissionStatus) -> Line:
+    """The line of the end of the mission."""
+    text = f"{status.label}: {status.value}"
+    return Line(max(0, round(1e6 * time_s)), INFO, "mission", text, text)
 
 
 def line_of(item: Event | AlarmRecord | Injection) -> Line | None:

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavfi.flight_log import FlightLog
-
 HOME = (47.397742, 8.545594, 488.0)
 """Latitude and longitude (degrees) and altitude (m) of the world's origin: those of PX4's simulations."""
 EARTH_RADIUS = 6_378_137.0
@@ -43,9 +41,8 @@ class NedFlight:
     yaw_rate: np.ndarray
 
 
-def ned_of(log: FlightLog) -> NedFlight:
-    """The flight in NED and FRD."""
-    rows = log.rows
+def ned_of(rows: np.ndarray) -> NedFlight:
+    """Rows of a flight log in NED and FRD. Shape (n, 21)."""
     time_us = np.rint(1e6 * np.maximum(rows[:, 0], 0)).astype(np.int64)
     quaternion = rows[:, 7:11] * np.array([1.0, 1.0, -1.0, -1.0])
     return NedFlight(
