@@ -44,6 +44,8 @@ if TYPE_CHECKING:
 
     from mavfi.campaign.analysis.table import Table
 
+_LOCAL = LocalHost()
+
 
 def fly(
     mission: MissionSpec | None = None, *, fault: Fault | str | None = None, fault_seed: int = 0,
@@ -156,7 +158,9 @@ def figure(runs: Runs, name: str) -> "Figure":
     return figure_of(runs, name)
 
 
-def fly_request(setup: ArmSetup, request: Request | None, seed: int, label: str, bare: Scenario) -> FlightResult:
+def fly_request(
+    setup: ArmSetup, request: Request | None, seed: int, label: str, bare: Scenario, host: LocalHost = _LOCAL
+) -> FlightResult:
     """Fly the golden run, draw the requested fault from it, and fly the fault; without a request, the golden run only.
 
     Args:
@@ -165,6 +169,7 @@ def fly_request(setup: ArmSetup, request: Request | None, seed: int, label: str,
         seed: Seed of the draw.
         label: Name of the detector; "" = none.
         bare: The mission without the detector and its mission keys, in which the fault is flown as well.
+        host: Where it flies; the simulator by default.
 
     Raises:
         BadInputError: The mission has no such site.
@@ -173,28 +178,31 @@ def fly_request(setup: ArmSetup, request: Request | None, seed: int, label: str,
     fault, golden = (
         (None, None) if request is None else draw_request(setup.scenario, request, seed, detector, setup.recovery)
     )
-    return _fly_fault(setup, fault, label, bare, golden)
+    return _fly_fault(setup, fault, label, bare, golden if host is _LOCAL else None, host)
 
 
 def _fly_fault(
-    setup: ArmSetup, fault: Fault | None, label: str, bare: Scenario, golden: Flight | None = None
-) -> FlightResult:
+    setup: ArmSetup, fault: Fault | None, label: str, bare: Scenario, golden: Flight | None = None,
+    host: LocalHost = _LOCAL,
+) -> FlightResult:  # fmt: skip
     """Fly the golden run and the fault; `golden`: the golden run without a detector, if known."""
     if setup.make_detector is None:
-        flight, own = _flown(setup, fault, golden)
+        flight, own = _flown(setup, fault, golden, host)
         return FlightResult(setup.scenario, flight, own, fault)
-    flight, own = _flown(setup, fault)
+    flight, own = _flown(setup, fault, None, host)
     known = golden if bare == setup.scenario else None
     of_detector = getattr(fault, "kernel", "") in DETECTORS  # such faults exist only with the detector
-    alone = None if fault is None or of_detector else _flown(ArmSetup(bare), fault, known)[0]
+    alone = None if fault is None or of_detector else _flown(ArmSetup(bare), fault, known, host)[0]
     return FlightResult(setup.scenario, flight, own, fault, label, alone)
 
 
-def _flown(setup: ArmSetup, fault: Fault | None, golden: Flight | None = None) -> tuple[Flight, Flight | None]:
+def _flown(
+    setup: ArmSetup, fault: Fault | None, golden: Flight | None = None, host: LocalHost = _LOCAL
+) -> tuple[Flight, Flight | None]:
     """Return the flight and its golden run; without a fault, the golden run and None."""
     if fault is None and golden is None:
-        return LocalHost().mission({"": setup}, fast_forward=False).golden(""), None
-    flights = LocalHost().mission({"": setup, _UNOBSERVED: replace(setup, observers=())}, fast_forward=False)
+        return host.mission({"": setup}, fast_forward=False).golden(""), None
+    flights = host.mission({"": setup, _UNOBSERVED: replace(setup, observers=())}, fast_forward=False)
     golden = golden or flights.golden(_UNOBSERVED)
     if fault is None:
         return golden, None

@@ -75,6 +75,9 @@ class MissionSpec(Config):
         None, ge=0.02, le=5.0, description="Voxel edge, m; the environment's by default."
     )
     vehicle: str | None = Field(None, description="A name, or a YAML file; the environment's by default.")
+    flight_controller: str = Field(
+        "cascade", description="From velocity to rotor commands: cascade, an entry point, or package:Class."
+    )
     v_max: float | None = Field(None, ge=0.1, le=20.0, description="Speed limit, m/s; the environment's by default.")
     depth_noise: float = Field(0.0, ge=0.0, le=1.0, description="Of the depth camera: standard deviation / range.")
     wind: float = Field(0.0, ge=0.0, le=STRONGEST_WIND, description="Amplitude of gusts, m/s.")
@@ -118,7 +121,7 @@ class MissionSpec(Config):
 
 RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded")
 """Mission keys that define the recovery from a detector's alarms."""
-_OPTIONS = ("wind", "localization", "dead_node")
+_OPTIONS = ("wind", "localization", "dead_node", "flight_controller")
 _STACK_OPTIONS = ("alarm",)
 
 
@@ -140,6 +143,7 @@ class Scenario(Config):
     wind: WindConfig = WindConfig()
     localization: LocalizationConfig = LocalizationConfig()
     dead_node: DeadNode = "fresh"
+    flight_controller: str = "cascade"
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; options at their defaults are omitted, so that a mission without them keeps its key."""

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from mavfi.cli import (
+    airsim,
     bench,
     campaign,
     explain,
@@ -52,6 +53,7 @@ for verb in (pack.pack, pack.unpack):
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(bench.app, name="bench")
 app.add_typer(ros.app, name="ros")
+app.add_typer(airsim.app, name="airsim")
 
 
 def _tell_version(wanted: bool) -> None:

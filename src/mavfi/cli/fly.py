@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from mavfi.cli import observing, options
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
@@ -13,6 +15,7 @@ from mavfi.mission import RECOVERY, MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.detectors.detector import Detector
+    from mavfi.hosts.local.mission_flights import LocalHost
     from mavfi.mission import Scenario
     from mavfi.reports.flight_result import FlightResult
 
@@ -35,6 +38,10 @@ def fly(  # noqa: PLR0913 - one parameter per option
     live_port: observing.LivePort = 8765,
     mavlink: observing.Mavlink = None,
     pace: observing.Pace = 1.0,
+    world: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A server of AirSim's API as the world, airsim://127.0.0.1:41451."),
+    ] = None,
 ) -> None:
     """Fly one mission and report its result; with a fault, compare it with the golden run.
 
@@ -65,7 +72,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         make = None if watching is None else lambda: watching
         with observing.observing(live, live_port, mavlink, pace, fault) as observers:
             setup = ArmSetup(scenario, make, Recovery.of(mission), observers)
-            result = fly_request(setup, request, fault_seed or 0, label, bare)
+            result = fly_request(setup, request, fault_seed or 0, label, bare, _host(world, fault))
     if save is not None:
         _save(save, result, asked, {"detector": detector, "profile": profile, "models": models})
     if picture is not None:
@@ -100,6 +107,23 @@ def _save(save: Path, result: FlightResult, asked: MissionSpec, watching: dict[s
     fault = None if result.fault is None else result.fault.to_json()
     result.log.meta["request"] = {"mission": mission, "fault": fault, **watching}
     result.log.save(save)
+
+
+def _host(world: str | None, fault: str | None) -> LocalHost:
+    """The host of the simulator's world, or of one behind an address."""
+    from mavfi.hosts.local.mission_flights import LocalHost
+
+    if world is None:
+        return LocalHost()
+    from mavfi.bridges.airsim.program import world_address
+    from mavfi.bridges.airsim.remote import Remote
+
+    if (fault or "").startswith("instruction:"):
+        raise BadInputError(
+            f"--fault: {fault}: faults in instructions fork the flight; allowed with --world: state:, memory:"
+        )
+    host, port = world_address(world)
+    return LocalHost(lambda here, scenario: Remote(here, scenario, host, port))
 
 
 def _draw(picture: Path, result: FlightResult) -> None:

@@ -262,6 +262,10 @@ class Camera:
     """The body-fixed depth camera of one flight, looking along the body's x axis.
 
     Its optional noise is addressed by the time of the image, independently of the number of earlier images.
+
+    Attributes:
+        columns: The boxes of the world.
+        noise_key: Key of the noise.
     """
 
     def __init__(self, config: CameraConfig, world: World, noise_key: int) -> None:
@@ -275,9 +279,9 @@ class Camera:
         self.directions = pixel_directions(config)
         self.directions.flags.writeable = False
         self._config = config
-        self._columns = build_columns(world.lower, world.upper)
+        self.columns = build_columns(world.lower, world.upper)
         self._voxels = world.voxels
-        self._noise_key = noise_key
+        self.noise_key = noise_key
 
     def capture(self, pose: np.ndarray, time_us: int) -> np.ndarray:
         """Take an image.
@@ -290,8 +294,8 @@ class Camera:
             Distances along the rays (m), infinity if nothing is within range. Shape (height * width,), float32.
         """
         ranges = np.empty(len(self.directions), np.float32)
-        cast_rays(self._columns, self._voxels, pose, self.directions, self._config.range, ranges)
+        cast_rays(self.columns, self._voxels, pose, self.directions, self._config.range, ranges)
         if self._config.noise > 0.0:
-            stream = np.random.Generator(np.random.Philox(key=self._noise_key, counter=[0, 0, 0, time_us]))
+            stream = np.random.Generator(np.random.Philox(key=self.noise_key, counter=[0, 0, 0, time_us]))
             ranges *= np.maximum(1.0 + self._config.noise * normals(stream, len(ranges)), 0.0)
         return ranges

@@ -9,13 +9,13 @@ from mavfi.sim.engine import GRAVITY
 from mavfi.sim.environments.world import World
 
 STEP_US = 4_000
-"""Period of physics and flight controller (us)."""
+"""Period of physics and of our flight controller (us); other controllers divide it."""
 
 ACCELEROMETER, GYRO, CONTACTS = slice(0, 3), slice(3, 6), 6
 """Sensor addresses in MjData.sensordata."""
 
 
-def build_model(world: World, vehicle: VehicleConfig) -> mujoco.MjModel:
+def build_model(world: World, vehicle: VehicleConfig, period_us: int = STEP_US) -> mujoco.MjModel:
     """The model of one flight: a free body with a sphere for contacts, static boxes, the ground.
 
     All forces except gravity and contact are external, in `qfrc_applied`.  They are constant during a step; therefore
@@ -25,9 +25,10 @@ def build_model(world: World, vehicle: VehicleConfig) -> mujoco.MjModel:
     Args:
         world: Obstacles and start.
         vehicle: Airframe.
+        period_us: Of the physics.
     """
     spec = mujoco.MjSpec()
-    spec.option.timestep = STEP_US * 1e-6
+    spec.option.timestep = period_us * 1e-6
     spec.option.gravity = np.array([0.0, 0.0, -GRAVITY])
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)

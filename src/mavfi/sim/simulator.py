@@ -1,4 +1,4 @@
-"""The simulator of one flight: vehicle, depth camera and IMU in a world, on integer microseconds."""
+"""The simulator of one flight: controller, vehicle, depth camera and IMU in a world, on integer microseconds."""
 
 import copy
 import math
@@ -10,17 +10,35 @@ import numpy as np
 from mavfi.errors import BadInputError
 from mavfi.mission import Scenario
 from mavfi.numerics.elementary import atan2, cos, sin
+from mavfi.plugins import build
 from mavfi.sim.camera import Camera
+from mavfi.sim.cascade import Cascade, advance
+from mavfi.sim.controller import Controller, Start, find_controller
 from mavfi.sim.environments.world import World
 from mavfi.sim.imu import Imu
 from mavfi.sim.positioning import Positioning
 from mavfi.sim.scene import ACCELEROMETER, STEP_US, build_model
-from mavfi.sim.vehicle import YAW_REFERENCE, Body, advance, airframe_of, hover_memory
-from mavfi.sim.wind import Weather
+from mavfi.sim.vehicle import Body, airframe_of, hover_thrusts, turn_rotors
+from mavfi.sim.wind import Weather, Wind
 
 _PURPOSE_SENSOR_NOISE = 2
 _PURPOSE_WIND = 5
 _LONGEST_COMMAND = 1e6
+_ROUNDING = 1e-12
+"""A mixer's sum may exceed a rotor's limit by its rounding error."""
+
+
+def controller_period(name: str, factory: object) -> int:
+    """Period of a flight controller (us), given its name and class.
+
+    Raises:
+        BadInputError: It is not 4000 us divided by an integer.
+    """
+    period_us = getattr(factory, "period_us", None)
+    if not isinstance(period_us, int) or period_us < 1 or STEP_US % period_us:
+        text = f"its period_us is {period_us!r}; allowed: {STEP_US} divided by an integer"
+        raise BadInputError(f"flight controller {name!r}: {text}")
+    return period_us
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +49,8 @@ class Snapshot:
     physics: np.ndarray
     sensors: np.ndarray
     warnings: np.ndarray
-    controller: np.ndarray
+    thrusts: np.ndarray
+    controller: bytes
     setpoint: np.ndarray
     expiry_us: int
     odometry: np.ndarray
@@ -45,9 +64,9 @@ class Snapshot:
 
     def _content(self) -> tuple[int | bytes, ...]:
         arrays = (
-            self.physics, self.sensors, self.warnings, self.controller, self.setpoint, self.odometry, self.imu.bias,
+            self.physics, self.sensors, self.warnings, self.thrusts, self.setpoint, self.odometry, self.imu.bias,
         )  # fmt: skip
-        numbers = self.time_us, self.expiry_us, self.collided, self.rejected_commands, self.imu.time_us
+        numbers = self.time_us, self.expiry_us, self.collided, self.rejected_commands, self.imu.time_us, self.controller
         return (*numbers, *(array.tobytes() for array in arrays))
 
 
@@ -74,6 +93,7 @@ class Simulator:
             Shape (13,); always the same array, overwritten by `advance`.
         collided: Whether the vehicle has touched an obstacle or the ground.
         rejected_commands: Number of commands rejected because they were not finite.
+        controller: The flight controller.
     """
 
     def __init__(self, world: World, scenario: Scenario) -> None:
@@ -84,14 +104,16 @@ class Simulator:
             scenario: Vehicle, camera, localization, wind, speed limit and seed.
         """
         vehicle = scenario.vehicle
-        self._model = build_model(world, vehicle)
+        make_controller = find_controller(scenario.flight_controller)
+        period_us = controller_period(scenario.flight_controller, make_controller)
+        self._model = build_model(world, vehicle, period_us)
         self._data = mujoco.MjData(self._model)
         self._body = Body(
             self._model._address, self._data._address,
             self._data.qpos, self._data.qvel, self._data.qfrc_applied, self._data.sensordata,
         )  # fmt: skip
-        self._airframe = airframe_of(vehicle)
-        self._controller = hover_memory(self._airframe)
+        self._airframe = airframe_of(vehicle, period_us)
+        self._thrusts = hover_thrusts(self._airframe)
         self._voxels = world.voxels
         self._speed_limit = vehicle.setpoint_limit * scenario.v_max
         self._yaw_rate_limit = vehicle.max_yaw_rate
@@ -106,15 +128,19 @@ class Simulator:
         self.odometry = np.zeros(13)
         self.collided = False
         self.rejected_commands = 0
-        self._face(world.goal - world.start)
+        yaw = self._face(world.goal - world.start)
+        self.controller: Controller = build(
+            "flight controller", scenario.flight_controller, make_controller,
+            Start(vehicle, self.odometry.copy(), yaw, scenario.seed),
+        )  # fmt: skip
 
-    def _face(self, way: np.ndarray) -> None:
-        yaw = atan2(way[1], way[0])
-        self._controller[YAW_REFERENCE] = yaw
+    def _face(self, way: np.ndarray) -> float:
+        yaw = float(atan2(way[1], way[0]))
         self._data.qpos[3:7] = (cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw))
         mujoco.mj_forward(self._model, self._data)
         self.odometry[:3] = self._data.qpos[:3]
         self.odometry[6:10] = self._data.qpos[3:7]
+        return yaw
 
     @property
     def ray_directions(self) -> np.ndarray:
@@ -153,14 +179,37 @@ class Simulator:
             raise BadInputError(f"time {time_us} us: must be a multiple of {STEP_US} us from {self.time_us} us on")
         if time_us == self.time_us:
             return
+        if isinstance(self.controller, Cascade):
+            self._advance_compiled(time_us, self.controller)
+            return
+        wind = self._weather.until(1e-6 * time_us)
+        while self.time_us < time_us:
+            self._step(wind)
+
+    def _advance_compiled(self, time_us: int, controller: Cascade) -> None:
+        """Advance with our own controller, in one compiled loop."""
         steps = (time_us - self.time_us) // STEP_US
         commanded = max(0, self._expiry_us - self.time_us + STEP_US - 1) // STEP_US
         touched = advance(
             self._airframe, self._body, self._voxels, self._weather.until(1e-6 * time_us), self.time_us,
-            self._controller, self._setpoint, steps, commanded, self.odometry,
+            self._thrusts, controller.memory, self._setpoint, steps, commanded, self.odometry,
         )  # fmt: skip
         self.collided = self.collided or touched
         self.time_us = time_us
+
+    def _step(self, wind: Wind) -> None:
+        """Advance by one period of the controller."""
+        setpoint = self._setpoint if self.time_us < self._expiry_us else np.zeros(4)
+        wanted = self.controller.rotors(self.time_us, setpoint, self.odometry, self._data.sensordata[ACCELEROMETER])
+        limit = self._airframe.max_thrust * (1.0 + _ROUNDING)
+        wanted = np.clip(np.where(np.isnan(wanted), 0.0, wanted), 0.0, limit)
+        period_us = self.controller.period_us
+        touched = turn_rotors(
+            self._airframe, self._body, self._voxels, wind, self.time_us, period_us, self._thrusts, wanted,
+            self.odometry,
+        )  # fmt: skip
+        self.collided = self.collided or touched
+        self.time_us += period_us
 
     def depth(self) -> tuple[np.ndarray, np.ndarray]:
         """Take a depth image.
@@ -198,7 +247,7 @@ class Simulator:
         mujoco.mj_getState(self._model, self._data, physics, signature)
         return Snapshot(
             self.time_us, physics, self._data.sensordata.copy(), self._data.warning.number.copy(),
-            self._controller.copy(), self._setpoint.copy(), self._expiry_us, self.odometry.copy(),
+            self._thrusts.copy(), self.controller.save(), self._setpoint.copy(), self._expiry_us, self.odometry.copy(),
             self.collided, self.rejected_commands, copy.deepcopy(self._imu),
         )  # fmt: skip
 
@@ -215,9 +264,14 @@ class Simulator:
         mujoco.mj_setState(self._model, self._data, snapshot.physics, mujoco.mjtState.mjSTATE_INTEGRATION)
         self._data.sensordata[:] = snapshot.sensors
         self._data.warning.number[:] = snapshot.warnings
-        self._controller[:] = snapshot.controller
+        self._thrusts[:] = snapshot.thrusts
+        self.controller.restore(snapshot.controller)
         self._setpoint[:] = snapshot.setpoint
         self.odometry[:] = snapshot.odometry
         self.time_us, self._expiry_us = snapshot.time_us, snapshot.expiry_us
         self.collided, self.rejected_commands = snapshot.collided, snapshot.rejected_commands
         self._imu = copy.deepcopy(snapshot.imu)
+
+    def close(self) -> None:
+        """Release the flight controller, which may hold a process."""
+        self.controller.close()

@@ -6,11 +6,12 @@ a calm of random length; so they never overlap, and their amplitude is never exc
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from mavfi.config import WindConfig
+from mavfi.config import WindConfig, parse
 from mavfi.numerics.elementary import asin, cos, log, sin
 from mavfi.numerics.jit import kernel_jit
 
@@ -80,6 +81,15 @@ class Weather:
             drawn = [self._draw() for _ in range(_AT_A_TIME)]
             self._wind = Wind(self._wind.mean, np.concatenate([self._wind.gusts, drawn]))
         return self._wind
+
+    def set_mean(self, mean: Sequence[float]) -> None:
+        """Change the mean wind, world frame (m/s).
+
+        Raises:
+            BadInputError: It is not finite, or too strong.
+        """
+        checked = parse(WindConfig, {"mean": list(mean)}, "wind")
+        self._wind = Wind(np.array(checked.mean, float), self._wind.gusts)
 
     def _draw(self) -> tuple[float, ...]:
         calm, share, direction, rise = self._random.random(4)

@@ -43,7 +43,7 @@ def pushed(flight, velocity):
 
 
 def thrusts(flight):
-    return flight.snapshot().controller[:4]
+    return flight.snapshot().thrusts
 
 
 # ---- hover ----------------------------------------------------------------------------------------------------------

@@ -178,7 +178,7 @@ def test_no_command_reaches_mujoco_unsaturated(commands):
         flight.command(np.array([vx, vy, vz, yaw_rate]), duration)
         assert np.linalg.norm(flight._setpoint[:3]) <= 1.33 * 3.0 + 1e-9
         flight.advance(flight.time_us + 40_000)
-        thrusts = flight._controller[:4]
+        thrusts = flight._thrusts
         assert ((thrusts >= 0.0) & (thrusts <= largest)).all()
         assert np.isfinite(flight._data.qfrc_applied).all() and np.abs(flight._data.qfrc_applied).max() < 6 * largest
     assert flight.warnings() == [] and np.isfinite(flight.odometry).all()

@@ -7,8 +7,9 @@ import pytest
 
 from mavfi.config import VehicleConfig, shipped
 from mavfi.numerics.rotations import yaw_of
+from mavfi.sim.cascade import MEMORY_SIZE, STEP, mix_rotors, wanted_thrust
 from mavfi.sim.engine import GRAVITY
-from mavfi.sim.vehicle import STEP, airframe_of, apply_forces, hover_memory, mix_rotors, wanted_thrust
+from mavfi.sim.vehicle import airframe_of, apply_forces
 from tests.unit.sim.flights import fly, open_world, simulator
 
 VEHICLES = ("airsim_quad", "small_quad")
@@ -98,7 +99,7 @@ def test_roll_keeps_its_authority_when_thrust_and_yaw_saturate():
 
 def test_a_level_vehicle_at_its_setpoint_wants_its_weight():
     frame = airframe()
-    force = wanted_thrust(frame, hover_memory(frame), np.zeros(4), np.zeros(3))
+    force = wanted_thrust(frame, np.zeros(MEMORY_SIZE), np.zeros(4), np.zeros(3))
     np.testing.assert_array_equal(force, (0.0, 0.0, GRAVITY))
 
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Any, NoReturn, TypeVar
 
 from mavfi.detectors.detector import Detector, part_of
-from mavfi.errors import MavfiError
+from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction import Ended, ForkPoint, MismatchError
 from mavfi.faults.instruction.arena import arena, own
@@ -38,6 +38,7 @@ from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
 from mavfi.pipeline.kernel import Kernel
 from mavfi.pipeline.memory import copied, same
+from mavfi.sim.controller import is_rewindable
 from mavfi.states import DETECTORS, State
 
 TIMEOUT = 60.0
@@ -235,6 +236,9 @@ class ForksFromTakeOff(Forks):
         recovery: Recovery = INLINE, *, record: bool = False,
     ) -> None:  # fmt: skip
         super().__init__(scenario, faults, detector)
+        if not is_rewindable(scenario.flight_controller):
+            text = "faults in instructions fork the flight, which this controller does not allow; allowed: cascade"
+            raise BadInputError(f"flight_controller: {scenario.flight_controller}: {text}")
         self.published = [] if record else None
         made: list[ForkingFunction] = []
 

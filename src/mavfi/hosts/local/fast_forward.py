@@ -28,6 +28,7 @@ from mavfi.hosts.loop.recovery import INLINE, Recovery, Watch
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
+from mavfi.sim.controller import is_rewindable
 from mavfi.states import State
 
 TICKS = {"dense": 50, "octree": 200}
@@ -82,12 +83,14 @@ class FastForward:
 
     Raises:
         BadInputError: The scenario cannot be flown.
-        MavfiError: It uses an estimator, whose sensors are not part of a checkpoint.
+        MavfiError: It uses an estimator or a flight controller whose state is not part of a checkpoint.
     """
 
     def __init__(self, scenario: Scenario, *, scratch: bool = False) -> None:
         if scenario.localization.kind != "truth":
             raise MavfiError("flights with an estimator are not fast-forwarded")
+        if not is_rewindable(scenario.flight_controller):
+            raise MavfiError(f"flights with the flight controller {scenario.flight_controller} are not fast-forwarded")
         self.functions = {
             field.name: ForkingFunction(field.name, getattr(PLAIN, field.name)) for field in fields(PLAIN)
         }

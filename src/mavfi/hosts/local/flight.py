@@ -9,17 +9,20 @@ from mavfi.faults.state import StateInjector
 from mavfi.hosts.host import Flight
 from mavfi.hosts.local.memory_faults import MemoryInjector
 from mavfi.hosts.loop.assemble import new_loop, watch
+from mavfi.hosts.loop.plant import MakePlant
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.taps import Recorder
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
+from mavfi.sim.simulator import Simulator
 
 
-def fly(
+def fly(  # noqa: PLR0913 - each is independent
     scenario: Scenario, fault: StateFault | MemoryFault | None = None, detector: Detector | None = None, *,
     recovery: Recovery = INLINE, profile: bool = False, recorders: Sequence[Recorder] = (),
     functions: KernelFunctions = PLAIN, observers: Sequence[Callable[[Loop], None]] = (),
+    make_plant: MakePlant = Simulator,
 ) -> Flight:  # fmt: skip
     """Fly one mission; equal arguments yield bit-identical results.
 
@@ -32,11 +35,12 @@ def fly(
         recorders: Called with each publication as consumers receive it.
         functions: Functions that the kernels call: compiled or instrumented.
         observers: Called with the loop before the flight, see `hosts.loop.observe`.
+        make_plant: Constructs the vehicle in its world.
 
     Raises:
         BadInputError: The scenario cannot be flown, e.g. the start lies in an obstacle.
     """
-    loop = new_loop(scenario, profile=profile, functions=functions)
+    loop = new_loop(scenario, profile=profile, functions=functions, make_plant=make_plant)
     if isinstance(fault, StateFault):
         loop.taps.injector = StateInjector(fault)
     in_memory = MemoryInjector(loop, fault) if isinstance(fault, MemoryFault) else None
@@ -45,7 +49,10 @@ def fly(
     loop.taps.recorders.extend(recorders)
     for attach in observers:
         attach(loop)
-    flight = loop.fly()
+    try:
+        flight = loop.fly()
+    finally:
+        loop.plant.close()
     if in_memory is not None and in_memory.effect is not None:
         flight.log = replace(flight.log, kernel=in_memory.effect)
     return flight

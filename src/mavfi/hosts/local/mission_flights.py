@@ -11,19 +11,29 @@ from mavfi.hosts.local.fast_forward import FastForward
 from mavfi.hosts.local.flight import fly
 from mavfi.hosts.local.forks import fly_from_checkpoints
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.plant import MakePlant
 from mavfi.mission import MissionSpec, Scenario
+from mavfi.sim.simulator import Simulator
 from mavfi.states import DETECTORS
 
 Found = TypeVar("Found")
 
 
 class LocalHost:
-    """The deterministic in-process host."""
+    """The deterministic in-process host.
+
+    Args:
+        make_plant: Constructs the vehicle in its world; with another one than the simulator there is no fast-forward,
+            and faults in instructions, whose runs are forked, are refused.
+    """
 
     name = "local"
     levels = frozenset({"state", "memory", "instruction"})
     deterministic = True
     in_process = True
+
+    def __init__(self, make_plant: MakePlant = Simulator) -> None:
+        self._make_plant = make_plant
 
     def resolve(self, spec: MissionSpec) -> Scenario:
         """See `Host.resolve`."""
@@ -34,15 +44,16 @@ class LocalHost:
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "LocalFlights":
         """See `Host.mission`."""
-        return LocalFlights(arms, fast_forward)
+        return LocalFlights(arms, fast_forward, self._make_plant)
 
 
 class LocalFlights(ArmFlights):
     """The flights of one mission; see `MissionFlights`."""
 
-    def __init__(self, arms: Mapping[str, ArmSetup], fast_forward: bool) -> None:
+    def __init__(self, arms: Mapping[str, ArmSetup], fast_forward: bool, make_plant: MakePlant = Simulator) -> None:
         super().__init__(arms)
-        self._fast = fast_forward
+        self._simulated, self._make_plant = make_plant is Simulator, make_plant
+        self._fast = fast_forward and self._simulated
         self._forward: dict[str, FastForward] = {}
         self._scratch = False
 
@@ -85,6 +96,8 @@ class LocalFlights(ArmFlights):
 
     def _from_take_off(self, arm: str, faults: Sequence[InstructionFault]) -> list[Flight]:
         setup = self._arms[arm]
+        if not self._simulated:
+            raise BadInputError("faults in instructions fork the flight; allowed: state, memory, in this world")
         return fly_instruction_faults(
             setup.scenario, faults, self._detector(arm), self._golden.get(arm), setup.recovery
         ).flights  # fmt: skip
@@ -133,5 +146,11 @@ class LocalFlights(ArmFlights):
         if not isinstance(fault, MemoryFault) and (fault is None or fault.bit is not None):
             found = self._forwarded(arm, lambda forward, name: forward.fly(fault, detector, name, setup.recovery))
         return found or fly(
-            setup.scenario, fault, detector, recovery=setup.recovery, profile=profile, observers=setup.observers
+            setup.scenario,
+            fault,
+            detector,
+            recovery=setup.recovery,
+            profile=profile,
+            make_plant=self._make_plant,
+            observers=setup.observers,
         )

@@ -15,6 +15,7 @@ from mavfi.pipeline.kernel import PipelineConfig
 from mavfi.pipeline.maps import find_map
 from mavfi.platforms.compute import stage_latency
 from mavfi.sim import imu
+from mavfi.sim.controller import find_controller
 from mavfi.sim.environments import SCAN_ENDINGS, World, environment_for_file
 from mavfi.sim.mjcf import find_vehicle
 from mavfi.states import Stage
@@ -68,8 +69,14 @@ def resolve(spec: MissionSpec) -> Scenario:
         planner=find_planner(spec.planner), camera=camera, map=_map_config(spec.map, resolution),
         v_max=speed, start=spec.start, goal=spec.goal, wind=parse(configs.WindConfig, {"gust": spec.wind}, "wind"),
         localization=parse(configs.LocalizationConfig, {"kind": spec.localization}, "localization"),
-        dead_node=spec.dead_node,
+        dead_node=spec.dead_node, flight_controller=_controller(spec.flight_controller),
     )  # fmt: skip
+
+
+def _controller(name: str) -> str:
+    """The name, after checking that there is such a flight controller."""
+    find_controller(name)
+    return name
 
 
 def _stack(spec: MissionSpec) -> configs.StackConfig:

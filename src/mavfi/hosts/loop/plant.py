@@ -54,6 +54,9 @@ class Plant(Protocol):
     def is_at(self, snapshot: Any) -> bool:  # noqa: ANN401
         """Whether the current state is bit-identical to `snapshot`."""
 
+    def close(self) -> None:
+        """Release what the plant holds, such as the process of a flight controller."""
+
 
 MakePlant = Callable[[World, Scenario], Plant]
 """Constructs the plant of a mission, with the vehicle at the start."""

@@ -1,0 +1,300 @@
+"""Calls that fly: arming, tasks, poses."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mavfi.bridges.airsim import attitude
+from mavfi.bridges.airsim.attitude import Vertical
+from mavfi.bridges.airsim.frames import from_geo_point, pose_numbers, triple
+from mavfi.bridges.airsim.table import Api, call, require_ready, task
+from mavfi.bridges.airsim.tasks import (
+    Yaw,
+    fly_path,
+    fly_rotors,
+    fly_velocity,
+    fly_velocity_at,
+    from_body,
+    hover,
+    land,
+    take_off,
+    turn_to,
+)
+from mavfi.bridges.airsim.vehicle import Task
+from mavfi.errors import BadInputError
+
+_FORWARD_ONLY = 1
+_HOME_SPEED = 0.5
+_RC_S = 1e6
+_MOST_RATE = math.radians(720.0)
+
+
+def yaw_of(mode: Any, drivetrain: Any = 0) -> Yaw:  # noqa: ANN401 - a client's
+    """YawMode and DrivetrainType.
+
+    A key `rad` has the value in rad(/s): a yaw rate in degrees comes back with another last bit in 12 % of all cases.
+
+    Raises:
+        BadInputError: It is none.
+    """
+    try:
+        value = float(mode["rad"]) if "rad" in mode else math.radians(float(mode["yaw_or_rate"]))
+        return Yaw(bool(mode["is_rate"]), value, drivetrain == _FORWARD_ONLY)
+    except (KeyError, TypeError, ValueError):
+        raise BadInputError(f"{mode!r}: allowed: a YawMode (is_rate, yaw_or_rate)") from None
+
+
+# ---- control ---------------------------------------------------------------------------------------------------------
+@call("enableApiControl")
+def _(api: Api, is_enabled: bool, vehicle_name: str = "") -> None:
+    api.vehicle.api = bool(is_enabled)
+
+
+@call("isApiControlEnabled")
+def _(api: Api, vehicle_name: str = "") -> bool:
+    return api.vehicle.api
+
+
+@call("armDisarm")
+def _(api: Api, arm: bool, vehicle_name: str = "") -> bool:
+    if bool(arm) != api.vehicle.sim.armed:
+        if not arm:
+            api.vehicle.cancel()
+        api.vehicle.sim.arm(bool(arm))
+    return True
+
+
+@call("reset")
+def _(api: Api) -> None:
+    api.collided_before |= api.vehicle.has_collided
+    api.vehicle.reset()
+
+
+@call("cancelLastTask")
+def _(api: Api, vehicle_name: str = "") -> None:
+    api.vehicle.cancel()
+
+
+@call("simSetVehiclePose")
+def _(api: Api, pose: Any, ignore_collision: bool, vehicle_name: str = "") -> bool:
+    api.collided_before |= api.vehicle.has_collided
+    api.vehicle.place(*pose_numbers(pose))
+    return True
+
+
+@call("simSetKinematics")
+def _(api: Api, state: Any, ignore_collision: bool, vehicle_name: str = "") -> None:
+    try:
+        at = {"position": state["position"], "orientation": state["orientation"]}
+        moving = [triple(state[name]) for name in ("linear_velocity", "angular_velocity")]
+    except (KeyError, TypeError):
+        raise BadInputError(f"{state!r}: allowed: a KinematicsState") from None
+    if any(any(values) for values in moving):
+        raise BadInputError("simSetKinematics: a velocity cannot be set; allowed: 0")
+    api.vehicle.place(*pose_numbers(at))
+
+
+# ---- tasks -----------------------------------------------------------------------------------------------------------
+@task("takeoff")
+def _(api: Api, timeout_sec: float = 20.0, vehicle_name: str = "") -> Task:
+    return take_off(api.vehicle, timeout_sec)
+
+
+@task("land")
+def _(api: Api, timeout_sec: float = 60.0, vehicle_name: str = "") -> Task:
+    return land(api.vehicle, timeout_sec)
+
+
+@task("goHome")
+def _(api: Api, timeout_sec: float = 3e38, vehicle_name: str = "") -> Task:
+    return fly_path(api.vehicle, [(0.0, 0.0, 0.0)], _HOME_SPEED, timeout_sec, Yaw())
+
+
+@task("hover")
+def _(api: Api, vehicle_name: str = "") -> Task:
+    return hover(api.vehicle)
+
+
+@task("moveByVelocity")
+def _(
+    api: Api, vx: float, vy: float, vz: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None,
+    vehicle_name: str = "",
+) -> Task:  # fmt: skip
+    yaw = Yaw() if yaw_mode is None else yaw_of(yaw_mode, drivetrain)
+    return fly_velocity(api.vehicle, (vx, vy, vz), duration, yaw)
+
+
+@task("moveByVelocityZ")
+def _(
+    api: Api, vx: float, vy: float, z: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None,
+    vehicle_name: str = "",
+) -> Task:  # fmt: skip
+    yaw = Yaw() if yaw_mode is None else yaw_of(yaw_mode, drivetrain)
+    return fly_velocity_at(api.vehicle, (vx, vy), z, duration, yaw)
+
+
+@task("moveByVelocityBodyFrame")
+def _(
+    api: Api, vx: float, vy: float, vz: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None,
+    vehicle_name: str = "",
+) -> Task:  # fmt: skip
+    yaw = Yaw() if yaw_mode is None else yaw_of(yaw_mode, drivetrain)
+    return fly_velocity(api.vehicle, (*from_body(api.vehicle, vx, vy), vz), duration, yaw)
+
+
+@task("moveByVelocityZBodyFrame")
+def _(
+    api: Api, vx: float, vy: float, z: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None,
+    vehicle_name: str = "",
+) -> Task:  # fmt: skip
+    yaw = Yaw() if yaw_mode is None else yaw_of(yaw_mode, drivetrain)
+    return fly_velocity_at(api.vehicle, from_body(api.vehicle, vx, vy), z, duration, yaw)
+
+
+@task("moveOnPath")
+def _(
+    api: Api, path: Any, velocity: float, timeout_sec: float, drivetrain: int, yaw_mode: Any, lookahead: float,
+    adaptive_lookahead: float, vehicle_name: str = "",
+) -> Task:  # fmt: skip
+    yaw = yaw_of(yaw_mode, drivetrain)
+    if yaw.is_rate and drivetrain == _FORWARD_ONLY:
+        raise BadInputError("moveOnPath: ForwardOnly with a yaw rate; allowed: YawMode(is_rate=False)")
+    if not isinstance(path, list) or not path:
+        raise BadInputError("moveOnPath: no path; allowed: at least one Vector3r")
+    return fly_path(api.vehicle, [triple(point) for point in path], velocity, timeout_sec, yaw, lookahead)
+
+
+@task("moveToPosition")
+def _(
+    api: Api, x: float, y: float, z: float, velocity: float, timeout_sec: float, drivetrain: int, yaw_mode: Any,
+    lookahead: float, adaptive_lookahead: float, vehicle_name: str = "",
+) -> Task:  # fmt: skip
+    return fly_path(api.vehicle, [(x, y, z)], velocity, timeout_sec, yaw_of(yaw_mode, drivetrain), lookahead)
+
+
+@task("moveToGPS")
+def _(
+    api: Api, latitude: float, longitude: float, altitude: float, velocity: float, timeout_sec: float,
+    drivetrain: int, yaw_mode: Any, lookahead: float, adaptive_lookahead: float, vehicle_name: str = "",
+) -> Task:  # fmt: skip
+    place = from_geo_point({"latitude": latitude, "longitude": longitude, "altitude": altitude})
+    return fly_path(api.vehicle, [place], velocity, timeout_sec, yaw_of(yaw_mode, drivetrain), lookahead)
+
+
+@task("moveToZ")
+def _(
+    api: Api, z: float, velocity: float, timeout_sec: float, yaw_mode: Any, lookahead: float,
+    adaptive_lookahead: float, vehicle_name: str = "",
+) -> Task:  # fmt: skip
+    north, east, _ = api.vehicle.position
+    return fly_path(api.vehicle, [(north, east, z)], velocity, timeout_sec, yaw_of(yaw_mode), lookahead)
+
+
+@task("rotateToYaw")
+def _(api: Api, yaw: float, timeout_sec: float, margin: float, vehicle_name: str = "") -> Task:
+    return turn_to(api.vehicle, math.radians(yaw), timeout_sec, math.radians(margin))
+
+
+@task("rotateByYawRate")
+def _(api: Api, yaw_rate: float, duration: float, vehicle_name: str = "") -> Task:
+    return fly_velocity(api.vehicle, (0.0, 0.0, 0.0), duration, Yaw(value=math.radians(yaw_rate)))
+
+
+# ---- attitude, rates, motors -----------------------------------------------------------------------------------------
+@task("moveByRollPitchYawZ")
+def _(api: Api, roll: float, pitch: float, yaw: float, z: float, duration: float, vehicle_name: str = "") -> Task:
+    rotors = attitude.at_attitude(api.vehicle, roll, pitch, yaw, None, Vertical(z=z))
+    return fly_rotors(api.vehicle, rotors, duration)
+
+
+@task("moveByRollPitchYawThrottle")
+def _(
+    api: Api, roll: float, pitch: float, yaw: float, throttle: float, duration: float, vehicle_name: str = ""
+) -> Task:
+    rotors = attitude.at_attitude(api.vehicle, roll, pitch, yaw, None, Vertical(throttle))
+    return fly_rotors(api.vehicle, rotors, duration)
+
+
+@task("moveByRollPitchYawrateThrottle")
+def _(
+    api: Api, roll: float, pitch: float, yaw_rate: float, throttle: float, duration: float, vehicle_name: str = ""
+) -> Task:
+    rotors = attitude.at_attitude(api.vehicle, roll, pitch, 0.0, yaw_rate, Vertical(throttle))
+    return fly_rotors(api.vehicle, rotors, duration)
+
+
+@task("moveByRollPitchYawrateZ")
+def _(api: Api, roll: float, pitch: float, yaw_rate: float, z: float, duration: float, vehicle_name: str = "") -> Task:
+    rotors = attitude.at_attitude(api.vehicle, roll, pitch, 0.0, yaw_rate, Vertical(z=z))
+    return fly_rotors(api.vehicle, rotors, duration)
+
+
+@task("moveByAngleRatesZ")
+def _(
+    api: Api, roll_rate: float, pitch_rate: float, yaw_rate: float, z: float, duration: float, vehicle_name: str = ""
+) -> Task:
+    rotors = attitude.at_rates(api.vehicle, roll_rate, pitch_rate, yaw_rate, Vertical(z=z))
+    return fly_rotors(api.vehicle, rotors, duration)
+
+
+@task("moveByAngleRatesThrottle")
+def _(
+    api: Api, roll_rate: float, pitch_rate: float, yaw_rate: float, throttle: float, duration: float,
+    vehicle_name: str = "",
+) -> Task:  # fmt: skip
+    rotors = attitude.at_rates(api.vehicle, roll_rate, pitch_rate, yaw_rate, Vertical(throttle))
+    return fly_rotors(api.vehicle, rotors, duration)
+
+
+@task("moveByAngleZ")
+def _(api: Api, pitch: float, roll: float, z: float, yaw: float, duration: float, vehicle_name: str = "") -> Task:
+    rotors = attitude.at_attitude(api.vehicle, roll, pitch, yaw, None, Vertical(z=z))
+    return fly_rotors(api.vehicle, rotors, duration)
+
+
+@task("moveByAngleThrottle")
+def _(
+    api: Api, pitch: float, roll: float, throttle: float, yaw_rate: float, duration: float, vehicle_name: str = ""
+) -> Task:
+    rotors = attitude.at_attitude(api.vehicle, roll, pitch, 0.0, yaw_rate, Vertical(throttle))
+    return fly_rotors(api.vehicle, rotors, duration)
+
+
+@task("moveByMotorPWMs")
+def _(
+    api: Api, front_right_pwm: float, rear_left_pwm: float, front_left_pwm: float, rear_right_pwm: float,
+    duration: float, vehicle_name: str = "",
+) -> Task:  # fmt: skip
+    shares = (front_right_pwm, rear_left_pwm, front_left_pwm, rear_right_pwm)
+    if not np.isfinite(shares).all():
+        raise BadInputError(f"moveByMotorPWMs: {shares}: allowed: 0 to 1")
+    return fly_rotors(api.vehicle, attitude.motors(api.vehicle, shares), duration)
+
+
+@call("moveByRC")
+def _(api: Api, rcdata: Any, vehicle_name: str = "") -> None:
+    """Sticks as a remote control gives them: roll, pitch and yaw rate from -1 to 1, throttle from 0 to 1."""
+    try:
+        sticks = {key: float(rcdata[key]) for key in ("roll", "pitch", "yaw", "throttle")}
+    except (KeyError, TypeError, ValueError):
+        raise BadInputError(f"{rcdata!r}: allowed: RCData") from None
+    require_ready(api, "moveByRC")
+    api.sticks = sticks
+    tilt = api.vehicle.scenario.vehicle.max_tilt
+    rotors = attitude.at_attitude(
+        api.vehicle, tilt * sticks["roll"], tilt * sticks["pitch"], 0.0,
+        min(_MOST_RATE, api.vehicle.scenario.vehicle.max_yaw_rate) * sticks["yaw"], Vertical(sticks["throttle"]),
+    )  # fmt: skip
+    api.vehicle.start(fly_rotors(api.vehicle, rotors, _RC_S))
+
+
+@task("moveByManual")
+def _(
+    api: Api, vx_max: float, vy_max: float, z_min: float, duration: float, drivetrain: int, yaw_mode: Any,
+    vehicle_name: str = "",
+) -> Task:  # fmt: skip
+    """Velocities from the sticks of the last moveByRC, which rest in the middle without one."""
+    forward, right = vx_max * api.sticks.get("pitch", 0.0), vy_max * api.sticks.get("roll", 0.0)
+    velocity = from_body(api.vehicle, forward, right)
+    return fly_velocity_at(api.vehicle, velocity, z_min, duration, yaw_of(yaw_mode, drivetrain))

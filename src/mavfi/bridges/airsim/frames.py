@@ -1,0 +1,134 @@
+"""Frames and objects of AirSim's API.
+
+AirSim's world is NED with its origin where the vehicle started, its body FRD; ours are ENU-like (x forward, y left,
+z up) and FLU.  One is the other turned by pi about x: (x, -y, -z), quaternion (w, x, -y, -z), exactly.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mavfi.errors import BadInputError
+from mavfi.numerics.elementary import atan2
+
+HOME = (47.641468, -122.140165, 122.0)
+"""AirSim's OriginGeopoint: latitude, longitude (deg), altitude (m)."""
+EARTH_RADIUS = 6378137.0
+"""WGS 84, equatorial (m)."""
+LEVEL = (1.0, 0.0, 0.0, 0.0)
+
+Triple = tuple[float, float, float]
+Numbers = Sequence[float] | np.ndarray
+
+
+def flipped(values: Numbers) -> Triple:
+    """A vector in the other frame; its own inverse."""
+    x, y, z = values
+    return float(x), -float(y), -float(z)
+
+
+def vector(values: Numbers) -> dict[str, float]:
+    """Vector3r."""
+    x, y, z = values
+    return {"x_val": float(x), "y_val": float(y), "z_val": float(z)}
+
+
+def triple(data: Any) -> Triple:  # noqa: ANN401 - a client's
+    """Numbers of a Vector3r.
+
+    Raises:
+        BadInputError: It is none.
+    """
+    try:
+        return float(data["x_val"]), float(data["y_val"]), float(data["z_val"])
+    except (KeyError, TypeError, ValueError):
+        raise BadInputError(f"{data!r}: allowed: a Vector3r (x_val, y_val, z_val)") from None
+
+
+def turned(quaternion: Numbers) -> tuple[float, float, float, float]:
+    """An orientation in the other frames; its own inverse. Shape (4,), w x y z."""
+    w, x, y, z = quaternion
+    return float(w), float(x), -float(y), -float(z)
+
+
+def rotation(quaternion: Numbers) -> dict[str, float]:
+    """Quaternionr."""
+    w, x, y, z = quaternion
+    return {"w_val": float(w), "x_val": float(x), "y_val": float(y), "z_val": float(z)}
+
+
+def quaternion(data: Any) -> tuple[float, float, float, float]:  # noqa: ANN401 - a client's
+    """Numbers w x y z of a Quaternionr.
+
+    Raises:
+        BadInputError: It is none.
+    """
+    try:
+        return float(data["w_val"]), float(data["x_val"]), float(data["y_val"]), float(data["z_val"])
+    except (KeyError, TypeError, ValueError):
+        raise BadInputError(f"{data!r}: allowed: a Quaternionr (w_val, x_val, y_val, z_val)") from None
+
+
+def pose(position: Numbers, orientation: Numbers) -> dict[str, Any]:
+    """Pose, from NED numbers."""
+    return {"position": vector(position), "orientation": rotation(orientation)}
+
+
+def pose_numbers(data: Any) -> tuple[Triple, tuple[float, float, float, float]]:  # noqa: ANN401 - a client's
+    """Position and quaternion of a Pose.
+
+    Raises:
+        BadInputError: It is none.
+    """
+    if not isinstance(data, Mapping) or not {"position", "orientation"} <= set(data):
+        raise BadInputError(f"{data!r}: allowed: a Pose (position, orientation)")
+    return triple(data["position"]), quaternion(data["orientation"])
+
+
+def geo_point(ned: Numbers) -> dict[str, float]:
+    """GeoPoint of a place in NED (m), on the tangential plane at `HOME`."""
+    north, east, down = ned
+    return {
+        "latitude": HOME[0] + math.degrees(north / EARTH_RADIUS),
+        "longitude": HOME[1] + math.degrees(east / EARTH_RADIUS / math.cos(math.radians(HOME[0]))),
+        "altitude": HOME[2] - down,
+    }
+
+
+def from_geo_point(data: Any) -> Triple:  # noqa: ANN401 - a client's
+    """Inverse of `geo_point`.
+
+    Raises:
+        BadInputError: It is none.
+    """
+    try:
+        latitude, longitude, altitude = (float(data[key]) for key in ("latitude", "longitude", "altitude"))
+    except (KeyError, TypeError, ValueError):
+        raise BadInputError(f"{data!r}: allowed: a GeoPoint (latitude, longitude, altitude)") from None
+    north = math.radians(latitude - HOME[0]) * EARTH_RADIUS
+    east = math.radians(longitude - HOME[1]) * EARTH_RADIUS * math.cos(math.radians(HOME[0]))
+    return north, east, HOME[2] - altitude
+
+
+def mount(position: Numbers, orientation: Numbers) -> tuple[float, ...]:
+    """Pose of a sensor in our body frame, from its pose in AirSim's. Shape (7,)."""
+    return (*flipped(position), *turned(orientation))
+
+
+def looking(yaw_deg: float, pitch_deg: float) -> tuple[float, float, float, float]:
+    """Orientation (FRD, w x y z) of a camera turned to the right and pitched up (deg)."""
+    y, p = 0.5 * math.radians(yaw_deg), 0.5 * math.radians(pitch_deg)
+    return math.cos(y) * math.cos(p), -math.sin(y) * math.sin(p), math.cos(y) * math.sin(p), math.sin(y) * math.cos(p)
+
+
+def yaw_of(orientation: Numbers) -> float:
+    """Yaw (rad, clockwise from above) of an NED orientation w x y z."""
+    w, x, y, z = orientation
+    return float(atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+
+
+def as_array(values: Numbers) -> np.ndarray:
+    """Numbers as an array of float64."""
+    return np.array(values, np.float64)

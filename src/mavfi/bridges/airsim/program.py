@@ -1,0 +1,287 @@
+"""Runs a client program of AirSim against our vehicle in simulated time, and says what became of it."""
+
+import asyncio
+import hashlib
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from mavfi.bridges.airsim.boundary import Boundary
+from mavfi.bridges.airsim.clock import CALL_US, Steps
+from mavfi.bridges.airsim.runner import EXIT_CRASH, EXIT_TIME_IS_UP
+from mavfi.bridges.airsim.server import HOST, Server
+from mavfi.bridges.airsim.table import VEHICLE, Api
+from mavfi.bridges.airsim.vehicle import ApiVehicle
+from mavfi.config import Config
+from mavfi.errors import BadInputError
+from mavfi.mission import MissionSpec, MissionStatus
+
+V_MAX = 12.0
+"""Speed limit of the vehicle unless chosen (m/s): programs for AirSim choose their own speeds."""
+_RUNNER = Path(__file__).with_name("runner.py")
+_PATIENCE_S = 5.0
+_LAST_LINES = 3
+
+
+class ProgramConfig(Config):
+    """A client program of AirSim under test."""
+
+    script: str = Field(description="file of the program")
+    arguments: tuple[str, ...] = ()
+    python: str = Field("", description="Python that has the program's AirSim client; mavfi's own by default")
+    seconds: float = Field(120.0, gt=0, le=1e5, description="simulated time after which the program is stopped")
+    wall_s: float = Field(120.0, gt=0, le=1e5, description="wall-clock time after which it counts as hanging")
+    image: str = Field("256x144", pattern=r"^\d+x\d+$", description="size of images, width x height")
+    vehicle: str = Field(VEHICLE, description="name of the vehicle")
+    version: int = Field(0, ge=0, le=100, description="of the API; 0 = the client's own")
+    call_us: int = Field(CALL_US, ge=4_000, le=1_000_000, multiple_of=4_000, description="time that a call takes")
+    golden_runs: int = Field(2, ge=1, le=100, description="error-free runs of a mission; they must be the same")
+
+    def check(self) -> None:
+        """Check that there are such files.
+
+        Raises:
+            BadInputError: There are not.
+        """
+        if not Path(self.script).is_file():
+            raise BadInputError(f"{self.script}: there is no such file; allowed: a client program of AirSim")
+        if self.python and not Path(self.python).is_file():
+            raise BadInputError(f"--python: {self.python}: there is no such file; allowed: a Python interpreter")
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, with a digest of the program's text."""
+        text = Path(self.script).read_bytes() if Path(self.script).is_file() else b""
+        return {**self.model_dump(mode="json"), "sha256": hashlib.sha256(text).hexdigest()}
+
+
+def pixels(text: str) -> tuple[int, int]:
+    """Width and height from e.g. "256x144".
+
+    Raises:
+        BadInputError: Another form, or out of range.
+    """
+    parts = text.lower().split("x")
+    if len(parts) == 2 and all(part.isdigit() and 2 <= int(part) <= 4096 for part in parts):
+        return int(parts[0]), int(parts[1])
+    raise BadInputError(f"--image: {text!r}: allowed: WIDTHxHEIGHT, e.g. 256x144, of 2 to 4096 pixels each")
+
+
+def make_api(
+    spec: MissionSpec, image: str = "", name: str = VEHICLE, version: int = 1, *, on_ground: bool = True
+) -> Api:
+    """The vehicle of a mission behind the API.
+
+    Args:
+        spec: The mission.
+        image: Size of images; "" = AirSim's default, or without a ground start that of the mission's camera.
+        name: Of the vehicle.
+        version: Of the API.
+        on_ground: See `ApiVehicle`.
+
+    Raises:
+        BadInputError: The mission cannot be flown.
+    """
+    if on_ground and spec.v_max is None:
+        spec = spec.model_copy(update={"v_max": V_MAX})
+    vehicle = ApiVehicle(spec, on_ground=on_ground)
+    own = vehicle.scenario.camera
+    size = pixels(image or ("256x144" if on_ground else f"{own.width}x{own.height}"))
+    settings = {"SettingsVersion": 1.2, "SimMode": "Multirotor", "ClockSpeed": 1.0, "Vehicles": {name: {}}}
+    return Api(vehicle, name, size, version, settings=settings, paused=not on_ground)
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A program that ran.
+
+    Attributes:
+        how: "ended", "time is up", "program crash" or "hang".
+        reason: Last lines that it wrote to stderr, or the signal; "" if it ended.
+        collided: Whether its vehicle touched an obstacle.
+        digest: Of the vehicle's states and of how the program ended.
+        seconds: Simulated time (s).
+        calls: Number of calls by name.
+        errors: Number of refused calls by message.
+        output: What it wrote to stdout.
+        boundary: Calls, injection and alarms at the boundary.
+    """
+
+    how: str
+    reason: str
+    collided: bool
+    digest: str
+    seconds: float
+    calls: dict[str, int]
+    errors: dict[str, int]
+    output: str
+    boundary: Boundary = field(repr=False)
+
+    @property
+    def status(self) -> MissionStatus:
+        """As the status of a mission."""
+        return MissionStatus.COLLISION if self.collided else MissionStatus.SUCCESS
+
+
+def effect_on(golden: Ended, injected: Ended) -> str:
+    """What a fault did to a program: masked, deviates, collision, program crash, hang, or not activated."""
+    if injected.boundary.injection is None:
+        return "not activated"
+    if injected.how not in ("ended", "time is up"):
+        return injected.how
+    if injected.how == "time is up" and golden.how == "ended":
+        return "hang"
+    if injected.collided and not golden.collided:
+        return "collision"
+    return "masked" if injected.digest == golden.digest else "deviates"
+
+
+def run_program(program: ProgramConfig, spec: MissionSpec, boundary: Boundary | None = None) -> Ended:
+    """Run a program to its end, against a vehicle of its own on a port of its own.
+
+    Args:
+        program: The program.
+        spec: The mission.
+        boundary: What its calls pass.
+
+    Raises:
+        BadInputError: There is no such program, Python, client library or world.
+        MavfiError: The client library does not work.
+    """
+    program.check()
+    return asyncio.run(_Run(program, spec, boundary or Boundary()).run())
+
+
+class _Run:
+    """One run of a program."""
+
+    def __init__(self, program: ProgramConfig, spec: MissionSpec, boundary: Boundary) -> None:
+        self._program, self._boundary = program, boundary
+        version = program.version or client_version(program.python)
+        self._api = make_api(spec, program.image, program.vehicle, version)
+        self._clock = Steps(program.call_us, round(1e6 * program.seconds / 4000.0) * 4000)
+        self._server = Server(self._api, self._clock, boundary)
+        self._process: subprocess.Popen[bytes] | None = None
+
+    async def run(self) -> Ended:
+        """Serve the program until it ends."""
+        with tempfile.TemporaryDirectory(prefix="mavfi-airsim-") as folder:
+            output, errors = Path(folder, "stdout"), Path(folder, "stderr")
+
+            def start(port: int) -> None:
+                with output.open("wb") as out, errors.open("wb") as err:
+                    self._process = subprocess.Popen(
+                        [self._program.python or sys.executable, str(_RUNNER), str(port), self._program.script,
+                         *self._program.arguments],
+                        stdin=subprocess.DEVNULL, stdout=out, stderr=err, env=_environment(),
+                    )  # fmt: skip
+
+            serving = asyncio.create_task(self._server.run(0, start))
+            try:
+                code = await self._wait(serving)
+            finally:
+                serving.cancel()
+                if self._process is not None and self._process.poll() is None:
+                    self._process.kill()
+                    self._process.wait(_PATIENCE_S)
+            return self._ended(code, output.read_text(errors="replace"), errors.read_text(errors="replace"))
+
+    async def _wait(self, serving: "asyncio.Task[None]") -> int | None:
+        """Exit code of the program; None = it hangs."""
+        end = time.monotonic() + self._program.wall_s
+        while time.monotonic() < end:
+            if serving.done():
+                serving.result()  # raises what ended it
+            code = None if self._process is None else self._process.poll()
+            if code is not None:
+                return code
+            await asyncio.sleep(0.01)
+        return None
+
+    def _ended(self, code: int | None, output: str, errors: str) -> Ended:
+        vehicle, boundary = self._api.vehicle, self._boundary
+        lines = [line for line in errors.splitlines() if line.strip()]
+        reason = " | ".join(lines[-_LAST_LINES:])
+        if not self._server.calls and code == EXIT_CRASH:
+            raise BadInputError(f"{self._program.script}: made no call ({reason or 'without a message'})")
+        if code is None:
+            how, reason = "hang", f"still running after {self._program.wall_s:g} s of wall-clock time"
+        elif code == EXIT_TIME_IS_UP:
+            how, reason = "time is up", ""
+        elif code == 0:
+            how, reason = "ended", ""
+        else:
+            how, reason = "program crash", reason or f"exit code {code}"
+        digest = hashlib.sha256(f"{vehicle.digest()} {how} {code}".encode()).hexdigest()
+        return Ended(
+            how, reason, vehicle.has_collided or self._api.collided_before, digest, 1e-6 * vehicle.now_us,
+            dict(self._server.calls), dict(self._server.errors), output, boundary,
+        )  # fmt: skip
+
+
+def _environment() -> dict[str, str]:
+    """Variables of the program: mavfi's, without its own Python path."""
+    return {**{k: v for k, v in os.environ.items() if k != "PYTHONPATH"}, "PYTHONHASHSEED": "0"}
+
+
+_VERSION = """
+try:
+    import airsim
+except ImportError:
+    import cosysairsim as airsim
+print(airsim.VehicleClient.getClientVersion(airsim.VehicleClient) if "cosys" not in airsim.__name__
+      else airsim.VehicleClient.getClientVersion())
+"""
+_VERSIONS: dict[str, int] = {}
+
+
+def client_version(python: str = "") -> int:
+    """Version of the API of a Python's AirSim client, which the server then reports, too.
+
+    Raises:
+        BadInputError: It has no such client.
+    """
+    if python not in _VERSIONS:
+        program = python or sys.executable
+        done = subprocess.run(
+            [program, "-c", _VERSION], capture_output=True, text=True, check=False, env=_environment(),
+            stdin=subprocess.DEVNULL,
+        )  # fmt: skip
+        with suppress(ValueError):
+            _VERSIONS[python] = int(done.stdout)
+        if python not in _VERSIONS:
+            last = (done.stderr.strip().splitlines() or ["no version"])[-1]
+            raise BadInputError(
+                f"--python: {program}: has no AirSim client ({last}); allowed: with the package airsim or cosysairsim"
+            )
+    return _VERSIONS[python]
+
+
+def world_address(text: str) -> tuple[str, int]:
+    """Host and port of "airsim://127.0.0.1:41451".
+
+    Raises:
+        BadInputError: Another form, or not on loopback.
+    """
+    host, _, port = text.removeprefix("airsim://").partition(":")
+    if text.startswith("airsim://") and host in (HOST, "localhost") and port.isdigit() and 0 < int(port) < 65536:
+        return HOST, int(port)
+    raise BadInputError(f"--world: {text!r}: allowed: airsim://127.0.0.1:PORT, on this machine")
+
+
+def shown(ended: Ended) -> dict[str, Any]:
+    """A run as plain data."""
+    injection, watch = ended.boundary.injection, ended.boundary.watch
+    return {
+        "how": ended.how, "reason": ended.reason, "collision": ended.collided, "digest": ended.digest,
+        "seconds": round(ended.seconds, 6), "calls": ended.calls, "errors": ended.errors,
+        "injection": None if injection is None else injection.to_json(),
+        "alarms": [] if watch is None else [alarm.to_json() for alarm in watch.alarms],
+    }  # fmt: skip

@@ -1,0 +1,211 @@
+"""Our pipeline flies the vehicle of any server of AirSim's API: a `Plant` behind msgpack-rpc.
+
+The simulation is paused, and continues for as long as the flight asks.  The server's own frame is used when its vehicle
+stands at the mission's start (a server of ours with `--in-flight`): then a flight has the bits of one in this process.
+"""
+
+import math
+import socket
+import time
+from typing import Any
+
+import numpy as np
+
+from mavfi.bridges.airsim.frames import flipped, pose, pose_numbers, triple, turned
+from mavfi.bridges.airsim.pictures import PERSPECTIVE
+from mavfi.bridges.airsim.server import msgpack
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.mission import Scenario
+from mavfi.sim.camera import pixel_directions
+from mavfi.sim.environments.world import World
+
+_PATIENCE_S = 30.0
+_POLL_S = 0.002
+_AT_START_M = 0.5
+_NOT_REWOUND = "flights on a server of AirSim's API cannot be rewound"
+_AHEAD_US = 2_000
+"""A server that steps in its own period may be late by less than this (us)."""
+
+
+class Rpc:
+    """A connection; calls are sent at once, answers awaited."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._where = f"airsim://{host}:{port}"
+        package = msgpack()
+        self._pack, self._unpacker = package.Packer(use_bin_type=True).pack, package.Unpacker(raw=False)
+        self._number = 0
+        try:
+            self._socket = socket.create_connection((host, port), _PATIENCE_S)
+        except OSError as error:
+            raise BadInputError(
+                f"--world: {self._where}: no server there ({error.strerror or error}); start mavfi airsim serve first"
+            ) from None
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def post(self, method: str, *arguments: Any) -> int:
+        """Send a call without awaiting its answer; returns its number."""
+        self._number += 1
+        try:
+            self._socket.sendall(self._pack([0, self._number, method, arguments]))
+        except OSError as error:
+            raise MavfiError(f"{self._where}: the server is gone ({error.strerror or error})") from None
+        return self._number
+
+    def call(self, method: str, *arguments: Any) -> Any:
+        """The result of a call.
+
+        Raises:
+            MavfiError: The server refuses it, is gone, or does not answer.
+        """
+        number = self.post(method, *arguments)
+        while True:
+            for _, answered, error, result in self._unpacker:
+                if answered == number:
+                    if error is not None:
+                        raise MavfiError(f"{self._where}: {method}: {error}")
+                    return result
+            try:
+                data = self._socket.recv(1 << 20)
+            except OSError as error:
+                raise MavfiError(f"{self._where}: {method}: no answer ({error.strerror or error})") from None
+            if not data:
+                raise MavfiError(f"{self._where}: the server is gone")
+            self._unpacker.feed(data)
+
+    def close(self) -> None:
+        """Hang up."""
+        self._socket.close()
+
+
+class Remote:
+    """The vehicle behind a server, as a `Plant`; cameras and odometry only.
+
+    Attributes:
+        odometry: See `Plant`.
+        collided: See `Plant`.
+        rejected_commands: See `Plant`.
+        calls: Number of calls.
+
+    Raises:
+        BadInputError: The mission needs more than the API gives, or the server's images have another size.
+        MavfiError: The server refuses a call, or is gone.
+    """
+
+    def __init__(self, world: World, scenario: Scenario, host: str, port: int) -> None:
+        if scenario.localization.kind != "truth":
+            raise BadInputError("--localization: estimator: allowed: truth, with --world")
+        self.rpc, self._scenario, self._camera = Rpc(host, port), scenario, scenario.camera
+        self.time_us, self.collided, self.rejected_commands = 0, False, 0
+        self.odometry = np.zeros(13)
+        self._directions = pixel_directions(scenario.camera)
+        self._directions.flags.writeable = False
+        self._origin = np.zeros(3)
+        self.rpc.call("reset")
+        self.rpc.call("enableApiControl", True, "")
+        self.rpc.call("simPause", True)
+        self.rpc.call("armDisarm", True, "")
+        self._observe()
+        if float(np.abs(self.odometry[:3] - world.start).max()) > _AT_START_M:
+            self._go_to_start(world)
+        self._begin = self._stamp
+        self.depth()  # a wrong image size is an error before the flight
+
+    def _go_to_start(self, world: World) -> None:
+        """Put a vehicle that stands elsewhere to the start; its own origin is the ground below that."""
+        self._origin = world.start - np.array([0.0, 0.0, world.start[2]])
+        way = world.goal - world.start
+        yaw = math.atan2(way[1], way[0])
+        facing = turned((math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw)))
+        self.rpc.call("simSetVehiclePose", pose(flipped(world.start - self._origin), facing), True, "")
+        self._observe()
+        self.collided = False
+
+    def _observe(self) -> None:
+        state = self.rpc.call("getMultirotorState", "")
+        found = state["kinematics_estimated"]
+        position, orientation = pose_numbers(found)
+        self.odometry[:3] = np.array(flipped(position)) + self._origin
+        self.odometry[3:6] = flipped(triple(found["linear_velocity"]))
+        self.odometry[6:10] = turned(orientation)
+        self.odometry[10:] = flipped(triple(found["angular_velocity"]))
+        self.collided = self.collided or bool(state["collision"]["has_collided"])
+        self._stamp = int(state["timestamp"])
+
+    @property
+    def ray_directions(self) -> np.ndarray:
+        """See `Plant.ray_directions`."""
+        return self._directions
+
+    def command(self, velocity_yaw_rate: np.ndarray, duration: float) -> None:
+        """See `Plant.command`; the yaw rate goes along in rad/s, as well, for servers that read it."""
+        vx, vy, vz, yaw_rate = velocity_yaw_rate.tolist()
+        if not all(map(math.isfinite, (vx, vy, vz, yaw_rate, duration))):
+            self.rejected_commands += 1
+            return
+        turning = {"is_rate": True, "yaw_or_rate": math.degrees(-yaw_rate), "rad": -yaw_rate}
+        self.rpc.post("moveByVelocity", vx, -vy, -vz, duration, 0, turning, "")
+
+    def advance(self, time_us: int) -> None:
+        """See `Plant.advance`.
+
+        Raises:
+            MavfiError: The server's time does not pass.
+        """
+        if time_us <= self.time_us:
+            return
+        self.rpc.call("simContinueForTime", 1e-6 * (time_us - self.time_us))
+        self.time_us = time_us
+        end = time.monotonic() + _PATIENCE_S
+        self._observe()
+        while self._stamp < self._begin + 1000 * (time_us - _AHEAD_US):  # a server that lets time pass by itself
+            if time.monotonic() > end:
+                raise MavfiError(
+                    f"server of --world: its time does not pass (simContinueForTime at {1e-6 * time_us} s)"
+                )
+            time.sleep(_POLL_S)
+            self._observe()
+
+    def depth(self) -> tuple[np.ndarray, np.ndarray]:
+        """See `Plant.depth`."""
+        request = {
+            "camera_name": "0", "image_type": PERSPECTIVE, "pixels_as_float": True, "compress": False,
+            "annotation_name": "",
+        }  # fmt: skip
+        image = self.rpc.call("simGetImages", [request], "", False)[0]
+        size, wanted = (image["width"], image["height"]), (self._camera.width, self._camera.height)
+        if tuple(size) != wanted:
+            text = f"its images are {size[0]}x{size[1]}; allowed: {wanted[0]}x{wanted[1]} (mavfi airsim serve --image)"
+            raise BadInputError(f"server of --world: {text}")
+        ranges = np.array(image["image_data_float"], np.float32)
+        ranges[ranges >= self._camera.range] = np.inf
+        return ranges, np.concatenate([self.odometry[:3], self.odometry[6:10]])
+
+    def imu(self) -> np.ndarray:
+        """See `Plant.imu`; the server's, with its noise."""
+        data = self.rpc.call("getImuData", "", "")
+        return np.array([*flipped(triple(data["linear_acceleration"])), *flipped(triple(data["angular_velocity"]))])
+
+    def position_fix(self) -> np.ndarray:
+        """See `Plant.position_fix`; not offered."""
+        raise BadInputError("--localization: estimator: allowed: truth, with --world")
+
+    def warnings(self) -> list[str]:
+        """See `Plant.warnings`; the API has none."""
+        return []
+
+    def snapshot(self) -> Any:
+        """See `Plant.snapshot`; a server cannot be rewound."""
+        raise MavfiError(_NOT_REWOUND)
+
+    def restore(self, snapshot: Any) -> None:
+        """See `Plant.restore`; a server cannot be rewound."""
+        raise MavfiError(_NOT_REWOUND)
+
+    def is_at(self, snapshot: Any) -> bool:
+        """See `Plant.is_at`; a server cannot be rewound."""
+        raise MavfiError(_NOT_REWOUND)
+
+    def close(self) -> None:
+        """Hang up."""
+        self.rpc.close()

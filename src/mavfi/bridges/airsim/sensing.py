@@ -1,0 +1,283 @@
+"""Calls that look: state, collisions, inertial and other sensors, cameras, lidar."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mavfi.bridges.airsim import pictures
+from mavfi.bridges.airsim.frames import HOME, LEVEL, flipped, geo_point, looking, mount, pose, pose_numbers, vector
+from mavfi.bridges.airsim.frames import rotation as rotated
+from mavfi.bridges.airsim.table import Api, Camera, call
+from mavfi.bridges.airsim.vehicle import FLYING, LANDED, camera
+from mavfi.errors import BadInputError
+from mavfi.sim.grounded import GROUND, SCAN
+
+CAMERA_RANGE = 100.0
+"""Beyond it a depth image shows the sky (m)."""
+SKY = 65504.0
+"""Depth of the sky, the largest float16, as in AirSim."""
+_FACING = {"front_center": (0, 0), "front_right": (0, 0), "front_left": (0, 0), "bottom_center": (0, -90),
+           "back_center": (180, 0)}  # fmt: skip
+_NUMBERS = dict(zip("01234", _FACING, strict=True))
+_CAMERAS = {**_FACING, "fpv": (0, 0)}
+"""AirSim's cameras: turned to the right and up (deg); all of them sit at the centre of the vehicle."""
+_CHANNELS, _STEPS = 16, 360
+_LIDAR_TOP_DEG, _LIDAR_BOTTOM_DEG, _LIDAR_RANGE = -15.0, -25.0, 100.0
+_NEAREST, _FARTHEST = 0.2, 40.0
+_FIELD = (0.253, 0.049, 0.428)
+"""Magnetic field at Redmond, WA, NED (gauss): World Magnetic Model, rounded."""
+_SEA_LEVEL_PA, _QNH = 101325.0, 1013.25
+_RAYS: list[np.ndarray] = []
+
+
+def kinematics(api: Api) -> dict[str, Any]:
+    """KinematicsState."""
+    v = api.vehicle
+    return {
+        **pose(v.position, v.orientation), "linear_velocity": vector(v.velocity), "angular_velocity": vector(v.rates),
+        "linear_acceleration": vector(_acceleration(api)), "angular_acceleration": vector((0, 0, 0)),
+    }  # fmt: skip
+
+
+def _acceleration(api: Api) -> tuple[float, float, float]:
+    """Acceleration (NED, m/s^2): specific force in the world frame, plus gravity."""
+    return flipped(api.vehicle.sim.acceleration())
+
+
+def collision(api: Api) -> dict[str, Any]:
+    """CollisionInfo."""
+    v, found = api.vehicle, api.vehicle.collision
+    if found is None:
+        zero = vector((0, 0, 0))
+        return {
+            "has_collided": v.has_collided, "normal": zero, "impact_point": zero, "position": zero,
+            "penetration_depth": 0.0, "time_stamp": 0, "object_name": "", "object_id": -1,
+        }  # fmt: skip
+    names = {GROUND: "Ground", SCAN: "scan"}
+    name = names.get(found.obstacle) or api.objects[found.obstacle]
+    return {
+        "has_collided": v.has_collided, "normal": vector(flipped(found.normal)),
+        "impact_point": vector(v.to_ned(found.point)), "position": vector(v.to_ned(found.vehicle)),
+        "penetration_depth": found.depth, "time_stamp": v.stamp - 1000 * (v.sim.time_us - found.time_us),
+        "object_name": name, "object_id": found.obstacle,
+    }  # fmt: skip
+
+
+@call("getMultirotorState")
+def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
+    switches = {f"switch{n}": 0 for n in range(1, 9)}
+    sticks = {key: api.sticks.get(key, 0.0) for key in ("pitch", "roll", "throttle", "yaw")}
+    return {
+        "collision": collision(api), "kinematics_estimated": kinematics(api),
+        "gps_location": geo_point(api.vehicle.position), "timestamp": api.vehicle.stamp,
+        "landed_state": LANDED if api.vehicle.landed else FLYING,
+        "rc_data": {
+            "timestamp": 0, **sticks, "left_z": 0.0, "right_z": 0.0, "is_initialized": bool(api.sticks),
+            "is_valid": bool(api.sticks), "vendor_id": "", **switches,
+        },
+        "ready": True, "ready_message": "", "can_arm": True,
+    }  # fmt: skip
+
+
+@call("simGetGroundTruthKinematics")
+def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
+    return kinematics(api)
+
+
+@call("simGetGroundTruthEnvironment")
+def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
+    v = api.vehicle
+    height = geo_point(v.position)["altitude"]
+    return {
+        "position": vector(v.position), "geo_point": geo_point(v.position), "gravity": vector((0.0, 0.0, 9.80665)),
+        "air_pressure": _pressure(height), "temperature": 288.15 - 0.0065 * height,
+        "air_density": _pressure(height) / (287.053 * (288.15 - 0.0065 * height)),
+    }  # fmt: skip
+
+
+@call("simGetVehiclePose")
+def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
+    return pose(api.vehicle.position, api.vehicle.orientation)
+
+
+@call("simGetCollisionInfo")
+def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
+    return collision(api)
+
+
+@call("getRotorStates")
+def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
+    thrusts, ratio = api.vehicle.sim.thrusts, api.vehicle.scenario.vehicle.rotor_torque_ratio
+    rotors = [
+        {"thrust": float(t), "torque_scaler": float(t) * ratio, "speed": math.sqrt(max(0.0, float(t)))} for t in thrusts
+    ]
+    return {"timestamp": api.vehicle.stamp, "rotors": rotors}
+
+
+# ---- motion sensors --------------------------------------------------------------------------------------------------
+@call("getImuData")
+def _(api: Api, imu_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+    sample = api.vehicle.sim.imu()
+    return {
+        "time_stamp": api.vehicle.stamp, "orientation": rotated(api.vehicle.orientation),
+        "angular_velocity": vector(flipped(sample[3:])), "linear_acceleration": vector(flipped(sample[:3])),
+    }  # fmt: skip
+
+
+def _pressure(height: float) -> float:
+    """Air pressure of the standard atmosphere (Pa) at a height (m)."""
+    base = 1.0 - 2.25577e-5 * height
+    return float(_SEA_LEVEL_PA * base**5.25588) if base > 0.0 else 0.0
+
+
+@call("getBarometerData")
+def _(api: Api, barometer_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+    height = geo_point(api.vehicle.position)["altitude"]
+    return {"time_stamp": api.vehicle.stamp, "altitude": height, "pressure": _pressure(height), "qnh": _QNH}
+
+
+@call("getMagnetometerData")
+def _(api: Api, magnetometer_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+    w, x, y, z = api.vehicle.orientation
+    matrix = np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+    body = [float(sum(matrix[k, axis] * _FIELD[k] for k in range(3))) for axis in range(3)]
+    return {"time_stamp": api.vehicle.stamp, "magnetic_field_body": vector(body), "magnetic_field_covariance": []}
+
+
+@call("getGpsData")
+def _(api: Api, gps_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+    v = api.vehicle
+    gnss = {
+        "geo_point": geo_point(v.position), "eph": 0.1, "epv": 0.1, "velocity": vector(v.velocity), "fix_type": 3,
+        "time_utc": v.stamp // 1000,
+    }  # fmt: skip
+    return {"time_stamp": v.stamp, "gnss": gnss, "is_valid": True}
+
+
+@call("getHomeGeoPoint")
+def _(api: Api, vehicle_name: str = "") -> dict[str, float]:
+    return dict(zip(("latitude", "longitude", "altitude"), HOME, strict=True))
+
+
+@call("getDistanceSensorData")
+def _(api: Api, distance_sensor_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+    found = float(api.vehicle.sim.cast(np.array([[1.0, 0.0, 0.0]]), _FARTHEST)[0])
+    return {
+        "time_stamp": api.vehicle.stamp, "distance": min(_FARTHEST, max(_NEAREST, found)), "min_distance": _NEAREST,
+        "max_distance": _FARTHEST, "relative_pose": pose((0, 0, 0), LEVEL),
+    }  # fmt: skip
+
+
+def lidar_rays() -> np.ndarray:
+    """Unit vectors of AirSim's default lidar, 16 channels around the vehicle, body frame (z up). Shape (n, 3)."""
+    if not _RAYS:
+        elevation = np.radians(np.linspace(_LIDAR_TOP_DEG, _LIDAR_BOTTOM_DEG, _CHANNELS))
+        azimuth = np.radians(np.linspace(-180.0, 180.0, _STEPS, endpoint=False))
+        turn, tilt = np.meshgrid(azimuth, elevation)
+        rays = np.stack([np.cos(tilt) * np.cos(turn), -np.cos(tilt) * np.sin(turn), np.sin(tilt)], axis=-1)
+        _RAYS.append(np.ascontiguousarray(rays.reshape(-1, 3)))
+    return _RAYS[0]
+
+
+@call("getLidarData")
+def _(api: Api, lidar_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
+    """Points in NED (AirSim's frame VehicleInertialFrame)."""
+    v, rays = api.vehicle, lidar_rays()
+    ranges = v.sim.cast(rays, _LIDAR_RANGE)
+    seen = np.isfinite(ranges)
+    points = v.sim.points(rays[seen], ranges[seen]) - v.origin
+    points[:, 1:] *= -1.0
+    return {
+        "point_cloud": points.astype(np.float32).ravel().tolist(), "time_stamp": v.stamp,
+        "pose": pose(v.position, v.orientation), "segmentation": [],
+    }  # fmt: skip
+
+
+# ---- cameras ---------------------------------------------------------------------------------------------------------
+def find_camera(api: Api, name: Any) -> Camera:  # noqa: ANN401 - a client's
+    """A camera by name or number.
+
+    Raises:
+        BadInputError: There is none.
+    """
+    known = _NUMBERS.get(str(name), str(name))
+    if known not in _CAMERAS:
+        raise BadInputError(f"camera {name!r}: not known; allowed: {', '.join([*_NUMBERS, *_CAMERAS])}")
+    if known not in api.cameras:
+        api.cameras[known] = Camera((0.0, 0.0, 0.0), looking(*_CAMERAS[known]))
+    return api.cameras[known]
+
+
+def view(api: Api, name: Any) -> pictures.View:  # noqa: ANN401 - a client's
+    """What a camera sees now."""
+    found, (width, height) = find_camera(api, name), api.pixels
+    config = camera(width, height, math.radians(found.fov_deg), CAMERA_RANGE)
+    placed = mount(found.position, found.orientation)
+    ranges, rays = api.vehicle.sim.ranges(config, placed)
+    return pictures.View(ranges, rays, width, height, api.vehicle.sim.sensor_pose(placed))
+
+
+def _camera_pose(api: Api, name: Any) -> tuple[Any, Any]:
+    found = find_camera(api, name)
+    at = api.vehicle.sim.sensor_pose(mount(found.position, found.orientation))
+    return api.vehicle.to_ned(np.array(at[:3])), (at[3], at[4], -at[5], -at[6])
+
+
+@call("simGetImage")
+def _(api: Api, camera_name: str, image_type: int, vehicle_name: str = "", annotation_name: Any = "") -> bytes:
+    return pictures.encoded(api, view(api, camera_name), image_type)
+
+
+@call("simGetImages")
+def _(api: Api, requests: Any, vehicle_name: str = "", external: Any = False) -> list[dict[str, Any]]:
+    return [_response(api, request) for request in requests]
+
+
+def _response(api: Api, request: Any) -> dict[str, Any]:
+    """ImageResponse to an ImageRequest."""
+    try:
+        name, kind = request["camera_name"], int(request["image_type"])
+        as_float, compress = bool(request["pixels_as_float"]), bool(request["compress"])
+    except (KeyError, TypeError, ValueError):
+        raise BadInputError(f"{request!r}: allowed: an ImageRequest") from None
+    seen = view(api, name)
+    position, orientation = _camera_pose(api, name)
+    return {
+        "image_data_uint8": b"" if as_float else pictures.encoded(api, seen, kind, compress),
+        "image_data_float": pictures.floats(seen, kind, SKY) if as_float else [],
+        "camera_position": vector(position), "camera_name": str(name), "camera_orientation": rotated(orientation),
+        "time_stamp": api.vehicle.stamp, "message": "", "pixels_as_float": as_float, "compress": compress,
+        "width": seen.width, "height": seen.height, "image_type": kind, "annotation_name": "",
+    }  # fmt: skip
+
+
+@call("simGetCameraInfo")
+def _(api: Api, camera_name: str, vehicle_name: str = "", external: Any = False) -> dict[str, Any]:
+    width, height = api.pixels
+    fov = find_camera(api, camera_name).fov_deg
+    x = 1.0 / math.tan(math.radians(0.5 * fov))
+    matrix = [[x, 0.0, 0.0, 0.0], [0.0, x * width / height, 0.0, 0.0], [0.0, 0.0, 0.0, 10.0], [0.0, 0.0, 1.0, 0.0]]
+    return {"pose": pose(*_camera_pose(api, camera_name)), "fov": fov, "proj_mat": {"matrix": matrix}}
+
+
+@call("simSetCameraPose")
+def _(api: Api, camera_name: str, pose: Any, vehicle_name: str = "", external: Any = False) -> None:
+    found = find_camera(api, camera_name)
+    position, orientation = pose_numbers(pose)
+    norm = math.sqrt(sum(value * value for value in orientation))
+    if not norm > 0.0 or not all(map(math.isfinite, (*position, *orientation))):
+        raise BadInputError(f"simSetCameraPose: {pose!r}: allowed: finite numbers, an orientation other than zero")
+    found.position = position
+    found.orientation = tuple(value / norm for value in orientation)  # type: ignore[assignment]
+
+
+@call("simSetCameraFov")
+def _(api: Api, camera_name: str, fov_degrees: float, vehicle_name: str = "", external: Any = False) -> None:
+    if not 1.0 <= fov_degrees <= 170.0:
+        raise BadInputError(f"simSetCameraFov: {fov_degrees}: allowed: 1 to 170 deg")
+    find_camera(api, camera_name).fov_deg = float(fov_degrees)

@@ -1,0 +1,202 @@
+"""A server of AirSim's API: msgpack-rpc over TCP, on loopback only.
+
+Request `[0, number, name, arguments]`, answer `[1, number, error, result]`; a task is answered when it ends.  Calls are
+served one after the other, in the order in which they arrive.
+"""
+
+import asyncio
+import contextlib
+import socket
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from mavfi.bridges.airsim import flying, scene, sensing
+from mavfi.bridges.airsim.boundary import Boundary
+from mavfi.bridges.airsim.clock import Real, Steps
+from mavfi.bridges.airsim.table import Api, find_call, require_ready
+from mavfi.errors import BadInputError, MavfiError
+
+HOST, PORT = "127.0.0.1", 41451
+TIME_IS_UP = "mavfi: time is up"
+"""Begins the error of every call after the time limit; the runner ends the program then."""
+_REQUEST, _RESPONSE = 0, 1
+_READ = 1 << 16
+_MODULES = flying, scene, sensing  # register their calls
+Reply = Callable[[str | None, Any], None]
+
+
+def msgpack() -> Any:
+    """The package msgpack.
+
+    Raises:
+        BadInputError: It is not installed.
+    """
+    try:
+        import msgpack as found
+    except ImportError:
+        raise BadInputError(
+            "the package msgpack is not installed; allowed: after pip install 'mavfi[airsim]'"
+        ) from None
+    return found
+
+
+class Server:
+    """Serves one vehicle.
+
+    Args:
+        api: The vehicle and what belongs to it.
+        clock: How time passes.
+        boundary: What all calls pass.
+        single: Whether numbers are sent as float32, as by AirSim.
+
+    Attributes:
+        calls: Number of calls by name.
+        errors: Number of errors by message.
+        finished: Set when the last client has left, after the first one came.
+    """
+
+    def __init__(
+        self, api: Api, clock: Real | Steps, boundary: Boundary | None = None, *, single: bool = False
+    ) -> None:
+        self.api, self.clock, self.boundary = api, clock, boundary or Boundary()
+        self._msgpack = msgpack()
+        self._pack = self._msgpack.Packer(use_bin_type=True, use_single_float=single).pack
+        self._waiting: dict[int, tuple[Reply, str, list[Any]]] = {}
+        self._connections: set[asyncio.StreamWriter] = set()
+        self.calls: Counter[str] = Counter()
+        self.errors: Counter[str] = Counter()
+        self.finished = asyncio.Event()
+
+    # ---- calls ------------------------------------------------------------------------------------------------------
+    def serve_call(self, name: Any, given: list[Any], reply: Reply) -> None:
+        """Serve one call; `reply` is called with error and result, now or when its task ends."""
+        try:
+            if isinstance(self.clock, Steps) and isinstance(name, str) and name.startswith("mavfi"):
+                result = self._of_runner(self.clock, name, given)
+                self.flush()  # a task's answer comes before that of the call that waited for it
+                reply(None, result)
+            else:
+                self._serve(name, given, reply)
+        except MavfiError as error:
+            self._refuse(name, str(error), reply)
+        except (TypeError, ValueError, OverflowError, ArithmeticError) as error:  # arguments of another kind
+            self._refuse(name, f"{name}: {error}", reply)
+        self.flush()
+
+    def _refuse(self, name: Any, text: str, reply: Reply) -> None:
+        self.errors[text] += 1
+        reply(text, None)
+
+    def _serve(self, name: Any, given: list[Any], reply: Reply) -> None:
+        api, found = self.api, find_call(name)
+        self.calls[name] += 1
+        self.clock.before_call(api)
+        self._check_time()
+        found.check(api, given)
+        given = self.boundary.arguments(name, given, api.vehicle.now_us)
+        if found.is_task:
+            require_ready(api, name)
+            number = api.vehicle.start(found.function(api, *given))
+            self._waiting[number] = (reply, name, given)
+            return
+        result = found.function(api, *given)
+        self.clock.after_call(api)
+        reply(None, self.boundary.returned(name, given, result, api.vehicle.now_us))
+
+    def _of_runner(self, clock: Steps, name: str, given: list[Any]) -> Any:
+        """Calls of the runner in the client's process."""
+        api = self.api
+        if name == "mavfiSleep":
+            clock.sleep(api, float(given[0]))
+        elif name == "mavfiFinish":
+            clock.finish(api)
+        elif name != "mavfiNow":
+            raise BadInputError(f"server could not find function {name!r}")
+        self._check_time()
+        return clock.now(api) if name == "mavfiNow" else None
+
+    def _check_time(self) -> None:
+        if isinstance(self.clock, Steps) and self.api.vehicle.now_us >= self.clock.limit_us:
+            raise BadInputError(f"{TIME_IS_UP} ({1e-6 * self.clock.limit_us:g} s)")
+
+    def flush(self) -> None:
+        """Answer the tasks that have ended."""
+        vehicle = self.api.vehicle
+        for ended in vehicle.ended:
+            reply, name, given = self._waiting.pop(ended.number, (None, "", []))
+            if reply is None:
+                continue
+            if isinstance(ended.result, Exception):
+                known = isinstance(ended.result, MavfiError)
+                self._refuse(name, str(ended.result) if known else f"{name}: {ended.result}", reply)
+            else:
+                reply(None, self.boundary.returned(name, given, ended.result, vehicle.now_us))
+        vehicle.ended.clear()
+
+    # ---- connections ------------------------------------------------------------------------------------------------
+    async def connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve one client until it leaves."""
+        self._connections.add(writer)
+        raw = writer.get_extra_info("socket")
+        raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        unpacker = self._msgpack.Unpacker(raw=False, strict_map_key=False, unicode_errors="surrogateescape")
+        try:
+            while data := await reader.read(_READ):
+                # a client's Nagle waits for an acknowledgement after each unjoined task, which Linux delays by 40 ms
+                raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+                unpacker.feed(data)
+                for request in unpacker:
+                    self._request(writer, request)
+                await writer.drain()
+        except (ConnectionError, self._msgpack.exceptions.UnpackException, ValueError):
+            pass  # the client left, or speaks another protocol
+        finally:
+            self._connections.discard(writer)
+            writer.close()
+            if not self._connections:
+                self.finished.set()
+
+    def _request(self, writer: asyncio.StreamWriter, request: Any) -> None:
+        if not isinstance(request, list) or len(request) != 4 or request[0] != _REQUEST:
+            raise ValueError("not a request of msgpack-rpc")
+        _, number, name, given = request
+
+        def reply(error: str | None, result: Any) -> None:
+            with contextlib.suppress(ConnectionError):
+                writer.write(self._pack([_RESPONSE, number, error, result]))
+
+        self.serve_call(name, list(given) if isinstance(given, (list, tuple)) else [given], reply)
+
+    async def run(self, port: int, ready: Callable[[int], None], *, once: bool = False) -> None:
+        """Serve on loopback: for ever, or (`once`) until the last client has left.
+
+        Args:
+            port: 0 = any free one.
+            ready: Called with the port when clients can connect.
+            once: Whether to end with the last client.
+
+        Raises:
+            BadInputError: The port is taken.
+        """
+        try:
+            server = await asyncio.start_server(self.connected, HOST, port)
+        except OSError as error:
+            raise BadInputError(f"--port: {port}: {error.strerror or error}; allowed: a free port") from None
+        ready(server.sockets[0].getsockname()[1])
+        ticking = asyncio.create_task(self._tick()) if isinstance(self.clock, Real) else None
+        try:
+            await (self.finished.wait() if once else asyncio.Event().wait())
+        finally:
+            if ticking is not None:
+                ticking.cancel()
+            server.close()
+            for writer in list(self._connections):
+                writer.close()
+
+    async def _tick(self) -> None:
+        assert isinstance(self.clock, Real)  # precondition
+        while True:
+            await asyncio.sleep(0.004)
+            self.clock.tick(self.api)
+            self.flush()

@@ -1,0 +1,151 @@
+"""The table of calls of AirSim's API: every call is a function of an `Api` and its arguments, registered by name."""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from mavfi.bridges.airsim.vehicle import ApiVehicle, Task
+from mavfi.errors import BadInputError
+
+VEHICLE = "SimpleFlight"
+"""Name of the vehicle unless chosen, as in AirSim's default settings."""
+PIXELS = (256, 144)
+"""Size of an image unless chosen, as in AirSim's default settings."""
+
+
+@dataclass(slots=True)
+class Camera:
+    """A camera: pose in the body frame FRD (position, orientation w x y z), and field of view (deg)."""
+
+    position: tuple[float, float, float]
+    orientation: tuple[float, float, float, float]
+    fov_deg: float = 90.0
+
+
+@dataclass
+class Api:
+    """What calls act on.
+
+    Attributes:
+        vehicle: The vehicle.
+        name: Its name; calls with another one are refused.
+        pixels: Width and height of images.
+        version: Version that the server reports: 1 for AirSim 1.8.1, 4 for Cosys-AirSim 3.
+        cameras: By name, filled when first used.
+        paused: Whether time stands still.
+        resume_until_us: Instant at which a pause returns; None = none.
+        settings: Of AirSim, as the client reads them.
+        objects: Names of the obstacles, in the order of the world's boxes.
+        segments: Segmentation ids of objects, by name.
+        weather: Parameters of the picture, by AirSim's number.
+        weather_on: Whether they are drawn.
+        sticks: Last data of moveByRC.
+        collided_before: Whether the vehicle touched an obstacle before its last reset or change of pose.
+    """
+
+    vehicle: ApiVehicle
+    name: str = VEHICLE
+    pixels: tuple[int, int] = PIXELS
+    version: int = 1
+    cameras: dict[str, Camera] = field(default_factory=dict)
+    paused: bool = False
+    resume_until_us: int | None = None
+    settings: dict[str, Any] = field(default_factory=dict)
+    objects: list[str] = field(default_factory=list)
+    segments: dict[str, int] = field(default_factory=dict)
+    weather: dict[int, float] = field(default_factory=dict)
+    weather_on: bool = False
+    sticks: dict[str, float] = field(default_factory=dict)
+    collided_before: bool = False
+
+    def __post_init__(self) -> None:
+        self.objects = self.objects or [f"box_{n}" for n in range(len(self.vehicle.sim.world.lower))]
+
+
+@dataclass(frozen=True)
+class Call:
+    """A call of the API.
+
+    Attributes:
+        name: As on the wire.
+        function: Takes an `Api` and the arguments; returns plain data, or a generator if it `is_task`.
+        is_task: Whether the answer comes when a task has ended.
+    """
+
+    name: str
+    function: Callable[..., Any]
+    is_task: bool
+
+    @cached_property
+    def parameters(self) -> list[inspect.Parameter]:
+        """Its parameters, without the `Api`."""
+        return list(inspect.signature(self.function).parameters.values())[1:]
+
+    @property
+    def arguments(self) -> list[str]:
+        """Names of its parameters."""
+        return [parameter.name for parameter in self.parameters]
+
+    def check(self, api: Api, given: list[Any]) -> None:
+        """Check the number of arguments and the name of the vehicle.
+
+        Raises:
+            BadInputError: They do not fit.
+        """
+        if any(parameter.kind is inspect.Parameter.VAR_POSITIONAL for parameter in self.parameters):
+            return
+        needed = sum(parameter.default is inspect.Parameter.empty for parameter in self.parameters)
+        if not needed <= len(given) <= len(self.parameters):
+            allowed = ", ".join(self.arguments) or "none"
+            raise BadInputError(f"{self.name}: {len(given)} arguments; allowed: {allowed}")
+        for name, value in zip(self.arguments, given, strict=False):
+            if name == "vehicle_name" and value not in ("", api.name):
+                raise BadInputError(f"{self.name}: vehicle {value!r}: not known; allowed: {api.name}, or none")
+
+
+CALLS: dict[str, Call] = {}
+
+
+def call(name: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Register a function as the call of this name."""
+
+    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+        CALLS[name] = Call(name, function, is_task=False)
+        return function
+
+    return add
+
+
+def task(name: str) -> Callable[[Callable[..., Task]], Callable[..., Task]]:
+    """Register a function that returns a task as the call of this name; it needs running motors."""
+
+    def add(function: Callable[..., Task]) -> Callable[..., Task]:
+        CALLS[name] = Call(name, function, is_task=True)
+        return function
+
+    return add
+
+
+def find_call(name: Any) -> Call:
+    """The call of a name.
+
+    Raises:
+        BadInputError: There is none; the message names it, as AirSim's server does.
+    """
+    if not isinstance(name, str) or name not in CALLS:
+        raise BadInputError(f"server could not find function '{name}': mavfi does not have this call (docs/airsim.md)")
+    return CALLS[name]
+
+
+def require_ready(api: Api, name: str) -> None:
+    """Check that a task can fly.
+
+    Raises:
+        BadInputError: API control is off, or the motors are.
+    """
+    if not api.vehicle.api:
+        raise BadInputError(f"{name}: API control is off; allowed: after enableApiControl(True)")
+    if not api.vehicle.sim.armed:
+        raise BadInputError(f"{name}: the motors are off; allowed: after armDisarm(True)")

@@ -1,0 +1,225 @@
+"""Our vehicle as AirSim's API shows it: NED, tasks that take time, collisions, reset; time is advanced by its owner."""
+
+import hashlib
+from collections.abc import Generator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mavfi.bridges.airsim.frames import Triple, flipped, turned, yaw_of
+from mavfi.config import CameraConfig
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
+from mavfi.sim.environments import build_world
+from mavfi.sim.grounded import Contact, Grounded
+from mavfi.sim.scene import STEP_US
+
+TICK_US = 20_000
+"""Period of a task: AirSim's getCommandPeriod."""
+EPOCH_NS = 1_600_000_000_000_000_000
+"""Time stamp of the start of a simulation (ns)."""
+LANDED, FLYING = 0, 1
+_AIRBORNE = 0.3
+"""Height at which a vehicle counts as flying (m)."""
+
+Task = Generator[None, None, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """A task that ended: its number, and its result or the exception that it raised."""
+
+    number: int
+    result: Any
+
+
+class ApiVehicle:
+    """One vehicle in one world, under the API.
+
+    Args:
+        spec: The mission, of which environment, seed, vehicle, wind and speed limit count.
+        on_ground: Whether it starts on the ground with the motors off, and NED has its origin there; else it hovers at
+            the mission's start, and NED is the world's frame, turned.
+
+    Attributes:
+        sim: The simulator of the present life.
+        origin: Origin of NED in the world (m). Shape (3,).
+        landed: Whether it stands on the ground.
+        api: Whether a program controls it.
+        ended: Tasks that ended since their owner last looked.
+        deaths: Number of resets so far.
+
+    Raises:
+        BadInputError: The mission cannot be flown from the ground.
+    """
+
+    sim: Grounded
+
+    def __init__(self, spec: MissionSpec, *, on_ground: bool = True) -> None:
+        self.on_ground = on_ground
+        self._base_us, self.ended, self.resets = 0, list[Ended](), 0
+        self._task: Task | None = None
+        self._number, self._task_us = 0, 0
+        self._digest = hashlib.sha256()
+        self.load(spec)
+
+    def load(self, spec: MissionSpec) -> None:
+        """Fly in another world from now on."""
+        if hasattr(self, "sim"):
+            self.cancel()
+            self._base_us += self.sim.time_us
+            self.sim.close()
+        self.spec, self.scenario = spec, resolve(spec)
+        scenario = self.scenario
+        self._world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+        self._begin()
+
+    def _begin(self) -> None:
+        self.sim = Grounded(self._world, self.scenario, on_ground=self.on_ground)
+        self.origin = self.sim.world.start.copy() if self.on_ground else np.zeros(3)
+        self.landed, self.api = self.on_ground, False
+
+    def reset(self) -> None:
+        """Back to the start, motors off; a running task ends with False.  Time goes on, obstacles stay."""
+        self.cancel()
+        self._base_us += self.sim.time_us
+        self._world = replace(self._world, lower=self.sim.world.lower, upper=self.sim.world.upper)
+        self.sim.close()
+        self._begin()
+        self.resets += 1
+
+    # ---- state, in NED and FRD --------------------------------------------------------------------------------------
+    @property
+    def now_us(self) -> int:
+        """Time since the first start (us)."""
+        return self._base_us + self.sim.time_us
+
+    @property
+    def stamp(self) -> int:
+        """Time stamp (ns)."""
+        return EPOCH_NS + 1000 * self.now_us
+
+    @property
+    def position(self) -> Triple:
+        """NED (m)."""
+        return flipped(self.sim.odometry[:3] - self.origin)
+
+    @property
+    def velocity(self) -> Triple:
+        """NED (m/s)."""
+        return flipped(self.sim.odometry[3:6])
+
+    @property
+    def orientation(self) -> tuple[float, float, float, float]:
+        """Body FRD to NED. w x y z."""
+        return turned(self.sim.odometry[6:10])
+
+    @property
+    def rates(self) -> Triple:
+        """FRD (rad/s)."""
+        return flipped(self.sim.odometry[10:13])
+
+    @property
+    def yaw(self) -> float:
+        """Clockwise from north (rad)."""
+        return yaw_of(self.orientation)
+
+    @property
+    def collision(self) -> Contact | None:
+        """The last contact that counts as a collision: with obstacles; without a ground start, with the ground, too."""
+        if self.sim.touched is not None or self.on_ground:
+            return self.sim.touched
+        return self.sim.landed_at
+
+    @property
+    def has_collided(self) -> bool:
+        """Whether there was such a contact; in flight from the start, by the rule of missions."""
+        return self.sim.touched is not None if self.on_ground else self.sim.collided
+
+    def to_world(self, ned: Triple) -> np.ndarray:
+        """A place in the world's frame (m). Shape (3,)."""
+        place: np.ndarray = np.array(flipped(ned)) + self.origin
+        return place
+
+    def to_ned(self, place: np.ndarray) -> Triple:
+        """A place of the world in NED (m)."""
+        return flipped(place - self.origin)
+
+    def digest(self) -> str:
+        """SHA-256 of all states so far, every 20 ms and at the end of each step."""
+        return self._digest.hexdigest()
+
+    # ---- time -------------------------------------------------------------------------------------------------------
+    def step(self, until_us: int) -> None:
+        """Let time pass up to an instant, a multiple of 4 ms; a task acts every 20 ms from its start."""
+        while self.now_us < until_us:
+            upto = min(until_us, self.now_us + TICK_US)
+            if self._task is not None:
+                upto = min(upto, self._task_us)
+            self.sim.advance(upto - self._base_us)
+            self._digest.update(self.sim.odometry.tobytes())
+            if self.sim.armed and self.sim.height > _AIRBORNE:
+                self.landed = False
+            elif self.sim.resting:
+                self.landed = True
+            if self._task is not None and self.now_us >= self._task_us:
+                self._act()
+
+    def _act(self) -> None:
+        """One period of the task."""
+        assert self._task is not None  # precondition
+        try:
+            next(self._task)
+        except StopIteration as end:
+            self._end(end.value)
+        except Exception as error:  # noqa: BLE001 - becomes the answer
+            self._end(error)
+        else:
+            self._task_us = self.now_us + TICK_US
+
+    # ---- tasks ------------------------------------------------------------------------------------------------------
+    @property
+    def busy(self) -> bool:
+        """Whether a task runs."""
+        return self._task is not None
+
+    def start(self, task: Task) -> int:
+        """Start a task, which acts at once and ends the one before with False; returns its number."""
+        self.cancel()
+        self._number += 1
+        self._task = task
+        number = self._number
+        self._act()
+        return number
+
+    def cancel(self) -> None:
+        """End the running task, if any, with False."""
+        if self._task is not None:
+            self._task.close()
+            self._end(False)
+
+    def _end(self, result: Any) -> None:
+        self._task = None
+        self.ended.append(Ended(self._number, result))
+        self.sim.rotors = None
+        self.sim.command(np.zeros(4), 0.0)
+
+    def finish(self, longest_us: int) -> None:
+        """Let time pass until the task ends, but not beyond an instant (us)."""
+        while self._task is not None and self.now_us < longest_us:
+            self.step(min(longest_us, max(self._task_us, self.now_us + STEP_US)))
+
+    def send(self, velocity: Triple, yaw_rate: float, seconds: float) -> None:
+        """Command a velocity (NED, m/s) and yaw rate (rad/s, clockwise) for a time (s)."""
+        self.sim.command(np.array([*flipped(velocity), -yaw_rate]), seconds)
+
+    def place(self, position: Triple, orientation: tuple[float, float, float, float]) -> None:
+        """Put it to a pose (NED)."""
+        self.sim.place(self.to_world(position), np.array(turned(orientation)))
+        self.landed = self.sim.height < 0.1
+
+
+def camera(width: int, height: int, field_of_view: float, limit: float) -> CameraConfig:
+    """A camera of any size (pixels), field of view (rad) and range (m)."""
+    return CameraConfig(width=width, height=height, field_of_view=field_of_view, range=limit)

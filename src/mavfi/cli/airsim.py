@@ -1,0 +1,220 @@
+"""`mavfi airsim`: programs for AirSim fly our vehicle, with faults in their calls."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mavfi.cli import options
+from mavfi.cli.console import check_name, check_number, check_seed, console, write_json
+from mavfi.errors import BadInputError
+from mavfi.mission import RECOVERY, MissionSpec
+
+if TYPE_CHECKING:
+    from mavfi.bridges.airsim.boundary import Boundary
+    from mavfi.bridges.airsim.program import Ended, ProgramConfig
+    from mavfi.bridges.airsim.server import Server
+
+_OF_THE_PIPELINE = (
+    "autopilot", "planner", "platform", "map", "map_resolution", "depth_noise", "localization", "dead_node", "alarm",
+    "epoch_liveness", *RECOVERY,
+)  # fmt: skip
+_CLOCKS = ("real", "steps")
+
+Fault = Annotated[
+    str | None,
+    typer.Option(metavar="SPEC", help=r"CALL.PATH[:bit=B]\[@SECONDS], e.g. moveByVelocity.vx:bit=62@10."),
+]
+FaultSeed = Annotated[int | None, typer.Option(help="Draws the bit that the fault does not name; 0 by default.")]
+Image = Annotated[str, typer.Option(metavar="WxH", help="Size of images; 256x144 by default.")]
+VehicleName = Annotated[str, typer.Option(help="Name of the vehicle; calls with another one are refused.")]
+Detector = Annotated[str, typer.Option(help="Watches the numbers in calls and answers: gaussian or autoencoder.")]
+Profile = Annotated[str, typer.Option(help="Of the detector: paper or tuned.")]
+Port = Annotated[int, typer.Option(help="On 127.0.0.1.")]
+Clock = Annotated[str, typer.Option(help="real (as on the wall), or steps (time passes in calls).")]
+Seconds = Annotated[float, typer.Option(help="Simulated time after which the program is stopped.")]
+Python = Annotated[str, typer.Option(metavar="PYTHON", help="Has the program's AirSim client; mavfi's own by default.")]
+Script = Annotated[Path, typer.Argument(metavar="SCRIPT", help="Client program of AirSim; [ARGS] are its own.")]
+
+app = typer.Typer(no_args_is_help=True)
+
+
+@app.callback()
+def _airsim() -> None:
+    """Programs for AirSim fly our vehicle, unmodified, with faults in their calls (pip install 'mavfi[airsim]')."""
+
+
+@app.command("serve")
+@partial(options.with_mission_options, without=_OF_THE_PIPELINE)
+def serve(  # noqa: PLR0913 - one parameter per option
+    mission: MissionSpec,
+    port: Port = 41451,
+    clock: Clock = "real",
+    speed: Annotated[float, typer.Option(help="Of the clock real: simulated time / time.")] = 1.0,
+    image: Image = "",
+    vehicle_name: VehicleName = "SimpleFlight",
+    in_flight: Annotated[
+        bool, typer.Option("--in-flight", help="Start paused in the air, as a mission does: for mavfi fly --world.")
+    ] = False,
+    version: Annotated[int, typer.Option(help="Of the API: 1 as AirSim 1.8.1, 4 as Cosys-AirSim 3.")] = 1,
+    single: Annotated[bool, typer.Option("--single", help="Send numbers as float32, as AirSim does.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="End when the last client leaves.")] = False,
+    fault: Fault = None,
+    fault_seed: FaultSeed = None,
+) -> None:
+    """Serve AirSim's API on loopback, until Ctrl-C.
+
+    Example: [bold]mavfi airsim serve --environment sparse --seed 7 --speed 10[/bold]
+    """
+    check_name("--clock", clock, _CLOCKS)
+    check_number("--speed", speed, 0.01, 1000.0)
+    check_number("--port", float(port), 0, 65535)
+    if speed != 1.0 and clock != "real":
+        raise BadInputError(f"--speed: {speed:g}: allowed: together with --clock real")
+    from mavfi.bridges.airsim.boundary import Boundary
+    from mavfi.bridges.airsim.server import msgpack
+    from mavfi.cli.progress import compiling
+
+    msgpack()
+    boundary = Boundary(_planned(fault, fault_seed))
+    with compiling():
+        from mavfi.bridges.airsim.clock import Real, Steps
+        from mavfi.bridges.airsim.program import make_api
+        from mavfi.bridges.airsim.server import Server
+
+        api = make_api(mission, image, vehicle_name, version, on_ground=not in_flight)
+        api.vehicle.step(api.vehicle.now_us)
+    server = Server(api, Real(speed) if clock == "real" and not in_flight else Steps(), boundary, single=single)
+    _serve(server, port, once)
+
+
+def _serve(server: Server, port: int, once: bool) -> None:
+    import asyncio
+    from contextlib import suppress
+
+    out = console()
+    spec, name = server.api.vehicle.spec, server.api.name
+
+    def ready(at: int) -> None:
+        out.print(f"AirSim API on 127.0.0.1:{at}: {name} in {spec.environment}, seed {spec.seed}", markup=False)
+
+    with suppress(KeyboardInterrupt):
+        asyncio.run(server.run(port, ready, once=once))
+    vehicle, injection = server.api.vehicle, server.boundary.injection
+    hit = "collision" if vehicle.has_collided else "no collision"
+    out.print(f"{1e-6 * vehicle.now_us:.3f} s simulated, {hit}, digest {vehicle.digest()[:16]}", markup=False)
+    if injection is not None:
+        out.print(_line(server.boundary), markup=False)
+    for text, count in server.errors.items():
+        out.print(f"refused {count} x: {text}", markup=False)
+
+
+def _planned(fault: str | None, seed: int | None):  # type: ignore[no-untyped-def] # noqa: ANN202 - a bridge's type
+    """The fault; None without one."""
+    if seed is not None:
+        check_seed("--fault-seed", seed)
+        if fault is None:
+            raise BadInputError(f"--fault-seed: {seed}: no fault to draw; allowed: together with --fault")
+    if fault is None:
+        return None
+    from mavfi.bridges.airsim import flying, scene, sensing  # noqa: F401 - register their calls
+    from mavfi.bridges.airsim.boundary import parse_fault
+
+    return parse_fault(fault, seed or 0)
+
+
+@app.command("run", context_settings={"allow_interspersed_args": False})
+@partial(options.with_mission_options, without=_OF_THE_PIPELINE)
+def run(  # noqa: PLR0913 - one parameter per option
+    mission: MissionSpec,
+    script: Script,
+    arguments: Annotated[list[str] | None, typer.Argument(metavar="[ARGS]", help="Of the program.")] = None,
+    python: Python = "",
+    seconds: Seconds = 120.0,
+    image: Image = "256x144",
+    vehicle_name: VehicleName = "SimpleFlight",
+    fault: Fault = None,
+    fault_seed: FaultSeed = None,
+    detector: Detector = "none",
+    profile: Profile = "paper",
+    as_json: options.AsJson = False,
+) -> None:
+    """Run a client program in simulated time, unmodified; with a fault, first without it.
+
+    Options come before the script: what follows it is the program's own.
+
+    Example: [bold]mavfi airsim run --fault moveToPosition.x:bit=54@0 examples/airsim/box.py[/bold]
+    """
+    check_number("--seconds", seconds, 0.1, 1e5)
+    check_name("--detector", detector, ("none", "gaussian", "autoencoder"))
+    check_name("--profile", profile, ("paper", "tuned"))
+    from mavfi.bridges.airsim.program import ProgramConfig, pixels
+
+    pixels(image)
+    planned = _planned(fault, fault_seed)
+    program = ProgramConfig(
+        script=str(script), arguments=tuple(arguments or ()), python=python, seconds=seconds, image=image,
+        vehicle=vehicle_name,
+    )  # fmt: skip
+    program.check()
+    from mavfi.bridges.airsim.server import msgpack
+    from mavfi.cli.progress import compiling
+
+    msgpack()
+    with compiling():
+        from mavfi.bridges.airsim.boundary import Boundary, Recording
+        from mavfi.bridges.airsim.program import run_program
+
+        recording = Recording() if detector != "none" else None
+        golden = run_program(program, mission, Boundary(watch=recording))
+        watch = None if recording is None else recording.train(detector, profile)
+        if planned is None and watch is None:
+            _report(program, golden, None, as_json)
+            return
+        injected = run_program(program, mission, Boundary(planned, watch=watch))
+    _report(program, golden, injected, as_json)
+
+
+def _report(program: ProgramConfig, golden: Ended, injected: Ended | None, as_json: bool) -> None:
+    """Print what became of a program, the effect of a fault first."""
+    from mavfi.bridges.airsim.program import effect_on, shown
+
+    faulty = injected is not None and injected.boundary.planned is not None
+    effect = effect_on(golden, injected) if faulty and injected is not None else None
+    if as_json:
+        found = {"golden": shown(golden), "injected": None if injected is None else shown(injected), "effect": effect}
+        write_json({"script": program.script, **found})
+        return
+    out = console()
+    if effect is not None and injected is not None:
+        out.print(f"effect: {effect}", markup=False)
+        out.print(_line(injected.boundary), markup=False)
+    for label, one in (("golden", golden), ("injected" if faulty else "watched", injected)):
+        if one is None:
+            continue
+        hit = ", collision" if one.collided else ""
+        reason = f" ({one.reason})" if one.reason else ""
+        calls = sum(one.calls.values())
+        text = f"{one.how}{hit}{reason}, {one.seconds:.3f} s simulated, {calls} calls, digest {one.digest[:16]}"
+        out.print(f"{label}: {text}", markup=False)
+        for error, count in one.errors.items():
+            out.print(f"  refused {count} x: {error}", markup=False)
+    if injected is not None and injected.boundary.watch is not None:
+        alarms = injected.boundary.watch.alarms
+        first = f", first at {alarms[0].time_s:.3f} s: {', '.join(alarms[0].fields)}" if alarms else ""
+        out.print(f"alarms: {len(alarms)}{first}", markup=False)
+    last = (injected or golden).output.strip().splitlines()[-3:]
+    for line in last:
+        out.print(f"  | {line}", style="dim", markup=False)
+
+
+def _line(boundary: Boundary) -> str:
+    """The injection in one line, or that there was none."""
+    found = boundary.injection
+    if found is None:
+        return "fault: not activated: no such number passed the boundary"
+    where = f"{found.details['call']} {found.details['path']}".strip()
+    return f"{found.time_s:8.3f} s  fault in {where} bit {found.bit}: {found.before} → {found.after}"
