@@ -12,6 +12,7 @@ Names are imported from `mavfi`, not from this module.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +26,7 @@ from mavfi.config import parse as parse_config
 from mavfi.detectors.detector import Detector
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.faults.spec import Request, parse
-from mavfi.hosts.host import ArmSetup, Flight, host_for
+from mavfi.hosts.host import ArmSetup, Flight, Host, host_for
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.loop.recovery import Recovery
 from mavfi.hosts.watching import detector_for, with_keys_of
@@ -33,6 +34,9 @@ from mavfi.mission import MissionSpec, Scenario
 from mavfi.plugins import allow_typed
 from mavfi.reports.flight_result import FlightResult
 from mavfi.states import DETECTORS
+
+_UNOBSERVED = "golden"
+"""Arm of a golden run with which a flight is compared."""
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -157,7 +161,7 @@ def fly_request(
     seed: int,
     label: str,
     bare: Scenario,
-    host: LocalHost | None = None,
+    host: Host | None = None,
 ) -> FlightResult:
     """Fly the golden run, draw the requested fault from it, and fly the fault; without a request, the golden run only.
 
@@ -181,7 +185,7 @@ def fly_request(
 
 def _fly_fault(
     setup: ArmSetup, fault: Fault | None, label: str, bare: Scenario, golden: Flight | None = None,
-    host: LocalHost | None = None,
+    host: Host | None = None,
 ) -> FlightResult:  # fmt: skip
     """Fly the golden run and the fault; `golden`: the golden run without a detector, if known."""
     if setup.make_detector is None:
@@ -195,16 +199,17 @@ def _fly_fault(
 
 
 def _flown(
-    setup: ArmSetup, fault: Fault | None, golden: Flight | None = None, host: LocalHost | None = None
+    setup: ArmSetup, fault: Fault | None, golden: Flight | None = None, host: Host | None = None
 ) -> tuple[Flight, Flight | None]:
     """Return the flight and its golden run; without a fault, the golden run and None."""
-    # each host has flights of its own type
-    flights: Any = (host or host_for(fault)).mission({"": setup}, fast_forward=False)
-    if golden is not None:
-        flights.know("", golden)
-    golden = flights.golden("")
+    begin: Any = (host or host_for(fault)).mission  # each host has flights of its own type
+    if fault is None and golden is None:
+        return begin({"": setup}, fast_forward=False).golden(""), None
+    flights = begin({"": setup, _UNOBSERVED: replace(setup, observers=())}, fast_forward=False)
+    golden = golden or flights.golden(_UNOBSERVED)
     if fault is None:
         return golden, None
+    flights.know("", golden)
     ((_, flight),) = flights.injected([("", fault)])
     if isinstance(flight, Exception):
         raise flight

@@ -51,7 +51,8 @@ def test_the_wheel_has_what_html_pages_inline():
 
 def test_whatever_is_imported_is_asked_for():
     extras = PROJECT["optional-dependencies"]
-    wanted_for_all = [*PROJECT["dependencies"], *extras["cluster"], *extras["bench"], *extras["airsim"]]
+    used = ("airsim", "cluster", "bench", "live", "logs", "mavlink")
+    wanted_for_all = [*PROJECT["dependencies"], *(wanted for name in used for wanted in extras[name])]
     asked = {canonicalize_name(Requirement(wanted).name) for wanted in wanted_for_all}
     of_clients = "bridges/airsim/runner.py"  # runs in the Python of a client program
     imported = {name.split(".")[0] for path, tree in modules().items() if path != of_clients for name in imports(tree)}

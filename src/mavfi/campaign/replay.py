@@ -125,6 +125,21 @@ def explain(directory: Path, run_id: str) -> Explanation:
     return Explanation(run.spec, injected, golden, same, first, parted, spreading, seen, seen_golden)
 
 
+def recorded_again(directory: Path, run_id: str) -> tuple[Flight, list[Publication], Flight | None]:
+    """Replay a run, given by a prefix of its id, with its publications; also returns its golden run, if it has a fault.
+
+    Raises:
+        BadInputError, SpecMismatchError: See `replay`.
+    """
+    with Store.open(directory) as store:
+        run = store.run(run_id)
+        if run.record is None:
+            raise BadInputError(f"{directory}: run {run.spec.run_id} is not flown yet")
+        _, setup = setup_of_run(store, run.spec)
+    flight, published = fly_recorded(setup, run.spec.fault)
+    return flight, published, None if run.spec.fault is None else fly_recorded(setup, None)[0]
+
+
 def fly_recorded(setup: ArmSetup, fault: Fault | None) -> tuple[Flight, list[Publication]]:
     """Fly one mission on the deterministic host and record its publications, in order."""
     detector = None if setup.make_detector is None else setup.make_detector()

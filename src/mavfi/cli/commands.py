@@ -27,6 +27,7 @@ from mavfi.cli import (
     states,
     train,
     vulnerability,
+    watch_logs,
 )
 from mavfi.cli.console import complain
 from mavfi.cli.stopping import EXIT_STOPPED
@@ -47,7 +48,7 @@ app = typer.Typer(
 for verb in (
     fly.fly, export.export, inject.inject, states.states, train.train, report.report, runs.runs, replay.replay,
     explain.explain, shrink.shrink, failures.failures, vulnerability.vulnerability, redundancy.redundancy,
-    reproduce.reproduce, harden.harden,
+    reproduce.reproduce, harden.harden, watch_logs.watch,
 ):  # fmt: skip
     app.command(verb.__name__)(verb)
 for verb in (pack.pack, pack.unpack):

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mavfi.cli import firmware, options
+from mavfi.cli import firmware, observing, options
 from mavfi.cli.console import FLIGHTS, PAGES, PICTURES, check_file, check_seed, console, write_json
 from mavfi.errors import BadInputError
 from mavfi.mission import RECOVERY, MissionSpec
@@ -36,6 +37,10 @@ def fly(  # noqa: PLR0913 - one parameter per option
     save: options.Save = None,
     picture: options.Picture = None,
     html: options.Html = None,
+    live: observing.Live = False,
+    live_port: observing.LivePort = 8765,
+    mavlink: observing.Mavlink = None,
+    pace: observing.Pace = 1.0,
     world: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="A server of AirSim's API as the world, airsim://127.0.0.1:41451."),
@@ -68,11 +73,12 @@ def fly(  # noqa: PLR0913 - one parameter per option
         asked, bare, mission = mission, resolve(mission), with_keys_of(mission, detector)
         scenario = resolve(mission)
         watching, label = load_watcher(detector, profile, models, scenario)
-        setup = ArmSetup(scenario, None if watching is None else lambda: watching, Recovery.of(mission))
-        wanted = in_register or request
-        result = fly_request(setup, wanted, fault_seed or 0, label, bare, _host(world, fault))
+        wanted, make = in_register or request, None if watching is None else lambda: watching
+        with observing.observing(live, live_port, mavlink, pace, fault) as observers:
+            setup = ArmSetup(scenario, make, Recovery.of(mission), observers)
+            result = fly_request(setup, wanted, fault_seed or 0, label, bare, _host(world, fault))
     if save is not None:
-        result.log.save(save)
+        _save(save, result, asked, {"detector": detector, "profile": profile, "models": models})
     if picture is not None:
         _draw(picture, result)
     if html is not None:
@@ -84,13 +90,27 @@ def fly(  # noqa: PLR0913 - one parameter per option
     if as_json:
         write_json(result.to_json())
         return
+    _show(result, (save, picture, html))
+
+
+def _show(result: FlightResult, written: Sequence[Path | None]) -> None:
     from mavfi.cli.flight_text import panel
 
     out = console()
     out.print(panel(result))
-    for path in (save, picture, html):
+    for path in written:
         if path is not None:
             out.print(f"wrote {path}", style="dim", markup=False)
+
+
+def _save(save: Path, result: FlightResult, asked: MissionSpec, watching: dict[str, Path | str | None]) -> None:
+    """Save a flight with its request, from which `mavfi export` flies it again."""
+    if isinstance(models := watching["models"], Path):
+        watching = watching | {"models": str(models.absolute())}
+    mission = asked.model_dump(mode="json", exclude_defaults=True)
+    fault = None if result.fault is None else result.fault.to_json()
+    result.log.meta["request"] = {"mission": mission, "fault": fault, **watching}
+    result.log.save(save)
 
 
 def _host(world: str | None, fault: str | None) -> LocalHost | None:

@@ -22,9 +22,10 @@ if TYPE_CHECKING:
     from mavfi.faults.message.definition import Definition
     from mavfi.faults.message.injector import MessageInjector
     from mavfi.flight_log import Injection
+    from mavfi.flight_logs.probe import Probe
     from mavfi.hosts.node.relay import Relay
     from mavfi.hosts.node.survey import Survey
-    from mavfi.hosts.node.watch import Listener, Probe
+    from mavfi.hosts.node.watch import Listener
 
 _LONGEST_S = 7 * 86_400.0
 _AFTERWARDS_S = 0.2
@@ -207,7 +208,8 @@ def _trained(
 ) -> tuple[dict[str, Probe], Detector, int]:
     """Monitored fields, trained detector, and number of training messages."""
     from mavfi.detectors.registry import of_monitored_fields
-    from mavfi.hosts.node.watch import make_probes, train
+    from mavfi.flight_logs.probe import make_probes
+    from mavfi.hosts.node.watch import train
 
     check_name("--detector", chosen[0], of_monitored_fields())
     used: list[int] = []
@@ -230,7 +232,8 @@ def trained_on_file(
         BadInputError: The file cannot be read, lacks a topic, has another type for it, or has an invalid message.
     """
     from mavfi.flight_logs import open_flight_log
-    from mavfi.hosts.node.watch import make_probes, train
+    from mavfi.flight_logs.probe import make_probes
+    from mavfi.hosts.node.watch import train
 
     used: list[int] = []
     try:

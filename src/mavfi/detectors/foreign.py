@@ -14,7 +14,7 @@ from mavfi.detectors.features import Events
 from mavfi.detectors.model import Model
 from mavfi.detectors.preprocess import Preprocessor
 from mavfi.detectors.registry import of_monitored_fields, settings_of
-from mavfi.detectors.samples import sample_of
+from mavfi.detectors.samples import join, sample_of
 from mavfi.errors import BadInputError
 from mavfi.states import Field, Stage, State, StateSpec
 
@@ -37,7 +37,16 @@ def foreign_state(spec: StateSpec, values: Sequence[float]) -> State:
 
 
 def learn(kind: str, profile: str, states: Sequence[State], specs: Mapping[str, StateSpec]) -> Detector:
+    """A detector fitted to the normal publications of one recording; see `learn_from`."""
+    return learn_from(kind, profile, [states], specs)
+
+
+def learn_from(
+    kind: str, profile: str, recordings: Sequence[Sequence[State]], specs: Mapping[str, StateSpec]
+) -> Detector:
     """A detector of a kind in `of_monitored_fields()`, fitted to normal publications, in order, of these states.
+
+    Differences are taken within a recording only.
 
     Raises:
         BadInputError: Unknown kind, too few publications of a source, or a number that is not finite.
@@ -45,32 +54,41 @@ def learn(kind: str, profile: str, states: Sequence[State], specs: Mapping[str, 
     known = of_monitored_fields()
     if kind not in known:
         raise BadInputError(f"detector {kind!r}: not known; allowed: {', '.join(known)}")
-    order = {name: slot for slot, name in enumerate(specs)}
-    slots = np.array([order[state.spec.name] for state in states], np.int64)
     thresholds = [
         threshold
-        for slot, spec in enumerate(specs.values())
-        for threshold in _thresholds(spec, [state for state in states if state.spec is spec], profile)
+        for spec in specs.values()
+        for threshold in _thresholds(
+            spec, [[state for state in states if state.spec is spec] for states in recordings], profile
+        )
     ]
     preprocessor = Preprocessor.of(specs, profile, thresholds)
-    contents = [state.header.tobytes() for state in states]
-    events = Events(slots, np.cumsum([len(part) for part in contents]), np.frombuffer(b"".join(contents), np.uint8))
-    parameters = known[kind].fit(sample_of(events, preprocessor), preprocessor, settings_of(kind, profile).fit)
+    order = {name: slot for slot, name in enumerate(specs)}
+    sample = join([sample_of(_events(states, order), preprocessor) for states in recordings if states])
+    parameters = known[kind].fit(sample, preprocessor, settings_of(kind, profile).fit)
     detector: Detector = known[kind](Model(kind, profile, "", "", parameters, {}), preprocessor=preprocessor)
     return detector
 
 
-def _thresholds(spec: StateSpec, states: Sequence[State], profile: str) -> list[int]:
-    if len(states) < SMALLEST_SAMPLE:
+def _events(states: Sequence[State], order: Mapping[str, int]) -> Events:
+    contents = [state.header.tobytes() for state in states]
+    slots = np.array([order[state.spec.name] for state in states], np.int64)
+    return Events(slots, np.cumsum([len(part) for part in contents]), np.frombuffer(b"".join(contents), np.uint8))
+
+
+def _thresholds(spec: StateSpec, recordings: Sequence[Sequence[State]], profile: str) -> list[int]:
+    count = sum(map(len, recordings))
+    if count < SMALLEST_SAMPLE:
         raise BadInputError(
-            f"training: {len(states)} messages of {spec.name}; allowed: {SMALLEST_SAMPLE} or more that are normal"
+            f"training: {count} messages of {spec.name}; allowed: {SMALLEST_SAMPLE} or more that are normal"
         )
-    values = np.array([state.header[0].item() for state in states])
+    tables = [np.array([state.header[0].item() for state in states]) for states in recordings if states]
+    values = np.concatenate(tables)
     if not np.isfinite(values).all():
         field = spec.header[int(np.argwhere(~np.isfinite(values))[0, 1])].name
         raise BadInputError(f"training: {spec.name} {field}: holds numbers that are not finite; leave this field out")
     with np.errstate(over="ignore"):
-        largest = np.abs(values if profile == "paper" else np.diff(values, axis=0)).max(axis=0)
+        changes = np.concatenate([np.diff(table, axis=0) for table in tables])
+        largest = np.abs(values if profile == "paper" else changes).max(axis=0)
     largest = np.minimum(largest, np.finfo(np.float64).max)
     exponents = np.where(largest > 0, np.frexp(largest)[1] - 1, np.frexp(np.abs(values).max(axis=0))[1] - 1 - 20)
     return [int(exponent) for exponent in np.clip(exponents - _BELOW[profile], _SMALLEST_EXPONENT, _LARGEST_EXPONENT)]

@@ -24,7 +24,7 @@ class BagReader:
         check_regular(path)
         try:
             with Reader(path) as reader:
-                chosen = [connection for connection in reader.connections if connection.topic in topics]
+                chosen = [connection for connection in reader.connections if not topics or connection.topic in topics]
                 for topic in topics:
                     if topic not in {connection.topic for connection in chosen}:
                         raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(reader.topics, topic)}")

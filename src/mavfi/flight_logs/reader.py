@@ -10,11 +10,19 @@ from mavfi.plugins import build, known, load_object
 
 GROUP = "mavfi.flight_logs"
 """Entry points of this group are readers by file name extension: classes that are made with a path."""
-_SHIPPED = {"bag": "mavfi.flight_logs.bag:BagReader"}
+_SHIPPED = {
+    "bag": "mavfi.flight_logs.bag:BagReader", "mcap": "mavfi.flight_logs.mcap:McapReader",
+    "ulg": "mavfi.flight_logs.ulog:UlogReader", "tlog": "mavfi.flight_logs.tlog:TlogReader",
+    "csv": "mavfi.flight_logs.table:CsvReader",
+}  # fmt: skip
 
 
 class Number(Protocol):
     """Where a message holds a number."""
+
+    @property
+    def offset(self) -> int:
+        """Its first byte."""
 
     def value(self, data: bytes) -> int | float:
         """The number."""
@@ -57,10 +65,14 @@ class LoggedMessage:
 
 
 class FlightLogReader(Protocol):
-    """Reads one file."""
+    """Reads one file.
+
+    A reader may have `recommended`: fields worth monitoring, by topic, with names as in its messages; without it, all
+    numbers of all topics are.
+    """
 
     def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
-        """The messages of some topics, in their order.
+        """The messages of some topics, in their order; without topics, those of all.
 
         Raises:
             BadInputError: The file cannot be read, or lacks a topic.

@@ -60,11 +60,16 @@ class Recorded(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ArmSetup:
-    """Configuration of one arm: scenario, detector factory (None = no detector), and recovery policy."""
+    """Configuration of one arm: scenario, detector factory (None = no detector), recovery policy, and observers.
+
+    Observers are called with the loop before each flight (see `hosts.loop.observe`), by the local host without
+    fast-forward, except for faults in instructions.
+    """
 
     scenario: Scenario
     make_detector: Callable[[], Detector] | None = None
     recovery: Recovery = INLINE
+    observers: tuple[Callable[[Any], None], ...] = ()
 
 
 class MissionFlights(Protocol):

@@ -1,6 +1,6 @@
 """One in-process flight, bit-reproducible."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from mavfi.detectors.detector import Detector
@@ -11,16 +11,18 @@ from mavfi.hosts.local.memory_faults import MemoryInjector
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.plant import MakePlant
 from mavfi.hosts.loop.recovery import INLINE, Recovery
+from mavfi.hosts.loop.scheduler import Loop
 from mavfi.hosts.loop.taps import Recorder
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.sim.simulator import Simulator
 
 
-def fly(
+def fly(  # noqa: PLR0913 - each is independent
     scenario: Scenario, fault: StateFault | MemoryFault | None = None, detector: Detector | None = None, *,
     recovery: Recovery = INLINE, profile: bool = False, recorders: Sequence[Recorder] = (),
-    functions: KernelFunctions = PLAIN, make_plant: MakePlant = Simulator,
+    functions: KernelFunctions = PLAIN, observers: Sequence[Callable[[Loop], None]] = (),
+    make_plant: MakePlant = Simulator,
 ) -> Flight:  # fmt: skip
     """Fly one mission; equal arguments yield bit-identical results.
 
@@ -32,6 +34,7 @@ def fly(
         profile: Whether to record the publication times of each state.
         recorders: Called with each publication as consumers receive it.
         functions: Functions that the kernels call: compiled or instrumented.
+        observers: Called with the loop before the flight, see `hosts.loop.observe`.
         make_plant: Constructs the vehicle in its world.
 
     Raises:
@@ -44,6 +47,8 @@ def fly(
     loop.taps.injector = in_memory or loop.taps.injector
     watch(loop, detector, recovery)
     loop.taps.recorders.extend(recorders)
+    for attach in observers:
+        attach(loop)
     try:
         flight = loop.fly()
     finally:

@@ -94,6 +94,11 @@ class MemoryInjector:
 
         return call
 
+    @property
+    def injections(self) -> list[Injection]:
+        """The injection so far."""
+        return [] if self._injection is None else [self._injection]
+
     def finish(self) -> list[Injection]:
         """The injection; if the word did not exist, a record of the missed activation."""
         fault = self._fault

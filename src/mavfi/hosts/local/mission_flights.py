@@ -146,5 +146,11 @@ class LocalFlights(ArmFlights):
         if not isinstance(fault, MemoryFault) and (fault is None or fault.bit is not None):
             found = self._forwarded(arm, lambda forward, name: forward.fly(fault, detector, name, setup.recovery))
         return found or fly(
-            setup.scenario, fault, detector, recovery=setup.recovery, profile=profile, make_plant=self._make_plant
+            setup.scenario,
+            fault,
+            detector,
+            recovery=setup.recovery,
+            profile=profile,
+            make_plant=self._make_plant,
+            observers=setup.observers,
         )

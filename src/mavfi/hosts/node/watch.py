@@ -8,28 +8,25 @@ import os
 import queue
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
 from mavfi.detectors.detector import Detector
-from mavfi.detectors.foreign import foreign_spec, foreign_state, learn
-from mavfi.errors import BadInputError, MavfiError, allowed
-from mavfi.faults.message.definition import AbsentError, Definition
-from mavfi.flight_logs import Layout
+from mavfi.detectors.foreign import foreign_state, learn
+from mavfi.errors import MavfiError
+from mavfi.faults.message.definition import Definition
+from mavfi.flight_logs.probe import Probe
 from mavfi.hosts.node.guardian import Guardian, Registered
 from mavfi.hosts.node.master import Master, absolute
 from mavfi.hosts.node.message import Composer
 from mavfi.hosts.node.relay import sources_of
 from mavfi.hosts.node.station import Outlet, Station
-from mavfi.states import State, StateSpec
 
 ALARM_TYPE = "std_msgs/String"
 FIRST_PATIENCE_S = 10.0
 """Time limit for the first message of a topic (s), which determines the available fields."""
-MOST_FIELDS = 64
-LONGEST_LIST = 16
 _POLL_S = 0.1
 
 
@@ -55,65 +52,6 @@ class ForeignAlarm:
     def to_json(self) -> dict[str, Any]:
         """The alarm as plain data."""
         return asdict(self)
-
-
-@dataclass(frozen=True)
-class Probe:
-    """Extracts the monitored fields of a topic's messages, as a state of `spec`."""
-
-    topic: str
-    definition: Layout
-    spec: StateSpec
-
-    def read(self, message: bytes) -> State | None:
-        """The field values; None if the message lacks any of them."""
-        try:
-            leaves = [self.definition.locate(message, field.name) for field in self.spec.header]
-        except AbsentError:
-            return None
-        return foreign_state(self.spec, [float(leaf.value(message)) for leaf in leaves])
-
-
-def make_probes(first: Mapping[str, tuple[Layout, bytes]], wanted: Sequence[str]) -> dict[str, Probe]:
-    """The probe of each topic.
-
-    Args:
-        first: Definition and one message, by topic.
-        wanted: Field paths, each for every topic that has it, or `topic:path` for one topic; empty = all numbers.
-
-    Raises:
-        BadInputError: A field that no topic has or that is not numeric; no fields at all; too many.
-    """
-    fields: dict[str, list[str]] = {topic: [] for topic in first}
-    for name in wanted:
-        _assign(name, first, fields)
-    if not wanted:
-        fields = {topic: definition.numbers(message, LONGEST_LIST) for topic, (definition, message) in first.items()}
-    count = sum(map(len, fields.values()))
-    if not 0 < count <= MOST_FIELDS:
-        raise BadInputError(f"--fields: {count} numbers in {', '.join(first)}; allowed: 1 to {MOST_FIELDS}, name them")
-    return {
-        topic: Probe(topic, first[topic][0], foreign_spec(topic, paths)) for topic, paths in fields.items() if paths
-    }
-
-
-def _assign(name: str, first: Mapping[str, tuple[Layout, bytes]], fields: dict[str, list[str]]) -> None:
-    """Assign a requested field to its topics."""
-    topic, colon, path = name.rpartition(":")
-    if colon and absolute(topic) not in first:
-        raise BadInputError(f"field {name}: topic {topic}: not watched; allowed: {allowed(first)}")
-    refusal: BadInputError | None = None
-    found = False
-    for candidate in [absolute(topic)] if colon else list(first):
-        try:
-            first[candidate][0].check(path)
-        except BadInputError as error:
-            refusal = refusal or error
-        else:
-            fields[candidate].append(path)
-            found = True
-    if not found and refusal is not None:
-        raise refusal
 
 
 class Listener:

@@ -17,14 +17,15 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavfi.errors import writing
 from mavfi.flight_log import COLUMNS, FlightLog
-from mavfi.reports.export.timeline import ERROR, INFO, WARN, Message
+from mavfi.flight_logs.lines import ERROR, INFO, WARN
+from mavfi.reports.export.timeline import Message
 
 _TRANSFORMS = "geometry_msgs/TransformStamped[] transforms\n"
 _ZEROS: dict[str, Any] = {"bool": False, "float32": 0.0, "float64": 0.0, "string": ""}
 _DTYPES = {"byte": "uint8", "char": "uint8", "octet": "uint8"}
 
 
-class _Maker:
+class Maker:
     """Constructs messages of one ROS version from plain fields; missing fields are zero or empty."""
 
     def __init__(self, *, is_ros1: bool) -> None:
@@ -73,7 +74,7 @@ def write_bag(messages: Iterable[Message], path: Path) -> int:
     with _beside(path) as folder:
         part = folder / "flight.bag"
         with rosbag1.Writer(part) as writer:
-            count = _write(writer, messages, _Maker(is_ros1=True))
+            count = _write(writer, messages, Maker(is_ros1=True))
         _put(part, path)
     return count
 
@@ -83,7 +84,7 @@ def write_mcap(messages: Iterable[Message], path: Path) -> int:
     with _beside(path) as folder:
         part = folder / "flight"
         with rosbag2.Writer(part, version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as writer:
-            count = _write(writer, messages, _Maker(is_ros1=False))
+            count = _write(writer, messages, Maker(is_ros1=False))
         _put(next(part.glob("*.mcap")), path)
     return count
 
@@ -106,7 +107,7 @@ def _beside(path: Path) -> Iterator[Path]:
         yield Path(name)
 
 
-def _write(writer: Any, messages: Iterable[Message], maker: _Maker) -> int:
+def _write(writer: Any, messages: Iterable[Message], maker: Maker) -> int:
     connections: dict[str, Any] = {}
     count = 0
     for message in messages:

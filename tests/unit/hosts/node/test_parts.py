@@ -9,11 +9,11 @@ import pytest
 from mavfi.cli import run
 from mavfi.errors import BadInputError, MavfiError
 from mavfi.faults.message.definition import Definition
+from mavfi.flight_logs.probe import make_probes
 from mavfi.hosts.node.master import Master
 from mavfi.hosts.node.message import Composer
 from mavfi.hosts.node.station import Station
 from mavfi.hosts.node.tcpros import Source, decode_header, encode_header
-from mavfi.hosts.node.watch import make_probes
 
 COMPOSER = Composer("sensor_msgs/JointState")
 MESSAGE = COMPOSER.pack({"name": ["a"], "position": [0.5]})

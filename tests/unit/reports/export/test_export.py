@@ -9,32 +9,46 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mavfi.cli.commands import run
 from mavfi.flight_log import COLUMNS, FlightLog
-from mavfi.hosts.local import fly
+from mavfi.hosts.local.recorded import fly_recorded
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.reports.export.files import write_bag, write_csv, write_mcap
-from mavfi.reports.export.timeline import FIRST_STAMP_NS, timeline
+from mavfi.reports.export.timeline import FIRST_STAMP_NS, Converter, Publications, timeline
 
 pytestmark = pytest.mark.slow
 
-TOPICS = {"/tf", "/odometry", "/command", "/reference", "/obstacles", "/goal", "/flown", "/log"}
+TICKS = {"/clock", "/tf", "/odometry", "/command", "/reference"}
+ONCE = {"/obstacles", "/goal", "/flown", "/golden"}
+PUBLISHED = {"/points", "/map", "/path", "/trajectory"}
+TOPICS = TICKS | ONCE | PUBLISHED | {"/log"}
 
 
 @pytest.fixture(scope="module")
-def flight():
-    return fly(resolve(MissionSpec(seed=3)))
+def recorded():
+    return fly_recorded(resolve(MissionSpec(seed=3)))
 
 
 @pytest.fixture(scope="module")
-def bag(flight, tmp_path_factory):
+def flight(recorded):
+    return recorded[0]
+
+
+@pytest.fixture(scope="module")
+def published(recorded):
+    flight, seen = recorded
+    return Publications([(time_us, state) for state, time_us in seen], flight.pipeline["octomap"].grid)
+
+
+@pytest.fixture(scope="module")
+def bag(flight, published, tmp_path_factory):
     path = tmp_path_factory.mktemp("bag") / "flight.bag"
-    return path, write_bag(timeline(flight.log, flight.world), path)
+    return path, write_bag(timeline(flight.log, flight.world, published, flight.log), path)
 
 
 @pytest.fixture(scope="module")
-def mcap(flight, tmp_path_factory):
+def mcap(flight, published, tmp_path_factory):
     path = tmp_path_factory.mktemp("mcap") / "flight.mcap"
-    return path, write_mcap(timeline(flight.log, flight.world), path)
+    return path, write_mcap(timeline(flight.log, flight.world, published, flight.log), path)
 
 
 def read_bag(path):
@@ -70,6 +84,38 @@ def test_stamps_are_the_flight_s_and_do_not_go_back(flight, messages):
     assert times == sorted(times)
     stamps = [m.header.stamp.sec + 1e-9 * m.header.stamp.nanosec for m in of(messages, "/odometry")]
     np.testing.assert_allclose(stamps, np.maximum(flight.log.column("time"), 1e-9 * FIRST_STAMP_NS), atol=1e-10)
+
+
+def test_the_clock_is_that_of_the_flight(flight, messages):
+    clock = [(time, m.clock.sec * 10**9 + m.clock.nanosec) for topic, time, m in messages if topic == "/clock"]
+    assert [stamp for _, stamp in clock] == [time for time, _ in clock]
+    assert clock[-1][0] == round(1e9 * flight.log.rows[-1, 0])
+
+
+def test_publications_are_there_to_the_bit(published, messages):
+    clouds = [state for _, state in published.states if state.spec.name == "perception.point_cloud"]
+    read = of(messages, "/points")
+    assert [bytes(m.data) for m in read] == [state.elements.tobytes() for state in clouds]
+    assert {(m.width, m.point_step, tuple(f.name for f in m.fields)) for m in read} == {(3072, 12, ("x", "y", "z"))}
+    plans = [state for _, state in published.states if state.spec.name == "planning.path"]
+    for message, state in zip(of(messages, "/path"), plans, strict=True):
+        points = [p.pose.position for p in message.poses]
+        assert np.array_equal([(p.x, p.y, p.z) for p in points], np.array(state.elements.tolist()).reshape(-1, 3))
+
+
+def test_the_map_has_the_obstacles_that_were_seen(flight, messages):
+    """Every occupied voxel lies at an obstacle or the ground, within one diagonal of a voxel of 0.5 m."""
+    last = of(messages, "/map")[-1]
+    centres = np.frombuffer(bytes(last.data), np.float32).reshape(-1, 3)
+    assert len(centres) == last.width > 100
+    assert flight.world.clearance(centres.astype(float)).max() < 0.5 * 3**0.5
+
+
+def test_updates_outside_the_map_are_ignored(published):
+    update = next(state for _, state in published.states if state.spec.name == "perception.map_update").copy()
+    update.elements["voxel"][:2] = -1, published.grid.size
+    (message,) = Converter(published.grid)(update, 0)
+    assert message.fields["width"] <= len(update.elements) - 2
 
 
 def test_the_vehicle_is_where_it_was_to_the_bit(flight, messages):
@@ -123,7 +169,7 @@ def test_a_table_gives_the_same_bits_back(flight, tmp_path):
     assert np.array_equal(np.array(rows, float), flight.log.rows)
 
 
-@pytest.mark.parametrize("ending", ["bag", "mcap", "csv"])
+@pytest.mark.parametrize("ending", ["bag", "mcap", "ulg", "tlog", "csv"])
 def test_the_command_writes_what_the_ending_says(flight, tmp_path, ending, capsys):
     saved = tmp_path / "flight.npz"
     flight.log.save(saved)

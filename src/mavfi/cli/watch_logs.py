@@ -1,0 +1,144 @@
+"""`mavfi watch`: a detector on recorded flights of any vehicle."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from mavfi.cli import options
+from mavfi.cli.console import check_name, check_number, check_seed, console, titled_table, write_json
+from mavfi.cli.stopping import stoppable
+from mavfi.errors import BadInputError
+
+if TYPE_CHECKING:
+    from mavfi.flight_logs.watch import Judged, LogWatch, Recording
+    from mavfi.reports.log_watch import Rates
+
+_KINDS = ("gaussian", "autoencoder")
+_PROFILES = ("paper", "tuned")
+_MOST_FLIPS = 100_000
+_MOST_LISTED = 10
+
+
+def watch(  # noqa: PLR0913 - one parameter per option
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recorded flights: .ulg .tlog .bag .mcap .csv")],
+    train: Annotated[
+        list[Path] | None, typer.Option(metavar="LOG", help="A recorded flight that is normal; may be repeated.")
+    ] = None,
+    split: Annotated[
+        float | None, typer.Option(help="Instead of --train: this first share of each LOG is normal, judge the rest.")
+    ] = None,
+    detector: Annotated[str, typer.Option(help=", ".join(_KINDS))] = "gaussian",
+    profile: Annotated[
+        str, typer.Option(help="paper (signs and exponents of values) or tuned (of changes).")
+    ] = "tuned",
+    fields: Annotated[
+        str, typer.Option(metavar="FIELD,...", help="Numbers, e.g. ATTITUDE:roll; recommended ones or all by default.")
+    ] = "",
+    fault: Annotated[
+        str, typer.Option(metavar="TOPIC:FIELD", help="A number in LOG that is 0 until a known fault begins.")
+    ] = "",
+    inject: Annotated[int, typer.Option(help="Bits to flip in each LOG, one at a time.")] = 0,
+    seed: Annotated[int, typer.Option(help="Draws these flips.")] = 0,
+    as_json: options.AsJson = False,
+) -> None:
+    """Judge recorded flights with one of the paper's detectors, trained on other ones.
+
+    Reports false alarms per hour, the share of injected flips that are detected, and the delay of known faults.
+
+    Example: [bold]mavfi watch flight.ulg --train normal1.ulg --train normal2.ulg --inject 300[/bold]
+    """
+    check_name("--detector", detector, _KINDS)
+    check_name("--profile", profile, _PROFILES)
+    check_number("--split", split, 0.05, 0.95)
+    check_number("--inject", inject, 0, _MOST_FLIPS)
+    check_seed("--seed", seed)
+    if (split is None) == (not train):
+        raise BadInputError("--train, --split: allowed: one of them")
+    with stoppable("Stopped."):
+        wanted = [part.strip() for part in fields.split(",") if part.strip()]
+        watching, judged = _judge(logs, train or [], split, (detector, profile), wanted, fault, (inject, seed))
+    from mavfi.reports.log_watch import Rates
+
+    rates = Rates(judged)
+    if as_json:
+        names = {topic: [f.name for f in probe.spec.header] for topic, probe in watching.probes.items()}
+        write_json(rates.to_json() | {
+            "detector": detector, "profile": profile, "fields": names, "trained_on": watching.trained_on,
+        })  # fmt: skip
+        return
+    out = console()
+    out.print(rates.headline(), style="bold", markup=False)
+    for line in _summary(rates, watching, f"{detector} ({profile})"):
+        out.print(line, markup=False, soft_wrap=True)
+    out.print(_table(judged))
+    _list_alarms(judged)
+
+
+def _judge(
+    logs: list[Path], train: list[Path], split: float | None, chosen: tuple[str, str], fields: list[str], fault: str,
+    flips: tuple[int, int],
+) -> tuple[LogWatch, list[Judged]]:  # fmt: skip
+    """Train and judge; a LOG that is split trains a detector of its own, and the last one is returned."""
+    from mavfi.flight_logs.watch import LogWatch, read_recording, select
+
+    recordings = [read_recording(path, fault) for path in logs]
+    if split is None:
+        normal = [read_recording(path, fault, required=False).normal for path in train]
+        probes = select([*normal, *(recording.normal for recording in recordings)], fields)
+        watching = LogWatch(*chosen, probes, normal)
+        return watching, [watching.judge(recording, *flips) for recording in recordings]
+    judged: list[Judged] = []
+    for recording in recordings:
+        first, rest = _parts(recording, split)
+        watching = LogWatch(*chosen, select([first, rest.normal], fields), [first])
+        judged.append(watching.judge(rest, *flips))
+    return watching, judged
+
+
+def _parts(recording: Recording, share: float) -> tuple[Recording, Recording]:
+    """The part for training, and the judged one."""
+    first, rest = recording.split(share)
+    return first.normal, rest
+
+
+def _summary(rates: Rates, watching: LogWatch, name: str) -> list[str]:
+    """Detection of flips and known faults, and what was monitored."""
+    from mavfi.reports.log_watch import share_text
+
+    lines = [f"flips detected, {bits}: {share_text(rate)}" for bits, rate in rates.flips.items()]
+    if rates.faults.n:
+        delays = rates.delays_s
+        told = f", delay {delays[0]:.2f} to {delays[-1]:.2f} s" if delays else ""
+        lines.append(f"known faults followed by an alarm: {share_text(rates.faults)}{told}")
+    fields = sum(len(probe.spec.header) for probe in watching.probes.values())
+    topics = ", ".join(watching.probes)
+    return [*lines, f"{name}, {fields} fields of {topics}; trained on {watching.trained_on} messages"]
+
+
+def _table(judged: list[Judged]) -> Table:
+    from mavfi.reports.log_watch import delay_text
+
+    table = titled_table("Recordings")
+    for heading in ("recording", "normal flight", "messages", "false alarm events", "known fault"):
+        table.add_column(heading, justify="left" if heading == "recording" else "right")
+    for found in judged:
+        table.add_row(
+            found.name, f"{found.exposure_s:.1f} s", str(found.messages), str(found.events), delay_text(found)
+        )
+    return table
+
+
+def _list_alarms(judged: list[Judged]) -> None:
+    """The first false alarms of each recording."""
+    out = console()
+    for found in judged:
+        for alarm in found.alarms[:_MOST_LISTED]:
+            named = ", ".join(alarm.fields)
+            text = f"{found.name} {1e-6 * alarm.time_us:.3f} s: {alarm.topic} {named}, score {alarm.score:.3g}"
+            out.print(text, markup=False, soft_wrap=True)
+        if len(found.alarms) > _MOST_LISTED:
+            out.print(f"{found.name}: {len(found.alarms) - _MOST_LISTED} more alarms", markup=False)

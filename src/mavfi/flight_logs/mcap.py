@@ -1,0 +1,52 @@
+"""ROS 2 mcap files with the definitions of their messages inside; ROS is not needed.
+
+Messages are converted to the serialization of ROS 1, of which `Definition` knows the place of every number.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from rosbags.highlevel import AnyReader
+
+from mavfi.errors import BadInputError, MavfiError, allowed
+from mavfi.faults.message.definition import Definition
+from mavfi.files import check_regular
+from mavfi.flight_logs.reader import LoggedMessage
+from mavfi.plugins import reason
+
+_HEADER = "MSG: std_msgs/Header\n"
+
+
+class McapReader:
+    """Reads an mcap file; see `FlightLogReader`."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
+        """See `FlightLogReader`."""
+        path = self._path
+        check_regular(path)
+        try:
+            with AnyReader([path]) as reader:
+                chosen = [connection for connection in reader.connections if not topics or connection.topic in topics]
+                for topic in topics:
+                    if topic not in {connection.topic for connection in chosen}:
+                        raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(reader.topics, topic)}")
+                store = reader.typestore
+                layouts = {
+                    name: _definition(name, store.generate_msgdef(name, ros_version=1)[0])
+                    for name in {connection.msgtype for connection in chosen}
+                }
+                for connection, time_ns, data in reader.messages(chosen):
+                    content = bytes(store.cdr_to_ros1(data, connection.msgtype))
+                    yield LoggedMessage(connection.topic, time_ns // 1000, layouts[connection.msgtype], content)
+        except MavfiError:
+            raise
+        except Exception as error:  # noqa: BLE001 - whatever the library raises at a damaged file
+            raise BadInputError(f"{path}: is not an mcap file of ROS 2 that can be read ({reason(error)})") from None
+
+
+def _definition(name: str, text: str) -> Definition:
+    """The type in ROS 1, whose headers have a sequence number in addition."""
+    return Definition(name.replace("/msg/", "/"), text.replace(_HEADER, f"{_HEADER}uint32 seq\n"))

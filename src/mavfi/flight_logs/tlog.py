@@ -1,0 +1,90 @@
+"""MAVLink telemetry logs (.tlog), with the library pymavlink (extra `mavlink`)."""
+
+import struct
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from mavfi.errors import BadInputError, allowed
+from mavfi.faults.message.definition import FORMATS, Leaf
+from mavfi.files import check_regular
+from mavfi.flight_logs.reader import LoggedMessage
+from mavfi.flight_logs.record import Record
+from mavfi.plugins import reason
+
+_GROUND_STATION = 250
+"""Systems from this number on are ground stations."""
+_KINDS = {code: kind for kind, code in FORMATS.items() if kind not in ("byte", "char", "bool")}
+_HEADERS = {0xFE: 6, 0xFD: 10}
+"""Size of the header by its first byte, for MAVLink 1 and 2."""
+_NO_DATA = ("BAD_DATA", "STATUSTEXT")
+
+
+class TlogReader:
+    """Reads a telemetry log; see `FlightLogReader`.  Topics are names of messages, e.g. "ATTITUDE", of any vehicle."""
+
+    recommended = {
+        "ATTITUDE": ("roll", "pitch", "yaw", "rollspeed", "pitchspeed", "yawspeed"),
+        "ATTITUDE_QUATERNION": ("q1", "q2", "q3", "q4"),
+        "LOCAL_POSITION_NED": ("x", "y", "z", "vx", "vy", "vz"),
+        "POSITION_TARGET_LOCAL_NED": ("x", "y", "z", "vx", "vy", "vz"),
+        "VFR_HUD": ("airspeed", "groundspeed", "alt", "climb"),
+    }
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def messages(self, topics: Sequence[str]) -> Iterator[LoggedMessage]:
+        """See `FlightLogReader`."""
+        path = self._path
+        check_regular(path)
+        try:
+            from pymavlink import mavutil
+        except ImportError:
+            needed = "allowed: pip install 'mavfi[mavlink]'"
+            raise BadInputError(f"{path}: reading telemetry logs needs pymavlink; {needed}") from None
+        try:
+            link = mavutil.mavlink_connection(str(path), notimestamps=False)
+            found = list(_all_of(link))
+            link.close()
+        except Exception as error:  # noqa: BLE001 - whatever the library raises at a damaged file
+            raise BadInputError(f"{path}: is not a telemetry log that can be read ({reason(error)})") from None
+        held = {message.topic for message in found}
+        if not found:
+            raise BadInputError(f"{path}: is not a telemetry log that can be read (no MAVLink message of a vehicle)")
+        for topic in topics:
+            if topic not in held:
+                raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(held, topic)}")
+        yield from (message for message in found if not topics or message.topic in topics)
+
+
+def _all_of(link: Any) -> Iterator[LoggedMessage]:
+    """All messages of vehicles."""
+    layouts: dict[str, Record] = {}
+    while (message := link.recv_match()) is not None:
+        topic = message.get_type()
+        if topic in _NO_DATA or topic.startswith("UNKNOWN") or message.get_srcSystem() >= _GROUND_STATION:
+            continue
+        layout = layouts.setdefault(topic, Record(topic, _leaves(type(message))))
+        yield LoggedMessage(topic, round(1e6 * message._timestamp), layout, _payload(message))
+
+
+def _payload(message: Any) -> bytes:
+    """Payload of a received message, with the trailing zeros that MAVLink 2 omits."""
+    packet, size = bytes(message.get_msgbuf()), message.unpacker.size
+    begin = _HEADERS[packet[0]]
+    return packet[begin : begin + min(packet[1], size)].ljust(size, b"\0")
+
+
+def _leaves(kind: Any) -> dict[str, Leaf]:
+    """Place of each number, arrays as name[0], name[1] ...; text is left out."""
+    leaves: dict[str, Leaf] = {}
+    offset = 0
+    codes = bytes(kind.native_format).decode()[1:]
+    for name, code, length in zip(kind.ordered_fieldnames, codes, kind.array_lengths, strict=True):
+        size = struct.calcsize(f"<{code}")
+        if code in _KINDS:
+            names = [f"{name}[{index}]" for index in range(length)] if length else [name]
+            leaves |= {own: Leaf(offset + index * size, _KINDS[code]) for index, own in enumerate(names)}
+        offset += size * max(1, length)
+    return leaves

@@ -1,0 +1,97 @@
+"""Judge recorded flights of real and simulated vehicles, and write docs/generated/real-logs.md.
+
+    python -m tools.real_logs FOLDER
+
+The folder holds logs of PX4 (`px4_sample.ulg`), of RflyMAD (`rflymad_*.ulg`) and of EuRoC (`euroc_*.csv`); they are not
+part of this project.
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from mavfi.flight_logs.watch import BIT_CLASSES, Judged, LogWatch, Recording, read_recording, select
+from mavfi.reports.log_watch import Rates, rate_text, share_text
+from tools.markers import ROOT
+
+PAGE = ROOT / "docs" / "generated" / "real-logs.md"
+BANNER = "<!-- Written by `make real-logs`; do not edit. -->\n\n"
+FAULT = "rfly_ctrl_lxl:mode"
+FLIPS = 300
+SETTINGS = [(kind, profile) for kind in ("gaussian", "autoencoder") for profile in ("tuned", "paper")]
+SETS = {
+    "PX4": ("px4_sample.ulg", "one multicopter flight: trained on its first half, judged on the second"),
+    "RflyMAD": ("rflymad_*.ulg", "motor fault at a known time: trained on the part before the fault of the other "
+                "flights, judged on the part before the fault of each; then the fault"),
+    "EuRoC": ("euroc_*.csv", "ground truth of indoor flights, 200 Hz: trained on the other flights, judged on each"),
+}  # fmt: skip
+
+
+def judge_apart(recordings: Sequence[Recording], kind: str, profile: str) -> list[Judged]:
+    """Each recording judged by a detector trained on all others; a single one by its own first half."""
+    if len(recordings) == 1:
+        first, rest = recordings[0].split(0.5)
+        return [LogWatch(kind, profile, select([first, rest]), [first]).judge(rest, FLIPS)]
+    probes = select([recording.normal for recording in recordings])
+    found = []
+    for recording in recordings:
+        others = [other.normal for other in recordings if other is not recording]
+        found.append(LogWatch(kind, profile, probes, others).judge(recording, FLIPS))
+    return found
+
+
+def rows(name: str, recordings: Sequence[Recording]) -> list[str]:
+    """One row per detector and profile."""
+    found = []
+    for kind, profile in SETTINGS:
+        judged = judge_apart(recordings, kind, profile)
+        rates = Rates(judged)
+        alarms = sum(len(one.alarms) for one in judged)
+        cells = [
+            name, f"{kind}, {profile}", f"{rates.exposure_s / 60:.1f} min", str(rates.alarms.events),
+            rate_text(rates.alarms), f"{100 * alarms / sum(one.messages for one in judged):.2g} %",
+            *(share_text(rates.flips[bits]) if bits in rates.flips else "–" for bits in BIT_CLASSES),
+            share_text(rates.faults), ", ".join(f"{delay:.2f}" for delay in rates.delays_s) or "–",
+        ]  # fmt: skip
+        found.append(f"| {' | '.join(cells)} |")
+    return found
+
+
+def page(folder: Path) -> str:
+    """The page."""
+    parts = []
+    for name, (pattern, _) in SETS.items():
+        fault = FAULT if name == "RflyMAD" else ""
+        recordings = [read_recording(path, fault) for path in sorted(folder.glob(pattern))]
+        if not recordings:
+            raise SystemExit(f"{folder}: no {pattern}")
+        parts += rows(f"{name}, {len(recordings)} log{'s' if len(recordings) > 1 else ''}", recordings)
+    head = ["logs", "detector", "exposure", "false alarm events", "per hour [95 %]", "messages with an alarm",
+            *(f"flips detected, {bits}" for bits in BIT_CLASSES), "faults with an alarm", "delays (s)"]  # fmt: skip
+    notes = "\n".join(f"- {name}: {text}." for name, (_, text) in SETS.items())
+    return (
+        f"{BANNER}# Detectors on recorded flights\n\n"
+        "GAD and AAD on flights that mavfi neither flew nor simulated ([how](../logs.md)). **The exposure is minutes, "
+        "not hours**: a row without any alarm excludes only rates above the upper bound, and few flights of few "
+        "vehicles do not represent others. Alarms within one second count as one event; a detector that raises alarms all the "
+        "time has few events, so the share of messages with an alarm stands next to them.\n\n"
+        f"{notes}\n\n"
+        f"{FLIPS} bits per recording, equally many in sign, exponent and mantissa of floating-point fields, each "
+        "alone; detected: an alarm on the message, or on the next one of its topic, that the recording itself does not "
+        "have. "
+        "Intervals: Poisson (exact) and Wilson, 95 %; flips in one recording are not independent flights. A flip in a "
+        "value near 0 stays small whatever its bit, so many flips in the exponent pass.\n\n"
+        f"| {' | '.join(head)} |\n|{'---|' * len(head)}\n" + "\n".join(parts) + "\n"
+    )
+
+
+def main() -> None:
+    """Write the page."""
+    if len(sys.argv) != 2 or not Path(sys.argv[1]).is_dir():
+        raise SystemExit("usage: python -m tools.real_logs FOLDER")
+    PAGE.write_text(page(Path(sys.argv[1])), encoding="utf-8")
+    sys.stdout.write(f"wrote {PAGE}\n")
+
+
+if __name__ == "__main__":
+    main()
