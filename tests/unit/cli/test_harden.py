@@ -1,8 +1,12 @@
-"""`mavfi harden`: bad input, one line each."""
+"""`mavfi harden`: bad input, one line each; from a campaign to a certificate."""
+
+import json
+from pathlib import Path
 
 import pytest
 
 from mavfi.cli.commands import run
+from mavfi.hardening.plan import Coverage, load_plan, save_plan
 
 
 @pytest.mark.parametrize(
@@ -22,3 +26,46 @@ def test_bad_input_is_one_line_and_exit_code_2(words, told, tmp_path, capsys, mo
     assert run(["harden", str(tmp_path), *words]) == 2
     error = capsys.readouterr().err
     assert told in error and error.count("\n") == 1
+
+
+CAMPAIGN = """
+name: tiny
+environments: [dense]
+first_seed: 100
+missions: 2
+faults: 24
+sampling: {level: instruction, kernels: [pid], which: all, model: one_bit, restart_s: 0.57}
+mission: {autopilot: published, platform: i9-9940x, planner: rrt_connect}
+"""
+
+
+@pytest.mark.long  # flies a campaign, and builds each kernel several times
+def test_from_a_campaign_to_a_certificate(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("tiny.yaml").write_text(CAMPAIGN)
+    assert run(["campaign", "run", "tiny.yaml", "--out", "out"]) == 0
+    capsys.readouterr()
+    assert run(["harden", "out", "--budget", "0.01", "--plan", "plan.yaml", "--html", "harden.html"]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith("Protect pid: ") and "It does not buy missions" in told
+    assert "track" in Path("harden.html").read_text()
+    plan = load_plan(Path("plan.yaml"))
+    (planned,) = plan.functions
+    assert planned.kernel == "pid" and planned.sites and planned.time < 3.0 and planned.predicted is not None
+
+    assert run(["harden", "out", "--plan", "plan.yaml", "--certify", "--faults", "40", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found == json.loads(Path("plan.certificate.json").read_text())
+    assert found["golden"]["same"] == found["golden"]["flights"] == 2 and found["golden"]["alarms"] == 0
+    (function,) = found["functions"]
+    assert function["coverage"]["rate"] > 0.6 and function["growth"] > 1.5
+
+    boast = {"estimate": 1.0, "low": 1.0, "high": 1.0}
+    little = planned.model_copy(update={"sites": planned.sites[:3], "predicted": Coverage(**boast)})
+    save_plan(plan.model_copy(update={"functions": (little,)}), Path("boast.yaml"))
+    assert run(["harden", "out", "--plan", "boast.yaml", "--certify", "--faults", "40"]) == 3
+    assert capsys.readouterr().out.startswith("The plan is refuted: ")
+
+    save_plan(plan.model_copy(update={"ledger": "0" * 64}), Path("other.yaml"))
+    assert run(["harden", "out", "--plan", "other.yaml", "--certify"]) == 2
+    assert "the plan was made from 000000000000" in capsys.readouterr().err

@@ -5,6 +5,7 @@ The same calls are injected without protection, and these faults once more, inst
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from math import hypot
 from typing import Any
@@ -14,6 +15,7 @@ from mavfi.campaign.analysis.statistics import Rate, wilson
 from mavfi.campaign.hardening.battery import SDC, Battery, Place, shares
 from mavfi.campaign.hardening.observed import Seen
 from mavfi.campaign.hardening.ratio import bounds_of, coverage, difference
+from mavfi.faults.instruction.build import cached_build
 from mavfi.faults.instruction.variant import variant_of
 from mavfi.faults.sampling import stream
 from mavfi.hardening.plan import Coverage, FunctionPlan, Plan
@@ -182,5 +184,9 @@ def _sum(parts: Sequence[tuple[float, Rate]]) -> Rate:
 
 def pairs_of(seen: Sequence[Seen], plan: Plan) -> list[Pair]:
     """The observed functions that the plan protects; `BadInputError` if it is of other code."""
-    found = [(one, plan.find(name_of(one.function), one.signature)) for one in seen]
-    return [Pair.of(one, planned) for one, planned in found if planned is not None and planned.sites]
+    named = [(one, plan.find(name_of(one.function), one.signature)) for one in seen]
+    found = [(one, planned) for one, planned in named if planned is not None and planned.sites]
+    with ThreadPoolExecutor(2) as ahead:  # each build waits for a process of its own
+        for one, planned in found:
+            ahead.submit(cached_build, one.function, one.signature, Protection(planned))
+    return [Pair.of(one, planned) for one, planned in found]

@@ -1,13 +1,16 @@
 """Golden flights in which the kernels' functions are counted, and the arguments of some of their calls kept."""
 
 from collections.abc import Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from mavfi.faults.instruction.variant import Variant, signature_of, variant_for
+from mavfi.hardening.plan import signature_text
 from mavfi.hardening.recorded import Recording
+from mavfi.hardening.sources import cached_source
 from mavfi.hosts.local import fly
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
@@ -44,7 +47,7 @@ class Seen:
     @property
     def signature_text(self) -> str:
         """The signature as in a plan."""
-        return ", ".join(map(str, self.signature))
+        return signature_text(self.signature)
 
 
 class Observing:
@@ -53,11 +56,12 @@ class Observing:
     Args:
         entry: Name of the function.
         function: Compiled by `kernel_jit`.
-        most: Recorded calls per signature, about; 0 = none.
+        most: Recorded calls per signature, about.
+        ahead: Fetches the IR, which takes seconds for the first time, while the flight goes on.
     """
 
-    def __init__(self, entry: str, function: Any, most: int) -> None:
-        self._entry, self._function, self._most = entry, function, most
+    def __init__(self, entry: str, function: Any, most: int, ahead: Executor) -> None:
+        self._entry, self._function, self._most, self._ahead = entry, function, most, ahead
         self._seen: dict[tuple[Any, ...], tuple[Seen, Recording]] = {}
 
     def __call__(self, *args: Any) -> Any:
@@ -67,10 +71,10 @@ class Observing:
             variant = variant_for(self._function, args)
             blocks = np.zeros(len(variant.table.blocks), np.int64)
             seen = Seen(self._function, self._entry, signature, variant, blocks)
-            self._seen[signature] = seen, Recording(max(self._most, 1))
+            self._seen[signature] = seen, Recording(self._most)
+            self._ahead.submit(cached_source, self._function, signature)
         seen, recording = self._seen[signature]
-        if self._most:
-            recording.note(args)
+        recording.note(args)
         seen.total += 1
         result, times = seen.variant.tally(*args)
         seen.executions += times
@@ -91,7 +95,7 @@ def observe(scenario: Scenario, kernels: Sequence[str], most: int = 12) -> dict[
         RefusedError: A kernel cannot be instrumented exactly.
     """
     names = tuple(dict.fromkeys(name for kernel in kernels for name in INJECTABLE[kernel]))
-    made = {name: Observing(name, getattr(PLAIN, name), most) for name in names}
-    with np.errstate(all="ignore"):
+    with ThreadPoolExecutor(1) as ahead, np.errstate(all="ignore"):
+        made = {name: Observing(name, getattr(PLAIN, name), most, ahead) for name in names}
         fly(scenario, functions=PLAIN.instrumented(names, lambda name, _: made[name]))
     return {kernel: [seen for name in INJECTABLE[kernel] for seen in made[name].seen()] for kernel in kernels}

@@ -14,7 +14,7 @@ from mavfi.reports.text import percent
 from mavfi.reports.vulnerability.listing import highlighted, read_source
 
 WIDTH, HEIGHT = 300, 190
-_LEFT, _RIGHT, _TOP, _BOTTOM = 40, 12, 10, 32
+_LEFT, _RIGHT, _TOP, _BOTTOM = 46, 12, 10, 32
 _TICKS = (1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.75, 2.0, 2.5, 3.0, 4.0, 6.0, 10.0)
 _MOST_TICKS = 5
 
@@ -31,7 +31,8 @@ def write_page(path: Path, summary: Mapping[str, Any], directory: Path, plan: Pa
 def page(summary: Mapping[str, Any], directory: Path, plan: Path | None) -> str:
     """Render the page as text."""
     return render(
-        "harden.html.j2", summary=summary, headline=headline(summary), caveats=caveats(summary),
+        "harden.html.j2", summary=summary, caveats=caveats(summary),
+        headline=headline(summary).replace(" %", "\u00a0%"),
         curves=[curve(row) for row in summary["functions"]], kernels=[_kernel(row) for row in summary["kernels"]],
         sources=[source(row) for row in summary["functions"]], commands=_commands(summary, directory, plan),
     )  # fmt: skip
@@ -78,7 +79,7 @@ def curve(row: Mapping[str, Any]) -> dict[str, Any]:
         "kernel": row["kernel"], "entry": row["entry"], "width": WIDTH, "height": HEIGHT, "points": points,
         "path": " ".join(f"{point['x']},{point['y']}" for point in points), "left": _LEFT, "right": WIDTH - _RIGHT,
         "bottom": HEIGHT - _BOTTOM, "xs": [(x(tick), f"×{tick:g}") for tick in ticks],
-        "ys": [(y(share), f"{100 * share:.0f}") for share in (0.0, 0.5, 1.0)], "n": row["coverage"]["n"],
+        "ys": [(y(share), f"{100 * share:.0f} %") for share in (0.0, 0.5, 1.0)], "n": row["coverage"]["n"],
     }  # fmt: skip
 
 

@@ -27,12 +27,12 @@ def test_places_are_uniform_over_dynamic_instructions(battery):
 
 
 def test_injections_have_effects_and_can_be_repeated(battery):
-    places = battery.draw(np.random.default_rng(5), 40)
+    places = battery.draw(np.random.default_rng(5), 30)
     before = [(values.copy(), out.copy()) for values, out in battery.calls]
     effects = battery.run(places)
     assert effects == battery.run(places)
     counted = shares(effects)
-    assert counted[SDC] > 0 and counted[MASKED] > 0 and sum(counted.values()) == 40
+    assert counted[SDC] > 0 and counted[MASKED] > 0 and sum(counted.values()) == 30
     np.testing.assert_equal([tuple(args) for args in battery.calls], before)
 
 
@@ -46,3 +46,10 @@ def test_work_arrays_and_unused_rows_are_no_output():
     result = outputs_of("shortcut_greedy", Function, 2, (np.zeros(3), None, path, 4))
     assert len(result[3]) == 2 and len(outputs_of("f", Function, 2, (0, 0, path, 4))[3]) == 4
     assert len(outputs_of("shortcut_greedy", Function, -(2**62), (0, 0, path, 4))[3]) == 0
+
+
+def test_a_shared_process_gives_the_effects_of_one_process_each(battery, monkeypatch):
+    places = battery.draw(np.random.default_rng(9), 10)
+    shared = battery.run(places)
+    monkeypatch.setattr("mavfi.campaign.hardening.battery._SMALL", -1)
+    assert battery.run(places) == shared

@@ -1,0 +1,91 @@
+"""A function as target of the choice: rates from injections, cross-validation, and what a summary says of it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from mavfi.campaign.analysis.statistics import wilson
+from mavfi.campaign.hardening.advise import Advice, Curve, Step, choices_of
+from mavfi.campaign.hardening.battery import Battery
+from mavfi.campaign.hardening.kernel import see
+from mavfi.campaign.hardening.ledger import Harm, Injected
+from mavfi.campaign.hardening.study import planned_of
+from mavfi.campaign.hardening.summary import summary
+from mavfi.campaign.hardening.target import targets_of
+from mavfi.errors import BadInputError
+from tests.unit.campaign.hardening.kernels import calls, smooth
+
+
+@pytest.fixture(scope="module")
+def target():
+    """Injections of which those in results of multiplications are silent corruptions."""
+    seen = see(smooth, calls())
+    battery = Battery("smooth", smooth, seen.variant, seen.calls)
+    injections = [
+        Injected(
+            "smooth", "smooth", seen.variant.ir_sha256, place.block, place.offset,
+            battery.site(place.block, place.offset).opcode == "fmul", f"dense {number % 6}",
+        )
+        for number, place in enumerate(battery.draw(np.random.default_rng(4), 300))
+    ]  # fmt: skip
+    (found,) = targets_of({"pid": [seen]}, [replace(one, kernel="pid") for one in injections])
+    return found
+
+
+def test_expected_corruptions_are_those_of_the_injected_instructions(target):
+    by_opcode = {}
+    for _, row, _, mass in target.masses:
+        by_opcode[row.opcode] = by_opcode.get(row.opcode, 0.0) + mass
+    assert max(by_opcode, key=by_opcode.get) == "fmul" and by_opcode["fmul"] > 0.7 * target.sdc_mass
+    rate = sum(one.sdc for one in target.injections) / len(target.injections)
+    assert target.sdc_mass == pytest.approx(rate * target.seen.instructions, rel=0.15)
+
+
+def test_a_choice_from_other_missions_covers_what_it_has_not_seen(target):
+    ladder = choices_of(target)
+    covered = [np.mean([hit for _, hit in judged]) for _, _, judged in ladder]
+    assert covered[0] == 0.0 and covered[-1] == 1.0
+    assert covered[3] > 0.6  # at half of the instructions
+    assert [choice.cost for _, choice, _ in ladder] == sorted(choice.cost for _, choice, _ in ladder)
+    assert all(len(judged) == sum(one.sdc for one in target.injections) for _, _, judged in ladder)
+
+
+def test_sites_are_those_of_the_parsed_module(target):
+    sites = target.sites(target.chooser.full)
+    assert all(target.site_of(one) in sites for one in target.injections if one.sdc)
+    planned = planned_of(target, Step(1.0, target.chooser.full, 1.234, choices_of(target)[-1][2]))
+    assert set(planned.sites) == sites and planned.time == 1.234 and planned.predicted.estimate == 1.0
+    assert all(line.split(":")[0].endswith("kernels.py") for line in planned.lines if not line.startswith("numba"))
+
+
+@dataclass
+class Study:
+    @dataclass
+    class Named:
+        name: str = "tiny"
+
+    campaign: Named
+    digest: str = "0" * 64
+    kernels: tuple[str, ...] = ("pid",)
+
+
+def test_a_summary_adds_up(target):
+    steps = tuple(Step(fraction, choice, 1 + fraction, judged) for fraction, choice, judged in choices_of(target))
+    advice = Advice(0.5, (Curve(target, 1.0, 0.2, steps),), (3,))
+    told = summary(Study(Study.Named()), [advice], Harm(wilson(0, 9), wilson(1, 3), wilson(3, 20)))
+    (function,), (kernel,) = told["functions"], told["kernels"]
+    assert sum(function["escapes"].values()) == pytest.approx(1.0)
+    assert sum(line["sdc"] for line in function["lines"]) == pytest.approx(1.0)
+    assert sum(line["sdc"] * line["protected"] for line in function["lines"]) == pytest.approx(
+        function["escapes"]["protected"]
+    )
+    assert told["spent"] == kernel["added"] == pytest.approx(0.2 * 0.5) and kernel["time"] == pytest.approx(1.5)
+    assert [step["chosen"] for step in function["steps"]] == [False, False, False, True, False, False]
+
+
+def test_injections_in_other_code_are_refused(target):
+    other = replace(target.injections[0], ir_sha256="1" * 64)
+    with pytest.raises(BadInputError, match="the ledger is of IR 111111111111"):
+        targets_of({"pid": [target.seen]}, [other])
+    assert len(targets_of({"pid": [target.seen]}, [target.injections[0], other])[0].injections) == 1
