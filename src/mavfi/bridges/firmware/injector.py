@@ -33,11 +33,14 @@ class FirmwareInjector:
     """Injects one fault.
 
     Attributes:
-        fault: The fault.
+        fault: The fault; neither its symbol nor its thread can be chosen.
         injection: The injection; None = not yet.
     """
 
     def __init__(self, fault: RegisterFault) -> None:
+        if fault.symbol or fault.thread:
+            text = "allowed: none; faults are uniform over the instructions of the main thread"
+            raise BadInputError(f"firmware: symbol {fault.symbol!r}, thread {fault.thread}: {text}")
         self.fault = fault
         self.injection: Injection | None = None
         self._choices = random.Random(f"{fault.seed}/firmware")
