@@ -29,7 +29,7 @@ from mavfi.faults.sampling import stream
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.reports.campaign_report import markdown_table
-from tools.markers import GENERATED, banner
+from tools.markers import DOCS, GENERATED, banner, fill
 
 OUT, PAGE = Path("out/firmware"), GENERATED / "firmware.md"
 ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
@@ -164,6 +164,12 @@ def page(campaign: Path | None) -> str:
     return "\n".join([*lines, *_golden_lines(), *_mission_lines(campaign)]).rstrip() + "\n"
 
 
+def headline() -> str:
+    """The table of both patterns, for docs/fault-model.md."""
+    ends = {name: [row["outcome"] for row in rows_of(name) if row["activated"]] for name in patterns.PATTERNS}
+    return "\n".join(table("register, firmware", ends, patterns.OUTCOMES))
+
+
 def _golden_lines() -> list[str]:
     rows = rows_of("golden")
     if not rows:
@@ -215,6 +221,7 @@ def main() -> None:
         golden_missions(asked.name, asked.count)
     else:
         PAGE.write_text(page(Path(asked.name) if asked.name else None), encoding="utf-8")
+        fill(DOCS / "fault-model.md", {"firmware": headline()})
         print(f"wrote {PAGE}")
 
 

@@ -11,7 +11,7 @@ import os
 import random
 from dataclasses import replace
 
-from mavfi.bridges.firmware.process import NEVER, Firmware
+from mavfi.bridges.firmware.process import NEVER, Firmware, fixed_addresses
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import RegisterFault
 from mavfi.faults.register.addresses import AddressSpace
@@ -73,7 +73,10 @@ class FirmwareInjector:
 
             done = flip_here(self.fault, self._choices, tracee, memory, walk)
             if done is not None:
-                details = {"node": NODE, "kernel": NODE, "call": call, "walked": walked, "periods": self._periods}
+                details = {
+                    "node": NODE, "kernel": NODE, "call": call, "walked": walked, "periods": self._periods,
+                    "replayable": bool(fixed_addresses()),
+                }  # fmt: skip
                 self.injection = replace(injection_of(done, space, self.fault, details), time_s=1e-6 * time_us)
             tracee.detach()
         except TargetGoneError as error:
