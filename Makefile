@@ -19,7 +19,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs firmware pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -126,6 +126,12 @@ fault-map: setup  ## effect of one fault, by site, on design seeds; writes docs/
 
 real-logs: setup  ## judge recorded flights of other vehicles, write docs/generated/real-logs.md (LOGS=folder)
 	@$(BIN)/python -m tools.real_logs $(or $(LOGS),../shared/data/logs)
+
+firmware: setup  ## fly register faults in a flight controller's firmware, write docs/generated/firmware.md (N=400)
+	@for pattern in hover square; do $(BIN)/python -m tools.firmware_faults fly $$pattern --count $(or $(N),400) && $(BIN)/python -m tools.firmware_faults check $$pattern || exit 1; done
+	@for environment in sparse dense farm factory; do $(BIN)/python -m tools.firmware_faults golden $$environment || exit 1; done
+	@$(BIN)/mavfi campaign run firmware --out out/firmware-campaign
+	@$(BIN)/python -m tools.firmware_faults write out/firmware-campaign
 
 ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a folder), check them
 	@$(BIN)/python -m mavfi.hosts.ros1.install

@@ -124,7 +124,7 @@ class InstructionSampling(Config):
 
 
 class RegisterSampling(Config):
-    """Faults in registers of a live process (host node)."""
+    """Faults in registers of a live process (hosts node and firmware)."""
 
     null_runs: ClassVar[int] = NULL_RUNS
     level: Literal["register"]
@@ -202,7 +202,9 @@ class Campaign(Config):
     """
 
     name: str
-    host: str = Field("local", description="where missions are flown: local, ros1, node, or another entry point")
+    host: str = Field(
+        "local", description="where missions are flown: local, ros1, node, firmware, or another entry point"
+    )
     environments: tuple[str, ...] = Field(min_length=1)
     first_seed: int = Field(10_000, ge=0)
     missions: int = Field(30, ge=1, description="per environment")

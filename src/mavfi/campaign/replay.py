@@ -20,8 +20,9 @@ from mavfi.campaign.store import Run, Store
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault
 from mavfi.flight_record import record_of
-from mavfi.hosts.host import ArmSetup, Flight, Host, Recorded
+from mavfi.hosts.host import ArmSetup, Flight, Host, Recorded, require_level
 from mavfi.hosts.local import recorded
+from mavfi.hosts.local.mission_flights import LocalHost
 from mavfi.outcomes import Effect, effect_of
 
 
@@ -113,6 +114,7 @@ def explain(directory: Path, run_id: str) -> Explanation:
         run = store.run(run_id)
         if run.spec.fault is None:
             raise BadInputError(f"{directory}: run {run.spec.run_id}: has no fault to explain; allowed: runs with one")
+        require_level(LocalHost(), run.spec.fault.level)  # which records the publications
         stored = run.record
         if stored is None or not stored.flown:
             raise BadInputError(f"{directory}: run {run.spec.run_id}: left no flight to explain")

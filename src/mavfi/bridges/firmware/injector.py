@@ -11,7 +11,7 @@ import os
 import random
 from dataclasses import replace
 
-from mavfi.bridges.firmware.process import NEVER, Firmware
+from mavfi.bridges.firmware.process import NEVER, Firmware, fixed_addresses
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import RegisterFault
 from mavfi.faults.register.addresses import AddressSpace
@@ -33,11 +33,14 @@ class FirmwareInjector:
     """Injects one fault.
 
     Attributes:
-        fault: The fault.
+        fault: The fault; neither its symbol nor its thread can be chosen.
         injection: The injection; None = not yet.
     """
 
     def __init__(self, fault: RegisterFault) -> None:
+        if fault.symbol or fault.thread:
+            text = "allowed: none; faults are uniform over the instructions of the main thread"
+            raise BadInputError(f"firmware: symbol {fault.symbol!r}, thread {fault.thread}: {text}")
         self.fault = fault
         self.injection: Injection | None = None
         self._choices = random.Random(f"{fault.seed}/firmware")
@@ -70,7 +73,10 @@ class FirmwareInjector:
 
             done = flip_here(self.fault, self._choices, tracee, memory, walk)
             if done is not None:
-                details = {"node": NODE, "kernel": NODE, "call": call, "walked": walked, "periods": self._periods}
+                details = {
+                    "node": NODE, "kernel": NODE, "call": call, "walked": walked, "periods": self._periods,
+                    "replayable": bool(fixed_addresses()),
+                }  # fmt: skip
                 self.injection = replace(injection_of(done, space, self.fault, details), time_s=1e-6 * time_us)
             tracee.detach()
         except TargetGoneError as error:

@@ -23,7 +23,7 @@ _MOST = 12
 
 
 def _of_registers(runs: Runs) -> bool:
-    return has(runs.injected, level="register")
+    return has(runs.injected, level="register", kernel="")
 
 
 def _trials(runs: Runs) -> Runs:

@@ -91,7 +91,7 @@ def _site_columns(fault: Fault) -> dict[str, Any]:
         case MessageFault():
             return {"state": fault.topic, "field": fault.field}
         case RegisterFault():
-            return {"register": fault.registers, "symbol": fault.symbol}
+            return {"register": fault.registers, "symbol": fault.symbol, "kernel": fault.node}
 
 
 _DETAILS = {

@@ -1,5 +1,6 @@
 """Register faults in a firmware: exact place, exact replay; with a miniature firmware."""
 
+import math
 from collections import Counter
 from contextlib import closing
 
@@ -40,6 +41,16 @@ def fly(programs, planned):
         except FirmwareLostError as lost:
             return motors, found.record(), (lost.effect, lost.detail)
     return motors, found.record(), None
+
+
+def test_draws_are_uniform_over_the_instructions_of_a_period():
+    lengths = [5, 100, 1, 60]  # instructions after each call
+    found = FirmwareInjector(fault(1))
+    draws = [found.stop_at(0) for _ in range(60_000)]
+    hits = Counter(call for call, place in draws if call < len(lengths) and place < lengths[call])
+    each = 60_000 / (injector.CALLS * 128)
+    for call, length in enumerate(lengths):
+        assert abs(hits[call] - each * length) < 5.0 * math.sqrt(each * length) + 1.0
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,137 @@
+"""Short flights of a firmware without the pipeline, hover and square, and what a register fault does to them."""
+
+import hashlib
+import math
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from mavfi.bridges.firmware.controller import BetaflightController
+from mavfi.bridges.firmware.injector import FirmwareInjector
+from mavfi.faults.fault import RegisterFault
+from mavfi.faults.register.classes import class_of, function_of
+from mavfi.flight_log import Injection
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
+from mavfi.sim.environments import build_world
+from mavfi.sim.scene import STEP_US
+from mavfi.sim.simulator import Simulator
+
+LENGTH_S = 10.0
+"""Length of a flight (s)."""
+FIRST_S, LAST_S = 2.0, 6.0
+"""Faults are injected in between (s): after the vehicle has settled, early enough to see what follows."""
+LEG_S = 2.0
+"""Time on each side of the square (s)."""
+TURN_S = 0.5
+"""Time after a corner that counts as turning (s)."""
+SLIGHT_M = 0.02
+LOST_M, LOST_TILT = 5.0, math.radians(60.0)
+"""Distance from the golden flight and tilt beyond which control counts as lost."""
+_SIDES = ((3.0, 0.0, 0.0, 0.0), (0.0, 3.0, 0.0, 0.5), (-3.0, 0.0, 1.0, 0.0), (0.0, -3.0, -1.0, -0.5))
+PATTERNS = {"hover": ((0.0, 0.0, 0.0, 0.0),), "square": _SIDES}
+"""Commands of each pattern, one after the other: velocity (m/s) and yaw rate (rad/s)."""
+_MISSION = MissionSpec(environment="farm", seed=1, start=(5.0, 0.0, 8.0), flight_controller="betaflight")
+_IDENTICAL, _SLIGHT, _DEGRADED, _LOST = "bit-identical", "slight", "degraded", "loss of control"
+_LOST_PROCESS = {"crash": "process ends", "hang": "hang"}
+OUTCOMES = (_IDENTICAL, _SLIGHT, _DEGRADED, _LOST, *_LOST_PROCESS.values())
+"""What a fault does to a flight, from harmless to worst."""
+
+
+@dataclass(frozen=True, slots=True)
+class PatternFlight:
+    """A flight.
+
+    Attributes:
+        positions: Every 4 ms (m); shorter if it ended early. Shape (n, 3).
+        largest_tilt: Largest angle between the body's and the world's z axis (rad).
+        touched: Whether it touched the ground or an obstacle, or is not finite.
+        lost: Effect and detail of the end of the firmware; "" = it runs.
+        digest: SHA-256 of all states.
+        injection: The injection; None = no fault.
+    """
+
+    positions: np.ndarray
+    largest_tilt: float
+    touched: bool
+    lost: tuple[str, str]
+    digest: str
+    injection: Injection | None
+
+
+def fly(pattern: str, fault: RegisterFault | None = None) -> PatternFlight:
+    """Fly a pattern for `LENGTH_S`, or until the vehicle touches the ground or the firmware is lost."""
+    scenario = resolve(_MISSION)
+    plant = Simulator(build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal), scenario)
+    controller = plant.controller
+    assert isinstance(controller, BetaflightController)  # as the mission says
+    injector = None if fault is None else FirmwareInjector(fault)
+    controller.injector = injector
+    states = []
+    try:
+        for state in _states(plant, pattern):
+            states.append(state)
+            if controller.lost is not None:
+                break
+    finally:
+        plant.close()
+    rows, lost = np.array(states), controller.lost
+    up = 1.0 - 2.0 * (rows[:, 7] ** 2 + rows[:, 8] ** 2)  # z component of the body's z axis
+    tilt = float(np.arccos(np.clip(np.nan_to_num(up, nan=-1.0), -1.0, 1.0)).max())
+    return PatternFlight(
+        rows[:, :3], tilt, plant.collided or not np.isfinite(rows).all(),
+        ("", "") if lost is None else (lost.effect, lost.detail), hashlib.sha256(rows.tobytes()).hexdigest(),
+        None if injector is None else injector.record(),
+    )  # fmt: skip
+
+
+def _states(plant: Simulator, pattern: str) -> Iterator[np.ndarray]:
+    """State of the vehicle every 4 ms."""
+    commands, leg_us = PATTERNS[pattern], round(1e6 * LEG_S)
+    for time_us in range(0, round(1e6 * LENGTH_S), STEP_US):
+        if time_us % leg_us == 0:
+            plant.command(np.array(commands[time_us // leg_us % len(commands)]), 2.0 * LEG_S)
+        plant.advance(time_us + STEP_US)
+        yield plant.odometry.copy()
+        if plant.collided or not np.isfinite(plant.odometry).all():
+            return
+
+
+def outcome(golden: PatternFlight, flight: PatternFlight) -> str:
+    """What the fault did to a flight, one of `OUTCOMES`."""
+    if flight.lost[0]:
+        return _LOST_PROCESS[flight.lost[0]]
+    if flight.digest == golden.digest:
+        return _IDENTICAL
+    off = distance(golden, flight)
+    if flight.touched or off > LOST_M or flight.largest_tilt > LOST_TILT:
+        return _LOST
+    return _SLIGHT if off <= SLIGHT_M else _DEGRADED
+
+
+def distance(golden: PatternFlight, flight: PatternFlight) -> float:
+    """Largest distance from the golden flight at the same instant (m)."""
+    count = min(len(golden.positions), len(flight.positions))
+    return float(np.linalg.norm(golden.positions[:count] - flight.positions[:count], axis=1).max())
+
+
+def phase(pattern: str, injection: Injection) -> str:
+    """Phase of the flight at the injection: hover; turning after a corner, or straight."""
+    if len(PATTERNS[pattern]) == 1:
+        return pattern
+    return "turning" if injection.time_s % LEG_S < TURN_S else "straight"
+
+
+def to_json(pattern: str, golden: PatternFlight, flight: PatternFlight) -> dict[str, Any]:
+    """The row of a ledger."""
+    assert flight.injection is not None  # a flight with a fault
+    one = flight.injection
+    return {
+        "pattern": pattern, "outcome": outcome(golden, flight), "activated": one.activated,
+        "distance_m": distance(golden, flight), "tilt_deg": math.degrees(flight.largest_tilt), "lost": flight.lost,
+        "digest": flight.digest, "register_class": class_of(one.site),
+        "function": function_of(str(one.details.get("symbol", ""))),
+        "phase": phase(pattern, one), "injection": asdict(one),
+    }  # fmt: skip

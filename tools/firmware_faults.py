@@ -1,0 +1,229 @@
+"""Register faults in a flight controller's firmware: fly them, and write docs/generated/firmware.md.
+
+    python -m tools.firmware_faults fly hover --count 400    # appends to out/firmware/hover.jsonl; resumes
+    python -m tools.firmware_faults check square --count 20  # flies some again: same bytes?
+    python -m tools.firmware_faults golden sparse --count 20 # golden missions in an environment
+    python -m tools.firmware_faults write [DIR]              # the page; DIR: ledger of the campaign `firmware`
+
+Flight i has seed i, whatever the process that flies it, so several may fly shares of them (--first).
+"""
+
+import argparse
+import json
+import os
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mavfi.api import load
+from mavfi.api import table as table_of
+from mavfi.bridges.firmware import patterns
+from mavfi.bridges.firmware.build import installed
+from mavfi.bridges.firmware.flight import fly, register_fault
+from mavfi.campaign.analysis.statistics import wilson
+from mavfi.faults.sampling import stream
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
+from mavfi.reports.campaign_report import markdown_table
+from tools.markers import DOCS, GENERATED, banner, fill
+
+OUT, PAGE = Path("out/firmware"), GENERATED / "firmware.md"
+ENVIRONMENTS = ("sparse", "dense", "farm", "factory")
+_MOST_FUNCTIONS = 12
+Row = dict[str, Any]
+
+
+def fault_of(pattern: str, seed: int) -> Any:
+    """The fault of flight number `seed`: its instant is uniform in the flight's middle."""
+    span = (round(1e6 * patterns.FIRST_S), round(1e6 * patterns.LAST_S))
+    return register_fault(int(stream(seed, "firmware", pattern).integers(*span)), seed)
+
+
+def rows_of(name: str) -> list[Row]:
+    """The ledger of a kind of flight, in order of seeds."""
+    files = sorted(OUT.glob(f"{name}*.jsonl"))
+    rows = [json.loads(line) for file in files for line in file.read_text(encoding="utf-8").splitlines()]
+    return sorted({row["seed"]: row for row in rows}.values(), key=lambda row: row["seed"])
+
+
+def fly_faults(pattern: str, first: int, count: int) -> None:
+    """Fly faults that are not in the ledger."""
+    OUT.mkdir(parents=True, exist_ok=True)
+    done = {row["seed"] for row in rows_of(pattern)}
+    golden = patterns.fly(pattern)
+    with (OUT / f"{pattern}-{first}.jsonl").open("a", encoding="utf-8") as file:
+        for seed in range(first, first + count):
+            if seed in done:
+                continue
+            began = time.perf_counter()
+            flight = patterns.fly(pattern, fault_of(pattern, seed))
+            row = {"seed": seed, **patterns.to_json(pattern, golden, flight), "golden": golden.digest}
+            row |= {"wall_s": round(time.perf_counter() - began, 2), "load": round(os.getloadavg()[0], 1)}
+            file.write(json.dumps(row) + "\n")
+            file.flush()
+            print(seed, row["outcome"], row["function"], row["register_class"], row["wall_s"], flush=True)
+
+
+def check(pattern: str, count: int) -> None:
+    """Fly the last faults of a ledger again, and compare bytes."""
+    same = 0
+    rows = rows_of(pattern)[-count:]
+    for row in rows:
+        flight = patterns.fly(pattern, fault_of(pattern, row["seed"]))
+        is_same = flight.digest == row["digest"] and list(flight.lost) == list(row["lost"])
+        same += is_same
+        print(row["seed"], "same" if is_same else "OTHER", flush=True)
+    _append(f"check-{pattern}", {"seed": pattern, "same": same, "n": len(rows)})
+
+
+def golden_missions(environment: str, count: int, first: int = 10_000) -> None:
+    """Golden missions in an environment; the first one twice."""
+    known = {row["seed"] for row in rows_of("golden")}
+    for seed in range(first, first + count):
+        name = f"{environment}-{seed}"
+        if name in known:
+            continue
+        scenario = resolve(MissionSpec(environment=environment, seed=seed, flight_controller="betaflight"))
+        began = time.perf_counter()
+        log = fly(scenario).log
+        row: Row = {"seed": name, "environment": environment, "status": log.status.label, "digest": log.digest()}
+        row |= {"flight_s": float(log.column("time")[-1]), "wall_s": round(time.perf_counter() - began, 2)}
+        row |= {"load": round(os.getloadavg()[0], 1)}
+        if seed == first:
+            row["same"] = fly(scenario).log.digest() == log.digest()
+        _append(f"golden-{environment}", row)
+        print(row, flush=True)
+
+
+def _append(name: str, row: Row) -> None:
+    OUT.mkdir(parents=True, exist_ok=True)
+    with (OUT / f"{name}.jsonl").open("a", encoding="utf-8") as file:
+        file.write(json.dumps(row) + "\n")
+
+
+# ---- the page ----------------------------------------------------------------------------------------------------
+def table(title: str, groups: dict[str, Sequence[str]], outcomes: Sequence[str]) -> list[str]:
+    """Shares of outcomes by group, with 95 % Wilson intervals; groups: outcomes of each flight."""
+    lines = [f"| {title} | n | {' | '.join(outcomes)} |", "|---|---:|" + "---:|" * len(outcomes)]
+    for name, ends in groups.items():
+        cells = [_cell(sum(end == one for end in ends), len(ends)) for one in outcomes]
+        lines.append(f"| {name} | {len(ends)} | {' | '.join(cells)} |")
+    return [*lines, ""]
+
+
+def _cell(count: int, total: int) -> str:
+    if not total:
+        return "–"
+    rate = wilson(count, total)
+    return f"{count} ({100 * count / total:.0f} %) [{100 * rate.low:.0f}, {100 * rate.high:.0f}]"
+
+
+def grouped(rows: Iterable[Row], key: Callable[[Row], str], most: int = 99) -> dict[str, list[str]]:
+    """Outcomes by group, the largest groups first; the rest is one group."""
+    rows = list(rows)
+    names = [name for name, _ in Counter(map(key, rows)).most_common(most)]
+    found: dict[str, list[str]] = {name: [] for name in names}
+    for row in rows:
+        name = key(row)
+        found.setdefault(name if name in names else "all others", []).append(row["outcome"])
+    return found
+
+
+def page(campaign: Path | None) -> str:
+    """The page, from the ledgers."""
+    drawn = {name: rows_of(name) for name in patterns.PATTERNS}
+    short = {name: [row for row in part if row["activated"]] for name, part in drawn.items()}
+    missed = sum(map(len, drawn.values())) - sum(map(len, short.values()))
+    rows = [row for name in short for row in short[name]]
+    lines = [
+        banner("make firmware").strip(), "", "# Register faults in a flight controller's firmware", "",
+        f"{installed().version}, unmodified, in lock-step.  One bit of a register that an instruction of its main "
+        "thread reads or writes, uniform over the thread's instructions.  Count, share, 95 % Wilson interval.  "
+        "How it is done: [firmware.md](../firmware.md).", "", "## Hover and square", "",
+        f"Flights of {patterns.LENGTH_S:g} s without the pipeline; the fault comes between {patterns.FIRST_S:g} and "
+        f"{patterns.LAST_S:g} s.  Slight: at most {100 * patterns.SLIGHT_M:g} cm from the golden flight.  Loss of "
+        f"control: contact, more than {patterns.LOST_M:g} m off, or tilt above {np.degrees(patterns.LOST_TILT):.0f} "
+        f"degrees.  Not activated: {missed} of {sum(map(len, drawn.values()))}.", "",
+    ]  # fmt: skip
+    flown = {name: [row["outcome"] for row in part] for name, part in short.items()}
+    lines += table("flight", {**flown, "both": [end for part in flown.values() for end in part]}, patterns.OUTCOMES)
+    lines += table("register", grouped(rows, lambda row: row["register_class"]), patterns.OUTCOMES)
+    lines += table("phase", grouped(rows, lambda row: row["phase"]), patterns.OUTCOMES)
+    lines += table("function", grouped(rows, lambda row: row["function"], _MOST_FUNCTIONS), patterns.OUTCOMES)
+    lost = Counter(row["lost"][1] for row in rows if row["lost"][0] == "crash")
+    lines += [f"Ends of the process: {', '.join(f'{name} {count}' for name, count in lost.most_common())}.", ""]
+    for row in rows_of("check"):
+        lines.append(f"Replay ({row['seed']}): flown again, {row['same']} of {row['n']} flights gave the same bytes.")
+    walls = [row["wall_s"] for row in rows]
+    lines += ["", f"Wall time per flight: median {np.median(walls):.1f} s (load of the machine "
+              f"{np.median([row['load'] for row in rows]):.1f} on {os.cpu_count()} cores).", ""]  # fmt: skip
+    return "\n".join([*lines, *_golden_lines(), *_mission_lines(campaign)]).rstrip() + "\n"
+
+
+def headline() -> str:
+    """The table of both patterns, for docs/fault-model.md."""
+    ends = {name: [row["outcome"] for row in rows_of(name) if row["activated"]] for name in patterns.PATTERNS}
+    return "\n".join(table("register, firmware", ends, patterns.OUTCOMES))
+
+
+def _golden_lines() -> list[str]:
+    rows = rows_of("golden")
+    if not rows:
+        return []
+    heading = "| environment | n | success | flight time, median (s) | wall time, median (s) |"
+    lines = ["## Golden missions", "", heading, "|---|---:|---:|---:|---:|"]
+    for environment in ENVIRONMENTS:
+        own = [row for row in rows if row["environment"] == environment]
+        if own:
+            good = sum(row["status"] == "success" for row in own)
+            lines.append(f"| {environment} | {len(own)} | {_cell(good, len(own))} | "
+                         f"{np.median([row['flight_s'] for row in own]):.1f} | "
+                         f"{np.median([row['wall_s'] for row in own]):.1f} |")  # fmt: skip
+    twice = [row["same"] for row in rows if "same" in row]
+    load = np.median([row["load"] for row in rows])
+    told = (
+        f"Flown twice: {len(twice)}, with the same digest: {sum(twice)}.  Load of the machine meanwhile: {load:.1f} on "
+    )
+    return [*lines, "", f"{told}{os.cpu_count()} cores.", ""]
+
+
+def _mission_lines(campaign: Path | None) -> list[str]:
+    if campaign is None:
+        return []
+    runs = load(campaign)
+    lines = [
+        "## Whole missions", "", "`mavfi campaign run firmware`: the whole pipeline flies, the instant is uniform over "
+        f"the golden flight.  {len(runs.injected.where('judged'))} runs.", "",
+    ]  # fmt: skip
+    for view in ("firmware_faults", "firmware_functions"):
+        found = table_of(runs, view)
+        lines += [f"### {found.title}", "", markdown_table(found).rstrip(), *(f"\n{note}" for note in found.notes), ""]
+    return lines
+
+
+def main() -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("verb", choices=["fly", "check", "golden", "write"])
+    parser.add_argument("name", nargs="?", default="")
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--count", type=int, default=20)
+    asked = parser.parse_args()
+    if asked.verb == "fly":
+        fly_faults(asked.name, asked.first, asked.count)
+    elif asked.verb == "check":
+        check(asked.name, asked.count)
+    elif asked.verb == "golden":
+        golden_missions(asked.name, asked.count)
+    else:
+        PAGE.write_text(page(Path(asked.name) if asked.name else None), encoding="utf-8")
+        fill(DOCS / "fault-model.md", {"firmware": headline()})
+        print(f"wrote {PAGE}")
+
+
+if __name__ == "__main__":
+    main()
