@@ -125,7 +125,7 @@ fault-map: setup  ## effect of one fault, by site, on design seeds; writes docs/
 	@$(BIN)/python -m tools.build_fault_map out/fault_map
 
 real-logs: setup  ## judge recorded flights of other vehicles, write docs/generated/real-logs.md (LOGS=folder)
-	@$(BIN)/python -m tools.real_logs $(or $(LOGS),../shared/data/logs)
+	@$(BIN)/python -m tools.real_logs $(or $(LOGS),$(error LOGS: not given; allowed: LOGS=folder of recorded flights))
 
 firmware: setup  ## fly register faults in a flight controller's firmware, write docs/generated/firmware.md (N=400)
 	@for pattern in hover square; do $(BIN)/python -m tools.firmware_faults fly $$pattern --count $(or $(N),400) && $(BIN)/python -m tools.firmware_faults check $$pattern || exit 1; done

@@ -161,7 +161,7 @@ def fly_request(
     seed: int,
     label: str,
     bare: Scenario,
-    host: Host | None = None,
+    elsewhere: Host | None = None,
 ) -> FlightResult:
     """Fly the golden run, draw the requested fault from it, and fly the fault; without a request, the golden run only.
 
@@ -171,7 +171,7 @@ def fly_request(
         seed: Seed of the draw.
         label: Name of the detector; "" = none.
         bare: The mission without the detector and its mission keys, in which the fault is flown as well.
-        host: Where it flies; None = the host of the fault.
+        elsewhere: A host with another world; None = the host of the fault.
 
     Raises:
         BadInputError: The mission has no such site.
@@ -180,29 +180,29 @@ def fly_request(
     fault, golden = (
         (None, None) if request is None else draw_request(setup.scenario, request, seed, detector, setup.recovery)
     )
-    return _fly_fault(setup, fault, label, bare, golden if host is None else None, host)
+    return _fly_fault(setup, fault, label, bare, golden if elsewhere is None else None, elsewhere)
 
 
 def _fly_fault(
     setup: ArmSetup, fault: Fault | None, label: str, bare: Scenario, golden: Flight | None = None,
-    host: Host | None = None,
+    elsewhere: Host | None = None,
 ) -> FlightResult:  # fmt: skip
     """Fly the golden run and the fault; `golden`: the golden run without a detector, if known."""
     if setup.make_detector is None:
-        flight, own = _flown(setup, fault, golden, host)
+        flight, own = _flown(setup, fault, golden, elsewhere)
         return FlightResult(setup.scenario, flight, own, fault)
-    flight, own = _flown(setup, fault, None, host)
+    flight, own = _flown(setup, fault, None, elsewhere)
     known = golden if bare == setup.scenario else None
     of_detector = getattr(fault, "kernel", "") in DETECTORS  # such faults exist only with the detector
-    alone = None if fault is None or of_detector else _flown(ArmSetup(bare), fault, known, host)[0]
+    alone = None if fault is None or of_detector else _flown(ArmSetup(bare), fault, known, elsewhere)[0]
     return FlightResult(setup.scenario, flight, own, fault, label, alone)
 
 
 def _flown(
-    setup: ArmSetup, fault: Fault | None, golden: Flight | None = None, host: Host | None = None
+    setup: ArmSetup, fault: Fault | None, golden: Flight | None = None, elsewhere: Host | None = None
 ) -> tuple[Flight, Flight | None]:
     """Return the flight and its golden run; without a fault, the golden run and None."""
-    begin: Any = (host or host_for(fault)).mission  # each host has flights of its own type
+    begin: Any = (elsewhere or host_for(fault)).mission  # each host has flights of its own type
     if fault is None and golden is None:
         return begin({"": setup}, fast_forward=False).golden(""), None
     flights = begin({"": setup, _UNOBSERVED: replace(setup, observers=())}, fast_forward=False)

@@ -51,18 +51,15 @@ def fly(  # noqa: PLR0913 - one parameter per option
     Example: [bold]mavfi fly --environment dense --seed 10007 --fault state:planning.waypoint.x:bit=62@20.0[/bold]
     """
     check_company(mission, fault, fault_seed, detector, profile, models)
-    if mission.dead_node != "fresh" and not (fault or "").startswith(("instruction:", "memory:")):
-        text = "no node can die; allowed: together with --fault instruction:KERNEL or memory:KERNEL"
-        raise BadInputError(f"--dead-node: {mission.dead_node}: {text}")
+    _check_dead_node(mission, fault)
     check_file("--save", save, FLIGHTS)
     check_file("--picture", picture, PICTURES)
     check_file("--html", html, PAGES)
     in_register = firmware.register_fault(register_fault, registers, register_seed, alone=not (fault or html))
+    from mavfi.cli.progress import compiling
     from mavfi.faults.spec import parse
 
     request = None if fault is None else parse(fault, mission.localization)
-    from mavfi.cli.progress import compiling
-
     with compiling(instrumented=fault is not None and fault.startswith("instruction")):
         from mavfi.api import fly_request
         from mavfi.hosts.host import ArmSetup
@@ -82,15 +79,21 @@ def fly(  # noqa: PLR0913 - one parameter per option
     if picture is not None:
         _draw(picture, result)
     if html is not None:
-        from mavfi.cli.flight_pages import fly_command, page_of_result
-        from mavfi.reports.html.flight_page import write_flight_page
+        from mavfi.cli.flight_pages import fly_command, write_page_of_result
 
         command = fly_command(asked, fault, fault_seed, detector, profile, models)
-        write_flight_page(html, page_of_result(result, setup, bare, command))
+        write_page_of_result(html, result, setup, bare, command)
     if as_json:
         write_json(result.to_json())
         return
     _show(result, (save, picture, html))
+
+
+def _check_dead_node(mission: MissionSpec, fault: str | None) -> None:
+    """Reject a policy for dead nodes without a fault that can kill one."""
+    if mission.dead_node != "fresh" and not (fault or "").startswith(("instruction:", "memory:")):
+        text = "no node can die; allowed: together with --fault instruction:KERNEL or memory:KERNEL"
+        raise BadInputError(f"--dead-node: {mission.dead_node}: {text}")
 
 
 def _show(result: FlightResult, written: Sequence[Path | None]) -> None:
