@@ -32,7 +32,9 @@ def compile_ahead(campaigns: Iterable[Campaign], executor: Executor) -> None:
     bare = [_without_detectors(campaign) for campaign in campaigns if host_of(campaign).in_process]
     missions = [
         MissionPlan(campaign, campaign.environments[0], campaign.first_seed)
-        for campaign in sorted(bare, key=lambda one: one.sampling.level != "instruction")  # these take longest
+        for campaign in sorted(
+            bare, key=lambda one: not isinstance(one.sampling, InstructionSampling)
+        )  # these take longest
         if not _done(campaign).exists()
     ]
     for mission, _ in map_each(executor, warm_up, missions):
