@@ -116,7 +116,8 @@ class KernelEffect:
     """Effect of one injected call on its kernel, by comparison in flight with the golden output of that step.
 
     Attributes:
-        effect: Label of an `outcomes.Effect`: "masked", "sdc", "crash", "hang", "exception" or "not_activated".
+        effect: Label of an `outcomes.Effect`: "masked", "sdc", "crash", "hang", "exception", "detected" or
+            "not_activated".
         detail: Signal, budget or exception; "" = none.
         first_difference: The first published field that differs, as plain data (see `hosts.instruction.output`); None =
             all published fields are equal.

@@ -21,6 +21,7 @@ from mavfi.config import (
     VehicleConfig,
     WindConfig,
 )
+from mavfi.hardening.plan import Plan
 
 ARRIVAL_RADIUS = 2.0
 """Distance from the goal that counts as arrival (m)."""
@@ -103,6 +104,9 @@ class MissionSpec(Config):
         description="What becomes of a node that dies: end (of the mission), fresh (restarted without memory), latched "
         "(fresh, gets an unanswered alarm again), readback (latched, reads its last outputs), recompute (the step).",
     )
+    protection: str = Field(
+        "", description="Plan of protected kernels, see `mavfi harden`: a name, or a YAML file; none by default."
+    )
     alarm: Literal["one_shot", "repeated"] | None = Field(
         None, description="Of the collision check: one_shot, or repeated until answered; the profile's by default."
     )
@@ -118,7 +122,7 @@ class MissionSpec(Config):
 
 RECOVERY = ("coupling", "grain", "same_twice", "answer_s", "degraded")
 """Mission keys that define the recovery from a detector's alarms."""
-_OPTIONS = ("wind", "localization", "dead_node")
+_OPTIONS = ("wind", "localization", "dead_node", "protection")
 _STACK_OPTIONS = ("alarm",)
 
 
@@ -140,6 +144,7 @@ class Scenario(Config):
     wind: WindConfig = WindConfig()
     localization: LocalizationConfig = LocalizationConfig()
     dead_node: DeadNode = "fresh"
+    protection: Plan | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; options at their defaults are omitted, so that a mission without them keeps its key."""

@@ -13,6 +13,7 @@ class Effect(Enum):
     CRASH = "The computation ended by a signal."
     HANG = "The computation used up its budget."
     EXCEPTION = "The computation raised an exception."
+    DETECTED = "Protected code found a difference, and the step was computed again."
     NOT_ACTIVATED = "The planned site was not reached, or could not be changed."
     UNKNOWN = "Could not be judged: the flight or its golden run has no record."
 
@@ -37,4 +38,7 @@ def effect_of(golden: FlightRecord | None, injected: FlightRecord) -> Effect:
         return Effect.CRASH if injected.kernel is None else Effect[injected.kernel.effect.upper()]
     if golden is None or not golden.digest or not injected.digest:
         return Effect.UNKNOWN
-    return Effect.MASKED if golden.digest == injected.digest else Effect.SDC
+    if golden.digest == injected.digest:
+        return Effect.MASKED
+    detected = injected.kernel is not None and injected.kernel.effect == Effect.DETECTED.label
+    return Effect.DETECTED if detected else Effect.SDC

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _MEANING = {
     Effect.MASKED: "bit for bit the golden run",
     Effect.SDC: "another flight than the golden run",
+    Effect.DETECTED: "detected by the protection, computed again",
     Effect.UNKNOWN: Effect.UNKNOWN.value,
 }
 MOST_ALARMS = 6

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
     from mavfi.detectors.model import Model
 
 
-@partial(options.with_mission_options, without=("environment", "seed", "start", "goal", "dead_node", *RECOVERY))
+@partial(
+    options.with_mission_options, without=("environment", "seed", "start", "goal", "dead_node", "protection", *RECOVERY)
+)
 def train(  # noqa: PLR0913 - one for each option
     mission: MissionSpec,
     flights: Annotated[

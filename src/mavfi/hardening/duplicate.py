@@ -88,6 +88,7 @@ class _Duplicator:
         self.chosen = self._separable(chosen)
         self.uses = self._uses()
         self.checked_in = self._places()
+        self.checked_last = self._last()
         self.numbers = 0
         self.tails: dict[str, list[Instruction]] = defaultdict(list)  # copies at the end of a block
         self.starts: dict[tuple[str, str, str], str] = {}  # of a phi's shadow: by result, label and value
@@ -138,6 +139,15 @@ class _Duplicator:
                 found[name] = exits if there < 10.0 ** depth[own] else {own}
         return found
 
+    def _last(self) -> dict[str, list[str]]:
+        """Values to be compared at the end of each block, since a phi takes them."""
+        found: dict[str, list[str]] = defaultdict(list)
+        for name, labels in self.checked_in.items():
+            for user, label in self.uses[name]:
+                if user.opcode == "phi" and label in labels and self._leaves(name, user):
+                    found[label].append(name)
+        return found
+
     def _only_decides(self, name: str) -> bool:
         """Whether a value is a comparison for branches only: its shadow is computed on their edges."""
         return self.home[name][1].opcode in ("icmp", "fcmp") and all(is_fork(user) for user, _ in self.uses[name])
@@ -150,11 +160,11 @@ class _Duplicator:
                     self._start(phi, block.label)
         for block in self.function.blocks:
             self._write(block)
-        for block in self.function.blocks:
-            new = next(one for one in self.made if one.label == block.label)
-            new.phis = [self._relabelled(phi, block.label) for phi in new.phis]
+        for block in self.made:
+            block.phis = [self._relabelled(phi, block.label) for phi in block.phis]
         if any(_STOP in successors(block.terminator) for block in self.made):
-            self.made.append(Block(_STOP, terminator=Instruction("ret", ["ret", "i32", str(DETECTED)])))
+            end = Instruction("ret", ["ret", "i32", str(DETECTED)])
+            self.made.append(Block(_STOP, terminator=end, unreached=True))
         return replace(self.function, blocks=self.made)
 
     def _start(self, phi: Instruction, label: str) -> None:
@@ -187,12 +197,8 @@ class _Duplicator:
             self._check_where_computed(one, block.label)
             if one.callee in self.detecting:
                 self._hand_on(one)
-        for name, labels in self.checked_in.items():
-            if block.label in labels and any(
-                user.opcode == "phi" and label == block.label and self._leaves(name, user)
-                for user, label in self.uses[name]
-            ):
-                self._check(name, block.terminator)
+        for name in self.checked_last[block.label]:
+            self._check(name, block.terminator)
         self.block.body += self.tails[block.label]
         self._finish(block)
 
@@ -295,9 +301,10 @@ class _Duplicator:
 
     def _stop_if(self, predicate: str, kind: str, pair: list[str], like: Instruction) -> None:
         differs = self._new("icmp", [predicate, kind, pair[0], ",", pair[1]], "i1", like, self.block.body, CHECK)
-        following = f"{self.block.label.split('c')[0]}c{self.numbers}"
+        first = self.block.label.split("c")[0]
+        following = f"{first}c{self.numbers}"
         self.block.terminator = _branch(differs, _STOP, following, "!1", like)
-        self.block = Block(following)
+        self.block = Block(following, runs_as=(first,))
         self.made.append(self.block)
 
     def _check_edges(self, label: str, end: Instruction) -> None:
@@ -307,7 +314,7 @@ class _Duplicator:
         edges = [f"{label}e{number}" for number in range(len(targets))]
         first.terminator = _branch(condition, edges[0], edges[1], "", end)
         for number, (edge, target) in enumerate(zip(edges, targets, strict=True)):
-            self.block = Block(edge)
+            self.block = Block(edge, runs_as=(label, edges[0]) if number else ())
             self.made.append(self.block)
             other = shadow(condition)
             if self._only_decides(condition):

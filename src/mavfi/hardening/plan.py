@@ -8,12 +8,12 @@ import hashlib
 import re
 import textwrap
 from collections.abc import Collection
+from functools import partial
+from importlib.metadata import version
 from itertools import groupby
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import llvmlite
-import numba
 import yaml
 from pydantic import Field, field_serializer, field_validator, model_validator
 
@@ -99,8 +99,8 @@ class Plan(Config):
     """
 
     mavfi: str = Field(__version__, description="version that made the plan")
-    numba: str = numba.__version__
-    llvmlite: str = llvmlite.__version__
+    numba: str = Field(default_factory=partial(version, "numba"))
+    llvmlite: str = Field(default_factory=partial(version, "llvmlite"))
     cpu: str = Field("", description="class of the processor on which times were measured")
     ledger: str = Field("", description="digest of the ledger from which sites were chosen")
     functions: tuple[FunctionPlan, ...] = ()
@@ -115,12 +115,19 @@ class Plan(Config):
         return self
 
     @property
+    def bare(self) -> "Plan":
+        """The plan without what flights do not depend on: lines, predictions, certificates."""
+        nothing = {"lines": (), "predicted": None, "certificate": None}
+        return self.model_copy(update={"functions": tuple(one.model_copy(update=nothing) for one in self.functions)})
+
+    @property
     def digest(self) -> str:
-        """SHA-256 of the content, by which a campaign identifies the plan; certificates do not count."""
-        bare = self.model_copy(
-            update={"functions": tuple(one.model_copy(update={"certificate": None}) for one in self.functions)}
-        )
-        return hashlib.sha256(bare.model_dump_json().encode()).hexdigest()
+        """SHA-256 of the bare content, which identifies the plan."""
+        return hashlib.sha256(self.bare.model_dump_json().encode()).hexdigest()
+
+    def time_of(self, kernel: str) -> float:
+        """Protected / plain execution time of a kernel: the largest of its functions', 1 if none is protected."""
+        return max((one.time for one in self.functions if one.kernel == kernel), default=1.0)
 
     def find(self, function: str, signature: tuple[Any, ...]) -> FunctionPlan | None:
         """The entry for a function (module and name) and the Numba types of its arguments; None = not protected."""
@@ -130,6 +137,13 @@ class Plan(Config):
     def of_kernel(self, kernel: str) -> tuple[FunctionPlan, ...]:
         """The entries of a kernel of the pipeline."""
         return tuple(one for one in self.functions if one.kernel == kernel)
+
+    def check_versions(self) -> None:
+        """Raise a BadInputError if the plan was made with another compiler, which makes other code."""
+        for package, planned in (("numba", self.numba), ("llvmlite", self.llvmlite)):
+            here = version(package)
+            if here != planned:
+                raise BadInputError(f"protection: planned with {package} {planned}, this is {here}; make it again")
 
 
 def signature_text(signature: tuple[Any, ...]) -> str:

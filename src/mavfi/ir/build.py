@@ -32,6 +32,8 @@ class Rewrite(Protocol):
         """The transformed module, e.g. with protection; a BadInputError if it was made for another module."""
 
 
+Rewriting = Callable[[str, tuple[Any, ...]], Rewrite | None]
+"""The transformation of a kernel (module and name) for a signature; None = its code is plain."""
 Make = Callable[[Any, tuple[Any, ...]], bytes]
 """Rewrites and translates a kernel for a signature; a function of a module, so that a fresh process finds it."""
 

@@ -109,13 +109,21 @@ class Instruction:
 
 @dataclass(slots=True)
 class Block:
-    """A basic block: phis, allocations on the stack, the body, and the terminator."""
+    """A basic block: phis, allocations on the stack, the body, and the terminator.
+
+    Attributes:
+        runs_as: Labels of blocks whose numbers of executions, the first less the others, are that of this block; () =
+            not known.
+        unreached: Whether only a fault leads to it.
+    """
 
     label: str
     phis: list[Instruction] = field(default_factory=list)
     allocations: list[Instruction] = field(default_factory=list)
     body: list[Instruction] = field(default_factory=list)
     terminator: Instruction | None = None
+    runs_as: tuple[str, ...] = ()
+    unreached: bool = False
 
     @property
     def sites(self) -> list[Instruction]:

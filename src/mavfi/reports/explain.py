@@ -21,13 +21,20 @@ _BEHIND = 0.01
 _EFFECTS = {
     Effect.MASKED: "masked: the flight is bit for bit the golden run",
     Effect.SDC: "silent data corruption",
+    Effect.DETECTED: "detected by the protection of the kernel, its step was computed again",
     Effect.UNKNOWN: "unknown: the flight or its golden run has no record",
 }
 _KERNEL_EFFECTS = {
     "masked": "masked: its output and memory are bit for bit the golden ones", "sdc": "silent data corruption",
     "crash": "crashed", "hang": "hung", "exception": "raised an exception",
     "not_activated": "not reached by the fault",
+    "detected": "detected by its protection; its step was computed again by plain code",
 }  # fmt: skip
+_ROLES = {
+    "": "", "shadow": "in the shadow of the instruction, ", "copy": "in a copy for a shadow, ",
+    "check": "in the comparison with a shadow, ",
+}  # fmt: skip
+"""Role of an instruction of protected code."""
 Lines = list[tuple[str, str]]
 """Pairs of a heading and a sentence."""
 
@@ -122,6 +129,7 @@ def injection_lines(injection: Injection, fault: Fault | None, log: FlightLog) -
         story.append((
             "source line",
             f"{injection.file}:{injection.line}{inlined}: {details.get('opcode')} {details.get('type')}{variable} "
+            f"{_ROLES[details.get('role', '')]}"
             f"({value_class}), call {details.get('call')}, instruction {details.get('index')}",
         ))  # fmt: skip
     if kernel is not None:

@@ -79,6 +79,18 @@ def test_without_a_fault_results_are_those_of_the_plain_kernel(name, addresses):
     assert digest((struck(name, addresses=addresses).count(*own)[0], own)) == digest((kernel(*plain), plain))
 
 
+@pytest.mark.parametrize("name", ["walk", "blend"])
+def test_executions_are_counted_as_in_plain_code(name):
+    """The fast count derives those of split blocks from others; the slow one counts each block."""
+    kernel, args = CASES[name]
+    protected = struck(name, addresses=True)
+    fast, slow = protected.tally(*copies(args))[1], protected.profile(*copies(args))[1]
+    assert fast.tolist() == slow.tolist()
+    originals = [count for site, count in protected.table.executions(fast) if not site.role]
+    plain = variant(kernel, args)
+    assert originals == [count for _, count in plain.table.executions(plain.tally(*copies(args))[1])]
+
+
 def test_exceptions_pass():
     args = (np.zeros(3), np.zeros(2), np.zeros(3))
     with pytest.raises(ValueError, match="lengths"):

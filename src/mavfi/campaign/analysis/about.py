@@ -19,7 +19,7 @@ from mavfi.campaign.sequential import Precision
 from mavfi.campaign.store import Store
 from mavfi.mission import MissionSpec
 
-_NAMED = ("grain", "same_twice", "answer_s", "degraded", "dead_node", "alarm", "epoch_liveness")
+_NAMED = ("grain", "same_twice", "answer_s", "degraded", "dead_node", "alarm", "epoch_liveness", "protection")
 """Keys of a mission that are listed when they differ from their defaults."""
 
 

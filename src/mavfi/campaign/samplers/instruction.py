@@ -1,5 +1,6 @@
 """Draws faults in instructions of a mission's kernels: uniformly over all executed instructions, or by strata.
 
+Instructions of protected kernels are those of the protected code: shadows and comparisons can be drawn.
 A first golden flight counts instructions; a second one resolves the drawn instructions (uniform), or locates their
 calls (stratified, see `mavfi.faults.instruction.strata`).  Both are bit-identical; the first one is the golden run.
 """
@@ -23,11 +24,13 @@ from mavfi.faults.sampling import stream
 from mavfi.faults.spec import InstructionRequest, InstructionSite
 from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import check_kernel
+from mavfi.hosts.instruction.protected import rewriting_of
 from mavfi.hosts.local import fly
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import fly_until, prefix_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.ir import name_of
+from mavfi.ir.build import Rewriting
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN, KernelFunctions
 from mavfi.states import DETECTORS, INJECTABLE
@@ -62,7 +65,8 @@ def draw_instruction_faults(
     parse_selection(request.which)
     functions = {kernel: _functions(kernel, detector) for kernel in request.kernels}
     plain = {name: function for own in functions.values() for name, function in own.items()}
-    counted = {name: Profiling(function) for name, function in plain.items()}
+    rewriting = rewriting_of(scenario)
+    counted = {name: Profiling(function, rewriting) for name, function in plain.items()}
     with _instrumented(detector, counted) as table:
         golden = fly(scenario, None, detector, recovery=recovery, functions=table)
 
@@ -137,6 +141,11 @@ class _Draw:
         self.selection = parse_selection(request.which)
         self.found: list[InstructionFault] = []
 
+    @property
+    def rewriting(self) -> Rewriting | None:
+        """Transformation of the functions."""
+        return next((function.rewriting for function in self.counted.values()), None)
+
     def places(self) -> list[_Place]:
         """Draw dynamic instructions of the mission uniformly, with spares if limited to a class; empty when done."""
         counts = [count for function in self.counted.values() for count in function.counts]
@@ -176,7 +185,8 @@ def _draw_uniform(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
         for _, (name, call, index) in places:
             wanted.setdefault(name, {}).setdefault(call, []).append(index)
         plain = {name: function.function for draw in draws for name, function in draw.counted.items()}
-        resolving = {name: Resolving(plain[name], calls) for name, calls in wanted.items()}
+        rewriting = draws[0].rewriting
+        resolving = {name: Resolving(plain[name], calls, rewriting) for name, calls in wanted.items()}
         fly_again(resolving, lambda own=resolving: all(function.done for function in own.values()))
         for draw, (name, call, index) in places:
             draw.take((name, call, index), resolving[name].sites[call, index])
@@ -194,7 +204,7 @@ def _draw_strata(draws: Sequence[_Draw], fly_again: _FlyAgain) -> None:
     if not wanted:
         return
     plain = {name: function.function for draw, _ in picks for name, function in draw.counted.items()}
-    locating = {name: Locating(plain[name], blocks) for name, blocks in wanted.items()}
+    locating = {name: Locating(plain[name], blocks, draws[0].rewriting) for name, blocks in wanted.items()}
     fly_again(locating)
     for draw, chosen in picks:
         member = chosen.member

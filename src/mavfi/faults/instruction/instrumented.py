@@ -1,5 +1,7 @@
 """Instrumented functions: each replaces a compiled function in a flight, and counts, resolves or injects.
 
+With `rewriting`, their instructions are those of the rewritten function, e.g. of the protected one.
+
 `strata.choose` draws call and index from the counts of a first flight; a second flight resolves the instructions.
 """
 
@@ -14,19 +16,20 @@ from mavfi.faults.instruction.plan import check_fault, injection_of
 from mavfi.faults.instruction.table import Site, Table
 from mavfi.faults.instruction.variant import Passes, Variant, variant_for
 from mavfi.flight_log import Injection
+from mavfi.ir.build import Rewriting
 
 
 class Counting:
     """Counts the values that each call of a compiled function writes, and stores the digest of the executed IR."""
 
-    def __init__(self, function: Any) -> None:
-        self.function = function
+    def __init__(self, function: Any, rewriting: Rewriting | None = None) -> None:
+        self.function, self.rewriting = function, rewriting
         self.counts: list[int] = []
         self.digests: list[str] = []
 
     def __call__(self, *args: Any) -> Any:
         """Call the function; bit-identical result."""
-        variant = variant_for(self.function, args)
+        variant = variant_for(self.function, args, self.rewriting)
         result, total = self._run(variant, args)
         self.counts.append(total)
         self.digests.append(variant.ir_sha256)
@@ -39,8 +42,8 @@ class Counting:
 class Profiling(Counting):
     """Additionally counts the executions of each static instruction over all calls."""
 
-    def __init__(self, function: Any) -> None:
-        super().__init__(function)
+    def __init__(self, function: Any, rewriting: Rewriting | None = None) -> None:
+        super().__init__(function, rewriting)
         self._times: dict[str, tuple[Table, np.ndarray]] = {}
 
     def _run(self, variant: Variant, args: tuple[Any, ...]) -> tuple[Any, int]:
@@ -65,8 +68,10 @@ class Locating:
     `wanted` has, by digest of the IR, blocks and numbers of their executions over all calls, from 0.
     """
 
-    def __init__(self, function: Any, wanted: Mapping[str, Sequence[tuple[int, int]]]) -> None:
-        self._function = function
+    def __init__(
+        self, function: Any, wanted: Mapping[str, Sequence[tuple[int, int]]], rewriting: Rewriting | None = None
+    ) -> None:  # fmt: skip
+        self._function, self._rewriting = function, rewriting
         self._wanted = wanted
         self._passes: dict[str, Passes] = {}
         self._calls = 0
@@ -74,7 +79,7 @@ class Locating:
     def __call__(self, *args: Any) -> Any:
         """Call the function; bit-identical result."""
         call, self._calls = self._calls, self._calls + 1
-        variant = variant_for(self._function, args)
+        variant = variant_for(self._function, args, self._rewriting)
         digest = variant.ir_sha256
         if digest not in self._wanted:
             return self._function(*args)
@@ -93,8 +98,10 @@ class Locating:
 class Resolving:
     """Finds the static instructions (`sites`, by call and index) at the wanted indices, given by call."""
 
-    def __init__(self, function: Any, wanted: Mapping[int, Sequence[int]]) -> None:
-        self._function = function
+    def __init__(
+        self, function: Any, wanted: Mapping[int, Sequence[int]], rewriting: Rewriting | None = None
+    ) -> None:  # fmt: skip
+        self._function, self._rewriting = function, rewriting
         self._wanted = wanted
         self._calls = 0
         self.sites: dict[tuple[int, int], Site | None] = {}
@@ -110,7 +117,7 @@ class Resolving:
         indices = self._wanted.get(call)
         if not indices:
             return self._function(*args)
-        result, sites = variant_for(self._function, args).resolve(indices, *args)
+        result, sites = variant_for(self._function, args, self._rewriting).resolve(indices, *args)
         self.sites.update({(call, index): site for index, site in zip(indices, sites, strict=True)})
         return result
 

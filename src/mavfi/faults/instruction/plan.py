@@ -110,6 +110,8 @@ def injection_of(
         "ir_sha256": fault.ir_sha256, "bits": list(fault.bits), "model": fault.model, "before_bits": hex(before),
         "after_bits": hex(after),
     }  # fmt: skip
+    if site.role:
+        details["role"] = site.role
     return Injection(
         fault.level, fault.site, time_s, fault.bit, _number(site, before), _number(site, after),
         planned == after and not after >> site.width, site.file, site.line, details,

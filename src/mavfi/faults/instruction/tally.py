@@ -1,10 +1,13 @@
 """Counts the block executions of a kernel at almost the speed of the plain kernel, for golden flights.
 
-Each block with sites gets a counter, which lives in a register while a loop runs: it is a local variable of its
-function, and the module is optimised after the rewriting.  At each return, the counters are added to the histogram.
+Each block with sites gets a counter, unless its count follows from others (`Block.runs_as`).  It lives in a register
+while a loop runs: it is a local variable of its function, and the module is optimised after the rewriting.  At each
+return, the counters are added to the histogram.
 Results are those of the plain kernel, since no optimisation changes a floating-point operation without fast-math flags.
 The instrumented variant counts the same blocks on its slow path, without optimisation: the oracle in the tests.
 """
+
+from collections.abc import Mapping
 
 import llvmlite.binding as llvm
 
@@ -38,18 +41,23 @@ def _counted(function: Function) -> list[Block]:
 
 def _counting(function: Function, first: int) -> str:
     """Definition of a function whose blocks are numbered from `first`."""
-    numbers = {block.label: first + i for i, block in enumerate(_counted(function))}
+    counted = _counted(function)
+    needed = {label for block in counted for label in block.runs_as or (block.label,)}
+    counters = {block.label: place for place, block in enumerate(function.blocks) if block.label in needed}
+    sums = {
+        first + i: [counters[label] for label in block.runs_as or (block.label,)] for i, block in enumerate(counted)
+    }
     lines = [function.head()]
     for place, block in enumerate(function.blocks):
         lines += [f"{block.label[1:]}:", *(instruction.line() for instruction in block.phis + block.allocations)]
         if place == 0:
-            lines += [line for number in numbers.values() for line in _start(number)]
-        if block.label in numbers:
-            lines += _add(f"%n{numbers[block.label]}", "1", f"%c{numbers[block.label]}")
+            lines += [line for counter in counters.values() for line in _start(counter)]
+        if block.label in counters:
+            lines += _add(f"%n{place}", "1", f"%c{place}")
         lines += [instruction.line() for instruction in block.body]
         if block.terminator is not None:
-            if block.terminator.opcode == "ret":
-                lines += _flush(list(numbers.values()), block.label)
+            if block.terminator.opcode == "ret" and not block.unreached:
+                lines += _flush(sums, block.label)
             lines.append(block.terminator.line())
     return "\n".join([*lines, "}"])
 
@@ -67,14 +75,17 @@ def _add(place: str, increment: str, name: str) -> list[str]:
     ]
 
 
-def _flush(numbers: list[int], label: str) -> list[str]:
-    """Add a function's counters to the histogram."""
+def _flush(sums: Mapping[int, list[int]], label: str) -> list[str]:
+    """Add to the histogram, for each block, its counter, or the first less the others of several."""
     lines = [f"  {label}.histogram = load ptr, ptr @{HISTOGRAM}"]
-    for number in numbers:
+    for number, counters in sums.items():
         name = f"{label}.h{number}"
+        lines.append(f"  {name}.less0 = load i64, ptr %n{counters[0]}")
+        for i, counter in enumerate(counters[1:]):
+            lines.append(f"  {name}.other{i} = load i64, ptr %n{counter}")
+            lines.append(f"  {name}.less{i + 1} = sub i64 {name}.less{i}, {name}.other{i}")
         lines += [
-            f"  {name}.count = load i64, ptr %n{number}",
             f"  {name} = getelementptr i64, ptr {label}.histogram, i64 {number}",
-            *_add(name, f"{name}.count", f"{name}.sum"),
+            *_add(name, f"{name}.less{len(counters) - 1}", f"{name}.sum"),
         ]
     return lines

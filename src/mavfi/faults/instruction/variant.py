@@ -21,7 +21,7 @@ from mavfi.faults.instruction.refusal import AllocationError
 from mavfi.faults.instruction.runtime import MASK_BYTES, NEVER, REPORT_BYTES, REPORT_WORDS, WORDS, Control, Mode
 from mavfi.faults.instruction.table import Site, Table
 from mavfi.faults.instruction.tally import HISTOGRAM
-from mavfi.ir.build import Rewrite, check, target_machine
+from mavfi.ir.build import Rewrite, Rewriting, check, name_of, target_machine
 
 _CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
 
@@ -270,9 +270,10 @@ def _key(value: Any) -> Any:
     return None
 
 
-def variant_for(kernel: Any, args: tuple[Any, ...], rewrite: Rewrite | None = None) -> Variant:
+def variant_for(kernel: Any, args: tuple[Any, ...], rewriting: Rewriting | None = None) -> Variant:
     """`variant_of` for the types of these arguments."""
-    return variant_of(kernel, signature_of(args), rewrite)
+    signature = signature_of(args)
+    return variant_of(kernel, signature, None if rewriting is None else rewriting(name_of(kernel), signature))
 
 
 def variant_of(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None = None) -> Variant:

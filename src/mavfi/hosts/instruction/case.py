@@ -21,6 +21,8 @@ from mavfi.states import DETECTORS, INJECTABLE, INJECTED_KERNEL, PLANNERS, State
 
 WAITING = "not_activated"
 """State of a case whose instruction has not been reached."""
+DETECTED = "detected"
+"""State of a case whose call was protected, and found a difference."""
 
 
 Published = tuple[State, int]
@@ -55,6 +57,7 @@ class ChildReport:
         call_same: Whether result and arguments of the injected call are bit-identical to the golden ones.
         missed: Whether the call ended before the instruction was reached, or the value has no such bit.
         published: Publications of its flight from the start, in order; None = not recorded.
+        detected: Whether protected code found a difference in the call, which has no result then.
     """
 
     log: FlightLog | None
@@ -62,6 +65,7 @@ class ChildReport:
     call_same: bool
     missed: bool = False
     published: list[Published] | None = None
+    detected: bool = False
 
 
 @dataclass(slots=True)

@@ -3,13 +3,15 @@
 The golden flight runs plain kernels.  At an injected call it waits while a forked child executes the call with the
 fault and completes the flight.  If the child crashes, hangs or raises, a second child continues from the same instant
 under the mission's policy for dead nodes (`hosts.loop.restarts`); by default as in a ROS graph: the node's result is
-lost, and the node returns with initialized memory after the restart latency.  The golden flight then continues to the
+lost, and the node returns with initialized memory after the restart latency.  If protected code detects the fault, the
+second child computes the step again, see `hosts.instruction.protected`.  The golden flight then continues to the
 next injected call.
 
 A false alarm of a detector before the fault causes recomputations, which shift the call numbers: the sampled call may
-then end before the instruction's index, or have a narrower value there.  With a detector, the fault is therefore
-injected into the first call at or after the sampled one that has such a bit, as a state fault is injected into the
-first publication at or after its instant.
+then end before the instruction's index, or have a narrower value there; so may one of a protected kernel, whose latency
+is longer, if the fault was drawn in plain code.  With a detector or protection, the fault is therefore injected into
+the first call at or after the sampled one that has such a bit, as a state fault is injected into the first publication
+at or after its instant.
 """
 
 import pickle
@@ -27,7 +29,8 @@ from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
 from mavfi.faults.instruction.variant import Variant, variant_for
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.host import Flight
-from mavfi.hosts.instruction.case import WAITING, Case, ChildReport, Output, Published, case_of, flight_of
+from mavfi.hosts.instruction.case import DETECTED, WAITING, Case, ChildReport, Output, Published, case_of, flight_of
+from mavfi.hosts.instruction.protected import alarm_of, is_detection, paired, rewriting_of
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
@@ -121,7 +124,8 @@ class Forks(ABC):
         self.cases = [case_of(fault, scenario, detector) for fault in faults]
         self.child: Child | None = None
         self._awaited: dict[str, list[Case]] = {}
-        self._detector = detector
+        self._detector, self._rewriting = detector, rewriting_of(scenario)
+        self._shifts = detector is not None or self._rewriting is not None
 
     @abstractmethod
     def restarts(self) -> Restarts:
@@ -130,30 +134,27 @@ class Forks(ABC):
     # ---- injection --------------------------------------------------------------------------------------------------
     def inject(self, case: Case, function: Any, args: tuple[Any, ...]) -> tuple[bool, Any]:
         """Fork at an injected call; returns (False, None) in the golden flight, (True, result) in a child."""
-        variant = variant_for(function, args)
+        variant = variant_for(function, args, self._rewriting)
         try:
-            check_fault(case.fault, variant, function)
-        except MismatchError:
-            if self._detector is None:
+            fault = self._fault_in(case.fault, variant, function, args)
+        except (MismatchError, IndexError):
+            if not self._shifts:
                 raise
-            case.call += 1  # call numbers have shifted: the arguments of this call have other types
+            case.call += 1  # call numbers have shifted: the arguments of this call have other types or values
             return False, None
-        if self._detector is not None and not _has_bit(variant, case.fault, args):
+        if self._shifts and not _has_bit(variant, fault, args):
             case.call += 1
             return False, None
         variant.own_report()
         case.time_us = self.loop.now
         ended = self._fork(case, dead=False)
         if ended is None:
-            return True, self._injected_call(variant, function, args)
+            return True, self._injected_call(variant, fault, function, args)
         case.value = variant.report()
-        case.how, case.detail = ended.how, ended.detail
-        if ended.how == "done":
-            case.report = _report_of(ended)
-            if case.report.missed:
-                case.call, case.how, case.report = case.call + 1, WAITING, None
-                return False, None
-        else:
+        _settle(case, ended)
+        if case.how == WAITING:
+            return False, None
+        if case.how != "done":
             ended = self._fork(case, dead=True)
             if ended is None:
                 if not case.kernel and self._detector is not None:
@@ -163,6 +164,17 @@ class Forks(ABC):
         if case.kernel:
             self._awaited.setdefault(case.kernel, []).append(case)
         return False, None
+
+    def _fault_in(
+        self, fault: InstructionFault, variant: Variant, function: Any, args: tuple[Any, ...]
+    ) -> InstructionFault:
+        """The fault in the code of a call: itself, or its counterpart in protected code."""
+        if self._rewriting is not None and fault.ir_sha256 != variant.ir_sha256:
+            plain = variant_for(function, args)
+            if fault.ir_sha256 == plain.ir_sha256:
+                return paired(fault, plain, variant, args)
+        check_fault(fault, variant, function)
+        return fault
 
     def _fork(self, case: Case, *, dead: bool) -> Ended | None:
         """None in the child; in the golden flight the child's termination, retried after a wall-clock timeout."""
@@ -175,26 +187,32 @@ class Forks(ABC):
                 break
         return ended
 
-    def _injected_call(self, variant: Variant, function: Any, args: tuple[Any, ...]) -> Any:
+    def _injected_call(
+        self, variant: Variant, fault: InstructionFault, function: Any, args: tuple[Any, ...]
+    ) -> Any:  # fmt: skip
         """The call with the fault; a child whose data equals the golden data ends here, as its remainder is golden."""
         child = self.child
         assert child is not None  # called in children only
-        fault = child.case.fault
         placed = arena().place(args)  # preserves strides, which a copy may not: they select the compiled variant
         copies = tuple(copied(argument) for argument in args) if placed is None else placed.args
         golden, before = own((function(*copies), copies)), own(args)  # the injected call reuses the arena
-        result = variant.inject(fault.index, *fault.masks, fault.budget, *args)
+        try:
+            result = variant.inject(fault.index, *fault.masks, fault.budget, *args)
+        except SystemError as error:
+            if not is_detection(error):
+                raise
+            child.point.finish(pickle.dumps(ChildReport(None, None, call_same=False, detected=True)))
         child.call_same = same((result, args), golden)
         report = variant.report()
         child.comparable = report is not None and report.planned and _is_contained(fault.entry, before, golden[1], args)
-        if self._detector is not None and changed_nothing(report):
+        if self._shifts and changed_nothing(report):
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True, missed=True)))
         if child.call_same and report is not None and (report.planned or report.site.value_class in DATA):
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=True)))
         return result
 
     def stepped(self, kernel: Kernel, states: list[State], now: int) -> None:
-        """Store the output of an injected step; terminates the node of a step that crashed."""
+        """Store the output of an injected step; terminates the node of a step that crashed, repeats a detected one."""
         child = self.child
         if child is None:
             for case in self._awaited.pop(kernel.name, ()):
@@ -202,6 +220,10 @@ class Forks(ABC):
         elif child.case.kernel == kernel.name:
             if child.dead:
                 child.dead = False
+                if child.case.how == DETECTED:
+                    self.loop.record.alarms.append(alarm_of(kernel, states, now))
+                    self.restarts().recompute(kernel.name, now, states)
+                    return
                 self.restarts().die(kernel.name, now, round(1e6 * child.case.fault.restart_s), states)
             elif child.output is None:
                 child.output = Output.of(kernel, states)
@@ -300,6 +322,17 @@ def _report_of(ended: Ended) -> ChildReport:
         raise MavfiError(f"the flight with a restarted node ended with {ended.how} ({ended.detail})")
     report: ChildReport = pickle.loads(ended.payload)
     return report
+
+
+def _settle(case: Case, ended: Ended) -> None:
+    """Note how the child with the injected call ended; a case whose instruction it missed waits for the next call."""
+    case.how, case.detail = ended.how, ended.detail
+    if ended.how == "done":
+        case.report = _report_of(ended)
+        if case.report.missed:
+            case.call, case.how, case.report = case.call + 1, WAITING, None
+        elif case.report.detected:
+            case.how = DETECTED
 
 
 def _has_bit(variant: Variant, fault: InstructionFault, args: tuple[Any, ...]) -> bool:

@@ -7,6 +7,7 @@ import numpy as np
 from mavfi import config as configs
 from mavfi.config import EnvironmentConfig, PlannerConfig, names, parse, shipped
 from mavfi.errors import BadInputError
+from mavfi.hardening.plan import Plan
 from mavfi.hosts.loop.scheduler import CONTROL_PERIOD_US
 from mavfi.kernels.perception.state_estimation import Noise
 from mavfi.mission import MissionSpec, Scenario
@@ -17,7 +18,7 @@ from mavfi.platforms.compute import stage_latency
 from mavfi.sim import imu
 from mavfi.sim.environments import SCAN_ENDINGS, World, environment_for_file
 from mavfi.sim.mjcf import find_vehicle
-from mavfi.states import Stage
+from mavfi.states import INJECTED_KERNEL, PLANNERS, Stage
 
 _DEFAULT_V_MAX = 3.0
 _NOMINAL_HULL = 0.35
@@ -62,14 +63,39 @@ def resolve(spec: MissionSpec) -> Scenario:
     if world.camera_range is not None:
         camera = configs.CameraConfig(noise=spec.depth_noise, range=world.camera_range)
     resolution = spec.map_resolution if spec.map_resolution is not None else world.map_resolution
+    protection = _protection(spec.protection)
     return Scenario(
         environment=world, seed=spec.seed, stack=_stack(spec),
-        vehicle=find_vehicle(world.vehicle), platform=shipped("platforms", configs.PlatformConfig, spec.platform),
+        vehicle=find_vehicle(world.vehicle), platform=_platform(spec, protection),
         planner=find_planner(spec.planner), camera=camera, map=_map_config(spec.map, resolution),
         v_max=speed, start=spec.start, goal=spec.goal, wind=parse(configs.WindConfig, {"gust": spec.wind}, "wind"),
         localization=parse(configs.LocalizationConfig, {"kind": spec.localization}, "localization"),
-        dead_node=spec.dead_node,
+        dead_node=spec.dead_node, protection=protection,
     )  # fmt: skip
+
+
+def _protection(name: str) -> Plan | None:
+    """What flights depend on of a protection plan; "" = none."""
+    if not name:
+        return None
+    plan = shipped("protections", Plan, name)
+    plan.check_versions()
+    for one in plan.functions:
+        if one.kernel not in INJECTED_KERNEL:
+            allowed = ", ".join(INJECTED_KERNEL)
+            raise BadInputError(f"protection {name}: kernel {one.kernel!r}: not known; allowed: {allowed}")
+    return plan.bare
+
+
+def _platform(spec: MissionSpec, protection: Plan | None) -> configs.PlatformConfig:
+    """The computer, on which a protected kernel takes as much longer as was measured."""
+    platform = shipped("platforms", configs.PlatformConfig, spec.platform)
+    if protection is None:
+        return platform
+    absent = set(PLANNERS) - {find_planner(spec.planner).name}
+    times = {row: protection.time_of(kernel) for kernel, row in INJECTED_KERNEL.items() if kernel not in absent}
+    charged = {kernel: round(us * times.get(kernel, 1.0)) for kernel, us in platform.latency_us.items()}
+    return platform.model_copy(update={"latency_us": charged})
 
 
 def _stack(spec: MissionSpec) -> configs.StackConfig:

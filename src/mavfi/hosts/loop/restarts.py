@@ -62,7 +62,7 @@ class Restarts:
         elif kernel in self._loop.down:
             return  # already down; the restart is scheduled
         elif self._policy == "recompute":
-            self._recompute(kernel, now, lost)
+            self.recompute(kernel, now, lost)
         else:
             self._lose(kernel, now, after_us)
 
@@ -101,7 +101,8 @@ class Restarts:
         loop.at(now + after_us, self._back, kernel)
 
     # ---- recomputation of the step ----------------------------------------------------------------------------------
-    def _recompute(self, name: str, now: int, states: Sequence[State]) -> None:
+    def recompute(self, name: str, now: int, states: Sequence[State]) -> None:
+        """Publish the results of a kernel's repeated step one latency later, under any policy."""
         loop = self._loop
         cost = loop.latency[name]
         if cost == 0:

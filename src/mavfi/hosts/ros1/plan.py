@@ -28,6 +28,8 @@ def check_supported(spec: MissionSpec) -> None:
     """
     if spec.grain == "message":
         raise BadInputError("grain: 'message': on ROS, nodes keep no copy of what they sent; allowed: stage, kernel")
+    if spec.protection:
+        raise BadInputError(f"protection: {spec.protection!r}: not on ROS; allowed: none")
     if spec.degraded != "none":
         raise BadInputError(f"degraded: {spec.degraded!r}: not on ROS; allowed: none")
     if spec.dead_node == "recompute":

@@ -82,7 +82,7 @@ entry:
 UNKNOWN = {
     "%b = freeze token %a": "'token'",
     "store volatile i64 %a, ptr %p, align 8": "'volatile'",
-    '%b = call i64 asm "", "=m,0"(i64 %a)': "'\\=m,0'",
+    '%b = call i64 asm "", "=m,0"(i64 %a)': "'\"=m,0\"'",
     "%b = load atomic i64, ptr %p seq_cst, align 8": "'atomic'",
     "store i64 %a, ptr addrspace(1) %p": "'addrspace'",
     "%b = atomicrmw add ptr %p, i64 1 monotonic, align 8": "'atomicrmw'",
