@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 EXIT_REFUTED = 3
 
 
-def harden(
+def harden(  # noqa: PLR0913 - one parameter per option
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaign with faults in instructions.")],
     plan: Annotated[
         Path | None, typer.Option(metavar="FILE.yaml", help="The plan: written, or with --certify read.")
