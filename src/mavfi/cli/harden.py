@@ -1,7 +1,8 @@
 """`mavfi harden`: which instructions of the kernels to duplicate, and the certificate of such a plan."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 EXIT_REFUTED = 3
 
 
-def harden(
+def harden(  # noqa: PLR0913 - one parameter per option
     directory: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a campaign with faults in instructions.")],
     plan: Annotated[
         Path | None, typer.Option(metavar="FILE.yaml", help="The plan: written, or with --certify read.")
@@ -24,6 +25,9 @@ def harden(
         float | None, typer.Option(metavar="SHARE", help="Share of a flight's kernel time to spend; 0.10 by default.")
     ] = None,
     kernels: Annotated[str, typer.Option(metavar="NAMES", help="These kernels only, separated by commas.")] = "",
+    addresses: Annotated[
+        bool, typer.Option("--addresses", help="Compare addresses before loads, too: fewer crashes, more time.")
+    ] = False,
     html: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Write the advice as one offline page.")
     ] = None,
@@ -47,20 +51,21 @@ def harden(
     check_number("--faults", faults, 1, 100_000)
     names = [name.strip() for name in kernels.split(",") if name.strip()]
     if certify:
-        _check_certify(plan, budget, html)
+        _check_certify(plan, {"--budget": budget, "--html": html, "--addresses": addresses or None})
         _certify(Study.open(directory, names), Path(str(plan)), faults or 400, as_json=as_json)
         return
     if faults is not None:
         raise BadInputError(f"--faults: {faults}: allowed: with --certify")
     check_file("--plan", plan, (".yaml", ".yml"))
     check_file("--html", html, PAGES)
-    _advise(Study.open(directory, names), 0.10 if budget is None else budget, plan, html, as_json=as_json)
+    study, share = Study.open(directory, names), 0.10 if budget is None else budget
+    _advise(study, share, plan, html, addresses=addresses, as_json=as_json)
 
 
-def _check_certify(plan: Path | None, budget: float | None, html: Path | None) -> None:
+def _check_certify(plan: Path | None, others: Mapping[str, Any]) -> None:
     if plan is None:
         raise BadInputError("--plan: not given: allowed with --certify: the file of a plan")
-    for option, value in (("--budget", budget), ("--html", html)):
+    for option, value in others.items():
         if value is not None:
             raise BadInputError(f"{option}: {value}: allowed: without --certify")
 
@@ -69,7 +74,9 @@ def _tell(text: str) -> None:
     console(error=True).print(text, style="dim")
 
 
-def _advise(study: "Study", budget: float, plan: Path | None, html: Path | None, *, as_json: bool) -> None:
+def _advise(
+    study: "Study", budget: float, plan: Path | None, html: Path | None, *, addresses: bool, as_json: bool
+) -> None:
     from rich.text import Text
 
     from mavfi.campaign.analysis.runs import Runs
@@ -81,7 +88,7 @@ def _advise(study: "Study", budget: float, plan: Path | None, html: Path | None,
     from mavfi.reports.hardening.plain import advice_table, caveats, headline
     from mavfi.reports.terminal import show_table
 
-    advices = advise(study, budget, _tell)
+    advices = advise(study, budget, _tell, addresses=addresses)
     found = summary(study, advices, harm_of(Runs.read(study.directory)))
     if plan is not None:
         save_plan(plan_of(study, advices), plan)

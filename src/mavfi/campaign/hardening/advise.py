@@ -138,7 +138,7 @@ def timed(target: Target, choices: Sequence[Collection[Site]], seconds: float = 
     """Time of plain code, and of code with each choice of sites; ratios by the index of the choice as text."""
     source, plain, environment = target.source, target.module, target.environment
     clocks = {
-        str(place): Timed(source, protect(plain, sites, addresses=False), environment).ticks
+        str(place): Timed(source, protect(plain, sites, addresses=target.addresses), environment).ticks
         for place, sites in enumerate(choices)
     }
     base = Timed(source, plain, environment)

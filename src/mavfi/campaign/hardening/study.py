@@ -89,10 +89,11 @@ class Study:
         ]
 
 
-def advise(study: Study, budget: float, tell: Tell = lambda _: None) -> list[Advice]:
+def advise(study: Study, budget: float, tell: Tell = lambda _: None, *, addresses: bool = False) -> list[Advice]:
     """Advice by planner of the missions, that of the campaign's planner first.
 
-    The budget applies to each flight.  Functions that several planners share are chosen in the first one.
+    The budget applies to each flight.  Functions that several planners share are chosen in the first one.  `addresses`
+    is that of `Target`.
 
     Raises:
         BadInputError: The ledger has no injections in instructions, or is of other code.
@@ -104,7 +105,7 @@ def advise(study: Study, budget: float, tell: Tell = lambda _: None) -> list[Adv
         tell(f"flying the golden mission {environment} {seed} with {planner}")
         seen = observe(study.scenario(environment, seed, planner), kernels)
         known = {curve.target.name: (curve, step) for advice in found for curve, step in advice.steps}
-        targets = targets_of(seen, injections)
+        targets = targets_of(seen, injections, addresses=addresses)
         shared = [known[target.name] for target in targets if target.name in known]
         new = [target for target in targets if target.name not in known]
         besides = sum(curve.ticks for curve, _ in shared)
@@ -128,7 +129,8 @@ def planned_of(target: Target, step: Step) -> FunctionPlan:
     sites = target.sites(step.choice)
     return FunctionPlan(
         kernel=target.kernels[0], function=target.name, signature=target.seen.signature_text,
-        ir_sha256=target.seen.variant.ir_sha256, kind="duplicate" if sites else "none", sites=tuple(sites),
+        ir_sha256=target.seen.variant.ir_sha256, kind="duplicate" if sites else "none",
+        addresses=target.addresses, sites=tuple(sites),
         lines=target.lines(sites), time=round(step.time, 3), predicted=_coverage(step.coverage),
     )  # fmt: skip
 

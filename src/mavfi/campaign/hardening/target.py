@@ -31,11 +31,13 @@ class Target:
         kernels: Kernels that call it, as in a campaign's sampling.
         seen: What golden flights showed.
         injections: Of the ledger, in this code.
+        addresses: Whether addresses are compared before loads, too: fewer crashes, more time.
     """
 
     kernels: tuple[str, ...]
     seen: Seen
     injections: list[Injected] = field(default_factory=list)
+    addresses: bool = False
 
     @cached_property
     def name(self) -> str:
@@ -72,7 +74,7 @@ class Target:
     def values(self) -> list[Value]:
         """Values that can be duplicated, with their executions in the golden flight."""
         executions = dict(zip(self.places, map(float, self.seen.executions), strict=True))
-        return values_of(self.module, executions)
+        return values_of(self.module, executions, addresses=self.addresses)
 
     @cached_property
     def rows(self) -> list[TableSite]:
@@ -139,8 +141,10 @@ class Target:
         return tuple(f"{file}:{line}" for file, line in sorted(own))
 
 
-def targets_of(seen: Mapping[str, Sequence[Seen]], injections: Iterable[Injected]) -> list[Target]:
-    """Targets by function and signature, each with its injections.
+def targets_of(
+    seen: Mapping[str, Sequence[Seen]], injections: Iterable[Injected], *, addresses: bool = False
+) -> list[Target]:  # fmt: skip
+    """Targets by function and signature, each with its injections; `addresses` as in `Target`.
 
     Raises:
         BadInputError: A ledger is of other code.
@@ -152,7 +156,7 @@ def targets_of(seen: Mapping[str, Sequence[Seen]], injections: Iterable[Injected
             if key in found:
                 found[key].kernels = (*found[key].kernels, kernel)
             else:
-                found[key] = Target((kernel,), one)
+                found[key] = Target((kernel,), one, addresses=addresses)
     known = {entry for entry, _ in found}
     others = []
     for injected in injections:
