@@ -14,6 +14,7 @@ from mavfi.cli import (
     failures,
     fly,
     inject,
+    mavlink,
     pack,
     redundancy,
     replay,
@@ -52,6 +53,7 @@ for verb in (pack.pack, pack.unpack):
     campaign.app.command(verb.__name__)(verb)
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(bench.app, name="bench")
+app.add_typer(mavlink.app, name="mavlink")
 app.add_typer(ros.app, name="ros")
 app.add_typer(airsim.app, name="airsim")
 
