@@ -54,12 +54,17 @@ def serve(
         try:
             server.run(_LONGEST_S if seconds is None else seconds)
         finally:
+            _show(server, as_json)
             server.close()
+
+
+def _show(server: Server, as_json: bool) -> None:
+    """Print the state at the end."""
     told = _told(server)
     if as_json:
         write_json(told)
-        return
-    console().print(", ".join(f"{key.replace('_', ' ')} {value}" for key, value in told.items()), markup=False)
+    else:
+        console().print(", ".join(f"{key.replace('_', ' ')} {value}" for key, value in told.items()), markup=False)
 
 
 def _told(server: Server) -> dict[str, Any]:
