@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from mavfi.bridges.airsim.program import Ended, ProgramConfig
     from mavfi.bridges.airsim.server import Server
 
-_OF_THE_PIPELINE = (
+OF_THE_PIPELINE = (
     "autopilot", "planner", "platform", "map", "map_resolution", "depth_noise", "localization", "dead_node", "alarm",
     "epoch_liveness", *RECOVERY,
 )  # fmt: skip
@@ -48,7 +48,7 @@ def _airsim() -> None:
 
 
 @app.command("serve")
-@partial(options.with_mission_options, without=_OF_THE_PIPELINE)
+@partial(options.with_mission_options, without=OF_THE_PIPELINE)
 def serve(  # noqa: PLR0913 - one parameter per option
     mission: MissionSpec,
     port: Port = 41451,
@@ -127,7 +127,7 @@ def _planned(fault: str | None, seed: int | None):  # type: ignore[no-untyped-de
 
 
 @app.command("run", context_settings={"allow_interspersed_args": False})
-@partial(options.with_mission_options, without=_OF_THE_PIPELINE)
+@partial(options.with_mission_options, without=OF_THE_PIPELINE)
 def run(  # noqa: PLR0913 - one parameter per option
     mission: MissionSpec,
     script: Script,

@@ -16,6 +16,7 @@ from mavfi.cli import (
     fly,
     harden,
     inject,
+    mavlink,
     pack,
     redundancy,
     replay,
@@ -55,6 +56,7 @@ for verb in (pack.pack, pack.unpack):
     campaign.app.command(verb.__name__)(verb)
 app.add_typer(campaign.app, name="campaign")
 app.add_typer(bench.app, name="bench")
+app.add_typer(mavlink.app, name="mavlink")
 app.add_typer(ros.app, name="ros")
 app.add_typer(airsim.app, name="airsim")
 app.add_typer(firmware.app, name="firmware")

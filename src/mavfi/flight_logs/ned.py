@@ -5,6 +5,7 @@ axis.  The origin stays that of the world.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,7 +52,7 @@ def ned_of(rows: np.ndarray) -> NedFlight:
     )  # fmt: skip
 
 
-def euler(wxyz: np.ndarray) -> tuple[float, float, float]:
+def euler(wxyz: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
     """Roll, pitch and yaw (rad) of a quaternion, shape (4,): rotations about z, then y, then x."""
     w, x, y, z = map(float, wxyz)
     roll = math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))

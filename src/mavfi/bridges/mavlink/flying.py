@@ -1,0 +1,172 @@
+"""The vehicle under a MAVLink autopilot, and the flight tasks of PX4's modes."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mavfi.bridges.airsim.frames import Triple, flipped, turned
+from mavfi.bridges.airsim.tasks import Yaw, fly_path, land
+from mavfi.bridges.airsim.vehicle import ApiVehicle, Task
+from mavfi.bridges.mavlink.failures import FailingController, Failure
+
+HOLD_S = 0.06
+"""Validity of a command that is renewed every period (s)."""
+SETPOINT_TIMEOUT_US = 1_000_000
+"""Age of a set-point of mode offboard from which the vehicle stops (us); PX4: COM_OF_LOSS_T."""
+RETURN_HEIGHT = 5.0
+"""Least height of a return to launch (m); PX4's default is 60 m, above the walls of some environments."""
+_FOREVER_S = 1e5
+_POSITION_GAIN, _HOLD_SPEED, _APPROACH_SPEED = 0.9, 2.0, 5.0
+_ORBIT_GAIN = 1.0
+_YAW_GAIN, _YAW_RATE = 2.5, 1.5
+
+
+class MavVehicle(ApiVehicle):
+    """An `ApiVehicle` that believes its sensors: with failures, state and tasks use what the controller receives."""
+
+    @property
+    def failing(self) -> FailingController | None:
+        """The flight controller with failures; None = there were none since the motors were switched on."""
+        controller: Any = self.sim.controller
+        return controller if isinstance(controller, FailingController) else None
+
+    @property
+    def _believed(self) -> np.ndarray:
+        """Odometry, as in `Simulator.odometry`. Shape (13,)."""
+        failing = self.failing
+        return self.sim.odometry if failing is None or not failing.failures else failing.odometry
+
+    @property
+    def position(self) -> Triple:
+        """NED (m)."""
+        return flipped(self._believed[:3] - self.origin)
+
+    @property
+    def velocity(self) -> Triple:
+        """NED (m/s)."""
+        return flipped(self._believed[3:6])
+
+    @property
+    def orientation(self) -> tuple[float, float, float, float]:
+        """Body FRD to NED. w x y z."""
+        return turned(self._believed[6:10])
+
+    @property
+    def rates(self) -> Triple:
+        """FRD (rad/s)."""
+        return flipped(self._believed[10:13])
+
+    def fail(self, failure: Failure) -> None:
+        """Begin a failure."""
+        if self.failing is None:
+            sim = self.sim
+            sim.controller = FailingController(sim.controller, sim.odometry, sim.max_thrust, self.spec.seed)
+        assert self.failing is not None  # set above
+        self.failing.add(failure)
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """A set-point of mode offboard: each is None where the message leaves it out.
+
+    Attributes:
+        position: NED (m).
+        velocity: NED (m/s), or forward, right, down with `body`.
+        yaw: Clockwise from north (rad).
+        yaw_rate: Clockwise (rad/s).
+        body: Whether the velocity is along the heading.
+        rotors: Rotor commands of an attitude set-point, see `sim.grounded.Grounded.rotors`.
+    """
+
+    position: tuple[float | None, float | None, float | None] = (None, None, None)
+    velocity: tuple[float | None, float | None, float | None] = (None, None, None)
+    yaw: float | None = None
+    yaw_rate: float | None = None
+    body: bool = False
+    rotors: Callable[[int, np.ndarray], np.ndarray] | None = None
+
+
+def _clip(value: float, limit: float) -> float:
+    return min(limit, max(-limit, value))
+
+
+def hold(vehicle: ApiVehicle) -> Task:
+    """Stay here."""
+    here = vehicle.position
+    while True:
+        if not vehicle.landed:
+            back = [_clip(_POSITION_GAIN * (a - b), _HOLD_SPEED) for a, b in zip(here, vehicle.position, strict=True)]
+            vehicle.send((back[0], back[1], back[2]), 0.0, HOLD_S)
+        yield
+
+
+def climb(vehicle: ApiVehicle, height: float) -> Task:
+    """Climb to a height above the origin (m), at 1.5 m/s like PX4."""
+    north, east, _ = vehicle.position
+    return (yield from fly_path(vehicle, [(north, east, -height)], 1.5, _FOREVER_S, Yaw()))
+
+
+def go_to(vehicle: ApiVehicle, place: Triple, speed: float, yaw: float | None = None) -> Task:
+    """Fly to a place in a straight line; the nose points along it unless a yaw is given."""
+    facing = Yaw(is_rate=False, value=yaw or 0.0, forward=yaw is None)
+    return (yield from fly_path(vehicle, [place], speed, _FOREVER_S, facing))
+
+
+def return_to_launch(vehicle: ApiVehicle, speed: float) -> Task:
+    """Fly home at a safe height, and land."""
+    north, east, down = vehicle.position
+    height = min(down, -RETURN_HEIGHT)
+    yield from fly_path(vehicle, [(north, east, height), (0.0, 0.0, height)], speed, _FOREVER_S, Yaw())
+    return (yield from land(vehicle, _FOREVER_S))
+
+
+def orbit(vehicle: ApiVehicle, centre: Triple, radius: float, speed: float, clockwise: bool) -> Task:
+    """Circle around a place, nose to the centre."""
+    sign = 1.0 if clockwise else -1.0
+    while True:
+        north, east, down = vehicle.position
+        away = north - centre[0], east - centre[1]
+        distance = max(math.hypot(*away), 1e-6)
+        n, e = away[0] / distance, away[1] / distance
+        inward = _clip(_ORBIT_GAIN * (distance - radius), speed)
+        velocity = -n * inward - sign * e * speed, -e * inward + sign * n * speed, _clip(centre[2] - down, 2.0)
+        off = math.remainder(math.atan2(-e, -n) - vehicle.yaw, 2.0 * math.pi)
+        turn = sign * speed / max(distance, 1.0)
+        vehicle.send(velocity, _clip(_YAW_GAIN * off + turn, _YAW_RATE), HOLD_S)
+        yield
+
+
+def offboard(vehicle: ApiVehicle, latest: Callable[[], tuple[Setpoint | None, int]]) -> Task:
+    """Follow set-points; `latest` returns the last one and its time (us)."""
+    while True:
+        setpoint, time_us = latest()
+        vehicle.sim.rotors = None
+        if setpoint is None or vehicle.now_us - time_us > SETPOINT_TIMEOUT_US:
+            vehicle.send((0.0, 0.0, 0.0), 0.0, HOLD_S)
+        elif setpoint.rotors is not None:
+            vehicle.sim.rotors = setpoint.rotors
+        else:
+            vehicle.send(_velocity_for(vehicle, setpoint), _yaw_rate_for(vehicle, setpoint), HOLD_S)
+        yield
+
+
+def _velocity_for(vehicle: ApiVehicle, setpoint: Setpoint) -> Triple:
+    """Velocity (NED, m/s): feed-forward, plus what a position set-point asks for."""
+    x, y, z = (value or 0.0 for value in setpoint.velocity)
+    if setpoint.body:
+        c, s = math.cos(vehicle.yaw), math.sin(vehicle.yaw)
+        x, y = c * x - s * y, s * x + c * y
+    found = [x, y, z]
+    for axis, (wanted, here) in enumerate(zip(setpoint.position, vehicle.position, strict=True)):
+        if wanted is not None:
+            found[axis] += _clip(_POSITION_GAIN * (wanted - here), _APPROACH_SPEED)
+    return found[0], found[1], found[2]
+
+
+def _yaw_rate_for(vehicle: ApiVehicle, setpoint: Setpoint) -> float:
+    if setpoint.yaw is not None:
+        return _clip(_YAW_GAIN * math.remainder(setpoint.yaw - vehicle.yaw, 2.0 * math.pi), _YAW_RATE)
+    return setpoint.yaw_rate or 0.0

@@ -1,0 +1,62 @@
+"""Unmodified programs for MAVSDK fly the vehicle, in wall time, each in a network namespace of its own.
+
+MAVSDK's server listens on all addresses; in a namespace nobody else can reach it.  Needs `MAVSDK_PYTHON`, a Python with
+mavsdk 3.17, and `MAVSDK_EXAMPLES`, the folder `examples` of github.com/mavlink/MAVSDK-Python.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pymavlink", reason="pymavlink (extra mavlink) is not installed")
+
+PYTHON, EXAMPLES = os.environ.get("MAVSDK_PYTHON", ""), os.environ.get("MAVSDK_EXAMPLES", "")
+NAMESPACE = ["unshare", "-rn"]
+SCRIPT = """
+ip link set lo up
+"$1" -m mavfi mavlink serve --environment farm --seed 7 --seconds "$4" --json > "$5" &
+sleep 6
+timeout "$4" "$2" -u "$3"
+code=$?
+wait
+exit $code
+"""
+FLYING = {  # seconds, and a line that the program prints at its end
+    "takeoff_and_land": (60, "-- Landing"), "offboard_velocity_ned": (75, "-- Stopping offboard"),
+    "offboard_velocity_body": (75, "-- Stopping offboard"), "offboard_position_ned": (90, "-- Stopping offboard"),
+    "offboard_attitude": (60, "-- Stopping offboard"), "mission": (90, "Mission progress: 3/3"),
+    "telemetry_takeoff_and_land": (75, "-- Landing"), "failure_injection": (75, "-- Disabling failure injection"),
+}  # fmt: skip
+
+pytestmark = [
+    pytest.mark.long,
+    pytest.mark.alone,
+    pytest.mark.skipif(
+        not PYTHON or not Path(EXAMPLES).is_dir(), reason="MAVSDK_PYTHON and MAVSDK_EXAMPLES are not set"
+    ),
+    pytest.mark.skipif(
+        subprocess.run([*NAMESPACE, "true"], capture_output=True, check=False).returncode != 0,
+        reason="network namespaces are not permitted",
+    ),
+]
+
+
+@pytest.mark.parametrize("name", FLYING)
+def test_an_example_flies(name, tmp_path):
+    seconds, last = FLYING[name]
+    told = tmp_path / "server.json"
+    words = [sys.executable, PYTHON, str(Path(EXAMPLES) / f"{name}.py"), str(seconds), str(told)]
+    done = subprocess.run(
+        [*NAMESPACE, "sh", "-c", SCRIPT, "sh", *words],
+        capture_output=True,
+        text=True,
+        timeout=seconds + 60,
+        check=False,
+    )
+    assert last in done.stdout, done.stdout + done.stderr
+    end = json.loads(told.read_text())
+    assert end["messages"] > 5 and not end["collided"]
