@@ -19,7 +19,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs firmware pictures ros train readme docs wheel lock clean
+.PHONY: help setup reproduce test test-all lint check check-nojit robust chaos fuzz failures damage reliability tune format bench bench-detectors coupling detector-cost machine-level fast-forward many-injections memory cluster golden-rates difficulty smoke fault-map real-logs firmware hardening pictures ros train readme docs wheel lock clean
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | awk -F'\t' '{printf "  make %-12s %s\n", $$1, $$2}'
@@ -132,6 +132,10 @@ firmware: setup  ## fly register faults in a flight controller's firmware, write
 	@for environment in sparse dense farm factory; do $(BIN)/python -m tools.firmware_faults golden $$environment || exit 1; done
 	@$(BIN)/mavfi campaign run firmware --out out/firmware-campaign
 	@$(BIN)/python -m tools.firmware_faults write out/firmware-campaign
+
+hardening: setup  ## which instructions to duplicate, certified; writes docs/generated/hardening.md (FAULTS=200 FLIGHTS=10)
+	@$(BIN)/mavfi campaign run configs/campaigns/hardening.yaml --out out/hardening
+	@$(BIN)/python -m tools.build_hardening out/hardening --faults $(or $(FAULTS),200) --flights $(or $(FLIGHTS),10)
 
 ros: setup  ## install Debian's ROS 1 packages (as root; else unpack them into a folder), check them
 	@$(BIN)/python -m mavfi.hosts.ros1.install

@@ -58,10 +58,8 @@ class Study:
             campaign, digest = stored_campaign(store), store.digest()
         known = tuple(getattr(campaign.sampling, "kernels", ()))  # detectors are not protected
         known = tuple(kernel for kernel in known if kernel in INJECTABLE)
-        if campaign.sampling.level != "instruction":
-            raise BadInputError(
-                f"{directory}: level {campaign.sampling.level!r}; allowed: a campaign of level instruction"
-            )
+        if not known:
+            raise BadInputError(f"{directory}: no kernels are sampled; allowed: a campaign of level instruction")
         for kernel in kernels:
             if kernel not in known:
                 raise BadInputError(f"--kernels: {kernel!r}: allowed: {', '.join(known)}")
