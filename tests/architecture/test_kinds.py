@@ -16,7 +16,7 @@ KINDS = {
 ASKED = {"level", "scheme", "host", "kernels"}
 """Attributes and names which say what kind of experiment this is."""
 ALLOWED = {
-    "campaign/config.py": 2,  # keys that go together: groups with their scheme, a foreign node with its host
+    "campaign/config.py": 1,  # keys that go together: groups with their scheme
     "faults/register/tracer.py": 1,  # an order to this process is of its level
 }
 """Questions elsewhere, by module; fewer is fine, lower the number then."""

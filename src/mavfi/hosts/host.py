@@ -18,7 +18,7 @@ GROUP = "mavfi.hosts"
 """Entry-point group of hosts: classes whose constructor arguments are host-specific keys of a campaign."""
 _SHIPPED = {
     "local": "mavfi.hosts.local.mission_flights:LocalHost", "ros1": "mavfi.hosts.ros1.host:Ros1Host",
-    "node": "mavfi.hosts.node.host:NodeHost",
+    "node": "mavfi.hosts.node.host:NodeHost", "airsim_program": "mavfi.bridges.airsim.host:AirsimProgramHost",
 }  # fmt: skip
 
 

@@ -77,7 +77,7 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
         ({"monitored_set": "all"}, "monitored_set: 'all': not known; allowed: paper-13"),
         # sampling: states
         ({"sampling": "groups"}, "key 'sampling"),
-        ({"sampling": {"level": "message"}}, "level"),
+        ({"sampling": {"level": "magnetic"}}, "level"),
         ({"sampling": {"scheme": "uniform"}}, "scheme"),
         ({"sampling": {"kernels": ["pid"]}}, "kernels"),
         ({"sampling": {"scheme": "groups"}}, "groups go with scheme groups, and only with it"),
@@ -204,6 +204,7 @@ def test_every_key_of_a_mission_is_one_of_campaigns_and_arms():
         "depth_noise": 0.1, "wind": 3.0, "localization": "estimator", "coupling": "observer",
         "dead_node": "readback", "alarm": "repeated", "epoch_liveness": 2.0, "grain": "kernel",
         "same_twice": "escalate", "answer_s": 0.6, "degraded": "hover",
+        "flight_controller": "cascade",
     }  # fmt: skip
     assert set(values) == set(MissionSpec.model_fields) - {"environment", "seed"}
     for key, value in values.items():
