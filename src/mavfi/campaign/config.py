@@ -1,16 +1,17 @@
 """Model of a campaign: the YAML files in configs/campaigns."""
 
-from collections import Counter
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from mavfi.bridges.airsim.config import ProgramConfig
+from mavfi.campaign.checks import NULL_RUNS, check_distinct, check_known, check_strata
+from mavfi.campaign.message_sampling import MessageSampling
 from mavfi.config import Config, config_root, load, parse
 from mavfi.errors import BadInputError
 from mavfi.faults.fault import ACCESSES, LONGEST_WALK, Model
-from mavfi.faults.strata import STRATA
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.mission import MissionSpec
 from mavfi.states import DETECTORS, INJECTABLE, MONITORED_SETS, PLANNERS
@@ -18,7 +19,6 @@ from mavfi.states import DETECTORS, INJECTABLE, MONITORED_SETS, PLANNERS
 DESIGN_SEEDS = range(10_000)  # seeds used for tuning the autopilot profiles
 TRAINING_SEED = 1_000_000  # first seed of the training flights of detectors; never used by campaigns
 MOST_FAULTS = 100_000  # per environment and target
-NULL_RUNS = 3  # default number of null runs per environment, except for instruction faults
 
 _RENAMED = {
     "law": "sampling.scheme", "strata": "sampling.strata", "groups": "sampling.groups", "sites": "sampling.sites",
@@ -28,6 +28,8 @@ _RENAMED = {
     "kind": "host", "trials": "faults", "command": "node.command",
 }  # fmt: skip
 """Keys of campaign schema 1, with their replacements."""
+_UNDER_TEST = {"node": "node", "airsim_program": "program"}
+"""Hosts at which something else than our pipeline is under test, with the key that says what."""
 
 
 class Lifetime(Config):
@@ -71,9 +73,9 @@ class StateSampling(Config):
     def _consistent(self) -> "StateSampling":
         if (self.scheme == "groups") != bool(self.groups):
             raise ValueError(f"sampling.scheme: {self.scheme!r}: groups go with scheme groups, and only with it")
-        _check_distinct("sampling.groups", [group.name for group in self.groups])
+        check_distinct("sampling.groups", [group.name for group in self.groups])
         for strata in (self.strata, *(group.strata for group in self.groups if group.strata is not None)):
-            _check_strata(strata)
+            check_strata(strata)
         return self
 
 
@@ -91,10 +93,10 @@ class MemorySampling(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "MemorySampling":
-        _check_distinct("sampling.kernels", self.kernels)
-        _check_distinct("sampling.groups", [group.name for group in self.groups])
+        check_distinct("sampling.kernels", self.kernels)
+        check_distinct("sampling.groups", [group.name for group in self.groups])
         if self.strata is not None:
-            _check_strata(self.strata)
+            check_strata(self.strata)
         if any(group.lifetime or group.strata for group in self.groups):
             raise ValueError("sampling.groups: keys lifetime and strata: allowed with faults in states")
         return self
@@ -118,8 +120,8 @@ class InstructionSampling(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "InstructionSampling":
-        _check_known("sampling.kernels", sorted(self.kernels), (*INJECTABLE, *DETECTORS))
-        _check_distinct("sampling.kernels", self.kernels)
+        check_known("sampling.kernels", sorted(self.kernels), (*INJECTABLE, *DETECTORS))
+        check_distinct("sampling.kernels", self.kernels)
         return self
 
 
@@ -137,8 +139,8 @@ class RegisterSampling(Config):
 
     @model_validator(mode="after")
     def _consistent(self) -> "RegisterSampling":
-        _check_known("sampling.access", [self.access], ACCESSES)
-        _check_distinct("sampling.registers", self.registers)
+        check_known("sampling.access", [self.access], ACCESSES)
+        check_distinct("sampling.registers", self.registers)
         return self
 
 
@@ -150,7 +152,8 @@ Sampling = Annotated[
     Annotated[StateSampling, Tag("state")]
     | Annotated[MemorySampling, Tag("memory")]
     | Annotated[InstructionSampling, Tag("instruction")]
-    | Annotated[RegisterSampling, Tag("register")],
+    | Annotated[RegisterSampling, Tag("register")]
+    | Annotated[MessageSampling, Tag("message")],
     Discriminator(_level_of),
 ]
 """How faults are drawn; `level` selects the model."""
@@ -223,12 +226,14 @@ class Campaign(Config):
     arms: dict[str, ArmConfig] = Field(default_factory=dict, description="by name")
     parts: dict[str, Part] = Field(default_factory=dict, description="by name in environments, e.g. one per platform")
     node: NodeConfig | None = Field(None, description="the node under test, with host node")
+    program: ProgramConfig | None = Field(None, description="the program under test, with host airsim_program")
 
     @model_validator(mode="before")
     @classmethod
     def _renamed(cls, data: Any) -> Any:
         if isinstance(data, dict):
             data = _node_keys(data) if data.get("kind") == "ros_node" else data
+            data = _program_keys(data) if data.get("kind") == "airsim_program" else data
             if data.get("host") == "node" and isinstance(data.get("node"), dict):
                 data = {"environments": [str(data["node"].get("name", "")).strip("/")], "missions": 1, **data}
             for key in data:
@@ -245,11 +250,12 @@ class Campaign(Config):
             raise ValueError(
                 f"first_seed: {self.first_seed}, missions: {missions}: seeds from {TRAINING_SEED} on are for training"
             )
-        _check_known("monitored_set", [self.monitored_set], MONITORED_SETS)
-        if (self.host == "node") != (self.node is not None):
-            raise ValueError(f"host: {self.host!r}: the key node goes with host node, and only with it")
-        _check_distinct("environments", self.environments)
-        _check_known("parts", self.parts, self.environments)
+        check_known("monitored_set", [self.monitored_set], MONITORED_SETS)
+        for place, key in _UNDER_TEST.items():
+            if (self.host == place) != (getattr(self, key) is not None):
+                raise ValueError(f"host: {self.host!r}: the key {key} goes with host {place}, and only with it")
+        check_distinct("environments", self.environments)
+        check_known("parts", self.parts, self.environments)
         for name in self.arms:
             if name in PLANNERS:
                 raise ValueError(f"arms: {name!r}: is the name of a planner; allowed: any other name")
@@ -289,6 +295,11 @@ class Campaign(Config):
         return len(self.environments) * self.missions
 
     @property
+    def under_test(self) -> dict[str, Any]:
+        """Arguments of the host: what is under test there, by key."""
+        return {key: value for key in _UNDER_TEST.values() if (value := getattr(self, key)) is not None}
+
+    @property
     def nulls(self) -> int:
         """Number of null runs per environment."""
         return self.sampling.null_runs if self.null_runs is None else self.null_runs
@@ -311,6 +322,8 @@ class Campaign(Config):
             del data["parts"]
         if self.until_halfwidth is None:
             del data["until_halfwidth"]
+        if self.program is None:
+            del data["program"]
         sampling = data["sampling"]
         if sampling.get("lifetime") == Lifetime().model_dump(mode="json"):
             del sampling["lifetime"]
@@ -335,6 +348,12 @@ def _node_keys(data: Mapping[str, Any]) -> dict[str, Any]:
             "scales": scales}  # fmt: skip
 
 
+def _program_keys(data: dict[str, Any]) -> dict[str, Any]:
+    """Keys of a campaign of the kind airsim_program: its host, and faults in messages."""
+    given = {key: value for key, value in data.items() if key != "kind"}
+    return {"host": "airsim_program", "sampling": {"level": "message"}, **given}
+
+
 def _mission_keys(given: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Validate keys and values of a mission; `stack` is renamed to `autopilot`."""
     data = {("autopilot" if key == "stack" else key): value for key, value in given.items()}
@@ -346,24 +365,6 @@ def _mission_keys(given: Mapping[str, Any], where: str) -> dict[str, Any]:
     except BadInputError as error:
         raise ValueError(str(error)) from None
     return parsed.model_dump(mode="json", include=set(data))
-
-
-def _check_known(key: str, names: Iterable[str], allowed: Collection[str]) -> None:
-    for name in names:
-        if name not in allowed:
-            raise ValueError(f"{key}: {name!r}: not known; allowed: {', '.join(allowed)}")
-
-
-def _check_distinct(key: str, names: Iterable[str]) -> None:
-    for name, count in Counter(names).items():
-        if count > 1:
-            raise ValueError(f"{key}: {name!r}: named {count} times; allowed: once")
-
-
-def _check_strata(strata: Mapping[str, float]) -> None:
-    _check_known("sampling.strata", sorted(strata), STRATA)
-    if not strata or not all(0 < share < float("inf") for share in strata.values()):
-        raise ValueError(f"sampling.strata: {strata}: need at least one name, and shares above 0")
 
 
 def load_campaign(name: str | Path) -> Campaign:

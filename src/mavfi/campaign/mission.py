@@ -55,7 +55,7 @@ class MissionPlan:
 
 def host_of(campaign: Campaign) -> Host:
     """The host of a campaign."""
-    return find_host(campaign.host, {} if campaign.node is None else {"node": campaign.node})
+    return find_host(campaign.host, campaign.under_test)
 
 
 def scenarios_of(

@@ -15,7 +15,8 @@ from mavfi.mission import RECOVERY, MissionSpec
 
 if TYPE_CHECKING:
     from mavfi.bridges.airsim.boundary import Boundary
-    from mavfi.bridges.airsim.program import Ended, ProgramConfig
+    from mavfi.bridges.airsim.config import ProgramConfig
+    from mavfi.bridges.airsim.program import Ended
     from mavfi.bridges.airsim.server import Server
 
 OF_THE_PIPELINE = (
@@ -151,7 +152,8 @@ def run(  # noqa: PLR0913 - one parameter per option
     check_number("--seconds", seconds, 0.1, 1e5)
     check_name("--detector", detector, ("none", "gaussian", "autoencoder"))
     check_name("--profile", profile, ("paper", "tuned"))
-    from mavfi.bridges.airsim.program import ProgramConfig, pixels
+    from mavfi.bridges.airsim.config import ProgramConfig
+    from mavfi.bridges.airsim.program import pixels
 
     pixels(image)
     planned = _planned(fault, fault_seed)

@@ -19,6 +19,7 @@ GROUP = "mavfi.hosts"
 _SHIPPED = {
     "local": "mavfi.hosts.local.mission_flights:LocalHost", "ros1": "mavfi.hosts.ros1.host:Ros1Host",
     "node": "mavfi.hosts.node.host:NodeHost", "firmware": "mavfi.bridges.firmware.host:FirmwareHost",
+    "airsim_program": "mavfi.bridges.airsim.host:AirsimProgramHost",
 }  # fmt: skip
 _HOSTS_OF_NODES = {"firmware": "firmware"}
 """Host by `RegisterFault.node`."""

@@ -77,7 +77,7 @@ def test_the_instruction_level_has_the_size_of_the_papers_table():
         ({"monitored_set": "all"}, "monitored_set: 'all': not known; allowed: paper-13"),
         # sampling: states
         ({"sampling": "groups"}, "key 'sampling"),
-        ({"sampling": {"level": "message"}}, "level"),
+        ({"sampling": {"level": "magnetic"}}, "level"),
         ({"sampling": {"scheme": "uniform"}}, "scheme"),
         ({"sampling": {"kernels": ["pid"]}}, "kernels"),
         ({"sampling": {"scheme": "groups"}}, "groups go with scheme groups, and only with it"),

@@ -106,16 +106,17 @@ class Boundary:
     watch: Watch | None = None
     injection: Injection | None = None
     passed: list[Passed] = field(default_factory=list)
-    _seen: int = 0
+    _given: int = 0
+    _returned: int = 0
 
     def arguments(self, name: str, given: list[Any], now_us: int) -> list[Any]:
         """Arguments of a call, perhaps changed; `given` is changed in place."""
         planned = self.planned
         if planned is not None and name == planned.fault.topic and now_us >= planned.since_us:
-            self._seen += 1
+            self._given += 1
             side = planned.fault.field.partition(".")[0].partition("#")[0]
-            if side != RETURN:
-                self._strike(given, self._path(given), now_us)
+            if side != RETURN and self._given >= planned.fault.at:
+                self._inject(given, self._path(given), self._given, now_us)
         if self.watch is not None:
             self.watch.check(f"{name}({ARGUMENTS})", dict(zip(CALLS[name].arguments, given, strict=False)), now_us)
         return given
@@ -125,11 +126,12 @@ class Boundary:
         if self.keeps:
             self.passed.append(Passed(name, sum(map(count, given)), count(value)))
         planned = self.planned
-        if planned is not None and name == planned.fault.topic and self._seen:
+        if planned is not None and name == planned.fault.topic and now_us >= planned.since_us:
+            self._returned += 1
             side, _, rest = planned.fault.field.partition(".")
-            if side.partition("#")[0] == RETURN:
+            if side.partition("#")[0] == RETURN and self._returned >= planned.fault.at:
                 path = path_of(value, int(side.partition("#")[2])) if "#" in side else keys_of(rest)
-                value = self._strike(value, path, now_us)
+                value = self._inject(value, path, self._returned, now_us)
         if self.watch is not None:
             self.watch.check(f"{name}({RETURN})", value, now_us)
         return value
@@ -144,21 +146,22 @@ class Boundary:
         names = CALLS[self.planned.fault.topic].arguments
         return (names.index(head), *keys_of(rest)) if head in names else keys_of(rest)
 
-    def _strike(self, value: Any, path: Path | None, now_us: int) -> Any:
-        """Flip the planned bit, once; a number that is not there leaves the fault not activated."""
+    def _inject(self, value: Any, path: Path | None, number: int, now_us: int) -> Any:
+        """Flip the planned bit, once (none: a null fault); without such a number the fault is not activated."""
         planned = self.planned
         assert planned is not None  # precondition
-        if self.injection is not None or self._seen < planned.fault.at or path is None:
+        if self.injection is not None or path is None:
             return value
         fault = planned.fault
         try:
             value, before, after, bit = flip(value, path, fault.bit or 0)
+            if fault.bit is None:
+                value, _, after, _ = flip(value, path, bit)
         except BadInputError:
             return value
-        where = ".".join(map(str, path))
         self.injection = Injection(
-            "message", fault.site, 1e-6 * now_us, bit, before, after, True,
-            details={"call": fault.topic, "number": self._seen, "path": where},
+            "message", fault.site, 1e-6 * now_us, None if fault.bit is None else bit, before, after, True,
+            details={"call": fault.topic, "number": number, "path": ".".join(map(str, path))},
         )  # fmt: skip
         return value
 

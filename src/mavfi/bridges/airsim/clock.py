@@ -8,11 +8,10 @@ import asyncio
 import time
 from typing import Protocol
 
+from mavfi.bridges.airsim.config import CALL_US
 from mavfi.bridges.airsim.table import Api
 from mavfi.sim.scene import STEP_US
 
-CALL_US = 4_000
-"""Time that a call takes in the clock `steps`."""
 _TICK_S = 0.004
 
 

@@ -101,6 +101,14 @@ class Remote:
         self._directions = pixel_directions(scenario.camera)
         self._directions.flags.writeable = False
         self._origin = np.zeros(3)
+        try:
+            self._begin_at(world)
+        except BaseException:
+            self.close()
+            raise
+
+    def _begin_at(self, world: World) -> None:
+        """Take over the vehicle, at the mission's start."""
         self.rpc.call("reset")
         self.rpc.call("enableApiControl", True, "")
         self.rpc.call("simPause", True)

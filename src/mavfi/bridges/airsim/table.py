@@ -6,11 +6,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+from mavfi.bridges.airsim.config import VEHICLE
 from mavfi.bridges.airsim.vehicle import ApiVehicle, Task
 from mavfi.errors import BadInputError
 
-VEHICLE = "SimpleFlight"
-"""Name of the vehicle unless chosen, as in AirSim's default settings."""
 PIXELS = (256, 144)
 """Size of an image unless chosen, as in AirSim's default settings."""
 

@@ -5,6 +5,7 @@
 
 from mavfi.campaign.analysis import (  # noqa: F401  (imports register the views, in the order of reports)
     alarm_views,
+    boundary_views,
     failure_views,
     firmware_views,
     flight_views,

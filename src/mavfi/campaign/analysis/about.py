@@ -14,6 +14,7 @@ from mavfi.campaign.config import (
     Sampling,
     StateSampling,
 )
+from mavfi.campaign.message_sampling import MessageSampling
 from mavfi.campaign.run import status, stored_campaign
 from mavfi.campaign.sequential import Precision
 from mavfi.campaign.store import Store
@@ -61,6 +62,12 @@ def drawn(sampling: Sampling, campaign: Campaign) -> dict[str, Any]:
             how = f"instructions: {sampling.which}, model {sampling.model}{stratified}"
             own = {"each": sampling.share, "kernels": list(sampling.kernels), "which": sampling.which}
             return own | _flights(campaign, sampling.share, how)
+        case MessageSampling():
+            what = "" if campaign.program is None else campaign.program.script
+            calls = f" of {', '.join(sampling.calls)}" if sampling.calls else ""
+            line = f"{what} · one bit per run, in a number of a call{calls}, uniform over calls"
+            title = f"campaign {campaign.name} · AirSim program in {', '.join(campaign.environments)}"
+            return {"each": "side of the calls", "profile": "", "title": title, "lines": [line]}
         case RegisterSampling():
             return {"each": "kind of registers", **_trials(campaign, sampling)}
 

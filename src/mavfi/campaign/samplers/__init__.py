@@ -27,6 +27,10 @@ def sampler_for(campaign: "Campaign") -> Sampler:
         from mavfi.campaign.samplers.register import RegisterSampler
 
         return RegisterSampler(campaign)
+    if level == "message":
+        from mavfi.campaign.samplers.message import MessageSampler
+
+        return MessageSampler(campaign)
     from mavfi.campaign.samplers.state import StateSampler
 
     return StateSampler(campaign)

@@ -1,0 +1,46 @@
+"""Configuration of a client program of AirSim under test."""
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from mavfi.config import Config
+from mavfi.errors import BadInputError
+
+VEHICLE = "SimpleFlight"
+"""Name of the vehicle unless chosen, as in AirSim's default settings."""
+CALL_US = 4_000
+"""Time that a call takes in the clock `steps`."""
+
+
+class ProgramConfig(Config):
+    """A client program of AirSim under test."""
+
+    script: str = Field(description="file of the program")
+    arguments: tuple[str, ...] = ()
+    python: str = Field("", description="Python that has the program's AirSim client; mavfi's own by default")
+    seconds: float = Field(120.0, gt=0, le=1e5, description="simulated time after which the program is stopped")
+    wall_s: float = Field(120.0, gt=0, le=1e5, description="wall-clock time after which it counts as hanging")
+    image: str = Field("256x144", pattern=r"^\d+x\d+$", description="size of images, width x height")
+    vehicle: str = Field(VEHICLE, description="name of the vehicle")
+    version: int = Field(0, ge=0, le=100, description="of the API; 0 = the client's own")
+    call_us: int = Field(CALL_US, ge=4_000, le=1_000_000, multiple_of=4_000, description="time that a call takes")
+    golden_runs: int = Field(2, ge=1, le=100, description="error-free runs of a mission; they must be the same")
+
+    def check(self) -> None:
+        """Check that there are such files.
+
+        Raises:
+            BadInputError: There are not.
+        """
+        if not Path(self.script).is_file():
+            raise BadInputError(f"{self.script}: there is no such file; allowed: a client program of AirSim")
+        if self.python and not Path(self.python).is_file():
+            raise BadInputError(f"--python: {self.python}: there is no such file; allowed: a Python interpreter")
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, with a digest of the program's text."""
+        text = Path(self.script).read_bytes() if Path(self.script).is_file() else b""
+        return {**self.model_dump(mode="json"), "sha256": hashlib.sha256(text).hexdigest()}

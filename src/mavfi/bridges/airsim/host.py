@@ -1,0 +1,145 @@
+"""The host `airsim_program`: a client program of AirSim under test.  A run is one run of the program.
+
+A mission consists of error-free runs, which must be the same, followed by runs with one fault at the boundary of the
+program's calls.  Simulated time passes in calls only, so a run is a function of program, seed and fault.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+from mavfi.bridges.airsim.boundary import Boundary, BoundaryFault, Passed
+from mavfi.bridges.airsim.config import ProgramConfig
+from mavfi.bridges.airsim.program import Ended, client_version, run_program
+from mavfi.bridges.airsim.server import msgpack
+from mavfi.errors import BadInputError
+from mavfi.faults.fault import Fault, MessageFault
+from mavfi.flight_log import KernelEffect
+from mavfi.flight_record import End, FlightRecord
+from mavfi.hosts.host import ArmSetup, Recorded
+from mavfi.mission import MissionSpec
+from mavfi.outcomes import Effect
+from mavfi.plugins import require_allowed
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramMission:
+    """A program and the mission that its vehicle flies in, in place of a `Scenario`."""
+
+    program: ProgramConfig
+    spec: MissionSpec
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, with a digest of the program's text."""
+        return {"program": self.program.to_json(), "mission": self.spec.model_dump(mode="json")}
+
+    def key(self) -> str:
+        """Identifying hash."""
+        return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramResult:
+    """The record of a run, as a `Recorded`; `passed`: the calls of an error-free run, from which faults are drawn."""
+
+    kept: FlightRecord
+    passed: tuple[Passed, ...] = ()
+    profile: None = None
+
+    def record(self) -> FlightRecord:
+        """See `Recorded.record`."""
+        return self.kept
+
+
+class AirsimProgramHost:
+    """Runs of a client program."""
+
+    name = "airsim_program"
+    levels = frozenset({"message"})
+    deterministic = True
+    in_process = False
+
+    def __init__(self, program: ProgramConfig | None = None) -> None:
+        if program is None:
+            raise BadInputError("host airsim_program: allowed: with the key program, which says what is under test")
+        self._program = program
+
+    def resolve(self, spec: MissionSpec) -> ProgramMission:
+        """Program and mission, in place of a scenario."""
+        return ProgramMission(self._program, spec)
+
+    def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "ProgramRuns":
+        """The runs of a mission; a fast-forward does not exist, as a program cannot be rewound."""
+        require_allowed("key 'program.script'", self._program.script)
+        return ProgramRuns({name: cast(ProgramMission, setup.scenario) for name, setup in arms.items()})
+
+    def check(self) -> None:
+        """See `Host.check`: package, program and client library exist."""
+        require_allowed("key 'program.script'", self._program.script)
+        msgpack()
+        self._program.check()
+        client_version(self._program.python)
+
+
+class ProgramRuns:
+    """The runs of one mission."""
+
+    def __init__(self, missions: Mapping[str, ProgramMission]) -> None:
+        self._missions = missions
+        self._golden: dict[str, Ended] = {}
+
+    def golden(self, arm: str, *, profile: bool = False) -> ProgramResult:
+        """The error-free runs.
+
+        Raises:
+            BadInputError: They differ: time of the wall, or randomness of the program's own, takes part.
+        """
+        mission = self._missions[arm]
+        runs = [
+            run_program(mission.program, mission.spec, Boundary(keeps=True)) for _ in range(mission.program.golden_runs)
+        ]
+        if len({run.digest for run in runs}) > 1:
+            raise BadInputError(
+                f"{mission.program.script}: {len(runs)} error-free runs differ; allowed: programs whose randomness has "
+                "a seed, and that measure time by the module time only"
+            )
+        self._golden[arm] = runs[0]
+        return ProgramResult(record_of_program(runs[0]), tuple(runs[0].boundary.passed))
+
+    def know(self, arm: str, flight: Recorded) -> None:
+        """See `MissionFlights.know`; no operation, as no program is run elsewhere."""
+
+    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, ProgramResult | Exception]]:
+        """Runs with a fault, one after the other; a `BadInputError` is raised, as it would end every run."""
+        for place, (arm, fault) in enumerate(runs):
+            mission = self._missions[arm]
+            try:
+                boundary = Boundary(BoundaryFault(cast(MessageFault, fault)))
+                ended = run_program(mission.program, mission.spec, boundary)
+            except BadInputError:
+                raise
+            except Exception as error:  # noqa: BLE001 - ends this run only
+                yield place, error
+            else:
+                yield place, ProgramResult(record_of_program(ended, self._golden.get(arm)))
+
+
+def record_of_program(ended: Ended, golden: Ended | None = None) -> FlightRecord:
+    """The record of a run.
+
+    A program that still runs when its time is up hangs, if the error-free one (`golden`) ended.
+    """
+    injection = ended.boundary.injection
+    injections = () if injection is None else (injection,)
+    extra = {"how": ended.how, "calls": sum(ended.calls.values()), "refused": sum(ended.errors.values())}
+    late = golden is not None and ended.how == "time is up" and golden.how == "ended"
+    effects = {"program crash": Effect.EXCEPTION, "hang": Effect.HANG}
+    effect = Effect.HANG if late else effects.get(ended.how)
+    if effect is not None:
+        reason = ended.reason or "its time is up"
+        return FlightRecord(
+            End.DUE, injections=injections, kernel=KernelEffect(effect.label, reason), extra=extra, error=reason
+        )
+    return FlightRecord(End.FLOWN, ended.status.label, ended.digest, ended.seconds, injections=injections, extra=extra)

@@ -1,0 +1,117 @@
+"""Client programs with the real client library (Cosys-AirSim's), unmodified, in simulated time."""
+
+import hashlib
+import importlib.util
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mavfi.bridges.airsim.boundary import Boundary, parse_fault
+from mavfi.bridges.airsim.config import ProgramConfig
+from mavfi.bridges.airsim.program import client_version, effect_on, make_api, pixels, run_program
+from mavfi.bridges.airsim.sensing import SKY, view
+from mavfi.errors import BadInputError
+from mavfi.flight_log import Injection
+from mavfi.mission import MissionSpec
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("cosysairsim") is None, reason="needs the package cosysairsim (extra dev)"
+)
+PROGRAMS = Path(__file__).with_name("programs")
+EXAMPLES = Path(__file__).parents[4] / "examples" / "airsim"
+SPEC = MissionSpec(environment="sparse", seed=7)
+
+
+def run(path, *arguments, fault=None, **options):
+    program = ProgramConfig(script=str(path), arguments=arguments, **options)
+    return run_program(program, SPEC, Boundary(None if fault is None else parse_fault(fault)))
+
+
+@pytest.fixture(scope="module")
+def box():
+    return run(EXAMPLES / "box.py")
+
+
+def test_a_program_goes_through_the_api():
+    ended = run(PROGRAMS / "everything.py")
+    assert (ended.how, ended.reason) == ("ended", "")
+    found = json.loads(ended.output.splitlines()[-1])
+    ranges = view(make_api(SPEC), "0").ranges
+    own = np.where(np.isfinite(ranges), ranges, np.float32(SKY))
+    assert found.pop("depth") == hashlib.sha256(own.tobytes()).hexdigest()
+    assert np.abs(np.array(found.pop("at")) - (0, 4, -4)).max() < 0.5
+    assert found.pop("imu") == pytest.approx(-9.80665, abs=0.2) and found.pop("lidar") > 3000
+    assert found.pop("slept") == pytest.approx(1.5, abs=0.02)
+    assert "API control is off" in found.pop("refused")
+    assert found == {
+        "version": client_version(), "size": [256, 144], "takeoff": True, "state": 1, "position": True, "path": True,
+        "collided": False, "continued": 500_000_000, "paused": True, "cancelled": False, "api": False, "hit": "wall",
+    }  # fmt: skip
+    assert ended.collided  # also after a reset
+
+
+def test_the_same_program_with_the_same_seed_has_the_same_bytes(box):
+    again = run(EXAMPLES / "box.py")
+    assert (again.digest, again.output, again.calls, again.seconds) == (box.digest, box.output, box.calls, box.seconds)
+    assert box.how == "ended" and not box.collided and "no collision" in box.output
+
+
+@pytest.mark.parametrize(("name", "arguments"), [("survey", ("6", "2")), ("orbit", ("0.3",))])
+def test_programs_in_the_style_of_airsim_s_examples_fly(name, arguments):
+    ended = run(EXAMPLES / f"{name}.py", *arguments)
+    assert (ended.how, ended.collided, ended.errors) == ("ended", False, {}) and ended.seconds > 10.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "effect"),
+    [
+        ("simGetVehiclePose.return.position.x_val:bit=51", "masked"),  # the program prints it only
+        ("moveToPosition.x:bit=51", "deviates"),
+        ("moveToPosition.yaw_mode.none:bit=51", "not activated"),
+        ("armDisarm.arm:bit=0", "deviates"),  # the motors stay off
+    ],
+)
+def test_what_a_fault_does_to_a_program(box, fault, effect):
+    injected = run(EXAMPLES / "box.py", fault=fault)
+    assert effect_on(box, injected) == effect
+    assert (injected.boundary.injection is not None) == (effect != "not activated")
+
+
+def test_the_worst_that_a_fault_does_comes_first(box):
+    hit = Boundary(injection=Injection("message", "moveToZ.z", 1.0, 1, 0.0, 1.0, True))
+    for changes, effect in (
+        ({}, "masked"), ({"digest": "other"}, "deviates"), ({"digest": "other", "collided": True}, "collision"),
+        ({"how": "program crash", "collided": True}, "program crash"), ({"how": "hang"}, "hang"),
+        ({"how": "time is up"}, "hang"),
+    ):  # fmt: skip
+        assert effect_on(box, replace(box, boundary=hit, **changes)) == effect
+    assert effect_on(box, box) == "not activated"
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "options", "how", "reason"),
+    [
+        ("crashing", (), {}, "program crash", "ValueError: the program's own error"),
+        ("endless", ("sleep",), {"seconds": 20.0}, "time is up", ""),
+        ("endless", ("spin",), {"wall_s": 4.0}, "hang", "still running after 4 s of wall-clock time"),
+    ],
+)
+def test_how_a_program_ends(name, arguments, options, how, reason):
+    ended = run(PROGRAMS / f"{name}.py", *arguments, **options)
+    assert ended.how == how and reason in ended.reason
+
+
+def test_what_cannot_run_is_refused_in_one_line(tmp_path):
+    with pytest.raises(BadInputError, match=r"none\.py: there is no such file"):
+        run("none.py")
+    with pytest.raises(BadInputError, match="--python: .*: there is no such file"):
+        run(EXAMPLES / "box.py", python=str(tmp_path / "python"))
+    without = tmp_path / "without.py"
+    without.write_text("import no_such_package\n")
+    with pytest.raises(BadInputError, match="made no call .*no_such_package"):
+        run(without)
+    with pytest.raises(BadInputError, match="--image: 'big'"):
+        pixels("big")

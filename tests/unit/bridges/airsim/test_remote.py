@@ -1,0 +1,118 @@
+"""Our pipeline flies a server of AirSim's API as its world."""
+
+import asyncio
+import socket
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from mavfi.bridges.airsim.clock import Steps
+from mavfi.bridges.airsim.program import make_api, world_address
+from mavfi.bridges.airsim.remote import Remote
+from mavfi.bridges.airsim.server import Server
+from mavfi.errors import BadInputError, MavfiError
+from mavfi.hosts.local import fly
+from mavfi.hosts.loop.assemble import new_loop
+from mavfi.hosts.loop.compose import resolve
+from mavfi.mission import MissionSpec
+
+
+@contextmanager
+def served(environment="sparse", *, single=False, image="", on_ground=False):
+    """A server in a thread of its own; its port."""
+    spec = MissionSpec(environment=environment, seed=7)
+    server = Server(make_api(spec, image, on_ground=on_ground), Steps(), single=single)
+    port, ready = [], threading.Event()
+
+    def note(at):
+        port.append(at)
+        ready.set()
+
+    thread = threading.Thread(target=lambda: asyncio.run(server.run(0, note, once=True)))
+    thread.start()
+    assert ready.wait(30.0)
+    try:
+        yield port[0]
+    finally:
+        if not server.finished.is_set():  # nobody came: a client that leaves at once ends it
+            socket.create_connection(("127.0.0.1", port[0])).close()
+        thread.join(30.0)
+        assert not thread.is_alive()
+
+
+def flown(environment, **options):
+    """A mission in this process, and the same on a server."""
+    scenario = resolve(MissionSpec(environment=environment, seed=7))
+    with served(environment, **options) as port:
+        there = fly(scenario, make_plant=lambda world, own: Remote(world, own, "127.0.0.1", port))
+    return fly(scenario).log, there.log
+
+
+def first(port, **mission):
+    scenario = resolve(MissionSpec(environment="sparse", seed=7, **mission))
+    return new_loop(scenario, make_plant=lambda world, own: Remote(world, own, "127.0.0.1", port)).plant
+
+
+@pytest.mark.slow
+def test_a_flight_on_a_server_has_the_bits_of_one_in_this_process():
+    here, there = flown("sparse")
+    assert there.digest() == here.digest() and there.status == here.status
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("environment", ["dense", "farm", "factory"])
+def test_in_the_other_environments_too(environment):
+    here, there = flown(environment)
+    assert there.digest() == here.digest()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("environment", ["sparse", "dense", "farm", "factory"])
+def test_over_numbers_of_32_bits_the_outcome_is_the_same(environment):
+    here, there = flown(environment, single=True)
+    assert there.status == here.status and abs(len(there.rows) - len(here.rows)) <= 2
+
+
+def test_a_vehicle_that_stands_elsewhere_is_put_to_the_start():
+    with served(image="64x48", on_ground=True) as port:
+        plant = first(port)
+        start = plant.odometry[:3].copy()
+        plant.advance(100_000)
+        plant.close()
+    own = new_loop(resolve(MissionSpec(environment="sparse", seed=7))).plant
+    assert abs(start - own.odometry[:3]).max() < 1e-6 and abs(plant.odometry[:3] - start).max() < 1e-3
+    with pytest.raises(MavfiError, match="cannot be rewound"):
+        plant.snapshot()
+
+
+def test_a_command_that_is_not_finite_is_rejected_here():
+    with served() as port:
+        plant = first(port)
+        plant.command(np.array([np.nan, 0.0, 0.0, 0.0]), 1.0)
+        assert plant.rejected_commands == 1
+        plant.close()
+
+
+def test_a_server_with_other_images_is_refused():
+    with served(image="32x24") as port, pytest.raises(BadInputError, match="its images are 32x24; allowed: 64x48"):
+        first(port)
+
+
+def test_a_server_that_is_not_there_or_goes_away_is_one_line():
+    with served() as port:
+        plant = first(port)
+        plant.close()
+    with pytest.raises(BadInputError, match=f"--world: airsim://127.0.0.1:{port}: no server there"):
+        first(port)
+    with pytest.raises(BadInputError, match="--localization: estimator: allowed: truth"):
+        first(port, localization="estimator")
+
+
+@pytest.mark.parametrize(
+    "text", ["127.0.0.1:41451", "airsim://10.0.0.1:41451", "airsim://127.0.0.1", "airsim://127.0.0.1:0"]
+)
+def test_worlds_are_on_this_machine(text):
+    with pytest.raises(BadInputError, match="allowed: airsim://127.0.0.1:PORT"):
+        world_address(text)

@@ -1,0 +1,81 @@
+"""Faults in the calls of a program are drawn from the calls of its golden run."""
+
+from collections import Counter
+
+import pytest
+
+from mavfi.bridges.airsim.boundary import Passed
+from mavfi.bridges.airsim.host import ProgramResult
+from mavfi.campaign.config import Campaign
+from mavfi.campaign.samplers import sampler_for
+from mavfi.campaign.samplers.sampler import Sampled, draws_of
+from mavfi.config import parse
+from mavfi.errors import BadInputError
+from mavfi.flight_record import End, FlightRecord
+
+CALLS = [Passed("ping", 0, 1), Passed("moveToZ", 8, 1), Passed("moveToZ", 8, 1), Passed("reset", 0, 0)]
+
+
+def campaign(**changes):
+    own = {"kind": "airsim_program", "name": "c", "program": {"script": "p.py"}, "environments": ["sparse"]}
+    return parse(Campaign, {**own, "missions": 1, "faults": 300, **changes}, "campaign.yaml")
+
+
+def faults(of, calls=CALLS):
+    sampler = sampler_for(of)
+    draws = [draw for _, draw in draws_of(sampler.blocks("sparse"), range(1), 1)]
+    golden = {"": Sampled(ProgramResult(FlightRecord(End.FLOWN), tuple(calls)))}
+    return sampler.draw(draws, "sparse", golden), sampler, golden
+
+
+def test_the_kind_of_a_campaign_is_its_host_with_faults_in_messages():
+    found = campaign()
+    assert (found.host, found.sampling.level, found.program.script) == ("airsim_program", "message", "p.py")
+    spelled = {"host": "airsim_program", "name": "c", "environments": ["sparse"], "missions": 1, "faults": 300}
+    other = {**spelled, "program": {"script": "p.py"}, "sampling": {"level": "message"}}
+    assert parse(Campaign, other, "campaign.yaml") == found
+
+
+def test_every_call_and_number_of_its_side_is_drawn_and_no_other():
+    found, _, _ = faults(campaign())
+    arguments = [fault for fault in found if fault.field.startswith("arguments")]
+    returns = [fault for fault in found if fault.field.startswith("return")]
+    assert len(arguments) == len(returns) == 300 and {fault.topic for fault in arguments} == {"moveToZ"}
+    assert {(fault.at, fault.field) for fault in arguments} == {(k, f"arguments#{n}") for k in (1, 2) for n in range(8)}
+    share = Counter((fault.topic, fault.at) for fault in returns)
+    assert set(share) == {("ping", 1), ("moveToZ", 1), ("moveToZ", 2)} and min(share.values()) > 70
+    assert {fault.bit for fault in found} == set(range(64))
+
+
+def test_draws_are_the_same_in_any_share_of_the_work_and_for_some_calls_only():
+    found, _, _ = faults(campaign())
+    assert found == faults(campaign())[0] != faults(campaign(first_seed=5))[0]
+    some, _, _ = faults(campaign(sampling={"level": "message", "calls": ["ping"], "sides": ["return"]}))
+    assert len(some) == 300 and {fault.topic for fault in some} == {"ping"}
+
+
+def test_without_a_call_there_is_no_fault_and_a_null_run_flips_nothing():
+    found, sampler, golden = faults(campaign(), calls=CALLS[-1:])
+    assert set(found) == {None}
+    null = faults(campaign())[1].null(0, 10_000, "sparse", faults(campaign())[2])
+    assert null.bit is None and null.topic == "moveToZ"
+    assert sampler.null(0, 10_000, "sparse", golden).bit is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"program": None}, "the key program goes with host airsim_program"),
+        ({"kind": None, "host": "local", "sampling": {}}, "the key program goes with host airsim_program"),
+        ({"sampling": {"level": "message", "sides": ["both"]}}, "sides"),
+        ({"sampling": {"level": "message", "sides": ["return", "return"]}}, "'return': named 2 times"),
+        ({"program": {"script": "p.py", "image": "big"}}, "image"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(changes, message):
+    given = {key: value for key, value in {"kind": "airsim_program", **changes}.items() if value is not None}
+    own = {"name": "c", "program": {"script": "p.py"}, "environments": ["sparse"], **given}
+    if changes.get("program", 0) is None:
+        del own["program"]
+    with pytest.raises(BadInputError, match=message):
+        parse(Campaign, own, "campaign.yaml")

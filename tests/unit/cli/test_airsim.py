@@ -1,0 +1,54 @@
+"""`mavfi airsim` and `mavfi fly --world` on the command line."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import pytest
+
+from mavfi.cli import run
+
+BOX = str(Path(__file__).parents[3] / "examples" / "airsim" / "box.py")
+HAS_CLIENT = importlib.util.find_spec("cosysairsim") is not None
+
+
+@pytest.mark.skipif(not HAS_CLIENT, reason="needs the package cosysairsim (extra dev)")
+def test_the_effect_of_a_fault_comes_first(capsys):
+    assert run(["airsim", "run", "--seed", "7", "--fault", "moveToPosition.x:bit=51", BOX]) == 0
+    first, second, *rest = capsys.readouterr().out.splitlines()
+    assert first == "effect: deviates" and "fault in moveToPosition 0 bit 51: 8.0 → 12.0" in second
+    assert rest[0].startswith("golden: ended") and rest[1].startswith("injected: ended")
+
+
+@pytest.mark.skipif(not HAS_CLIENT, reason="needs the package cosysairsim (extra dev)")
+def test_json_has_digest_calls_and_errors(capsys):
+    assert run(["airsim", "run", "--seed", "7", "--json", BOX]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["effect"] is None and data["injected"] is None and len(data["golden"]["digest"]) == 64
+    assert data["golden"]["calls"]["moveToPosition"] == 4 and data["golden"]["how"] == "ended"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["airsim", "run", "none.py"], "none.py: there is no such file"),
+        (["airsim", "run", "--fault", "fly.x", BOX], "--fault: 'fly.x': call 'fly': not known"),
+        (["airsim", "run", "--fault-seed", "3", BOX], "no fault to draw; allowed: together with --fault"),
+        (["airsim", "run", "--python", "/no/python", BOX], "--python: /no/python: there is no such file"),
+        (["airsim", "run", "--image", "big", BOX], "--image: 'big': allowed: WIDTHxHEIGHT"),
+        (["airsim", "run", "--detector", "cusum", BOX], "--detector: cusum"),
+        (["airsim", "serve", "--clock", "slow"], "--clock: slow"),
+        (["airsim", "serve", "--clock", "steps", "--speed", "2"], "--speed: 2: allowed: together with --clock real"),
+        (["airsim", "serve", "--environment", "moon"], "environment 'moon': not known"),
+        (["fly", "--world", "127.0.0.1:1"], "allowed: airsim://127.0.0.1:PORT"),
+        (["fly", "--world", "airsim://127.0.0.1:1"], "no server there"),
+        (
+            ["fly", "--world", "airsim://127.0.0.1:1", "--fault", "instruction:pid"],
+            "allowed with --world: state:, memory:",
+        ),
+    ],
+)
+def test_bad_input_is_one_line(arguments, text, capsys):
+    assert run(arguments) == 2
+    out = capsys.readouterr()
+    assert text in out.err.replace("'slow'", "slow").replace("'cusum'", "cusum") and out.err.count("\n") == 1
