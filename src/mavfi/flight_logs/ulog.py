@@ -1,6 +1,8 @@
 """PX4's ULog files, with the library pyulog (extra `logs`)."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -77,19 +79,29 @@ class UlogReader:
             ) from None
         try:
             names = [*dict.fromkeys(topic.partition(".")[0] for topic in topics), _LANDED]
-            with path.open("rb") as file:
-                sets: list[Any] = pyulog.ULog(file, names if topics else None).data_list
+            sets = _sets(pyulog, path, names if topics else None)
             found = {f"{d.name}.{d.multi_id}" if d.multi_id else d.name: dict(d.data) for d in sets}
             held = set(found)
             if not set(topics) <= held:
-                with path.open("rb") as file:
-                    held = {d.name for d in pyulog.ULog(file).data_list}
+                held = {d.name for d in _sets(pyulog, path, None)}
         except (Exception, SystemExit) as error:  # noqa: BLE001 - whatever the library raises at a damaged file
             raise BadInputError(f"{path}: is not a ULog file that can be read ({reason(error)})") from None
         for topic in topics:
             if topic not in found:
                 raise BadInputError(f"{path}: holds no topic {topic}; allowed: {allowed(held, topic)}")
         return found
+
+
+def _sets(pyulog: Any, path: Path, names: list[str] | None) -> list[Any]:
+    """Data sets of a file; a ValueError for a damaged file, of which the library prints lines and reads the rest."""
+    with path.open("rb") as file, redirect_stdout(StringIO()):
+        log = pyulog.ULog(file, names)
+    sets: list[Any] = log.data_list
+    lacking = [one.name for one in sets if "timestamp" not in one.data]
+    lacking += [one.name for one in sets if one.name == _LANDED and "landed" not in one.data]
+    if log.file_corruption or lacking:
+        raise ValueError(f"damaged{' in ' if lacking else ''}{', '.join(lacking)}")
+    return sets
 
 
 def _rows(columns: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

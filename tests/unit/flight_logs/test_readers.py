@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mavfi.errors import BadInputError
+from mavfi.errors import BadInputError, MavfiError
 from mavfi.flight_logs import open_flight_log
 from tests.unit.flight_logs.conftest import make_log
 
@@ -87,6 +87,26 @@ def test_tables_that_cannot_be_read(tmp_path, text, told):
     path.write_text(text)
     with pytest.raises(BadInputError, match=told):
         list(open_flight_log(path).messages([]))
+
+
+@pytest.mark.parametrize("ending", X)
+def test_damaged_files_are_read_or_refused_in_one_line_and_nothing_is_printed(files, tmp_path, ending, capfd):
+    random, content = np.random.default_rng(7), files(ending, "a").read_bytes()[:40_000]
+    path = tmp_path / f"x.{ending}"
+    refused = 0
+    for _ in range(25):
+        damaged = bytearray(content)
+        for place in random.integers(len(damaged), size=random.integers(1, 20)):
+            damaged[place] ^= 1 << int(random.integers(8))
+        path.write_bytes(damaged[: random.integers(len(damaged) // 2, len(damaged))])
+        try:
+            for message in open_flight_log(path).messages([]):
+                assert message.layout.numbers(message.data, 16) is not None
+        except MavfiError as error:
+            refused += 1
+            assert "\n" not in str(error)
+    assert refused > 0 or ending == "tlog"  # whose damaged packets are skipped, by their checksums
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="the folder of real logs is not here")
