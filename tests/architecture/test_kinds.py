@@ -18,7 +18,6 @@ ASKED = {"level", "scheme", "host", "kernels"}
 ALLOWED = {
     "bridges/firmware/host.py": 2,  # a host of its own, which refuses other faults
     "campaign/config.py": 1,  # keys that go together: groups with their scheme
-    "campaign/hardening/study.py": 1,  # a plan is chosen from faults in instructions only
     "faults/register/tracer.py": 1,  # an order to this process is of its level
 }
 """Questions elsewhere, by module; fewer is fine, lower the number then."""
