@@ -104,9 +104,7 @@ class MissionSpec(Config):
         description="What becomes of a node that dies: end (of the mission), fresh (restarted without memory), latched "
         "(fresh, gets an unanswered alarm again), readback (latched, reads its last outputs), recompute (the step).",
     )
-    protection: str = Field(
-        "", description="Plan of protected kernels, see `mavfi harden`: a name, or a YAML file; none by default."
-    )
+    protection: str = Field("", description="Plan of protected kernels: a name, or a YAML file; none by default.")
     alarm: Literal["one_shot", "repeated"] | None = Field(
         None, description="Of the collision check: one_shot, or repeated until answered; the profile's by default."
     )

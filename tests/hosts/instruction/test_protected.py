@@ -9,7 +9,7 @@ from mavfi.faults.instruction.variant import signature_of
 from mavfi.faults.spec import InstructionRequest
 from mavfi.flight_record import record_of
 from mavfi.hardening.full import full_plan
-from mavfi.hardening.plan import Plan, save_plan
+from mavfi.hardening.plan import Plan, load_plan, save_plan
 from mavfi.hosts.host import ArmSetup
 from mavfi.hosts.instruction import fly_instruction_faults
 from mavfi.hosts.instruction.protected import SOURCE
@@ -77,6 +77,13 @@ def plain_logs(plain_faults):
 def paired_logs(protected, plain_faults):
     """The same faults in the same executions of the same instructions of protected code."""
     return [flight.log for flight in fly_instruction_faults(protected, plain_faults).flights]
+
+
+def test_the_shipped_plan_is_that_of_the_code(plan):
+    """Made again by tools/full_protection.py after a change of these kernels."""
+    shipped_plan = load_plan("full")
+    assert shipped_plan.of_kernel("pid") == plan.functions
+    assert {one.function.rpartition(".")[2] for one in shipped_plan.of_kernel("rrt_connect")} >= {"plan"}
 
 
 def test_the_golden_flight_is_the_plain_one(golden, protected):
