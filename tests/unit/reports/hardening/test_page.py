@@ -69,5 +69,6 @@ def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
     text = (tmp_path / "c.html").read_text()
     assert "The plan is confirmed: 95.2\u00a0% [" in text and "0 false alarms in 3,578 calls" in text
     assert "mavfi harden &#39;out/my runs&#39; --plan plan.yaml --certify --faults 100" in text
+    assert "<td>1 : 0, p = 1</td>" in text
     refuted = Certification("ab" * 32, 100, (), (one,), GoldenCheck(2, 1, 9, 0))
     assert refuted.refuted and verdict_line(refuted).startswith("The plan is refuted")
