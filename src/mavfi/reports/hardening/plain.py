@@ -11,7 +11,8 @@ from mavfi.reports.text import ABSENT, percent
 
 _ADVICE = ("kernel", "function", "kernel time", "time", "adds", "SDCs removed, predicted", "n SDC", "sites")
 _CERTIFICATE = (
-    "kernel", "function", "SDC before", "SDC after", "detected", "DUE after", "instr.", "SDCs removed", "predicted", "", "pairs",
+    "kernel", "function", "SDC before", "SDC after", "detected", "DUE after", "instr.", "SDCs removed", "predicted", "",
+    "pairs",
 )  # fmt: skip
 DUE = ("crash", "hang", "exception")
 
