@@ -29,7 +29,10 @@ def harden(  # noqa: PLR0913 - one parameter per option
         bool, typer.Option("--addresses", help="Compare addresses before loads, too: fewer crashes, more time.")
     ] = False,
     html: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Write the advice as one offline page.")
+        Path | None,
+        typer.Option(
+            metavar="FILE.html", help="Write the advice, or with --certify the certificate, as one offline page."
+        ),
     ] = None,
     certify: Annotated[
         bool, typer.Option("--certify", help="Test a plan with missions and faults that its choice has not seen.")
@@ -51,8 +54,9 @@ def harden(  # noqa: PLR0913 - one parameter per option
     check_number("--faults", faults, 1, 100_000)
     names = [name.strip() for name in kernels.split(",") if name.strip()]
     if certify:
-        _check_certify(plan, {"--budget": budget, "--html": html, "--addresses": addresses or None})
-        _certify(Study.open(directory, names), Path(str(plan)), faults or 400, as_json=as_json)
+        _check_certify(plan, {"--budget": budget, "--addresses": addresses or None})
+        check_file("--html", html, PAGES)
+        _certify(Study.open(directory, names), Path(str(plan)), faults or 400, html, as_json=as_json)
         return
     if faults is not None:
         raise BadInputError(f"--faults: {faults}: allowed: with --certify")
@@ -108,18 +112,22 @@ def _advise(
             out.print(Text.assemble(("wrote ", "dim"), str(path)))
 
 
-def _certify(study: "Study", path: Path, faults: int, *, as_json: bool) -> None:
+def _certify(study: "Study", path: Path, faults: int, html: Path | None, *, as_json: bool) -> None:
     from rich.text import Text
 
     from mavfi.campaign.hardening.study import certification_json, certify_plan, save_certification
     from mavfi.hardening.plan import load_plan
+    from mavfi.reports.hardening.page import write_certificate
     from mavfi.reports.hardening.plain import certificate_table, verdict_line
     from mavfi.reports.terminal import show_table
 
     plan = load_plan(path)
     check_writable(path.with_suffix(".certificate.json"))
     found = certify_plan(study, plan, faults, _tell)
-    written = save_certification(found, path)
+    written = [save_certification(found, path)]
+    if html is not None:
+        write_certificate(html, found, study.directory, path)
+        written.append(html)
     if as_json:
         write_json(certification_json(found))
     else:
@@ -127,6 +135,7 @@ def _certify(study: "Study", path: Path, faults: int, *, as_json: bool) -> None:
         out.print(Text(verdict_line(found), style="bold"))
         out.print()
         show_table(certificate_table(found), out)
-        out.print(Text.assemble(("wrote ", "dim"), str(written)))
+        for file in written:
+            out.print(Text.assemble(("wrote ", "dim"), str(file)))
     if found.refuted:
         raise typer.Exit(EXIT_REFUTED)

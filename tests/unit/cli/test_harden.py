@@ -14,7 +14,7 @@ from mavfi.hardening.plan import Coverage, load_plan, save_plan
     [
         (("--certify",), "--plan: not given"),
         (("--certify", "--plan", "p.yaml", "--budget", "0.1"), "--budget: 0.1: allowed: without --certify"),
-        (("--certify", "--plan", "p.yaml", "--html", "h.html"), "--html: h.html: allowed: without --certify"),
+        (("--certify", "--plan", "p.yaml", "--html", "h.txt"), "--html: h.txt: allowed ending: .html"),
         (("--certify", "--plan", "p.yaml", "--addresses"), "--addresses: True: allowed: without --certify"),
         (("--faults", "9"), "--faults: 9: allowed: with --certify"),
         (("--budget", "-1"), "--budget: -1.0: allowed: 0 to 10"),

@@ -8,7 +8,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from mavfi.reports.hardening.plain import caveats, headline, interval
+from mavfi.campaign.hardening.study import Certification
+from mavfi.reports.hardening.plain import caveats, certificate_table, headline, interval, verdict_line
 from mavfi.reports.html.page import render, write
 from mavfi.reports.text import percent
 from mavfi.reports.vulnerability.listing import highlighted, read_source
@@ -26,6 +27,21 @@ def write_page(path: Path, summary: Mapping[str, Any], directory: Path, plan: Pa
         BadInputError: The file cannot be written.
     """
     write(path, page(summary, directory, plan))
+
+
+def write_certificate(path: Path, certification: Certification, directory: Path, plan: Path) -> None:
+    """Write the page of a certificate.
+
+    Raises:
+        BadInputError: The file cannot be written.
+    """
+    command = f"mavfi harden {shlex.quote(str(directory))} --plan {shlex.quote(str(plan))} --certify"
+    content = render(
+        "certificate.html.j2", plan=plan.name, digest=certification.plan[:12], table=certificate_table(certification),
+        verdict=verdict_line(certification).replace(" %", "\u00a0%"), missions=", ".join(certification.missions),
+        command=f"{command} --faults {certification.faults}",
+    )  # fmt: skip
+    write(path, content)
 
 
 def page(summary: Mapping[str, Any], directory: Path, plan: Path | None) -> str:

@@ -12,6 +12,7 @@ from mavfi.reports.text import ABSENT, percent
 _ADVICE = ("kernel", "function", "kernel time", "time", "adds", "SDCs removed, predicted", "n SDC", "sites")
 _CERTIFICATE = (
     "kernel", "function", "SDC before", "SDC after", "detected", "DUE after", "instr.", "SDCs removed", "predicted", "",
+    "pairs",
 )  # fmt: skip
 DUE = ("crash", "hang", "exception")
 
@@ -76,7 +77,8 @@ def certificate_table(certification: Certification) -> Table:
         f"{certification.faults} faults per function in plain code, as many in protected code, uniform over its own "
         "dynamic instructions; SDCs removed: 1 - SDC after x instr. / SDC before, so that added instructions do not "
         "dilute the rate; instr.: dynamic instructions, protected / plain",
-        "DUE (crash, hang, exception) at IR level",
+        "DUE (crash, hang, exception) at IR level; pairs: of the faults in plain code, injected once more in protected "
+        "code: SDC in plain code only : in protected code only, McNemar's test",
     )
     return Table.of_text("Certificate", _CERTIFICATE, rows, notes)
 
@@ -90,6 +92,7 @@ def _certificate_row(one: Certificate) -> tuple[str, ...]:
         one.kernel, one.function.rpartition(".")[2], interval_of(one.sdc_before), interval_of(one.sdc_after),
         percent(one.after.get("detected", 0) / n), percent(sum(one.after.get(name, 0) for name in DUE) / n),
         f"×{one.growth:.2f}", interval_of(one.coverage), predicted, one.verdict,
+        f"{one.paired.first_only} : {one.paired.second_only}, p = {one.paired.p_value:.2g}",
     )  # fmt: skip
 
 

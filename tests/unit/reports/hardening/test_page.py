@@ -4,8 +4,13 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
-from mavfi.reports.hardening.page import HEIGHT, WIDTH, curve, page, source
-from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval
+from mavfi.campaign.analysis.pairs import mcnemar
+from mavfi.campaign.hardening.certify import Certificate
+from mavfi.campaign.hardening.golden import GoldenCheck
+from mavfi.campaign.hardening.study import Certification
+from mavfi.hardening.plan import Coverage
+from mavfi.reports.hardening.page import HEIGHT, WIDTH, curve, page, source, write_certificate
+from mavfi.reports.hardening.plain import advice_table, caveats, headline, interval, verdict_line
 from tests.unit.reports.hardening.summaries import rate, summary
 
 DIRECTORY, PLAN = Path("out/my runs"), Path("plan.yaml")
@@ -52,3 +57,18 @@ def test_sentences():
     assert "of 60 with a dead kernel" in caveats(told)[0]
     assert interval(rate(None)) == "—"
     assert advice_table(told).rows[0][:4] == ("pid", "track", "0.1 %", "×1.38")
+
+
+def test_the_page_of_a_certificate_starts_with_its_verdict(tmp_path):
+    one = Certificate(
+        "pid", "mavfi.pid.track", "f8", 1000, {"masked": 50, "sdc": 50}, {"detected": 99, "sdc": 1}, 2.4,
+        Coverage(estimate=0.95, low=0.9, high=0.98), mcnemar([True], [False]),
+    )  # fmt: skip
+    found = Certification("ab" * 32, 100, ("sparse-9",), (one,), GoldenCheck(2, 2, 3578, 0))
+    write_certificate(tmp_path / "c.html", found, DIRECTORY, PLAN)
+    text = (tmp_path / "c.html").read_text()
+    assert "The plan is confirmed: 95.2\u00a0% [" in text and "0 false alarms in 3,578 calls" in text
+    assert "mavfi harden &#39;out/my runs&#39; --plan plan.yaml --certify --faults 100" in text
+    assert "<td>1 : 0, p = 1</td>" in text
+    refuted = Certification("ab" * 32, 100, (), (one,), GoldenCheck(2, 1, 9, 0))
+    assert refuted.refuted and verdict_line(refuted).startswith("The plan is refuted")
