@@ -25,6 +25,8 @@ from mavfi.sim.vehicle import Body, airframe_of, hover_thrusts, turn_rotors
 
 GROUND, SCAN = -1, -2
 """`Contact.obstacle` of the ground, and of the voxels of a scan."""
+_ON_GROUND = 0.01
+"""Height below which a vehicle can rest (m)."""
 _NO_MOUNT = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 Rotors = Callable[[int, np.ndarray], np.ndarray]
 """Rotor commands (N), shape (4,), from time (us) and odometry, shape (13,)."""
@@ -77,7 +79,7 @@ class Grounded(Simulator):
     Attributes:
         world: Its world, with obstacles added at run time.
         armed: Whether the motors run.
-        resting: Whether it stands on its legs with the motors off; nothing moves it then.
+        resting: Whether it stands on its legs with the motors off or idle; nothing moves it then.
         rotors: Rotor commands in place of the flight controller's; None = the controller flies.
         touched: The last contact with an obstacle; None = none since the start.
         landed_at: The last contact with the ground; None = none in flight.
@@ -107,7 +109,7 @@ class Grounded(Simulator):
         if time_us % STEP_US or time_us < self.time_us:
             raise BadInputError(f"time {time_us} us: must be a multiple of {STEP_US} us from {self.time_us} us on")
         while self.time_us < time_us:
-            if self.resting and not self.armed:
+            if self.resting and (self.rotors is None or not self.armed):
                 self.time_us = time_us
                 return
             self.resting = False
@@ -166,6 +168,17 @@ class Grounded(Simulator):
         self.odometry[6:10], self.odometry[10:] = self._data.qpos[3:7], 0.0
 
     # ---- commands ---------------------------------------------------------------------------------------------------
+    def command(self, velocity_yaw_rate: np.ndarray, duration: float) -> None:
+        """See `Simulator.command`; a command that lasts takes a resting vehicle off its legs."""
+        super().command(velocity_yaw_rate, duration)
+        if self.armed and self._expiry_us > self.time_us:
+            self.resting = False
+
+    def rest(self) -> None:
+        """Stand on the legs, with the motors idle, if the vehicle is on the ground."""
+        if self.height < _ON_GROUND and not self._voxels.occupied.size:
+            self._rest()
+
     @property
     def height(self) -> float:
         """Height of the collision sphere above the ground plane (m)."""
@@ -199,7 +212,8 @@ class Grounded(Simulator):
         self._data.sensordata[ACCELEROMETER] = (0.0, 0.0, GRAVITY)
         self.touched = self.landed_at = None
         self.collided = False
-        self.resting = not self.armed and self.height < 1e-3 and not self._voxels.occupied.size
+        self.resting = False
+        self.rest()
         self._new_controller()
 
     def _new_controller(self) -> None:

@@ -33,8 +33,12 @@ def test_it_stands_still_until_its_motors_run():
     np.testing.assert_allclose(one.odometry[:3], (0.0, 0.0, 0.35))
     np.testing.assert_allclose(one.imu()[:3], (0.0, 0.0, GRAVITY), atol=0.2)
     one.arm(True)
+    one.advance(1_200_000)
+    assert one.odometry.tobytes() == before.tobytes() and one.resting  # idle
     fly(one, (0.0, 0.0, 1.0), 3.0)
-    assert one.height > 2.0 and one.landed_at.time_us < 1_100_000  # the last contact was that of the lift-off
+    assert (
+        not one.resting and one.height > 2.0 and one.landed_at.time_us < 1_300_000
+    )  # the last contact was that of the lift-off
 
 
 def test_a_landing_is_no_collision_and_ends_at_rest():

@@ -176,6 +176,7 @@ def land(vehicle: ApiVehicle, timeout: float) -> Task:
         yield
         still = still + 1 if abs(vehicle.velocity[2]) <= APPROX_ZERO_SPEED else 0
         if still > STILL_PERIODS:
+            vehicle.sim.rest()
             vehicle.landed = vehicle.sim.height < 0.1
             return True
     return False

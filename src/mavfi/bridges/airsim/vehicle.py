@@ -39,7 +39,7 @@ class ApiVehicle:
 
     Args:
         spec: The mission, of which environment, seed, vehicle, wind and speed limit count.
-        on_ground: Whether it starts on the ground with the motors off, and NED has its origin there; else it hovers at
+        on_ground: Whether it starts on the ground with the motors idle, and NED has its origin there; else it hovers at
             the mission's start, and NED is the world's frame, turned.
 
     Attributes:
@@ -79,9 +79,11 @@ class ApiVehicle:
         self.sim = Grounded(self._world, self.scenario, on_ground=self.on_ground)
         self.origin = self.sim.world.start.copy() if self.on_ground else np.zeros(3)
         self.landed, self.api = self.on_ground, False
+        if self.on_ground:
+            self.sim.arm(True)  # AirSim's default: the rotors turn from the start on
 
     def reset(self) -> None:
-        """Back to the start, motors off; a running task ends with False.  Time goes on, obstacles stay."""
+        """Back to the start; a running task ends with False.  Time goes on, obstacles stay."""
         self.cancel()
         self._base_us += self.sim.time_us
         self._world = replace(self._world, lower=self.sim.world.lower, upper=self.sim.world.upper)
