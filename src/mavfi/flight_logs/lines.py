@@ -30,7 +30,7 @@ class Line:
 
 
 def lines_of(log: FlightLog) -> list[Line]:
-    """All lines of a flight by time, injections first; an injection without an instant (never activated) is left out."""
+    """All lines of a flight by time, injections first; an injection without an instant is left out."""
     items: list[Event | AlarmRecord | Injection] = [*log.injections, *log.events, *log.alarms]
     found = map(line_of, items)
     known = [line for line in found if line is not None]
