@@ -30,8 +30,8 @@ class Line:
 
 
 def lines_of(log: FlightLog) -> list[Line]:
-    """All lines of a flight in chronological order; an injection without an instant (never activated) is left out."""
-    items: list[Event | AlarmRecord | Injection] = [*log.events, *log.alarms, *log.injections]
+    """All lines of a flight by time, injections first; an injection without an instant is left out."""
+    items: list[Event | AlarmRecord | Injection] = [*log.injections, *log.events, *log.alarms]
     found = map(line_of, items)
     known = [line for line in found if line is not None]
     return sorted([*known, end_line(float(log.column("time")[-1]), log.status)], key=lambda line: line.time_us)

@@ -61,7 +61,7 @@ class Attached:
 def _news(loop: Loop, seen: list[int]) -> list[Item]:
     """Items since the last call; `seen` counts the earlier ones."""
     injections: Any = getattr(loop.taps.injector, "injections", ())
-    tables = (loop.record.events, loop.record.alarms, injections)
+    tables = (injections, loop.record.events, loop.record.alarms)
     counts = [len(table) for table in tables]
     if counts == seen:
         return []

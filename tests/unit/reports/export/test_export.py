@@ -180,6 +180,31 @@ def test_the_command_writes_what_the_ending_says(flight, tmp_path, ending, capsy
     assert sorted(path.name for path in tmp_path.iterdir()) == ["flight.npz", to.name]
 
 
+def test_a_saved_flight_with_a_fault_is_flown_again_with_its_golden_run(tmp_path, capsys):
+    saved, to = tmp_path / "flight.npz", tmp_path / "flight.bag"
+    fault = "state:planning.waypoint.x:bit=62@10.0"
+    assert run(["fly", "--seed", "3", "--fault", fault, "--detector", "gaussian", "--save", str(saved)]) == 0
+    assert run(["export", str(saved), "--to", str(to)]) == 0
+    assert capsys.readouterr().err == ""
+    found = read_bag(to)
+    assert PUBLISHED <= {topic for topic, _, _ in found}
+    (golden,), (flown,) = of(found, "/golden"), of(found, "/flown")
+    assert golden.poses[0].pose.position == flown.poses[0].pose.position
+    names = [m.name for m in of(found, "/log")]
+    assert names[names.index("injection") + 1] == "alarm"
+
+
+def test_a_flight_that_cannot_be_repeated_is_exported_without_publications(flight, tmp_path, capsys):
+    saved, to = tmp_path / "flight.npz", tmp_path / "flight.bag"
+    changed = FlightLog(flight.log.rows.copy(), flight.log.status, meta=flight.log.meta)
+    changed.rows[5, 1] += 1e-9
+    changed.save(saved)
+    assert run(["export", str(saved), "--to", str(to)]) == 0
+    err = capsys.readouterr().err
+    assert "cannot be flown again (another flight resulted" in err and err.count("\n") == 1
+    assert not PUBLISHED & {topic for topic, _, _ in read_bag(to)}
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
