@@ -1,7 +1,7 @@
 import errno
 import json
-import re
 import os
+import re
 import shutil
 import signal
 import sqlite3
