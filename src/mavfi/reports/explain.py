@@ -91,7 +91,10 @@ def verdict(effect: Effect, log: FlightLog, golden: FlightLog) -> str:
     if kernel is not None and kernel.effect in ("crash", "hang", "exception"):
         detail = f" ({kernel.detail})" if kernel.detail else ""
         return f"{kernel.effect}{detail} of a kernel, {after_death(log)}; {_mission(log, golden)}"
-    return f"{_EFFECTS.get(effect, effect.label)}; {_mission(log, golden)}"
+    found = _EFFECTS.get(effect, effect.label)
+    if kernel is not None and kernel.effect == Effect.DETECTED.label and effect is Effect.MASKED:
+        found = f"{_EFFECTS[Effect.DETECTED]}; {found}"
+    return f"{found}; {_mission(log, golden)}"
 
 
 _AFTER_DEATH = {"end": "the mission ended with it", "recompute": "its step was computed again"}

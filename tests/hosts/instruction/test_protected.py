@@ -160,6 +160,18 @@ def test_the_measured_time_is_charged(plan, folder):
     assert mission(folder / "slow.yaml").key() != mission(folder / "plan.yaml").key()
 
 
+@pytest.mark.parametrize(("kind", "again"), [("rerun", True), ("vote", False)])
+def test_whole_calls_can_be_repeated(plan, folder, plain_faults, plain_logs, kind, again):
+    """The differing execution is found without a change of the code; a majority is published in time."""
+    repeated = tuple(one.model_copy(update={"kind": kind, "sites": ()}) for one in plan.functions)
+    save_plan(plan.model_copy(update={"functions": repeated}), folder / f"{kind}.yaml")
+    places = [place for place, log in enumerate(plain_logs) if log.kernel.effect == "sdc"][:1]
+    (flight,) = fly_instruction_faults(mission(folder / f"{kind}.yaml"), [plain_faults[i] for i in places]).flights
+    log = flight.log
+    assert (log.kernel.effect, [alarm.source for alarm in log.alarms]) == ("detected", [SOURCE])
+    assert (log.meta["recompute_us"]["control"] > 0) == again
+
+
 def test_lines_and_certificates_are_not_part_of_the_mission(plan, folder, protected):
     told = plan.model_copy(update={"functions": tuple(
         one.model_copy(update={"lines": ("pid.py:1",), "certificate": "c.json"}) for one in plan.functions

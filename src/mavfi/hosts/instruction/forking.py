@@ -26,16 +26,17 @@ from mavfi.faults.fault import InstructionFault
 from mavfi.faults.instruction import Ended, ForkPoint, MismatchError
 from mavfi.faults.instruction.arena import arena, own
 from mavfi.faults.instruction.plan import DATA, changed_nothing, check_fault
-from mavfi.faults.instruction.variant import Variant, variant_for
+from mavfi.faults.instruction.variant import Variant, signature_of, variant_for
 from mavfi.flight_log import FlightLog
 from mavfi.hosts.host import Flight
 from mavfi.hosts.instruction.case import DETECTED, WAITING, Case, ChildReport, Output, Published, case_of, flight_of
-from mavfi.hosts.instruction.protected import alarm_of, is_detection, paired, rewriting_of
+from mavfi.hosts.instruction.protected import alarm_of, is_detection, paired, repetition_of, rewriting_of
 from mavfi.hosts.loop.assemble import new_loop, watch
 from mavfi.hosts.loop.golden_prefix import GoldenPrefix, fly_until, prefix_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
 from mavfi.hosts.loop.restarts import Restarts
 from mavfi.hosts.loop.scheduler import Loop
+from mavfi.ir import name_of
 from mavfi.ir.forked import WALL_CLOCK
 from mavfi.mission import Scenario
 from mavfi.pipeline.functions import PLAIN
@@ -57,7 +58,8 @@ class Child:
     """The task of a forked process.
 
     `comparable` states whether all differences from the golden flight are in results and memory of kernels, so that the
-    flights are the same from an instant at which these are.
+    flights are the same from an instant at which these are.  `in_time` states whether the result of a detected call is
+    published without further latency.
     """
 
     point: ForkPoint
@@ -66,6 +68,7 @@ class Child:
     call_same: bool = False
     comparable: bool = True
     output: Output | None = None
+    in_time: bool = False
 
 
 class ForkingFunction:
@@ -155,8 +158,11 @@ class Forks(ABC):
         if case.how == WAITING:
             return False, None
         if case.how != "done":
+            repetition = self._repetition(function, args)
             ended = self._fork(case, dead=True)
             if ended is None:
+                assert self.child is not None  # this is one
+                self.child.in_time = repetition == "vote"
                 if not case.kernel and self._detector is not None:
                     self.restarts().detector_dies(self._detector, self.loop.now, round(1e6 * case.fault.restart_s))
                 return True, function(*args)
@@ -164,6 +170,11 @@ class Forks(ABC):
         if case.kernel:
             self._awaited.setdefault(case.kernel, []).append(case)
         return False, None
+
+    def _repetition(self, function: Any, args: tuple[Any, ...]) -> str:
+        """See `repetition_of`."""
+        scenario = self.loop.scenario
+        return repetition_of(scenario, name_of(function), signature_of(args)) if scenario.protection else ""
 
     def _fault_in(
         self, fault: InstructionFault, variant: Variant, function: Any, args: tuple[Any, ...]
@@ -203,6 +214,8 @@ class Forks(ABC):
                 raise
             child.point.finish(pickle.dumps(ChildReport(None, None, call_same=False, detected=True)))
         child.call_same = same((result, args), golden)
+        if not child.call_same and self._repetition(function, args):
+            child.point.finish(pickle.dumps(ChildReport(None, None, call_same=False, detected=True)))
         report = variant.report()
         child.comparable = report is not None and report.planned and _is_contained(fault.entry, before, golden[1], args)
         if self._shifts and changed_nothing(report):
@@ -222,7 +235,8 @@ class Forks(ABC):
                 child.dead = False
                 if child.case.how == DETECTED:
                     self.loop.record.alarms.append(alarm_of(kernel, states, now))
-                    self.restarts().recompute(kernel.name, now, states)
+                    if not child.in_time:
+                        self.restarts().recompute(kernel.name, now, states)
                     return
                 self.restarts().die(kernel.name, now, round(1e6 * child.case.fault.restart_s), states)
             elif child.output is None:

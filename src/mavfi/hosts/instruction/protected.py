@@ -5,6 +5,10 @@ instrumented variant of the protected code.  Its time is charged to the platform
 difference is handled as by a node that keeps its inputs: arguments and memory are those before the call, the step is
 computed again by plain code, its result is published one latency later, and an alarm is recorded.
 
+Functions of kind `rerun` and `vote` are executed as a whole two or three times, with memory put back in between; the
+fault is in one of the executions, whose results and arguments are compared.  A `rerun` that differs is handled as
+above; of a `vote` the majority is published in time.  A crash or hang of one execution is that of the node.
+
 A fault drawn in plain code is injected into the same execution of the same instruction of protected code, so that arms
 with and without protection are paired.  Faults in what the protection adds are drawn in missions that are protected
 themselves.
@@ -31,6 +35,12 @@ from mavfi.states import State
 
 SOURCE = "protection"
 """Source of the alarms."""
+
+
+def repetition_of(scenario: Scenario, kernel: str, signature: tuple[Any, ...]) -> str:
+    """Kind of protection by repetition of a function: "rerun" or "vote"; "" = none."""
+    found = None if scenario.protection is None else scenario.protection.find(kernel, signature)
+    return found.kind if found is not None and found.kind in ("rerun", "vote") else ""
 
 
 def rewriting_of(scenario: Scenario) -> Rewriting | None:
