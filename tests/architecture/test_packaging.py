@@ -56,7 +56,7 @@ def test_whatever_is_imported_is_asked_for():
     asked = {canonicalize_name(Requirement(wanted).name) for wanted in wanted_for_all}
     of_clients = "bridges/airsim/runner.py"  # runs in the Python of a client program
     imported = {name.split(".")[0] for path, tree in modules().items() if path != of_clients for name in imports(tree)}
-    homes = packages_distributions()
+    homes = {"foxglove": ["foxglove-sdk"], **packages_distributions()}  # of extras that may not be installed here
     of_ros = finder.ALLOWED | set(finder.GENERATED)  # Debian's, wanted by one package alone: see test_code.py
     foreign = imported - set(sys.stdlib_module_names) - {"mavfi"} - (of_ros - {"yaml"})
     known = {name: {canonicalize_name(home) for home in homes.get(name, [name])} for name in foreign}
