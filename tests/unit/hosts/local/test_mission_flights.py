@@ -38,7 +38,7 @@ def calls(monkeypatch):
             found.flown.append(("fast", fault, detector, arm, recovery))
             return SimpleNamespace(log=fault, profile=Profile())
 
-    def fly(scenario, fault, detector, *, recovery, profile):
+    def fly(scenario, fault, detector, *, recovery, profile, **_):
         found.flown.append(("long", fault, detector, scenario.name, recovery))
         return Flight(fault, Profile() if profile else None)
 
