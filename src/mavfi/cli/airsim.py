@@ -45,7 +45,7 @@ app = typer.Typer(no_args_is_help=True)
 
 @app.callback()
 def _airsim() -> None:
-    """Programs for AirSim fly our vehicle, unmodified, with faults in their calls (pip install 'mavfi[airsim]')."""
+    r"""Programs for AirSim fly our vehicle, unmodified, with faults in their calls (pip install 'mavfi\[airsim]')."""
 
 
 @app.command("serve")

@@ -23,7 +23,7 @@ app = typer.Typer(no_args_is_help=True)
 
 @app.callback()
 def _mavlink() -> None:
-    """Programs for MAVLink autopilots fly our vehicle, with failures on command (pip install 'mavfi[mavlink]')."""
+    r"""Programs for MAVLink autopilots fly our vehicle, with failures on command (pip install 'mavfi\[mavlink]')."""
 
 
 @app.command("serve")

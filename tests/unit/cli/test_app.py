@@ -33,6 +33,12 @@ def test_help_without_arguments_names_every_verb(capsys):
         assert command.name in text
 
 
+@pytest.mark.parametrize("verb", ["airsim", "mavlink"])
+def test_help_names_the_extra_in_brackets(capsys, verb):
+    assert run([verb, "--help"]) == 0
+    assert f"mavfi[{verb}]" in " ".join(capsys.readouterr().out.split())
+
+
 def test_version(capsys):
     assert run(["--version"]) == 0
     assert capsys.readouterr().out.strip() == __version__
