@@ -170,7 +170,8 @@ def _in_fields(state: str, golden: np.ndarray, injected: np.ndarray, *, in_list:
         places = np.flatnonzero((bits[0] != bits[1]).any(axis=1))
         if len(places):
             first = int(places[0])
-            apart = np.abs(after[places].astype(np.float64) - before[places].astype(np.float64))
+            with np.errstate(all="ignore"):  # corrupted values may be infinite, or signalling NaN
+                apart = np.abs(after[places].astype(np.float64) - before[places].astype(np.float64))
             largest = float(apart.max()) if np.isfinite(apart).all() else math.inf
             element = first if in_list else None
             return _difference(state, field, element, before[first].item(), after[first].item(), len(places), largest)
