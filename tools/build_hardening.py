@@ -33,7 +33,7 @@ from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec
 from mavfi.reports.hardening.plain import caveats, headline, interval, interval_of
 from mavfi.reports.text import percent
-from tools.markers import GENERATED, ROOT, banner
+from tools.markers import GENERATED, ROOT, banner, fill
 
 PAGE = GENERATED / "hardening.md"
 PLAN = ROOT / "configs" / "protections" / "ten_percent.yaml"
@@ -257,6 +257,14 @@ def page(
     )  # fmt: skip
 
 
+def sentence(told: Row) -> str:
+    """What the budget buys and what it does not, for the README."""
+    return (
+        f"What {percent(told['budget'], 0)} of the kernels' time buys "
+        f"([curves, plans, certificates](docs/generated/hardening.md)): {headline(told)} {caveats(told)[0]}"
+    )
+
+
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -279,6 +287,7 @@ def main() -> None:
     fractions = [float(text) for text in given.fractions.split(",")]
     certified = list(certificates(study, advices, fractions, given.faults, records))
     PAGE.write_text(page(study, told, curves, certified, compared, check, given.faults), encoding="utf-8")
+    fill(ROOT / "README.md", {"hardening": sentence(told)})
     print(f"wrote {PAGE}")
 
 
