@@ -201,7 +201,7 @@ def _mission_lines(campaign: Path | None) -> list[str]:
     ]  # fmt: skip
     for view in ("firmware_faults", "firmware_functions"):
         found = table_of(runs, view)
-        lines += [f"### {found.title}", "", markdown_table(found).rstrip(), *(f"\n{note}" for note in found.notes), ""]
+        lines += [markdown_table(found).rstrip().replace("## ", "### ", 1), ""]
     return lines
 
 
