@@ -91,7 +91,7 @@ def compact(block: str) -> str:
         if kind:
             shown.setdefault(setting, {})[kind] = [cell.split()[0] for cell in cells]
     if not shown or any(set(kinds) != {"here", "paper"} for kinds in shown.values()):
-        raise ValueError("not a success table beside the paper's")
+        raise ValueError("not a success table with the paper's rates")
     sizes = sorted({int(n) for line in rows for cell in line for n in re.findall(r" \d+/(\d+)$", cell)})
     lines = [
         f"| missions that succeed, % (the paper's) | {' | '.join(rows[0][2:])} |",

@@ -32,7 +32,7 @@ CONTROLLER_LOST = "controller_lost"
 
 
 class End(StrEnum):
-    """How a run ended as a computation: with a log, with a crash (on every attempt), or with a defect of mavfi."""
+    """How a run ended as a computation: with a log, with a crash of the process, or with a defect of mavfi."""
 
     FLOWN = "flown"
     DUE = "due"

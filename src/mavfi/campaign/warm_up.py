@@ -30,11 +30,10 @@ def compile_ahead(campaigns: Iterable[Campaign], executor: Executor) -> None:
         MavfiError: A worker was lost.
     """
     bare = [_without_detectors(campaign) for campaign in campaigns if host_of(campaign).in_process]
+    bare.sort(key=lambda campaign: not isinstance(campaign.sampling, InstructionSampling))  # these take longest
     missions = [
         MissionPlan(campaign, campaign.environments[0], campaign.first_seed)
-        for campaign in sorted(
-            bare, key=lambda one: not isinstance(one.sampling, InstructionSampling)
-        )  # these take longest
+        for campaign in bare
         if not _done(campaign).exists()
     ]
     for mission, _ in map_each(executor, warm_up, missions):

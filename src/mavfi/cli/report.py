@@ -1,6 +1,7 @@
 """`mavfi report`: print the headline or tables of a campaign; write report.md and figures to its folder."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,9 +16,9 @@ from mavfi.errors import BadInputError
 MOST_FLIGHTS = 10_000
 
 if TYPE_CHECKING:
-    from mavfi.campaign.study import Study
     from mavfi.reports.campaign_report import Report
     from mavfi.reports.html.report_page import Drawn
+    from mavfi.reports.study_report import StudyReport
 
 
 def report(  # noqa: PLR0913 - one parameter per option
@@ -46,78 +47,52 @@ def report(  # noqa: PLR0913 - one parameter per option
 
     Example: [bold]mavfi report out/states --view by_state --csv[/bold]
     """
-    from mavfi.campaign.store import Store
-
     if as_csv and not view:
         raise BadInputError("--csv: allowed: with --view NAME")
     _check_files(html, flights, figures, workers)
-    Store.open(directory).close()  # fails before writing if the folder holds no campaign
     if view:
         _show_view(directory, view, as_csv=as_csv, as_json=as_json)
         return
+    from mavfi.campaign.store import Store
     from mavfi.reports.study_report import stored_study
 
-    check_folder(directory)
     study = stored_study(directory)
+    for folder in (".",) if study is None else study[0].campaigns:
+        Store.open(directory / folder).close()  # fails before writing if a ledger is missing or damaged
+    check_folder(directory)
+    written: Report | StudyReport
     if study is None:
-        _report_campaign(directory, draw_run, html, flights, figures, workers, show_all, as_json)
+        from mavfi.cli.report_page import write_html
+        from mavfi.reports.campaign_report import write_report
+        from mavfi.reports.html.report_page import drawn
+
+        written = write_report(directory, draw_run=draw_run)
+        count = 0 if html is None else write_html(html, directory, written, flights, workers)
+        pictures, show = partial(drawn, written.runs), partial(show_report, written, show_all)
     else:
-        _report_study(*study, directory, draw_run, html, flights, figures, workers, show_all, as_json)
+        from mavfi.cli.study_report import show_study_report, write_study_report
+        from mavfi.reports.html.report_page import drawn_of_study
 
-
-def _report_campaign(  # noqa: PLR0913 - what the command was given
-    directory: Path, draw_run: bool, html: Path | None, flights: int | None, figures: Path | None, workers: int,
-    show_all: bool, as_json: bool,
-) -> None:  # fmt: skip
-    from mavfi.cli.report_page import write_html
-    from mavfi.reports.campaign_report import write_report
-    from mavfi.reports.html.report_page import drawn
-
-    written = write_report(directory, draw_run=draw_run)
-    made = []
-    if html is not None:
-        made.append(_page_text(html, write_html(html, directory, written, flights, workers)))
+        written, count = write_study_report(*study, directory, html, flights, workers, draw_run=draw_run)
+        pictures, show = partial(drawn_of_study, written), partial(show_study_report, written, show_all)
+    made = [] if html is None else [f"{html}, with {count} flights, {html.stat().st_size / 1e6:.1f} MB"]
     if figures is not None:
-        made.append(_write_figures({one.name: one for one in drawn(written.runs)}, figures))
+        made.append(_write_figures(pictures(), figures))
     if as_json:
         write_json(written.to_json())
         return
-    show_report(written, show_all)
-    _show_files(directory, written.files, made)
-
-
-def _report_study(  # noqa: PLR0913 - what the command was given
-    study: "Study", scale: str, directory: Path, draw_run: bool, html: Path | None, flights: int | None,
-    figures: Path | None, workers: int, show_all: bool, as_json: bool,
-) -> None:  # fmt: skip
-    from mavfi.cli.study_report import show_study_report, write_study_report
-    from mavfi.reports.html.report_page import drawn_of_study
-
-    written, count = write_study_report(study, scale, directory, html, flights, workers, draw_run=draw_run)
-    made = [] if html is None else [_page_text(html, count)]
-    if figures is not None:
-        made.append(_write_figures(drawn_of_study(written), figures))
-    show_study_report(written, show_all=show_all, as_json=as_json)
-    if not as_json:
-        _show_files(directory, written.files, made)
-
-
-def _show_files(directory: Path, files: Sequence[Path], made: Sequence[str]) -> None:
-    names = ", ".join(str(path.relative_to(directory)) for path in files)
+    show()
+    names = ", ".join(str(path.relative_to(directory)) for path in written.files)
     console().print(f"[dim]wrote[/dim] {names} [dim]in[/dim] {directory}", soft_wrap=True)
     for line in made:
         console().print(f"wrote {line}", style="dim", markup=False, soft_wrap=True)
 
 
-def _page_text(page: Path, flights: int) -> str:
-    return f"{page}, with {flights} flights, {page.stat().st_size / 1e6:.1f} MB"
-
-
-def _write_figures(drawn: Mapping[str, "Drawn"], folder: Path) -> str:
-    """Write figures under the given names; return one line of text."""
+def _write_figures(drawn: Iterable["Drawn"], folder: Path) -> str:
+    """Write figures; return one line of text."""
     from mavfi.reports.figure_files import write_figure
 
-    paths = [path for name, one in drawn.items() for path in write_figure(one.figure, folder, name)]
+    paths = [path for one in drawn for path in write_figure(one.figure, folder, one.name)]
     return f"{', '.join(path.name for path in paths) or 'no figure'} in {folder}"
 
 

@@ -9,7 +9,7 @@ import typer
 from rich.text import Text
 
 from mavfi.cli import options
-from mavfi.cli.console import check_folder, console
+from mavfi.cli.console import check_folder, console, write_json
 from mavfi.cli.stopping import stoppable
 from mavfi.errors import BadInputError
 
@@ -78,13 +78,15 @@ def reproduce(  # noqa: PLR0913 - one parameter per option
             show = bar.show_campaign
             run_campaign(campaign, out / folder, executor=executor, models_dir=out / MODELS, progress=show)
     written, _ = write_study_report(chosen, scale, out, out / PAGE, FLIGHTS, workers)
-    show_study_report(written, show_all=show_all, as_json=as_json)
-    if not as_json:
-        terminal = console()
-        terminal.print(Text(f"The report: {out / PAGE} (tables, figures, runs, flights), {out / MARKDOWN} as text."))
-        terminal.print(Text(f"The ledgers: {', '.join(str(out / folder) for folder in campaigns)}."), soft_wrap=True)
-        where = f"The models are in {out / MODELS}. It took {duration(time.perf_counter() - begun)}."
-        terminal.print(where, soft_wrap=True)
+    if as_json:
+        write_json(written.to_json())
+        return
+    show_study_report(written, show_all)
+    terminal = console()
+    terminal.print(Text(f"The report: {out / PAGE} (tables, figures, runs, flights), {out / MARKDOWN} as text."))
+    terminal.print(Text(f"The ledgers: {', '.join(str(out / folder) for folder in campaigns)}."), soft_wrap=True)
+    where = f"The models are in {out / MODELS}. It took {duration(time.perf_counter() - begun)}."
+    terminal.print(where, soft_wrap=True)
 
 
 def _untrained(campaigns: Iterable["Campaign"], folder: Path, flights: int) -> list["MissionSpec"]:

@@ -5,7 +5,7 @@ from pathlib import Path
 from rich.text import Text
 
 from mavfi.campaign.study import Study
-from mavfi.cli.console import console, write_json
+from mavfi.cli.console import console
 from mavfi.cli.report_page import write_study_html
 from mavfi.reports.campaign_report import write_report
 from mavfi.reports.study_report import StudyReport, write_study
@@ -39,11 +39,8 @@ def write_study_report(  # noqa: PLR0913 - what the command was given
     return written, count
 
 
-def show_study_report(written: StudyReport, *, show_all: bool, as_json: bool) -> None:
-    """Print a study: the first table of each headline section (all tables of all sections) and findings; or JSON."""
-    if as_json:
-        write_json(written.to_json())
-        return
+def show_study_report(written: StudyReport, show_all: bool) -> None:
+    """Print a study: the first table of each headline section (or all tables of all sections), and the findings."""
     terminal = console()
     for section in written.sections if show_all else written.headline:
         terminal.print(Text(section.section.title, "bold"))

@@ -3,13 +3,16 @@
 import csv
 import io
 import json
+import shutil
 
 import polars as pl
 import pytest
 
 from mavfi.campaign.executors.local import LocalExecutor
 from mavfi.campaign.run import run_campaign
+from mavfi.campaign.study import Study
 from mavfi.cli import run
+from mavfi.reports.study_report import write_study
 from tests.unit.campaign.fakes import small
 
 
@@ -33,6 +36,16 @@ def test_the_report_ends_with_the_headline(capsys, flown):
     assert "How missions ended" in told(capsys, "report", flown, "--no-draw-run", "--all")
     data = json.loads(told(capsys, "report", flown, "--no-draw-run", "--json"))
     assert data["campaign"]["name"] == "small" and data["tables"]["endings"]["rows"]
+
+
+def test_a_study_needs_no_campaign_in_its_own_folder(capsys, flown, tmp_path):
+    shutil.copytree(flown, tmp_path / "states")
+    write_study(Study(name="two", campaigns={"states": "table1"}), "quick", tmp_path, fly=False)
+    text = told(capsys, "report", tmp_path, "--no-draw-run", "--figures", tmp_path / "out")
+    assert "State level: success rates" in text and "study.md" in text
+    shutil.rmtree(tmp_path / "states")
+    assert run(["report", str(tmp_path)]) == 2
+    assert f"{tmp_path / 'states'}: holds no campaign" in capsys.readouterr().err
 
 
 def test_one_table_by_name(capsys, flown):

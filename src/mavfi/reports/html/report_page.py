@@ -1,7 +1,7 @@
 """The report of one or more campaigns as one HTML file: headline, sections, runs, flights."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -72,14 +72,14 @@ def sections_of_study(study: StudyReport) -> list[Section]:
     return [*first, *found, Section(study.times.title, [study.times])]
 
 
-def drawn_of_study(study: StudyReport) -> dict[str, Drawn]:
-    """Figures of a study by unique name: campaign and figure."""
-    return {
-        f"{one.runs.campaign['name']}_{found.name}": found
+def drawn_of_study(study: StudyReport) -> list[Drawn]:
+    """Figures of a study; their names begin with that of the campaign."""
+    return [
+        replace(found, name=f"{one.runs.campaign['name']}_{found.name}")
         for one in study.sections
         if one.runs is not None
         for found in _drawn(one.runs, one.section.figures)
-    }
+    ]
 
 
 def sections_of(report: Report) -> list[Section]:
