@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 from mavfi.detectors.detector import Detector
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, StateFault
+from mavfi.faults.fault import Fault
 from mavfi.flight_log import FlightLog, Profile
 from mavfi.flight_record import FlightRecord, record_of
 from mavfi.hosts.loop.recovery import INLINE, Recovery
@@ -92,14 +92,26 @@ class MissionFlights(Protocol):
 class ArmFlights(ABC):
     """Base class of `MissionFlights` that caches the golden flight and the detector of each arm."""
 
-    def __init__(self, arms: Mapping[str, ArmSetup]) -> None:
-        self._arms = arms
+    def __init__(self, host: "Host", arms: Mapping[str, ArmSetup]) -> None:
+        self._host, self._arms = host, arms
         self._detectors: dict[str, Detector | None] = {}
         self._golden: dict[str, Flight] = {}
 
     @abstractmethod
-    def _fly(self, arm: str, fault: StateFault | None, *, profile: bool = False) -> Flight:
-        """Fly one flight of an arm."""
+    def _fly(self, arm: str, fault: Any, *, profile: bool = False) -> Flight:
+        """Fly one flight of an arm; the fault is of a level of the host, None = golden."""
+
+    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
+        """See `MissionFlights.injected`; flown sequentially."""
+        for place, (arm, fault) in enumerate(runs):
+            yield place, self._attempt(arm, fault)
+
+    def _attempt(self, arm: str, fault: Fault) -> Flight | Exception:
+        try:
+            require_level(self._host, fault.level)
+            return self._fly(arm, fault)
+        except Exception as error:  # noqa: BLE001 - ends this run only
+            return error
 
     def golden(self, arm: str, *, profile: bool = False) -> Flight:
         """See `MissionFlights.golden`."""

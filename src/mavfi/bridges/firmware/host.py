@@ -1,11 +1,11 @@
 """The host `firmware`: missions flown by a real flight controller's firmware, with faults in its registers."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 
 from mavfi.bridges.firmware.build import installed
 from mavfi.bridges.firmware.flight import fly
 from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, RegisterFault
+from mavfi.faults.fault import RegisterFault
 from mavfi.hosts.host import ArmFlights, ArmSetup, Flight
 from mavfi.hosts.loop.compose import resolve
 from mavfi.mission import MissionSpec, Scenario
@@ -18,7 +18,7 @@ class FirmwareHost:
     """Flies each mission in this process, with the firmware as a process of its own in lock-step."""
 
     name = "firmware"
-    levels = frozenset({RegisterFault.level})
+    levels: frozenset[str] = frozenset({RegisterFault.level})
     deterministic = True
     in_process = True
 
@@ -43,23 +43,12 @@ class FirmwareHost:
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "FirmwareFlights":
         """See `Host.mission`; every flight is flown in full."""
-        return FirmwareFlights(arms)
+        return FirmwareFlights(self, arms)
 
 
 class FirmwareFlights(ArmFlights):
     """The flights of one mission; see `MissionFlights`."""
 
-    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
-        """See `MissionFlights.injected`; flown sequentially."""
-        for place, (arm, fault) in enumerate(runs):
-            try:
-                if not isinstance(fault, RegisterFault):
-                    raise BadInputError(f"host firmware: faults of level {fault.level!r}: allowed: register")
-                yield place, self._fly(arm, fault)
-            except Exception as error:  # noqa: BLE001 - ends this run only
-                yield place, error
-
-    def _fly(self, arm: str, fault: Fault | None, *, profile: bool = False) -> Flight:
+    def _fly(self, arm: str, fault: RegisterFault | None, *, profile: bool = False) -> Flight:
         setup = self._arms[arm]
-        own = fault if isinstance(fault, RegisterFault) else None
-        return fly(setup.scenario, own, self._detector(arm), recovery=setup.recovery, profile=profile)
+        return fly(setup.scenario, fault, self._detector(arm), recovery=setup.recovery, profile=profile)

@@ -44,14 +44,16 @@ class LocalHost:
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "LocalFlights":
         """See `Host.mission`."""
-        return LocalFlights(arms, fast_forward, self._make_plant)
+        return LocalFlights(self, arms, fast_forward, self._make_plant)
 
 
 class LocalFlights(ArmFlights):
     """The flights of one mission; see `MissionFlights`."""
 
-    def __init__(self, arms: Mapping[str, ArmSetup], fast_forward: bool, make_plant: MakePlant = Simulator) -> None:
-        super().__init__(arms)
+    def __init__(
+        self, host: LocalHost, arms: Mapping[str, ArmSetup], fast_forward: bool, make_plant: MakePlant
+    ) -> None:
+        super().__init__(host, arms)
         self._simulated, self._make_plant = make_plant is Simulator, make_plant
         self._fast = fast_forward and self._simulated
         self._forward: dict[str, FastForward] = {}
@@ -69,13 +71,7 @@ class LocalFlights(ArmFlights):
             if isinstance(fault, InstructionFault):
                 batches.setdefault(arm, []).append((place, fault))
                 continue
-            try:
-                if not isinstance(fault, (StateFault, MemoryFault)):
-                    allowed = "state, memory, instruction"
-                    raise BadInputError(f"host local: faults of level {fault.level!r}: allowed: {allowed}")
-                yield place, self._fly(arm, fault)
-            except Exception as error:  # noqa: BLE001 - ends this run only
-                yield place, error
+            yield place, self._attempt(arm, fault)
         for arm, batch in batches.items():
             yield from self._instructions(arm, batch)
 

@@ -1,9 +1,8 @@
 """The host `ros1`: missions flown by ROS nodes in lock-step, bit-identical to flights of the host `local`."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 
-from mavfi.errors import BadInputError
-from mavfi.faults.fault import Fault, StateFault
+from mavfi.faults.fault import StateFault
 from mavfi.hosts.host import ArmFlights, ArmSetup, Flight
 from mavfi.hosts.loop.compose import resolve
 from mavfi.hosts.ros1 import finder
@@ -21,7 +20,7 @@ class Ros1Host:
     """Runs every kernel, the world, injector and detector as separate ROS nodes."""
 
     name = "ros1"
-    levels = frozenset({StateFault.level})
+    levels: frozenset[str] = frozenset({StateFault.level})
     deterministic = True
     in_process = False
 
@@ -41,21 +40,11 @@ class Ros1Host:
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "Ros1Flights":
         """See `Host.mission`; every flight is flown in full."""
-        return Ros1Flights(arms)
+        return Ros1Flights(self, arms)
 
 
 class Ros1Flights(ArmFlights):
     """The flights of one mission; see `MissionFlights`."""
-
-    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Flight | Exception]]:
-        """See `MissionFlights.injected`; flown sequentially."""
-        for place, (arm, fault) in enumerate(runs):
-            try:
-                if not isinstance(fault, StateFault):
-                    raise BadInputError(f"host ros1: faults of level {fault.level!r}: allowed: state")
-                yield place, self._fly(arm, fault)
-            except Exception as error:  # noqa: BLE001 - ends this run only
-                yield place, error
 
     def _fly(self, arm: str, fault: StateFault | None, *, profile: bool = False) -> Flight:
         setup, first = self._arms[arm], arm not in self._detectors
