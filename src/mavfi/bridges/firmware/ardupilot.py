@@ -1,7 +1,7 @@
 """ArduPilot's JSON interface of SITL (`--model JSON:127.0.0.1`): the simulator's side, in lock-step.
 
-ArduPilot sends servo outputs by UDP, and waits for one line of JSON with the body's state; after a second without it,
-it sends the same frame again.  Source: ArduPilot, `libraries/SITL/SIM_JSON.h` and `examples/JSON/readme.md`.
+ArduPilot sends servo outputs by UDP, and waits for one line of JSON with the body's state; after one second without an
+answer it repeats the frame.  Source: ArduPilot, `libraries/SITL/SIM_JSON.h` and `examples/JSON/readme.md`.
 
 Checked against written frames only: no ArduPilot binary was run.
 """
@@ -32,7 +32,7 @@ def servos(datagram: bytes) -> Servos:
     """Read a datagram.
 
     Raises:
-        BadInputError: It is none of ArduPilot's.
+        BadInputError: It is not from ArduPilot.
     """
     magic = int.from_bytes(datagram[:2], "little")
     layout = _OUTPUTS.get(magic)
@@ -60,11 +60,11 @@ def state(
         velocity: World frame (m/s).
     """
     w, x, y, z = quaternion
-    told = {
+    fields = {
         "timestamp": time_s, "imu": {"gyro": _turned(rates), "accel_body": _turned(force)},
         "position": _turned(position), "quaternion": [w, x, -y, -z], "velocity": _turned(velocity),
     }  # fmt: skip
-    return b"\n" + json.dumps(told, allow_nan=False).encode() + b"\n"
+    return b"\n" + json.dumps(fields, allow_nan=False).encode() + b"\n"
 
 
 def _turned(vector: Sequence[float]) -> list[float]:
@@ -72,12 +72,12 @@ def _turned(vector: Sequence[float]) -> list[float]:
 
 
 class Frames:
-    """Follows the numbers of frames.
+    """Checks the numbers of frames for loss, repetition and restarts.
 
     Attributes:
-        lost: Number of frames that never came.
-        repeated: Number of frames that came again.
-        restarts: How often ArduPilot has started anew.
+        lost: Number of missing frames.
+        repeated: Number of repeated frames.
+        restarts: Number of times that ArduPilot restarted.
     """
 
     def __init__(self) -> None:
