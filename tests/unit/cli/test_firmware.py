@@ -35,7 +35,7 @@ def test_bad_options_are_refused(given, complaint):
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [(["fly", "--strike", "firmware@1", "--fault", "null"], "allowed: without --fault"),
-     (["firmware", "setup", "--betaflight", "/nonexistent"], "holds no betaflight_"),
+     (["firmware", "setup", "--betaflight", "/nonexistent"], "contains no betaflight_"),
      (["firmware", "setup", "--betaflight", "/", "--build"], "allowed: one of them"),
      (["fly", "--strike", "firmware@1"], "flight_controller: cascade: has no registers of its own")],
 )  # fmt: skip
