@@ -16,7 +16,6 @@ KINDS = {
 ASKED = {"level", "scheme", "host", "kernels"}
 """Attributes and names which say what kind of experiment this is."""
 ALLOWED = {
-    "bridges/firmware/host.py": 2,  # a host of its own, which refuses other faults
     "campaign/config.py": 1,  # keys that go together: groups with their scheme
     "faults/register/tracer.py": 1,  # an order to this process is of its level
 }

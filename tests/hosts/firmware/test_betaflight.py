@@ -6,9 +6,13 @@ import pytest
 from mavfi.bridges.firmware import build
 from mavfi.bridges.firmware.flight import fly, register_fault
 from mavfi.bridges.firmware.host import FirmwareHost
+from mavfi.bridges.firmware.injector import CALLS
 from mavfi.errors import BadInputError
+from mavfi.flight_log import Injection
+from mavfi.hosts.host import ArmSetup
 from mavfi.hosts.loop.assemble import new_loop
 from mavfi.hosts.loop.compose import resolve
+from mavfi.hosts.loop.observe import Attached
 from mavfi.mission import MissionSpec, MissionStatus
 
 
@@ -36,8 +40,6 @@ def test_a_whole_mission_succeeds(golden):
 
 
 def test_calls_of_the_clock_stay_below_the_bound_of_the_draw(golden):
-    from mavfi.bridges.firmware.injector import CALLS
-
     assert 100 < golden.extra["most_calls"] <= CALLS
 
 
@@ -49,6 +51,24 @@ def test_a_fault_is_repeated_to_the_last_bit_and_its_null_run_is_golden(golden):
     null = fly(scenario(), register_fault(3_000_000, 5, null=True)).log
     assert null.injections[0].activated
     assert null.digest() == golden.log.digest()
+
+
+def test_observers_receive_the_injection():
+    class Observer:
+        def begin(self, loop):
+            self.items = []
+
+        def published(self, state, time_us):
+            pass
+
+        def tick(self, row, news, status):
+            self.items += news
+
+    observer, fault = Observer(), register_fault(1_000_000, 5)
+    setup = ArmSetup(scenario(), observers=(Attached(observer),))
+    [(_, flight)] = FirmwareHost().mission({"": setup}).injected([("", fault)])
+    assert flight.log.injections[0].activated
+    assert [item for item in observer.items if isinstance(item, Injection)] == flight.log.injections
 
 
 def test_the_velocity_command_is_followed():

@@ -141,8 +141,8 @@ def installed() -> Installed:
 
 def _installed(binary: Path) -> Installed:
     shim = compiled("lockstep.c", "-ldl")
-    name = f"{_digest(binary)[:16]}-{_digest(Path(__file__).with_name('betaflight.py'))[:16]}"
-    kept = cache() / f"configuration-{name}"
+    sources = binary, Path(__file__).with_name("betaflight.py")
+    kept = cache() / "-".join(["configuration", *(_digest(file)[:16] for file in sources)])
     if not kept.is_file():
         try:
             version, content = configure(binary, shim)
