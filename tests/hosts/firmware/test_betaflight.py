@@ -1,12 +1,15 @@
 """Betaflight's real firmware flies parts of missions; skipped where it is not installed (docs/firmware.md)."""
 
+from contextlib import closing
+
 import numpy as np
 import pytest
 
-from mavfi.bridges.firmware import build
+from mavfi.bridges.firmware import betaflight, build
 from mavfi.bridges.firmware.flight import fly, register_fault
 from mavfi.bridges.firmware.host import FirmwareHost
-from mavfi.bridges.firmware.injector import CALLS
+from mavfi.bridges.firmware.injector import CALLS, WALK
+from mavfi.bridges.firmware.process import Firmware
 from mavfi.errors import BadInputError
 from mavfi.flight_log import Injection
 from mavfi.hosts.host import ArmSetup
@@ -41,6 +44,18 @@ def test_a_whole_mission_succeeds(golden):
 
 def test_calls_of_the_clock_stay_below_the_bound_of_the_draw(golden):
     assert 100 < golden.extra["most_calls"] <= CALLS
+
+
+def test_instructions_between_two_calls_stay_below_the_bound_of_the_draw():
+    needed, longest = build.installed(), 0
+    with closing(Firmware(needed.program, needed.shim, {betaflight.EEPROM: needed.configuration})) as firmware:
+        betaflight.arm(firmware, betaflight.AT_REST)
+        for call in range(CALLS):
+            channels = None if call % 4 else betaflight.ARMED
+            packets = betaflight.packets(firmware.now_ns, betaflight.AT_REST, channels)
+            assert not firmware.run(packets, betaflight.PERIOD_NS, (call, 10**9))  # counts, and never stops
+            longest = max(longest, firmware.instructions)
+    assert 1_000 < longest <= WALK
 
 
 def test_a_fault_is_repeated_to_the_last_bit_and_its_null_run_is_golden(golden):
