@@ -29,7 +29,7 @@ DISARMED = (CENTRE, CENTRE, LOW, CENTRE, *(LOW,) * (CHANNELS - 4))
 """Sticks in the middle, throttle and switches down: roll, pitch, throttle, yaw, auxiliary 1 to 12."""
 ARMED = (CENTRE, CENTRE, LOW, CENTRE, HIGH, *(LOW,) * (CHANNELS - 5))
 RC_FROM_NS, ARM_FROM_NS, ARMED_BY_NS = 3_000_000_000, 6_000_000_000, 10_000_000_000
-"""Time from the start until RC is sent (earlier packets are forgotten), the arm switch is up, the rotors must turn."""
+"""Time from the start until RC is sent (earlier packets are ignored), the arm switch is up, the rotors must turn."""
 ANGLE_LIMIT = math.radians(60.0)
 """Roll and pitch angle at full stick, Betaflight's default (rad)."""
 YAW_RATE = math.radians(120.0)
@@ -217,6 +217,6 @@ def arm(firmware: Firmware, state: Sequence[float]) -> None:
     while not max(firmware.motors) > 0.0:
         since = firmware.now_ns - FIRST_NS
         if since > ARMED_BY_NS:
-            raise MavfiError("the firmware does not arm")
+            raise MavfiError(f"the firmware does not arm within {1e-9 * ARMED_BY_NS:g} s of its time")
         rc = None if since < RC_FROM_NS else DISARMED if since < ARM_FROM_NS else ARMED
         firmware.run(packets(firmware.now_ns, state, rc), BOOT_PERIOD_NS)

@@ -32,7 +32,7 @@ class BetaflightController:
 
     Attributes:
         injector: Injects a register fault; None = no fault.
-        lost: How the firmware ended or hung; None = it runs.  Its motors stand still from then on.
+        lost: How the firmware ended or hung; None = it runs.  Without it, all rotor commands are 0.
         most_calls: Most calls of the shim in a period.
     """
 
