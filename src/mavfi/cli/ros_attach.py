@@ -212,10 +212,9 @@ def _trained(
     from mavfi.hosts.node.watch import train
 
     check_name("--detector", chosen[0], of_monitored_fields())
-    used: list[int] = []
     if source == "online":
         probes = make_probes(listener.first(), fields)
-        return probes, train(*chosen, probes, listener.take(seconds), used.append), used[0]
+        return probes, *train(*chosen, probes, listener.take(seconds))
     return trained_on_file(Path(source), listener.topics, listener.definitions, chosen, fields)
 
 
@@ -235,7 +234,6 @@ def trained_on_file(
     from mavfi.flight_logs.probe import make_probes
     from mavfi.hosts.node.watch import train
 
-    used: list[int] = []
     try:
         messages = list(open_flight_log(source).messages(topics))
         first = {message.topic: (message.layout, message.data) for message in reversed(messages)}
@@ -244,6 +242,6 @@ def trained_on_file(
                 raise BadInputError(f"{topic} has another type there than now ({definition.kind})")
         probes = make_probes(first, fields)
         parts = ((message.topic, message.data) for message in messages)
-        return probes, train(*chosen, probes, parts, used.append), used[0]
+        return probes, *train(*chosen, probes, parts)
     except MavfiError as error:
         raise BadInputError(f"{source}: {str(error).removeprefix(f'{source}: ')}") from None

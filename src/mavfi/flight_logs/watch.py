@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, learn_from
+from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, learn
 from mavfi.errors import BadInputError, allowed
 from mavfi.faults.message.definition import AbsentError, Leaf, flip_bit
 from mavfi.faults.strata import bits_of
@@ -228,7 +228,7 @@ class LogWatch:
             raise BadInputError(f"--train: no topic has {SMALLEST_SAMPLE} messages; allowed: longer recordings")
         specs = {topic: probe.spec for topic, probe in self.probes.items()}
         kept = [[state for state in states if state.spec.name in specs] for states in flights]
-        self.detector: Any = learn_from(kind, profile, kept, specs)
+        self.detector: Any = learn(kind, profile, kept, specs)
         self.trained_on = sum(map(len, kept))
 
     def _states(self, recording: Recording) -> Iterator[tuple[LoggedMessage, State]]:
