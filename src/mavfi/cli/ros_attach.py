@@ -151,15 +151,13 @@ def watch(  # noqa: PLR0913 - one parameter per option
         str, typer.Option(metavar="FIELD,...", help="Numbers, e.g. position\\[0], or TOPIC:FIELD; all by default.")
     ] = "",
     detector: Annotated[str, typer.Option(help=f"{options.DETECTORS}, or package:Class.")] = "gaussian",
-    profile: Annotated[
-        str, typer.Option(help="paper (signs and exponents of values) or tuned (of changes).")
-    ] = "tuned",
+    profile: options.WatchProfile = "tuned",
     train: Annotated[
         str, typer.Option(metavar="FILE.bag|online", help="A ROS 1 bag of normal messages, or what comes first.")
     ] = "online",
     learn_s: Annotated[float, typer.Option("--learn", help="How long to learn online, s.")] = 10.0,
     alarm_topic: Annotated[str, typer.Option(help="Where alarms are published, as JSON text.")] = "/mavfi/alarm",
-    duration: Annotated[float | None, typer.Option(help="Watch for so long, s; until Ctrl-C by default.")] = None,
+    duration: options.Duration = None,
     as_json: options.AsJson = False,
 ) -> None:
     r"""Monitor numeric fields of any topics with one of the paper's detectors; alarms are printed and published.
