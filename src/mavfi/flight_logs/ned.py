@@ -60,18 +60,20 @@ def euler(wxyz: Sequence[float] | np.ndarray) -> tuple[float, float, float]:
     return roll, pitch, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def geodetic(ned: np.ndarray) -> tuple[float, float, float]:
+def geodetic(ned: Sequence[float] | np.ndarray, home: tuple[float, float, float] = HOME) -> tuple[float, float, float]:
     """Latitude and longitude (degrees) and altitude (m) of a position, shape (3,), on a locally flat earth."""
-    latitude, longitude, altitude = HOME
+    latitude, longitude, altitude = home
     north, east, down = map(float, ned)
     per_metre = math.degrees(1 / EARTH_RADIUS)
     across = east * per_metre / math.cos(math.radians(latitude))
     return latitude + north * per_metre, longitude + across, altitude - down
 
 
-def local(latitude: float, longitude: float, altitude: float) -> tuple[float, float, float]:
+def local(
+    latitude: float, longitude: float, altitude: float, home: tuple[float, float, float] = HOME
+) -> tuple[float, float, float]:
     """Inverse of `geodetic`."""
-    at, across, height = HOME
+    at, across, height = home
     north = math.radians(latitude - at) * EARTH_RADIUS
     east = math.radians(longitude - across) * EARTH_RADIUS * math.cos(math.radians(at))
     return north, east, height - altitude

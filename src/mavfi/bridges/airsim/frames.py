@@ -1,7 +1,7 @@
 """Frames and objects of AirSim's API.
 
 AirSim's world is NED with its origin where the vehicle started, its body FRD; ours are ENU-like (x forward, y left,
-z up) and FLU.  One is the other turned by pi about x: (x, -y, -z), quaternion (w, x, -y, -z), exactly.
+z up) and FLU.  Half a turn about x converts one to the other: (x, -y, -z), quaternion (w, x, -y, -z), exactly.
 """
 
 import math
@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
-from mavfi.numerics.elementary import atan2
+from mavfi.flight_logs.ned import geodetic, local
 
 HOME = (47.641468, -122.140165, 122.0)
 """AirSim's OriginGeopoint: latitude, longitude (deg), altitude (m)."""
-EARTH_RADIUS = 6378137.0
-"""WGS 84, equatorial (m)."""
+GEO_POINT = ("latitude", "longitude", "altitude")
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
 Triple = tuple[float, float, float]
@@ -88,13 +87,8 @@ def pose_numbers(data: Any) -> tuple[Triple, tuple[float, float, float, float]]:
 
 
 def geo_point(ned: Numbers) -> dict[str, float]:
-    """GeoPoint of a place in NED (m), on the tangential plane at `HOME`."""
-    north, east, down = ned
-    return {
-        "latitude": HOME[0] + math.degrees(north / EARTH_RADIUS),
-        "longitude": HOME[1] + math.degrees(east / EARTH_RADIUS / math.cos(math.radians(HOME[0]))),
-        "altitude": HOME[2] - down,
-    }
+    """GeoPoint of a place in NED (m), see `geodetic`."""
+    return dict(zip(GEO_POINT, geodetic(ned, HOME), strict=True))
 
 
 def from_geo_point(data: Any) -> Triple:  # noqa: ANN401 - a client's
@@ -104,12 +98,10 @@ def from_geo_point(data: Any) -> Triple:  # noqa: ANN401 - a client's
         BadInputError: It is none.
     """
     try:
-        latitude, longitude, altitude = (float(data[key]) for key in ("latitude", "longitude", "altitude"))
+        latitude, longitude, altitude = (float(data[key]) for key in GEO_POINT)
     except (KeyError, TypeError, ValueError):
         raise BadInputError(f"{data!r}: allowed: a GeoPoint (latitude, longitude, altitude)") from None
-    north = math.radians(latitude - HOME[0]) * EARTH_RADIUS
-    east = math.radians(longitude - HOME[1]) * EARTH_RADIUS * math.cos(math.radians(HOME[0]))
-    return north, east, HOME[2] - altitude
+    return local(latitude, longitude, altitude, HOME)
 
 
 def mount(position: Numbers, orientation: Numbers) -> tuple[float, ...]:
@@ -121,14 +113,3 @@ def looking(yaw_deg: float, pitch_deg: float) -> tuple[float, float, float, floa
     """Orientation (FRD, w x y z) of a camera turned to the right and pitched up (deg)."""
     y, p = 0.5 * math.radians(yaw_deg), 0.5 * math.radians(pitch_deg)
     return math.cos(y) * math.cos(p), -math.sin(y) * math.sin(p), math.cos(y) * math.sin(p), math.sin(y) * math.cos(p)
-
-
-def yaw_of(orientation: Numbers) -> float:
-    """Yaw (rad, clockwise from above) of an NED orientation w x y z."""
-    w, x, y, z = orientation
-    return float(atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
-
-
-def as_array(values: Numbers) -> np.ndarray:
-    """Numbers as an array of float64."""
-    return np.array(values, np.float64)

@@ -14,12 +14,11 @@ from typing import Any
 from mavfi.bridges.airsim import flying, scene, sensing
 from mavfi.bridges.airsim.boundary import Boundary
 from mavfi.bridges.airsim.clock import Real, Steps
+from mavfi.bridges.airsim.runner import TIME_IS_UP
 from mavfi.bridges.airsim.table import Api, find_call, require_ready
 from mavfi.errors import BadInputError, MavfiError
 
 HOST, PORT = "127.0.0.1", 41451
-TIME_IS_UP = "mavfi: time is up"
-"""Begins the error of every call after the time limit; the runner ends the program then."""
 _REQUEST, _RESPONSE = 0, 1
 _READ = 1 << 16
 _MODULES = flying, scene, sensing  # register their calls
@@ -53,7 +52,7 @@ class Server:
     Attributes:
         calls: Number of calls by name.
         errors: Number of errors by message.
-        finished: Set when the last client has left, after the first one came.
+        finished: Set while no client is connected, once there was one.
     """
 
     def __init__(
@@ -80,7 +79,7 @@ class Server:
                 self._serve(name, given, reply)
         except MavfiError as error:
             self._refuse(name, str(error), reply)
-        except (TypeError, ValueError, OverflowError, ArithmeticError) as error:  # arguments of another kind
+        except Exception as error:  # noqa: BLE001 - arguments of any type can come from a client
             self._refuse(name, f"{name}: {error}", reply)
         self.flush()
 
@@ -138,6 +137,7 @@ class Server:
     async def connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve one client until it leaves."""
         self._connections.add(writer)
+        self.finished.clear()
         raw = writer.get_extra_info("socket")
         raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         unpacker = self._msgpack.Unpacker(raw=False, strict_map_key=False, unicode_errors="surrogateescape")
@@ -169,7 +169,7 @@ class Server:
         self.serve_call(name, list(given) if isinstance(given, (list, tuple)) else [given], reply)
 
     async def run(self, port: int, ready: Callable[[int], None], *, once: bool = False) -> None:
-        """Serve on loopback: for ever, or (`once`) until the last client has left.
+        """Serve on loopback until cancelled, or (`once`) until the last client has left.
 
         Args:
             port: 0 = any free one.

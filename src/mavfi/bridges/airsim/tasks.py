@@ -5,7 +5,7 @@ still for 10 periods, a place is reached within 0.5 m, a path is followed by pur
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from mavfi.bridges.airsim.frames import Triple
 from mavfi.bridges.airsim.vehicle import ApiVehicle, Task
 from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import atan2, cos, sin
+from mavfi.sim.grounded import Rotors
 
 DISTANCE_ACCURACY = 0.5
 """Distance within which a place is reached (m)."""
@@ -45,11 +46,6 @@ class Yaw:
     value: float = 0.0
     forward: bool = False
 
-    @property
-    def constant(self) -> bool:
-        """Whether the yaw rate depends on nothing."""
-        return self.is_rate
-
     def rate(self, vehicle: ApiVehicle, velocity: Sequence[float]) -> float:
         """Yaw rate (rad/s) now, at a velocity (NED, m/s)."""
         if self.is_rate:
@@ -75,10 +71,10 @@ def _end_of(vehicle: ApiVehicle, seconds: float) -> int:
 def fly_velocity(vehicle: ApiVehicle, velocity: Triple, seconds: float, yaw: Yaw) -> Task:
     """A velocity for a time; at a constant yaw rate it is commanded once, for the whole time."""
     end = _end_of(vehicle, seconds)
-    if yaw.constant:
+    if yaw.is_rate:
         vehicle.send(velocity, yaw.value, seconds)
     while vehicle.now_us < end:
-        if not yaw.constant:
+        if not yaw.is_rate:
             vehicle.send(velocity, yaw.rate(vehicle, velocity), _HOLD_S)
         yield
     return True
@@ -177,7 +173,7 @@ def land(vehicle: ApiVehicle, timeout: float) -> Task:
         still = still + 1 if abs(vehicle.velocity[2]) <= APPROX_ZERO_SPEED else 0
         if still > STILL_PERIODS:
             vehicle.sim.rest()
-            vehicle.landed = vehicle.sim.height < 0.1
+            vehicle.note_landing()
             return True
     return False
 
@@ -202,8 +198,8 @@ def turn_to(vehicle: ApiVehicle, yaw: float, timeout: float, margin: float) -> T
     return False
 
 
-def fly_rotors(vehicle: ApiVehicle, rotors: Callable[[int, np.ndarray], np.ndarray], seconds: float) -> Task:
-    """Rotor commands from elsewhere for a time, see `mavfi.bridges.airsim.attitude`."""
+def fly_rotors(vehicle: ApiVehicle, rotors: Rotors, seconds: float) -> Task:
+    """Rotor commands for a time, see `mavfi.bridges.airsim.attitude`."""
     end = _end_of(vehicle, seconds)
     vehicle.sim.rotors = rotors
     while vehicle.now_us < end:
