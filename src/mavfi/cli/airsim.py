@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 OF_THE_PIPELINE = (
     "autopilot", "planner", "platform", "map", "map_resolution", "depth_noise", "localization", "dead_node", "alarm",
-    "epoch_liveness", *RECOVERY,
+    "epoch_liveness", "protection", *RECOVERY,
 )  # fmt: skip
 _CLOCKS = ("real", "steps")
 
@@ -83,6 +83,7 @@ def serve(  # noqa: PLR0913 - one parameter per option
     check_name("--clock", clock, _CLOCKS)
     check_number("--speed", speed, 0.01, 1000.0)
     check_number("--port", port, 0, 65535)
+    check_number("--version", version, 1, 100)
     steps = in_flight or clock == "steps"
     if speed != 1.0 and steps:
         raise BadInputError(f"--speed: {speed:g}: allowed: with --clock real, without --in-flight")

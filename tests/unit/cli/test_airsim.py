@@ -41,6 +41,7 @@ def test_json_has_digest_calls_and_errors(capsys):
         (["airsim", "serve", "--clock", "slow"], "--clock: slow"),
         (["airsim", "serve", "--clock", "steps", "--speed", "2"], "--speed: 2: allowed: with --clock real"),
         (["airsim", "serve", "--in-flight", "--speed", "2"], "--speed: 2: allowed: with --clock real"),
+        (["airsim", "serve", "--version", "0"], "--version: 0: allowed: 1 to 100"),
         (["airsim", "serve", "--environment", "moon"], "environment 'moon': not known"),
         (["fly", "--world", "127.0.0.1:1"], "allowed: airsim://127.0.0.1:PORT"),
         (["fly", "--world", "airsim://127.0.0.1:1"], "no server there"),

@@ -1,4 +1,4 @@
-"""Attitude, body-rate and motor commands: rotor commands from our cascade's inner loops, below its velocity loop."""
+"""Rotor commands for attitudes, body rates and motors, from the inner loops of our cascade."""
 
 import math
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ from mavfi.sim.grounded import Rotors
 from mavfi.sim.vehicle import airframe_of
 
 _HEIGHT_GAIN, _CLIMB_GAIN, _CLIMB = 1.5, 2.5, 2.0
-"""Of the height hold: 1/s, 1/s, and the largest vertical speed (m/s)."""
+"""Height hold: gains of height and of vertical speed (1/s), largest vertical speed (m/s)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Vertical:
-    """What sets the collective thrust: `throttle` (0 to 1, of all rotors' thrust), or the height `z` (NED, m)."""
+    """Set-point of the collective thrust: `throttle`, a share of the largest thrust, or a height `z` (NED, m)."""
 
     throttle: float | None = None
     z: float = 0.0

@@ -28,7 +28,7 @@ _TEXT = re.compile(
 _BITS = 64
 _FORM = "CALL.PATH[:bit=B][@SECONDS], e.g. moveByVelocity.vx:bit=62@10 or simGetVehiclePose.return.position.z_val"
 _LONGEST = 16
-"""Lists of more numbers (images, point clouds) are not watched."""
+"""Values with more numbers (images, point clouds) are not observed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +150,7 @@ class Boundary:
 
 
 class BoundaryWatch:
-    """A detector on the numbers at the boundary: it observes, and withholds nothing.
+    """A detector that observes the numbers at the boundary, without effect on them.
 
     Args:
         detector: Trained on error-free calls, see `train`.
@@ -166,7 +166,7 @@ class BoundaryWatch:
         detector.start()
 
     def check(self, source: str, value: Any, now_us: int) -> None:
-        """Judge one value."""
+        """Check one value."""
         spec = self._specs.get(source)
         if spec is None:
             return
@@ -183,23 +183,23 @@ class BoundaryWatch:
 
 
 class Recording:
-    """Error-free values at the boundary, from which a detector learns; has the interface of `BoundaryWatch`."""
+    """Error-free values at the boundary, to train a detector; has the interface of `BoundaryWatch`."""
 
     def __init__(self) -> None:
         self.alarms: list[AlarmRecord] = []
         self._values: list[tuple[str, dict[str, float]]] = []
 
     def check(self, source: str, value: Any, now_us: int) -> None:
-        """Keep one value."""
+        """Record one value."""
         numbers = dict(leaves(value))
         if 0 < len(numbers) <= _LONGEST:
             self._values.append((source, numbers))
 
     def train(self, kind: str, profile: str) -> BoundaryWatch:
-        """A detector of the calls that happened often enough with the same numbers, all finite.
+        """A detector trained on the calls that were made often enough, always with the same fields.
 
         Raises:
-            BadInputError: No call did.
+            BadInputError: There is no such call, or a number is not finite.
         """
         shapes: dict[str, list[tuple[str, ...]]] = {}
         for source, numbers in self._values:

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from mavfi.errors import BadInputError
+from mavfi.flight_logs.ned import Triple as Triple
 from mavfi.flight_logs.ned import geodetic, local
 
 HOME = (47.641468, -122.140165, 122.0)
 """AirSim's OriginGeopoint: latitude, longitude (deg), altitude (m)."""
-GEO_POINT = ("latitude", "longitude", "altitude")
+_GEO_POINT = ("latitude", "longitude", "altitude")
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 
-Triple = tuple[float, float, float]
 Numbers = Sequence[float] | np.ndarray
 
 
@@ -87,8 +87,8 @@ def pose_numbers(data: Any) -> tuple[Triple, tuple[float, float, float, float]]:
 
 
 def geo_point(ned: Numbers) -> dict[str, float]:
-    """GeoPoint of a place in NED (m), see `geodetic`."""
-    return dict(zip(GEO_POINT, geodetic(ned, HOME), strict=True))
+    """GeoPoint of a place in NED (m), on the tangential plane at `HOME`."""
+    return dict(zip(_GEO_POINT, geodetic(ned, HOME), strict=True))
 
 
 def from_geo_point(data: Any) -> Triple:  # noqa: ANN401 - a client's
@@ -98,7 +98,7 @@ def from_geo_point(data: Any) -> Triple:  # noqa: ANN401 - a client's
         BadInputError: It is none.
     """
     try:
-        latitude, longitude, altitude = (float(data[key]) for key in GEO_POINT)
+        latitude, longitude, altitude = (float(data[key]) for key in _GEO_POINT)
     except (KeyError, TypeError, ValueError):
         raise BadInputError(f"{data!r}: allowed: a GeoPoint (latitude, longitude, altitude)") from None
     return local(latitude, longitude, altitude, HOME)

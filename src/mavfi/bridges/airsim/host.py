@@ -63,7 +63,7 @@ class AirsimProgramHost:
 
     def __init__(self, program: ProgramConfig | None = None) -> None:
         if program is None:
-            raise BadInputError("host airsim_program: allowed: with the key program, which says what is under test")
+            raise BadInputError("host airsim_program: allowed: with the key program, the program under test")
         self._program = program
 
     def resolve(self, spec: MissionSpec) -> ProgramMission:

@@ -1,4 +1,4 @@
-"""Images of AirSim's kinds from ranges: depth, a shaded picture, segmentation; as floats, bytes or PNG."""
+"""AirSim's image types, computed from ranges: depth, a shaded picture, segmentation; as floats, bytes or PNG."""
 
 import struct
 import zlib

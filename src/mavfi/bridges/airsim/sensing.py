@@ -8,8 +8,6 @@ import numpy as np
 
 from mavfi.bridges.airsim import pictures
 from mavfi.bridges.airsim.frames import (
-    GEO_POINT,
-    HOME,
     LEVEL,
     flipped,
     geo_point,
@@ -174,7 +172,7 @@ def _(api: Api, gps_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
 
 @call("getHomeGeoPoint")
 def _(api: Api, vehicle_name: str = "") -> dict[str, float]:
-    return dict(zip(GEO_POINT, HOME, strict=True))
+    return geo_point((0.0, 0.0, 0.0))
 
 
 @call("getDistanceSensorData")

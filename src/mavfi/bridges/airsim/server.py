@@ -44,9 +44,9 @@ class Server:
     """Serves one vehicle.
 
     Args:
-        api: The vehicle and what belongs to it.
-        clock: How time passes.
-        boundary: What all calls pass.
+        api: The vehicle behind the API.
+        clock: Advances the vehicle.
+        boundary: Faults and detector.
         single: Whether numbers are sent as float32, as by AirSim.
 
     Attributes:

@@ -26,7 +26,7 @@ class Camera:
 
 @dataclass
 class Api:
-    """What calls act on.
+    """The vehicle and the state that calls read and change.
 
     Attributes:
         vehicle: The vehicle.
@@ -34,7 +34,7 @@ class Api:
         pixels: Width and height of images.
         version: Version that the server reports: 1 for AirSim 1.8.1, 4 for Cosys-AirSim 3.
         cameras: By name, filled when first used.
-        paused: Whether time stands still.
+        paused: Whether simulated time is stopped.
         resume_until_us: Instant of the next pause; None = none is planned.
         objects: Names of the obstacles, in the order of the world's boxes.
         segments: Segmentation ids of objects, by name.

@@ -69,7 +69,7 @@ def _end_of(vehicle: ApiVehicle, seconds: float) -> int:
 
 
 def fly_velocity(vehicle: ApiVehicle, velocity: Triple, seconds: float, yaw: Yaw) -> Task:
-    """A velocity for a time; at a constant yaw rate it is commanded once, for the whole time."""
+    """Fly at a velocity for a time; with a yaw rate, it is commanded once, for the whole time."""
     end = _end_of(vehicle, seconds)
     if yaw.is_rate:
         vehicle.send(velocity, yaw.value, seconds)
@@ -81,7 +81,7 @@ def fly_velocity(vehicle: ApiVehicle, velocity: Triple, seconds: float, yaw: Yaw
 
 
 def fly_velocity_at(vehicle: ApiVehicle, velocity: tuple[float, float], z: float, seconds: float, yaw: Yaw) -> Task:
-    """A horizontal velocity at a height, for a time."""
+    """Fly at a horizontal velocity and a height, for a time."""
     end = _end_of(vehicle, seconds)
     while vehicle.now_us < end:
         down = _clip(_HEIGHT_GAIN * (z - vehicle.position[2]), _CLIMB)
@@ -116,15 +116,15 @@ class _Path:
 def fly_path(
     vehicle: ApiVehicle, points: Sequence[Triple], speed: float, timeout: float, yaw: Yaw, lookahead: float = -1.0
 ) -> Task:
-    """Follow a path from here: pursuit of a point on it, ahead of the vehicle's own foot point.
+    """Follow a path from the current position: pursue a point ahead of the nearest one on the path.
 
     Args:
         vehicle: The vehicle.
         points: NED (m).
         speed: Along the path (m/s).
-        timeout: After which it gives up (s).
+        timeout: Longest duration (s).
         yaw: Heading.
-        lookahead: Distance of the pursued point (m); 0 and less = from the speed.
+        lookahead: Distance of the pursued point (m); 0 and less = chosen from the speed.
 
     Returns:
         Whether the end was reached.
@@ -155,7 +155,7 @@ def take_off(vehicle: ApiVehicle, timeout: float) -> Task:
     """Climb by 2 m.
 
     Raises:
-        BadInputError: The vehicle moves already.
+        BadInputError: The vehicle is not at rest.
     """
     if math.hypot(*vehicle.velocity) > APPROX_ZERO_SPEED:
         raise BadInputError("takeoff: the vehicle moves; allowed: at rest")

@@ -52,7 +52,7 @@ class ApiVehicle:
         origin: Origin of NED in the world (m). Shape (3,).
         landed: Whether it stands on the ground.
         api: Whether a program controls it.
-        ended: Tasks that ended since their owner last looked.
+        ended: Tasks that ended; the owner removes them.
 
     Raises:
         BadInputError: The mission cannot be flown from the ground.
@@ -90,6 +90,10 @@ class ApiVehicle:
             self._base_us += self.sim.time_us
             self.sim.close()
         self.sim, self.scenario = sim, scenario
+        self._begin()
+
+    def _begin(self) -> None:
+        """Set the state of a new simulator."""
         self.origin = self.sim.world.start.copy() if self.on_ground else np.zeros(3)
         self.landed, self.api = self.on_ground, False
         if self.on_ground:
@@ -137,19 +141,19 @@ class ApiVehicle:
 
     @property
     def collision(self) -> Contact | None:
-        """The last contact that counts as a collision: with obstacles; without a ground start, with the ground, too."""
+        """The last contact that is a collision: with an obstacle, and for a start in the air also with the ground."""
         if self.sim.touched is not None or self.on_ground:
             return self.sim.touched
         return self.sim.landed_at
 
     @property
     def has_collided(self) -> bool:
-        """Whether there was such a contact; in flight from the start, by the rule of missions."""
+        """Whether there was a collision; for a start in the air, by the rule of missions."""
         return self.sim.touched is not None if self.on_ground else self.sim.collided
 
     @property
     def has_ever_collided(self) -> bool:
-        """Whether there was one, also before a reset or a change of pose."""
+        """Whether there was a collision, also before a reset or a change of pose."""
         return self._collided_before or self.has_collided
 
     def to_world(self, ned: Triple) -> np.ndarray:
@@ -200,7 +204,7 @@ class ApiVehicle:
         return self._task is not None
 
     def start(self, task: Task) -> int:
-        """Start a task, which acts at once and ends the one before with False; returns its number."""
+        """Start a task, whose first period is now, and end the previous one with False; returns its number."""
         self.cancel()
         self._number += 1
         self._task = task
