@@ -16,7 +16,7 @@ from mavfi.bridges.airsim.boundary import Boundary
 from mavfi.bridges.airsim.clock import Real, Steps
 from mavfi.bridges.airsim.runner import TIME_IS_UP
 from mavfi.bridges.airsim.table import Api, find_call, require_ready
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError
 
 HOST, PORT = "127.0.0.1", 41451
 _REQUEST, _RESPONSE = 0, 1
@@ -77,13 +77,13 @@ class Server:
                 reply(None, result)
             else:
                 self._serve(name, given, reply)
-        except MavfiError as error:
-            self._refuse(name, str(error), reply)
         except Exception as error:  # noqa: BLE001 - arguments of any type can come from a client
-            self._refuse(name, f"{name}: {error}", reply)
+            self._refuse(name, error, reply)
         self.flush()
 
-    def _refuse(self, name: Any, text: str, reply: Reply) -> None:
+    def _refuse(self, name: Any, error: Exception, reply: Reply) -> None:
+        """Answer with an error that names the call."""
+        text = str(error) if str(name) in str(error) else f"{name}: {error}"
         self.errors[text] += 1
         reply(text, None)
 
@@ -127,8 +127,7 @@ class Server:
             if reply is None:
                 continue
             if isinstance(ended.result, Exception):
-                known = isinstance(ended.result, MavfiError)
-                self._refuse(name, str(ended.result) if known else f"{name}: {ended.result}", reply)
+                self._refuse(name, ended.result, reply)
             else:
                 reply(None, self.boundary.returned(name, given, ended.result, vehicle.now_us))
         vehicle.ended.clear()

@@ -301,7 +301,7 @@ def test_wind_blows_and_a_pose_is_taken(flying):
         ("moveToPosition", ("a", 0.0, 0.0, 1.0, 9.0, 0, STILL, -1, 1, ""), "moveToPosition"),
         ("moveToPosition", (math.nan, 0.0, 0.0, 1.0, 9.0, 0, STILL, -1, 1, ""), "allowed: finite points"),
         ("moveOnPath", ([], 1.0, 9.0, 0, STILL, -1, 1, ""), "moveOnPath: no path"),
-        ("simSetVehiclePose", ({}, True, ""), "allowed: a Pose"),
+        ("simSetVehiclePose", ({}, True, ""), "simSetVehiclePose: {}: allowed: a Pose"),
         ("simLoadLevel", ("Blocks",), "level 'Blocks': not known; allowed: "),
         ("simListSceneObjects", ("[",), "allowed: a regular expression"),
         ("simSetSegmentationObjectID", ("[", 1, True), "allowed: a regular expression"),
