@@ -1,4 +1,4 @@
-"""Circles a point with the nose towards it, command by command, as fast as the clock allows.
+"""Circles a point, facing it, with a new velocity command every 0.1 s.
 
 Argument: number of circles.
 """

@@ -1,4 +1,4 @@
-"""Flies lanes over a field with the nose ahead, and takes a depth image at the end of each.
+"""Flies lanes over a field, facing forward, and takes a depth image at the end of each.
 
 Arguments: width (m), number of lanes.
 """
@@ -18,8 +18,8 @@ client.armDisarm(True)
 client.takeoffAsync().join()
 client.moveToZAsync(HEIGHT, 2.0).join()
 for lane in range(lanes):
-    far, side = (width, 0.0) if lane % 2 == 0 else (0.0, width), APART * lane
-    path = [airsim.Vector3r(x, side, HEIGHT) for x in (far[1], far[0])]
+    ends = (0.0, width) if lane % 2 == 0 else (width, 0.0)
+    path = [airsim.Vector3r(x, APART * lane, HEIGHT) for x in ends]
     mode = airsim.YawMode(False, 0)
     client.moveOnPathAsync(path, SPEED, 60, airsim.DrivetrainType.ForwardOnly, mode, 4, 1).join()
     depth = client.simGetImages([airsim.ImageRequest("0", airsim.ImageType.DepthPlanar, True, False)])[0]

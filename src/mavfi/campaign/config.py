@@ -29,7 +29,7 @@ _RENAMED = {
 }  # fmt: skip
 """Keys of campaign schema 1, with their replacements."""
 _UNDER_TEST = {"node": "node", "airsim_program": "program"}
-"""Hosts at which something else than our pipeline is under test, with the key that says what."""
+"""Hosts where something other than our pipeline is under test, with the key that names it."""
 
 
 class Lifetime(Config):
@@ -206,7 +206,8 @@ class Campaign(Config):
 
     name: str
     host: str = Field(
-        "local", description="where missions are flown: local, ros1, node, firmware, or another entry point"
+        "local",
+        description="where missions are flown: local, ros1, node, firmware, airsim_program, or another entry point",
     )
     environments: tuple[str, ...] = Field(min_length=1)
     first_seed: int = Field(10_000, ge=0)
@@ -296,7 +297,7 @@ class Campaign(Config):
 
     @property
     def under_test(self) -> dict[str, Any]:
-        """Arguments of the host: what is under test there, by key."""
+        """Arguments of the host by key: the object under test."""
         return {key: value for key in _UNDER_TEST.values() if (value := getattr(self, key)) is not None}
 
     @property
@@ -349,7 +350,7 @@ def _node_keys(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _program_keys(data: dict[str, Any]) -> dict[str, Any]:
-    """Keys of a campaign of the kind airsim_program: its host, and faults in messages."""
+    """Replace the kind airsim_program by its host and by faults in messages."""
     given = {key: value for key, value in data.items() if key != "kind"}
     return {"host": "airsim_program", "sampling": {"level": "message"}, **given}
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mavfi.bridges.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
 from mavfi.cli import options
 from mavfi.cli.console import check_name, check_number, check_seed, console, write_json
 from mavfi.errors import BadInputError
 from mavfi.mission import RECOVERY, MissionSpec
 
 if TYPE_CHECKING:
-    from mavfi.bridges.airsim.boundary import Boundary
-    from mavfi.bridges.airsim.config import ProgramConfig
+    from mavfi.bridges.airsim.boundary import Boundary, BoundaryFault
     from mavfi.bridges.airsim.program import Ended
     from mavfi.bridges.airsim.server import Server
 
@@ -30,14 +30,16 @@ Fault = Annotated[
     typer.Option(metavar="SPEC", help=r"CALL.PATH[:bit=B]\[@SECONDS], e.g. moveByVelocity.vx:bit=62@10."),
 ]
 FaultSeed = Annotated[int | None, typer.Option(help="Draws the bit that the fault does not name; 0 by default.")]
-Image = Annotated[str, typer.Option(metavar="WxH", help="Size of images; 256x144 by default.")]
+Image = Annotated[str, typer.Option(metavar="WxH", help="Size of images.")]
 VehicleName = Annotated[str, typer.Option(help="Name of the vehicle; calls with another one are refused.")]
-Detector = Annotated[str, typer.Option(help="Watches the numbers in calls and answers: gaussian or autoencoder.")]
-Profile = Annotated[str, typer.Option(help="Of the detector: paper or tuned.")]
-Port = Annotated[int, typer.Option(help="On 127.0.0.1.")]
-Clock = Annotated[str, typer.Option(help="real (as on the wall), or steps (time passes in calls).")]
+Detector = Annotated[str, typer.Option(help="Watches the numbers in calls and their answers: gaussian or autoencoder.")]
+Profile = Annotated[str, typer.Option(help="Profile of the detector: paper or tuned.")]
+Port = Annotated[int, typer.Option(help="TCP port on 127.0.0.1; 0 = any free one.")]
+Clock = Annotated[str, typer.Option(help="real (wall-clock time), or steps (time passes in calls only).")]
 Seconds = Annotated[float, typer.Option(help="Simulated time after which the program is stopped.")]
-Python = Annotated[str, typer.Option(metavar="PYTHON", help="Has the program's AirSim client; mavfi's own by default.")]
+Python = Annotated[
+    str, typer.Option(metavar="PYTHON", help="Interpreter with an AirSim client; mavfi's own by default.")
+]
 Script = Annotated[Path, typer.Argument(metavar="SCRIPT", help="Client program of AirSim; [ARGS] are its own.")]
 
 app = typer.Typer(no_args_is_help=True)
@@ -54,13 +56,21 @@ def serve(  # noqa: PLR0913 - one parameter per option
     mission: MissionSpec,
     port: Port = 41451,
     clock: Clock = "real",
-    speed: Annotated[float, typer.Option(help="Of the clock real: simulated time / time.")] = 1.0,
-    image: Image = "",
-    vehicle_name: VehicleName = "SimpleFlight",
+    speed: Annotated[float, typer.Option(help="Of the clock real: simulated time / wall-clock time.")] = 1.0,
+    image: Annotated[
+        str, typer.Option(metavar="WxH", help=f"Size of images; {IMAGE} by default, with --in-flight that of missions.")
+    ] = "",
+    vehicle_name: VehicleName = VEHICLE,
     in_flight: Annotated[
-        bool, typer.Option("--in-flight", help="Start paused in the air, as a mission does: for mavfi fly --world.")
+        bool,
+        typer.Option(
+            "--in-flight",
+            help="Start paused, hovering at the mission's start, with --clock steps, for mavfi fly --world.",
+        ),
     ] = False,
-    version: Annotated[int, typer.Option(help="Of the API: 1 as AirSim 1.8.1, 4 as Cosys-AirSim 3.")] = 1,
+    version: Annotated[
+        int, typer.Option(help="Version of the API to report: 1 for AirSim 1.8.1, 4 for Cosys-AirSim 3.")
+    ] = 1,
     single: Annotated[bool, typer.Option("--single", help="Send numbers as float32, as AirSim does.")] = False,
     once: Annotated[bool, typer.Option("--once", help="End when the last client leaves.")] = False,
     fault: Fault = None,
@@ -72,9 +82,11 @@ def serve(  # noqa: PLR0913 - one parameter per option
     """
     check_name("--clock", clock, _CLOCKS)
     check_number("--speed", speed, 0.01, 1000.0)
-    check_number("--port", float(port), 0, 65535)
-    if speed != 1.0 and clock != "real":
-        raise BadInputError(f"--speed: {speed:g}: allowed: together with --clock real")
+    check_number("--port", port, 0, 65535)
+    check_number("--version", version, 1, 100)
+    steps = in_flight or clock == "steps"
+    if speed != 1.0 and steps:
+        raise BadInputError(f"--speed: {speed:g}: allowed: with --clock real, without --in-flight")
     from mavfi.bridges.airsim.boundary import Boundary
     from mavfi.bridges.airsim.server import msgpack
     from mavfi.cli.progress import compiling
@@ -87,8 +99,7 @@ def serve(  # noqa: PLR0913 - one parameter per option
         from mavfi.bridges.airsim.server import Server
 
         api = make_api(mission, image, vehicle_name, version, on_ground=not in_flight)
-        api.vehicle.step(api.vehicle.now_us)
-    server = Server(api, Real(speed) if clock == "real" and not in_flight else Steps(), boundary, single=single)
+    server = Server(api, Steps() if steps else Real(speed), boundary, single=single)
     _serve(server, port, once)
 
 
@@ -102,19 +113,22 @@ def _serve(server: Server, port: int, once: bool) -> None:
     def ready(at: int) -> None:
         out.print(f"AirSim API on 127.0.0.1:{at}: {name} in {spec.environment}, seed {spec.seed}", markup=False)
 
-    with suppress(KeyboardInterrupt):
-        asyncio.run(server.run(port, ready, once=once))
-    vehicle, injection = server.api.vehicle, server.boundary.injection
-    hit = "collision" if vehicle.has_collided else "no collision"
+    vehicle = server.api.vehicle
+    try:
+        with suppress(KeyboardInterrupt):
+            asyncio.run(server.run(port, ready, once=once))
+    finally:
+        vehicle.sim.close()
+    hit = "collision" if vehicle.has_ever_collided else "no collision"
     out.print(f"{1e-6 * vehicle.now_us:.3f} s simulated, {hit}, digest {vehicle.digest()[:16]}", markup=False)
-    if injection is not None:
+    if server.boundary.planned is not None:
         out.print(_line(server.boundary), markup=False)
     for text, count in server.errors.items():
         out.print(f"refused {count} x: {text}", markup=False)
 
 
-def _planned(fault: str | None, seed: int | None):  # type: ignore[no-untyped-def] # noqa: ANN202 - a bridge's type
-    """The fault; None without one."""
+def _planned(fault: str | None, seed: int | None) -> BoundaryFault | None:
+    """Read the fault; None without one."""
     if seed is not None:
         check_seed("--fault-seed", seed)
         if fault is None:
@@ -135,8 +149,8 @@ def run(  # noqa: PLR0913 - one parameter per option
     arguments: Annotated[list[str] | None, typer.Argument(metavar="[ARGS]", help="Of the program.")] = None,
     python: Python = "",
     seconds: Seconds = 120.0,
-    image: Image = "256x144",
-    vehicle_name: VehicleName = "SimpleFlight",
+    image: Image = IMAGE,
+    vehicle_name: VehicleName = VEHICLE,
     fault: Fault = None,
     fault_seed: FaultSeed = None,
     detector: Detector = "none",
@@ -152,9 +166,6 @@ def run(  # noqa: PLR0913 - one parameter per option
     check_number("--seconds", seconds, 0.1, 1e5)
     check_name("--detector", detector, ("none", "gaussian", "autoencoder"))
     check_name("--profile", profile, ("paper", "tuned"))
-    from mavfi.bridges.airsim.config import ProgramConfig
-    from mavfi.bridges.airsim.program import pixels
-
     pixels(image)
     planned = _planned(fault, fault_seed)
     program = ProgramConfig(
@@ -181,7 +192,7 @@ def run(  # noqa: PLR0913 - one parameter per option
 
 
 def _report(program: ProgramConfig, golden: Ended, injected: Ended | None, as_json: bool) -> None:
-    """Print what became of a program, the effect of a fault first."""
+    """Print how a program ended, the effect of a fault first."""
     from mavfi.bridges.airsim.program import effect_on, shown
 
     faulty = injected is not None and injected.boundary.planned is not None

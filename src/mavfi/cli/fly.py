@@ -60,6 +60,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
     from mavfi.faults.spec import parse
 
     request = None if fault is None else parse(fault, mission.localization)
+    host = _host(world, fault, mission)
     with compiling(instrumented=fault is not None and fault.startswith("instruction")):
         from mavfi.api import fly_request
         from mavfi.hosts.host import ArmSetup
@@ -73,7 +74,7 @@ def fly(  # noqa: PLR0913 - one parameter per option
         wanted, make = in_register or request, None if watching is None else lambda: watching
         with observing.observing(live, live_port, mavlink, pace) as observers:
             setup = ArmSetup(scenario, make, Recovery.of(mission), observers)
-            result = fly_request(setup, wanted, fault_seed or 0, label, bare, _host(world, fault, mission))
+            result = fly_request(setup, wanted, fault_seed or 0, label, bare, host)
     if save is not None:
         _save(save, result, asked, {"detector": detector, "profile": profile, "models": models})
     if picture is not None:

@@ -87,6 +87,24 @@ class MissionFlights(Protocol):
         """
 
 
+def one_by_one(
+    runs: Sequence[tuple[str, Fault]], run: Callable[[str, Fault], Recorded]
+) -> Iterator[tuple[int, Recorded | Exception]]:
+    """`MissionFlights.injected` of a host that runs them sequentially.
+
+    Raises:
+        BadInputError: Of a run; it would end all others, too.
+    """
+    for place, (arm, fault) in enumerate(runs):
+        try:
+            found: Recorded | Exception = run(arm, fault)
+        except BadInputError:
+            raise
+        except Exception as error:  # noqa: BLE001 - ends this run only
+            found = error
+        yield place, found
+
+
 class ArmFlights(ABC):
     """Base class of `MissionFlights` that caches the golden flight and the detector of each arm."""
 

@@ -1,6 +1,6 @@
 """A vehicle that starts on the ground; motors, pose, wind, obstacles and cameras change at run time.
 
-Missions start in the air and end at the first contact; bridges to other people's programs need more.
+Missions start in the air and end at the first contact; the bridges need more.
 """
 
 from collections.abc import Callable, Sequence
@@ -78,7 +78,7 @@ class Grounded(Simulator):
     Attributes:
         world: Its world, with obstacles added at run time.
         armed: Whether the motors run.
-        resting: Whether it stands on its legs with the motors off or idle; nothing moves it then.
+        resting: Whether it stands on the ground with the motors off or idle; nothing moves it then.
         rotors: Rotor commands in place of the flight controller's; None = the controller flies.
         touched: The last contact with an obstacle; None = none since the start.
         landed_at: The last contact with the ground; None = none in flight.
@@ -125,7 +125,7 @@ class Grounded(Simulator):
             self._turn_rotors(wind, wanted)
 
     def _note_contacts(self) -> None:
-        """Tell obstacles from the ground; without thrust, the vehicle comes to rest where it touches the ground."""
+        """Separate obstacles from the ground; a disarmed vehicle that touches the ground comes to rest."""
         if self._voxels.occupied.size and self.collided:
             here = self.odometry[:3].copy()
             self.touched = Contact(self.time_us, here, here, np.zeros(3), 0.0, SCAN)
@@ -145,7 +145,7 @@ class Grounded(Simulator):
             self._rest()
 
     def _rest(self) -> None:
-        """Stand on the legs: level, at rest."""
+        """Stand on the ground: level, at rest."""
         height, yaw = self._airframe.hull_radius, float(yaw_of(self.odometry[6:10]))
         self._set_state(np.array([*self.odometry[:2], height]), (cos(0.5 * yaw), 0.0, 0.0, sin(0.5 * yaw)))
         self._data.sensordata[ACCELEROMETER] = (0.0, 0.0, GRAVITY)
@@ -160,13 +160,13 @@ class Grounded(Simulator):
 
     # ---- commands ---------------------------------------------------------------------------------------------------
     def command(self, velocity_yaw_rate: np.ndarray, duration: float) -> None:
-        """See `Simulator.command`; a command that lasts takes a resting vehicle off its legs."""
+        """See `Simulator.command`; a command with a duration above 0 ends the rest of an armed vehicle."""
         super().command(velocity_yaw_rate, duration)
         if self.armed and self._expiry_us > self.time_us:
             self.resting = False
 
     def rest(self) -> None:
-        """Stand on the legs, with the motors idle, if the vehicle is on the ground."""
+        """Stand still, with the motors idle, if the vehicle is on the ground."""
         if self.height < _ON_GROUND and not self._voxels.occupied.size:
             self._rest()
 
@@ -208,7 +208,7 @@ class Grounded(Simulator):
         self._new_controller()
 
     def _new_controller(self) -> None:
-        """Start the flight controller again, from the present state."""
+        """Restart the flight controller from the current state."""
         self.controller.close()
         self._thrusts[:] = hover_thrusts(self._airframe) if self.armed else 0.0
         self._setpoint[:], self._expiry_us = 0.0, 0
@@ -231,11 +231,11 @@ class Grounded(Simulator):
             upper: Upper corners (m). Shape (n, 3).
         """
         self.world = replace(self.world, lower=lower, upper=upper)
-        kept = self.snapshot()
+        physics, old = self._physics(), self._data
         self._build(self.world, self.controller.period_us)
-        self.restore(kept)
+        mujoco.mj_setState(self._model, self._data, physics, mujoco.mjtState.mjSTATE_INTEGRATION)
         mujoco.mj_forward(self._model, self._data)
-        self._data.sensordata[:] = kept.sensors
+        self._data.sensordata[:], self._data.warning.number[:] = old.sensordata, old.warning.number
         self._camera = Camera(self._scenario.camera, self.world, self._camera.noise_key)
 
     def ranges(self, camera: CameraConfig, mount: Sequence[float] = _NO_MOUNT) -> tuple[np.ndarray, np.ndarray]:
@@ -249,14 +249,10 @@ class Grounded(Simulator):
             Ranges along the rays (m), infinity beyond the camera's range, shape (height * width,), float32; and the
             directions of the rays in the camera's frame, shape (height * width, 3).
         """
-        directions = self.directions(camera)
-        return self.cast(directions, camera.range, mount), directions
-
-    def directions(self, camera: CameraConfig) -> np.ndarray:
-        """Unit vectors of a camera's pixels, in its own frame. Shape (height * width, 3)."""
         if camera not in self._rays:
             self._rays[camera] = _read_only(pixel_directions(camera))
-        return self._rays[camera]
+        directions = self._rays[camera]
+        return self.cast(directions, camera.range, mount), directions
 
     def cast(self, directions: np.ndarray, limit: float, mount: Sequence[float] = _NO_MOUNT) -> np.ndarray:
         """Ranges along rays (m), float32, infinity beyond the limit (m).
@@ -272,7 +268,7 @@ class Grounded(Simulator):
         return found
 
     def points(self, directions: np.ndarray, ranges: np.ndarray) -> np.ndarray:
-        """World coordinates (m) of what rays in the body frame have met. Shape (n, 3)."""
+        """World coordinates (m) of the points that rays in the body frame hit. Shape (n, 3)."""
         matrix = np.empty((3, 3))
         rotation_matrix(self.odometry[6:10], matrix)
         found: np.ndarray = self.odometry[:3] + product(directions, matrix.T) * ranges[:, None]
@@ -299,7 +295,7 @@ class Grounded(Simulator):
         return [*(float(a + b) for a, b in zip(own, turned, strict=True)), *times(self.odometry[6:10], mount[3:])]
 
     def is_free(self, start: np.ndarray, end: np.ndarray) -> bool:
-        """Whether nothing stands between two points, world frame (m). Shapes (3,)."""
+        """Whether no obstacle is between two points, world frame (m). Shapes (3,)."""
         way = end - start
         length = float(np.sqrt(np.square(way).sum()))
         if length == 0.0:

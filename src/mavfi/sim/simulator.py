@@ -254,14 +254,18 @@ class Simulator:
 
     def snapshot(self) -> Snapshot:
         """The complete state of this flight."""
-        signature = mujoco.mjtState.mjSTATE_INTEGRATION
-        physics = np.empty(mujoco.mj_stateSize(self._model, signature))
-        mujoco.mj_getState(self._model, self._data, physics, signature)
         return Snapshot(
-            self.time_us, physics, self._data.sensordata.copy(), self._data.warning.number.copy(),
+            self.time_us, self._physics(), self._data.sensordata.copy(), self._data.warning.number.copy(),
             self._thrusts.copy(), self.controller.save(), self._setpoint.copy(), self._expiry_us, self.odometry.copy(),
             self.collided, self.rejected_commands, copy.deepcopy(self._imu),
         )  # fmt: skip
+
+    def _physics(self) -> np.ndarray:
+        """MuJoCo's integration state."""
+        signature = mujoco.mjtState.mjSTATE_INTEGRATION
+        physics = np.empty(mujoco.mj_stateSize(self._model, signature))
+        mujoco.mj_getState(self._model, self._data, physics, signature)
+        return physics
 
     def is_at(self, snapshot: Snapshot) -> bool:
         """Whether the current state equals a snapshot, bit for bit."""

@@ -151,3 +151,17 @@ def test_quaternions_multiply_like_rotations():
     half = (SIDE, 0.0, 0.0, SIDE)
     np.testing.assert_allclose(times(half, half), (0.0, 0.0, 0.0, 1.0), atol=1e-15)
     assert times((1.0, 0.0, 0.0, 0.0), half) == list(half)
+
+
+def test_obstacles_change_with_a_controller_that_cannot_be_saved(monkeypatch):
+    def refuse():
+        raise BadInputError("cannot be saved")
+
+    one = grounded()
+    one.arm(True)
+    fly(one, (0.0, 0.0, 1.0), 1.0)
+    monkeypatch.setattr(one.controller, "save", refuse)
+    before = one.odometry.copy()
+    one.set_boxes(np.array(LOWER), np.array(UPPER))
+    one.advance(one.time_us)
+    assert one.odometry.tobytes() == before.tobytes() and len(one.world.lower) == 1

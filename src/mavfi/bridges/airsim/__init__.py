@@ -1,1 +1,1 @@
-"""AirSim's RPC API in both directions: programs for AirSim fly our vehicle, our pipeline flies a server of the API."""
+"""AirSim's RPC API, server and client: programs for AirSim fly our vehicle, our pipeline flies a server's vehicle."""

@@ -1,7 +1,6 @@
-"""Attitude, body-rate and motor commands: rotor commands from our cascade's inner loops, below its velocity loop."""
+"""Rotor commands for attitudes, body rates and motors, from the inner loops of our cascade."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,15 +9,16 @@ from mavfi.bridges.airsim.vehicle import ApiVehicle
 from mavfi.numerics.rotations import rotation_matrix, yaw_of
 from mavfi.sim.cascade import MEMORY_SIZE, YAW_REFERENCE, mix_rotors, wanted_rates
 from mavfi.sim.engine import GRAVITY
+from mavfi.sim.grounded import Rotors
 from mavfi.sim.vehicle import airframe_of
 
 _HEIGHT_GAIN, _CLIMB_GAIN, _CLIMB = 1.5, 2.5, 2.0
-"""Of the height hold: 1/s, 1/s, and the largest vertical speed (m/s)."""
+"""Height hold: gains of height and of vertical speed (1/s), largest vertical speed (m/s)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Vertical:
-    """What sets the collective thrust: `throttle` (0 to 1, of all rotors' thrust), or the height `z` (NED, m)."""
+    """Set-point of the collective thrust: `throttle`, a share of the largest thrust, or a height `z` (NED, m)."""
 
     throttle: float | None = None
     z: float = 0.0
@@ -50,16 +50,14 @@ def _mixed(
     return wanted
 
 
-def at_rates(
-    vehicle: ApiVehicle, roll: float, pitch: float, yaw: float, vertical: Vertical
-) -> Callable[[int, np.ndarray], np.ndarray]:
+def at_rates(vehicle: ApiVehicle, roll: float, pitch: float, yaw: float, vertical: Vertical) -> Rotors:
     """Rotor commands for body rates (FRD, rad/s)."""
     return lambda time_us, odometry: _mixed(vehicle, (roll, -pitch, -yaw), vertical, odometry)
 
 
 def at_attitude(
     vehicle: ApiVehicle, roll: float, pitch: float, yaw: float, yaw_rate: float | None, vertical: Vertical
-) -> Callable[[int, np.ndarray], np.ndarray]:
+) -> Rotors:
     """Rotor commands for an attitude (FRD, rad): roll, pitch, and yaw or (if not None) its rate (rad/s)."""
     memory = np.zeros(MEMORY_SIZE)
     frame = airframe_of(vehicle.scenario.vehicle)
@@ -80,7 +78,7 @@ def at_attitude(
     return rotors
 
 
-def motors(vehicle: ApiVehicle, shares: tuple[float, float, float, float]) -> Callable[[int, np.ndarray], np.ndarray]:
+def motors(vehicle: ApiVehicle, shares: tuple[float, float, float, float]) -> Rotors:
     """Rotor commands from shares of the largest thrust, 0 to 1: front right, rear left, front left, rear right."""
     wanted = vehicle.sim.max_thrust * np.clip(np.array(shares, float), 0.0, 1.0)
     return lambda time_us, odometry: wanted

@@ -1,4 +1,4 @@
-"""Faults and a detector at the RPC boundary, on arguments as the server gets them and on values that it returns.
+"""Faults and a detector at the RPC boundary: in the arguments that the server receives, and in its return values.
 
 A fault is text, `CALL.PATH[:bit=B][@SECONDS]` or `CALL.PATH:bit=B#N`: a bit of one number in the first call of this
 name at or after an instant, or in its N-th.  PATH leads through the arguments by name (`moveByVelocity.vx`,
@@ -10,9 +10,9 @@ import random
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
-from mavfi.bridges.airsim.table import CALLS, find_call
+from mavfi.bridges.airsim.table import CALLS
 from mavfi.bridges.airsim.values import Path, count, flip, keys_of, leaves, path_of
 from mavfi.detectors.detector import Detector
 from mavfi.detectors.foreign import SMALLEST_SAMPLE, foreign_spec, foreign_state, learn
@@ -21,11 +21,14 @@ from mavfi.faults.fault import MessageFault
 from mavfi.flight_log import AlarmRecord, Injection
 
 ARGUMENTS, RETURN = "arguments", "return"
-_TEXT = re.compile(r"(?P<call>\w+)\.(?P<path>[\w.#]+?)(?::bit=(?P<bit>\d+))?(?:@(?P<at>[\d.eE+-]+)|#(?P<nth>\d+))?")
+_PATH = rf"(?:{ARGUMENTS}|{RETURN})#\d+|\w+(?:\.\w+)*"
+_TEXT = re.compile(
+    rf"(?P<call>\w+)\.(?P<path>{_PATH})(?::bit=(?P<bit>\d+))?(?:@(?P<at>[\d.eE+-]+)|#(?P<nth>[1-9]\d*))?"
+)
 _BITS = 64
 _FORM = "CALL.PATH[:bit=B][@SECONDS], e.g. moveByVelocity.vx:bit=62@10 or simGetVehiclePose.return.position.z_val"
 _LONGEST = 16
-"""Lists of more numbers (images, point clouds) are not watched."""
+"""Values with more numbers (images, point clouds) are not observed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +38,22 @@ class BoundaryFault:
     fault: MessageFault
     since_us: int = 0
 
+    @property
+    def in_return(self) -> bool:
+        """Whether it is in a returned value, not in an argument."""
+        return re.match(rf"{RETURN}\b", self.fault.field) is not None
+
+    def path_in(self, value: Any) -> Path | None:
+        """Path of its number in the arguments or in the returned value; None if there is none."""
+        head, _, rest = self.fault.field.partition(".")
+        side, _, number = head.partition("#")
+        if number:
+            return path_of(value, int(number))
+        return keys_of(rest) if side == RETURN else (CALLS[self.fault.topic].arguments.index(side), *keys_of(rest))
+
 
 def parse_fault(text: str, seed: int = 0) -> BoundaryFault:
-    """Read a fault; an unnamed bit is drawn by the seed.
+    """Read a fault; a bit that is not given is drawn from the seed.
 
     Raises:
         BadInputError: It has another form, or names a call, argument or bit that does not exist.
@@ -54,22 +70,14 @@ def parse_fault(text: str, seed: int = 0) -> BoundaryFault:
         since_s = -1.0
     if not 0.0 <= since_s < 1e6:
         raise BadInputError(f"--fault: {text!r}: @{at}: allowed: 0 to 1e6 s")
-    side, _, rest = path.partition(".")
-    if side.partition("#")[0] not in (ARGUMENTS, RETURN):
-        head = path.partition(".")[0]
-        if head not in find_call(name).arguments:
-            allowed = ", ".join([*find_call(name).arguments, RETURN])
-            raise BadInputError(f"--fault: {text!r}: {head!r}: not known; allowed: {allowed}")
+    head, arguments = path.partition(".")[0], CALLS[name].arguments
+    if "#" not in head and head not in (*arguments, RETURN):
+        raise BadInputError(f"--fault: {text!r}: {head!r}: not known; allowed: {', '.join([*arguments, RETURN])}")
     if bit is not None and int(bit) >= _BITS:
         raise BadInputError(f"--fault: {text!r}: bit {bit}: allowed: 0 to {_BITS - 1}")
     chosen = int(bit) if bit is not None else random.Random(seed).randrange(_BITS)
     nth = int(found["nth"]) if found["nth"] else 1
     return BoundaryFault(MessageFault(name, path, chosen, nth, seed=seed), round(1e6 * since_s))
-
-
-def text_of(fault: MessageFault) -> str:
-    """The text of a fault of a campaign."""
-    return f"{fault.topic}.{fault.field}:bit={fault.bit}#{fault.at}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,42 +89,28 @@ class Passed:
     returned: int
 
 
-class Watch(Protocol):
-    """Sees every value at the boundary; `alarms`: so far."""
-
-    alarms: list[AlarmRecord]
-
-    def check(self, source: str, value: Any, now_us: int) -> None:
-        """See one value of a call and side, at an instant (us)."""
-
-
 @dataclass
 class Boundary:
-    """What all calls pass.
+    """The RPC boundary, which every call passes.
 
     Attributes:
         planned: The fault; None = none.
-        injection: The injection that happened.
+        keeps: Whether calls are recorded.
+        watch: A detector, or a recording to train one; None = none.
+        injection: The injection that happened; None = none so far.
         passed: Every call so far, if `keeps`.
-        watch: A detector; None = none.
     """
 
     planned: BoundaryFault | None = None
     keeps: bool = False
-    watch: Watch | None = None
+    watch: "BoundaryWatch | Recording | None" = None
     injection: Injection | None = None
     passed: list[Passed] = field(default_factory=list)
-    _given: int = 0
-    _returned: int = 0
+    _count: int = 0
 
     def arguments(self, name: str, given: list[Any], now_us: int) -> list[Any]:
         """Arguments of a call, perhaps changed; `given` is changed in place."""
-        planned = self.planned
-        if planned is not None and name == planned.fault.topic and now_us >= planned.since_us:
-            self._given += 1
-            side = planned.fault.field.partition(".")[0].partition("#")[0]
-            if side != RETURN and self._given >= planned.fault.at:
-                self._inject(given, self._path(given), self._given, now_us)
+        self._inject(name, given, now_us, in_return=False)
         if self.watch is not None:
             self.watch.check(f"{name}({ARGUMENTS})", dict(zip(CALLS[name].arguments, given, strict=False)), now_us)
         return given
@@ -125,34 +119,23 @@ class Boundary:
         """Return value of a call, perhaps changed."""
         if self.keeps:
             self.passed.append(Passed(name, sum(map(count, given)), count(value)))
-        planned = self.planned
-        if planned is not None and name == planned.fault.topic and now_us >= planned.since_us:
-            self._returned += 1
-            side, _, rest = planned.fault.field.partition(".")
-            if side.partition("#")[0] == RETURN and self._returned >= planned.fault.at:
-                path = path_of(value, int(side.partition("#")[2])) if "#" in side else keys_of(rest)
-                value = self._inject(value, path, self._returned, now_us)
+        value = self._inject(name, value, now_us, in_return=True)
         if self.watch is not None:
             self.watch.check(f"{name}({RETURN})", value, now_us)
         return value
 
-    def _path(self, given: list[Any]) -> Path | None:
-        """Path of the planned number in the arguments."""
-        assert self.planned is not None  # precondition
-        text = self.planned.fault.field
-        head, _, rest = text.partition(".")
-        if head.startswith(f"{ARGUMENTS}#"):
-            return path_of(given, int(head.partition("#")[2]))
-        names = CALLS[self.planned.fault.topic].arguments
-        return (names.index(head), *keys_of(rest)) if head in names else keys_of(rest)
-
-    def _inject(self, value: Any, path: Path | None, number: int, now_us: int) -> Any:
-        """Flip the planned bit, once (none: a null fault); without such a number the fault is not activated."""
+    def _inject(self, name: str, value: Any, now_us: int, *, in_return: bool) -> Any:
+        """Flip the planned bit (a null fault: twice) in its call; without such a number the fault is not activated."""
         planned = self.planned
-        assert planned is not None  # precondition
-        if self.injection is not None or path is None:
+        if planned is None or self.injection is not None or in_return != planned.in_return:
             return value
         fault = planned.fault
+        if name != fault.topic or now_us < planned.since_us:
+            return value
+        self._count += 1
+        path = planned.path_in(value) if self._count >= fault.at else None
+        if path is None:
+            return value
         try:
             value, before, after, bit = flip(value, path, fault.bit or 0)
             if fault.bit is None:
@@ -161,13 +144,13 @@ class Boundary:
             return value
         self.injection = Injection(
             "message", fault.site, 1e-6 * now_us, None if fault.bit is None else bit, before, after, True,
-            details={"call": fault.topic, "number": number, "path": ".".join(map(str, path))},
+            details={"call": fault.topic, "number": self._count, "path": ".".join(map(str, path))},
         )  # fmt: skip
         return value
 
 
 class BoundaryWatch:
-    """A detector on the numbers at the boundary: it observes, and withholds nothing.
+    """A detector that observes the numbers at the boundary, without effect on them.
 
     Args:
         detector: Trained on error-free calls, see `train`.
@@ -183,7 +166,7 @@ class BoundaryWatch:
         detector.start()
 
     def check(self, source: str, value: Any, now_us: int) -> None:
-        """Judge one value."""
+        """Check one value."""
         spec = self._specs.get(source)
         if spec is None:
             return
@@ -200,23 +183,23 @@ class BoundaryWatch:
 
 
 class Recording:
-    """Error-free values at the boundary, from which a detector learns; has the interface of `BoundaryWatch`."""
+    """Error-free values at the boundary, to train a detector; has the interface of `BoundaryWatch`."""
 
     def __init__(self) -> None:
         self.alarms: list[AlarmRecord] = []
         self._values: list[tuple[str, dict[str, float]]] = []
 
     def check(self, source: str, value: Any, now_us: int) -> None:
-        """Keep one value."""
+        """Record one value."""
         numbers = dict(leaves(value))
         if 0 < len(numbers) <= _LONGEST:
             self._values.append((source, numbers))
 
     def train(self, kind: str, profile: str) -> BoundaryWatch:
-        """A detector of the calls that happened often enough with the same numbers, all finite.
+        """A detector trained on the calls that were made often enough, always with the same fields.
 
         Raises:
-            BadInputError: No call did.
+            BadInputError: There is no such call, or a number is not finite.
         """
         shapes: dict[str, list[tuple[str, ...]]] = {}
         for source, numbers in self._values:

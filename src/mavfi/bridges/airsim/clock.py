@@ -1,28 +1,14 @@
-"""How time passes: as on the wall, times a factor, or in calls only.
+"""How simulated time passes: with wall-clock time, times a factor (`Real`), or in calls only (`Steps`).
 
-With `Steps`, every call takes a fixed time, waiting and sleeping take theirs, and nothing else does: a program with
-the same seed sees the same bytes.  `runner` turns the sleeping, the clocks and the waiting of a program into calls.
+With `Steps`, every call takes a fixed time, waiting and sleeping take theirs, and nothing else takes any: a program
+with the same seed sees the same bytes.  `runner` replaces sleeping, waiting and clocks of a program by calls.
 """
 
-import asyncio
 import time
-from typing import Protocol
 
 from mavfi.bridges.airsim.config import CALL_US
 from mavfi.bridges.airsim.table import Api
 from mavfi.sim.scene import STEP_US
-
-_TICK_S = 0.004
-
-
-class Clock(Protocol):
-    """Advances a vehicle."""
-
-    def before_call(self, api: Api) -> None:
-        """Let the time of a call pass."""
-
-    def after_call(self, api: Api) -> None:
-        """Let time pass up to the next pause, if a call asked for that."""
 
 
 class Steps:
@@ -37,17 +23,12 @@ class Steps:
         self._call_us, self.limit_us = call_us, limit_us
         self.waited_us = 0
 
-    @property
-    def steps(self) -> bool:
-        """Whether time passes in calls only."""
-        return True
-
     def before_call(self, api: Api) -> None:
-        """See `Clock.before_call`."""
+        """Let the time of a call pass."""
         self._pass(api, self._call_us)
 
     def after_call(self, api: Api) -> None:
-        """See `Clock.after_call`."""
+        """Let time pass up to the next pause, if the call asked for that."""
         if api.resume_until_us is not None:
             api.vehicle.step(min(self.limit_us, api.resume_until_us))
             api.paused, api.resume_until_us = True, None
@@ -76,7 +57,7 @@ class Steps:
 
 
 class Real:
-    """Time passes as on the wall, times `speed`."""
+    """Time passes with wall-clock time, times `speed`."""
 
     def __init__(self, speed: float = 1.0) -> None:
         self._speed = speed
@@ -84,10 +65,10 @@ class Real:
         self._left_us = 0.0
 
     def before_call(self, api: Api) -> None:
-        """See `Clock.before_call`; calls take none."""
+        """See `Steps.before_call`; a call takes no simulated time."""
 
     def after_call(self, api: Api) -> None:
-        """See `Clock.after_call`; time passes by itself."""
+        """See `Steps.after_call`; `tick` lets time pass."""
 
     def tick(self, api: Api) -> None:
         """Let the time since the last tick pass."""
@@ -103,9 +84,3 @@ class Real:
         if api.resume_until_us is not None and target >= api.resume_until_us:
             target, api.paused, api.resume_until_us = api.resume_until_us, True, None
         api.vehicle.step(target)
-
-    async def run(self, api: Api) -> None:
-        """Tick for ever."""
-        while True:
-            await asyncio.sleep(_TICK_S)
-            self.tick(api)

@@ -9,10 +9,24 @@ from pydantic import Field
 from mavfi.config import Config
 from mavfi.errors import BadInputError
 
+IMAGE = "256x144"
+"""Size of images unless chosen (width x height, pixels), as in AirSim's default settings."""
 VEHICLE = "SimpleFlight"
 """Name of the vehicle unless chosen, as in AirSim's default settings."""
 CALL_US = 4_000
 """Time that a call takes in the clock `steps`."""
+
+
+def pixels(text: str) -> tuple[int, int]:
+    """Width and height from e.g. "256x144".
+
+    Raises:
+        BadInputError: Another form, or out of range.
+    """
+    parts = text.lower().split("x")
+    if len(parts) == 2 and all(part.isdecimal() and 2 <= int(part) <= 4096 for part in parts):
+        return int(parts[0]), int(parts[1])
+    raise BadInputError(f"--image: {text!r}: allowed: WIDTHxHEIGHT, e.g. {IMAGE}, of 2 to 4096 pixels each")
 
 
 class ProgramConfig(Config):
@@ -23,18 +37,19 @@ class ProgramConfig(Config):
     python: str = Field("", description="Python that has the program's AirSim client; mavfi's own by default")
     seconds: float = Field(120.0, gt=0, le=1e5, description="simulated time after which the program is stopped")
     wall_s: float = Field(120.0, gt=0, le=1e5, description="wall-clock time after which it counts as hanging")
-    image: str = Field("256x144", pattern=r"^\d+x\d+$", description="size of images, width x height")
+    image: str = Field(IMAGE, pattern=r"^\d+x\d+$", description="size of images, width x height")
     vehicle: str = Field(VEHICLE, description="name of the vehicle")
     version: int = Field(0, ge=0, le=100, description="of the API; 0 = the client's own")
     call_us: int = Field(CALL_US, ge=4_000, le=1_000_000, multiple_of=4_000, description="time that a call takes")
     golden_runs: int = Field(2, ge=1, le=100, description="error-free runs of a mission; they must be the same")
 
     def check(self) -> None:
-        """Check that there are such files.
+        """Check the size of images, and that the files exist.
 
         Raises:
-            BadInputError: There are not.
+            BadInputError: An image of this size is not allowed, or a file does not exist.
         """
+        pixels(self.image)
         if not Path(self.script).is_file():
             raise BadInputError(f"{self.script}: there is no such file; allowed: a client program of AirSim")
         if self.python and not Path(self.python).is_file():

@@ -1,6 +1,7 @@
 """Calls that fly: arming, tasks, poses."""
 
 import math
+from inspect import Parameter, Signature
 from typing import Any
 
 import numpy as np
@@ -27,17 +28,19 @@ from mavfi.errors import BadInputError
 _FORWARD_ONLY = 1
 _HOME_SPEED = 0.5
 _RC_S = 1e6
-_MOST_RATE = math.radians(720.0)
 
 
 def yaw_of(mode: Any, drivetrain: Any = 0) -> Yaw:  # noqa: ANN401 - a client's
-    """YawMode and DrivetrainType.
+    """YawMode and DrivetrainType; without a mode, a yaw rate of 0.
 
-    A key `rad` has the value in rad(/s): a yaw rate in degrees comes back with another last bit in 12 % of all cases.
+    The key `rad`, which only mavfi's own client sends, is the value in rad or rad/s: a conversion to degrees and back
+    changes the last bit in some cases.
 
     Raises:
         BadInputError: It is none.
     """
+    if mode is None:
+        return Yaw()
     try:
         value = float(mode["rad"]) if "rad" in mode else math.radians(float(mode["yaw_or_rate"]))
         return Yaw(bool(mode["is_rate"]), value, drivetrain == _FORWARD_ONLY)
@@ -67,7 +70,6 @@ def _(api: Api, arm: bool, vehicle_name: str = "") -> bool:
 
 @call("reset")
 def _(api: Api) -> None:
-    api.collided_before |= api.vehicle.has_collided
     api.vehicle.reset()
 
 
@@ -78,7 +80,6 @@ def _(api: Api, vehicle_name: str = "") -> None:
 
 @call("simSetVehiclePose")
 def _(api: Api, pose: Any, ignore_collision: bool, vehicle_name: str = "") -> bool:
-    api.collided_before |= api.vehicle.has_collided
     api.vehicle.place(*pose_numbers(pose))
     return True
 
@@ -86,13 +87,12 @@ def _(api: Api, pose: Any, ignore_collision: bool, vehicle_name: str = "") -> bo
 @call("simSetKinematics")
 def _(api: Api, state: Any, ignore_collision: bool, vehicle_name: str = "") -> None:
     try:
-        at = {"position": state["position"], "orientation": state["orientation"]}
         moving = [triple(state[name]) for name in ("linear_velocity", "angular_velocity")]
     except (KeyError, TypeError):
         raise BadInputError(f"{state!r}: allowed: a KinematicsState") from None
     if any(any(values) for values in moving):
         raise BadInputError("simSetKinematics: a velocity cannot be set; allowed: 0")
-    api.vehicle.place(*pose_numbers(at))
+    api.vehicle.place(*pose_numbers(state))
 
 
 # ---- tasks -----------------------------------------------------------------------------------------------------------
@@ -121,7 +121,7 @@ def _(
     api: Api, vx: float, vy: float, vz: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None,
     vehicle_name: str = "",
 ) -> Task:  # fmt: skip
-    yaw = Yaw() if yaw_mode is None else yaw_of(yaw_mode, drivetrain)
+    yaw = yaw_of(yaw_mode, drivetrain)
     return fly_velocity(api.vehicle, (vx, vy, vz), duration, yaw)
 
 
@@ -130,7 +130,7 @@ def _(
     api: Api, vx: float, vy: float, z: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None,
     vehicle_name: str = "",
 ) -> Task:  # fmt: skip
-    yaw = Yaw() if yaw_mode is None else yaw_of(yaw_mode, drivetrain)
+    yaw = yaw_of(yaw_mode, drivetrain)
     return fly_velocity_at(api.vehicle, (vx, vy), z, duration, yaw)
 
 
@@ -139,7 +139,7 @@ def _(
     api: Api, vx: float, vy: float, vz: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None,
     vehicle_name: str = "",
 ) -> Task:  # fmt: skip
-    yaw = Yaw() if yaw_mode is None else yaw_of(yaw_mode, drivetrain)
+    yaw = yaw_of(yaw_mode, drivetrain)
     return fly_velocity(api.vehicle, (*from_body(api.vehicle, vx, vy), vz), duration, yaw)
 
 
@@ -148,7 +148,7 @@ def _(
     api: Api, vx: float, vy: float, z: float, duration: float, drivetrain: int = 0, yaw_mode: Any = None,
     vehicle_name: str = "",
 ) -> Task:  # fmt: skip
-    yaw = Yaw() if yaw_mode is None else yaw_of(yaw_mode, drivetrain)
+    yaw = yaw_of(yaw_mode, drivetrain)
     return fly_velocity_at(api.vehicle, from_body(api.vehicle, vx, vy), z, duration, yaw)
 
 
@@ -202,63 +202,39 @@ def _(api: Api, yaw_rate: float, duration: float, vehicle_name: str = "") -> Tas
 
 
 # ---- attitude, rates, motors -----------------------------------------------------------------------------------------
-@task("moveByRollPitchYawZ")
-def _(api: Api, roll: float, pitch: float, yaw: float, z: float, duration: float, vehicle_name: str = "") -> Task:
-    rotors = attitude.at_attitude(api.vehicle, roll, pitch, yaw, None, Vertical(z=z))
-    return fly_rotors(api.vehicle, rotors, duration)
+_ATTITUDES = {
+    "moveByRollPitchYawZ": "roll pitch yaw z",
+    "moveByRollPitchYawThrottle": "roll pitch yaw throttle",
+    "moveByRollPitchYawrateThrottle": "roll pitch yaw_rate throttle",
+    "moveByRollPitchYawrateZ": "roll pitch yaw_rate z",
+    "moveByAngleRatesZ": "roll_rate pitch_rate yaw_rate z",
+    "moveByAngleRatesThrottle": "roll_rate pitch_rate yaw_rate throttle",
+    "moveByAngleZ": "pitch roll z yaw",
+    "moveByAngleThrottle": "pitch roll throttle yaw_rate",
+}
+"""Arguments of the tasks for attitudes and body rates (rad, rad/s), before the duration."""
 
 
-@task("moveByRollPitchYawThrottle")
-def _(
-    api: Api, roll: float, pitch: float, yaw: float, throttle: float, duration: float, vehicle_name: str = ""
-) -> Task:
-    rotors = attitude.at_attitude(api.vehicle, roll, pitch, yaw, None, Vertical(throttle))
-    return fly_rotors(api.vehicle, rotors, duration)
+def _add_attitude_task(name: str, arguments: str) -> None:
+    parameters = [Parameter(one, Parameter.POSITIONAL_ONLY) for one in ("api", *arguments.split(), "duration")]
+    parameters.append(Parameter("vehicle_name", Parameter.POSITIONAL_ONLY, default=""))
+
+    def fly(api: Api, *given: Any) -> Task:
+        own = dict(zip([*arguments.split(), "duration"], given, strict=False))
+        vertical = Vertical(own.get("throttle"), own.get("z", 0.0))
+        if "roll_rate" in own:
+            rotors = attitude.at_rates(api.vehicle, own["roll_rate"], own["pitch_rate"], own["yaw_rate"], vertical)
+        else:
+            yaw, yaw_rate = own.get("yaw", 0.0), own.get("yaw_rate")
+            rotors = attitude.at_attitude(api.vehicle, own["roll"], own["pitch"], yaw, yaw_rate, vertical)
+        return fly_rotors(api.vehicle, rotors, own["duration"])
+
+    fly.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    task(name)(fly)
 
 
-@task("moveByRollPitchYawrateThrottle")
-def _(
-    api: Api, roll: float, pitch: float, yaw_rate: float, throttle: float, duration: float, vehicle_name: str = ""
-) -> Task:
-    rotors = attitude.at_attitude(api.vehicle, roll, pitch, 0.0, yaw_rate, Vertical(throttle))
-    return fly_rotors(api.vehicle, rotors, duration)
-
-
-@task("moveByRollPitchYawrateZ")
-def _(api: Api, roll: float, pitch: float, yaw_rate: float, z: float, duration: float, vehicle_name: str = "") -> Task:
-    rotors = attitude.at_attitude(api.vehicle, roll, pitch, 0.0, yaw_rate, Vertical(z=z))
-    return fly_rotors(api.vehicle, rotors, duration)
-
-
-@task("moveByAngleRatesZ")
-def _(
-    api: Api, roll_rate: float, pitch_rate: float, yaw_rate: float, z: float, duration: float, vehicle_name: str = ""
-) -> Task:
-    rotors = attitude.at_rates(api.vehicle, roll_rate, pitch_rate, yaw_rate, Vertical(z=z))
-    return fly_rotors(api.vehicle, rotors, duration)
-
-
-@task("moveByAngleRatesThrottle")
-def _(
-    api: Api, roll_rate: float, pitch_rate: float, yaw_rate: float, throttle: float, duration: float,
-    vehicle_name: str = "",
-) -> Task:  # fmt: skip
-    rotors = attitude.at_rates(api.vehicle, roll_rate, pitch_rate, yaw_rate, Vertical(throttle))
-    return fly_rotors(api.vehicle, rotors, duration)
-
-
-@task("moveByAngleZ")
-def _(api: Api, pitch: float, roll: float, z: float, yaw: float, duration: float, vehicle_name: str = "") -> Task:
-    rotors = attitude.at_attitude(api.vehicle, roll, pitch, yaw, None, Vertical(z=z))
-    return fly_rotors(api.vehicle, rotors, duration)
-
-
-@task("moveByAngleThrottle")
-def _(
-    api: Api, pitch: float, roll: float, throttle: float, yaw_rate: float, duration: float, vehicle_name: str = ""
-) -> Task:
-    rotors = attitude.at_attitude(api.vehicle, roll, pitch, 0.0, yaw_rate, Vertical(throttle))
-    return fly_rotors(api.vehicle, rotors, duration)
+for _name, _arguments in _ATTITUDES.items():
+    _add_attitude_task(_name, _arguments)
 
 
 @task("moveByMotorPWMs")
@@ -274,7 +250,7 @@ def _(
 
 @call("moveByRC")
 def _(api: Api, rcdata: Any, vehicle_name: str = "") -> None:
-    """Sticks as a remote control gives them: roll, pitch and yaw rate from -1 to 1, throttle from 0 to 1."""
+    """Positions of the sticks of a remote control: roll, pitch and yaw rate from -1 to 1, throttle from 0 to 1."""
     try:
         sticks = {key: float(rcdata[key]) for key in ("roll", "pitch", "yaw", "throttle")}
     except (KeyError, TypeError, ValueError):
@@ -284,7 +260,7 @@ def _(api: Api, rcdata: Any, vehicle_name: str = "") -> None:
     tilt = api.vehicle.scenario.vehicle.max_tilt
     rotors = attitude.at_attitude(
         api.vehicle, tilt * sticks["roll"], tilt * sticks["pitch"], 0.0,
-        min(_MOST_RATE, api.vehicle.scenario.vehicle.max_yaw_rate) * sticks["yaw"], Vertical(sticks["throttle"]),
+        api.vehicle.scenario.vehicle.max_yaw_rate * sticks["yaw"], Vertical(sticks["throttle"]),
     )  # fmt: skip
     api.vehicle.start(fly_rotors(api.vehicle, rotors, _RC_S))
 
@@ -294,7 +270,7 @@ def _(
     api: Api, vx_max: float, vy_max: float, z_min: float, duration: float, drivetrain: int, yaw_mode: Any,
     vehicle_name: str = "",
 ) -> Task:  # fmt: skip
-    """Velocities from the sticks of the last moveByRC, which rest in the middle without one."""
+    """Velocities from the sticks of the last moveByRC; without one, they are centred."""
     forward, right = vx_max * api.sticks.get("pitch", 0.0), vy_max * api.sticks.get("roll", 0.0)
     velocity = from_body(api.vehicle, forward, right)
     return fly_velocity_at(api.vehicle, velocity, z_min, duration, yaw_of(yaw_mode, drivetrain))

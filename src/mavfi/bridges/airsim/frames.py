@@ -1,7 +1,7 @@
 """Frames and objects of AirSim's API.
 
 AirSim's world is NED with its origin where the vehicle started, its body FRD; ours are ENU-like (x forward, y left,
-z up) and FLU.  One is the other turned by pi about x: (x, -y, -z), quaternion (w, x, -y, -z), exactly.
+z up) and FLU.  Half a turn about x converts one to the other: (x, -y, -z), quaternion (w, x, -y, -z), exactly.
 """
 
 import math
@@ -13,7 +13,6 @@ import numpy as np
 from mavfi.errors import BadInputError
 from mavfi.flight_logs.ned import Triple as Triple
 from mavfi.flight_logs.ned import geodetic, local
-from mavfi.numerics.elementary import atan2
 
 HOME = (47.641468, -122.140165, 122.0)
 """AirSim's OriginGeopoint: latitude, longitude (deg), altitude (m)."""
@@ -114,14 +113,3 @@ def looking(yaw_deg: float, pitch_deg: float) -> tuple[float, float, float, floa
     """Orientation (FRD, w x y z) of a camera turned to the right and pitched up (deg)."""
     y, p = 0.5 * math.radians(yaw_deg), 0.5 * math.radians(pitch_deg)
     return math.cos(y) * math.cos(p), -math.sin(y) * math.sin(p), math.cos(y) * math.sin(p), math.sin(y) * math.cos(p)
-
-
-def yaw_of(orientation: Numbers) -> float:
-    """Yaw (rad, clockwise from above) of an NED orientation w x y z."""
-    w, x, y, z = orientation
-    return float(atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
-
-
-def as_array(values: Numbers) -> np.ndarray:
-    """Numbers as an array of float64."""
-    return np.array(values, np.float64)

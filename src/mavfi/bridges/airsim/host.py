@@ -1,4 +1,4 @@
-"""The host `airsim_program`: a client program of AirSim under test.  A run is one run of the program.
+"""The host `airsim_program`: a client program of AirSim under test.  Each run executes the program once.
 
 A mission consists of error-free runs, which must be the same, followed by runs with one fault at the boundary of the
 program's calls.  Simulated time passes in calls only, so a run is a function of program, seed and fault.
@@ -18,7 +18,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, MessageFault
 from mavfi.flight_log import KernelEffect
 from mavfi.flight_record import End, FlightRecord
-from mavfi.hosts.host import ArmSetup, Recorded
+from mavfi.hosts.host import ArmSetup, Recorded, one_by_one
 from mavfi.mission import MissionSpec
 from mavfi.outcomes import Effect
 from mavfi.plugins import require_allowed
@@ -63,7 +63,7 @@ class AirsimProgramHost:
 
     def __init__(self, program: ProgramConfig | None = None) -> None:
         if program is None:
-            raise BadInputError("host airsim_program: allowed: with the key program, which says what is under test")
+            raise BadInputError("host airsim_program: allowed: with the key program, the program under test")
         self._program = program
 
     def resolve(self, spec: MissionSpec) -> ProgramMission:
@@ -71,7 +71,7 @@ class AirsimProgramHost:
         return ProgramMission(self._program, spec)
 
     def mission(self, arms: Mapping[str, ArmSetup], *, fast_forward: bool = True) -> "ProgramRuns":
-        """The runs of a mission; a fast-forward does not exist, as a program cannot be rewound."""
+        """The runs of a mission, without fast-forward: a program cannot be rewound."""
         require_allowed("key 'program.script'", self._program.script)
         return ProgramRuns({name: cast(ProgramMission, setup.scenario) for name, setup in arms.items()})
 
@@ -94,7 +94,7 @@ class ProgramRuns:
         """The error-free runs.
 
         Raises:
-            BadInputError: They differ: time of the wall, or randomness of the program's own, takes part.
+            BadInputError: They differ, because the program depends on wall-clock time or on unseeded randomness.
         """
         mission = self._missions[arm]
         runs = [
@@ -102,8 +102,8 @@ class ProgramRuns:
         ]
         if len({run.digest for run in runs}) > 1:
             raise BadInputError(
-                f"{mission.program.script}: {len(runs)} error-free runs differ; allowed: programs whose randomness has "
-                "a seed, and that measure time by the module time only"
+                f"{mission.program.script}: {len(runs)} error-free runs differ; allowed: programs whose randomness is "
+                "seeded, and that measure time with the module time only"
             )
         self._golden[arm] = runs[0]
         return ProgramResult(record_of_program(runs[0]), tuple(runs[0].boundary.passed))
@@ -111,19 +111,15 @@ class ProgramRuns:
     def know(self, arm: str, flight: Recorded) -> None:
         """See `MissionFlights.know`; no operation, as no program is run elsewhere."""
 
-    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, ProgramResult | Exception]]:
-        """Runs with a fault, one after the other; a `BadInputError` is raised, as it would end every run."""
-        for place, (arm, fault) in enumerate(runs):
-            mission = self._missions[arm]
-            try:
-                boundary = Boundary(BoundaryFault(cast(MessageFault, fault)))
-                ended = run_program(mission.program, mission.spec, boundary)
-            except BadInputError:
-                raise
-            except Exception as error:  # noqa: BLE001 - ends this run only
-                yield place, error
-            else:
-                yield place, ProgramResult(record_of_program(ended, self._golden.get(arm)))
+    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
+        """See `one_by_one`."""
+
+        def run(arm: str, fault: Fault) -> ProgramResult:
+            mission, boundary = self._missions[arm], Boundary(BoundaryFault(cast(MessageFault, fault)))
+            ended = run_program(mission.program, mission.spec, boundary)
+            return ProgramResult(record_of_program(ended, self._golden.get(arm)))
+
+        return one_by_one(runs, run)
 
 
 def record_of_program(ended: Ended, golden: Ended | None = None) -> FlightRecord:

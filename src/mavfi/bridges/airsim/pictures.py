@@ -1,4 +1,4 @@
-"""Images of AirSim's kinds from ranges: depth, a shaded picture, segmentation; as floats, bytes or PNG."""
+"""AirSim's image types, computed from ranges: depth, a shaded picture, segmentation; as floats, bytes or PNG."""
 
 import struct
 import zlib
@@ -6,17 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mavfi.bridges.airsim.table import Api
+from mavfi.bridges.airsim.table import GROUND, Api
 from mavfi.errors import BadInputError
 from mavfi.numerics.rotations import rotation_matrix
 
 SCENE, PLANAR, PERSPECTIVE, VISUAL, DISPARITY, SEGMENTATION, INFRARED = 0, 1, 2, 3, 4, 5, 7
 _KINDS = (SCENE, PLANAR, PERSPECTIVE, VISUAL, DISPARITY, SEGMENTATION, INFRARED)
 _WHITE_M = 100.0
-"""Distance that is white in a depth picture (m)."""
+"""Distance shown in white in a depth picture (m)."""
 _BASELINE_M = 0.25
 """Between the two cameras of a disparity (m)."""
 _SURFACE_M = 0.01
+"""Tolerance of points on the surface of a box (m)."""
 FOG, DUST = 7, 6
 """AirSim's numbers of the weather parameters that are drawn."""
 _THICKNESS = 0.1
@@ -61,7 +62,7 @@ def check_kind(kind: int) -> None:
 
 
 def floats(view: View, kind: int, sky: float) -> list[float]:
-    """An image of numbers: depth (m), or a picture in 0 to 1."""
+    """An image of numbers: depth (m), or the disparity."""
     check_kind(kind)
     if kind not in (PLANAR, PERSPECTIVE, DISPARITY):
         raise BadInputError(f"image type {kind} as floats: not drawn; allowed: {PLANAR}, {PERSPECTIVE}, {DISPARITY}")
@@ -106,11 +107,11 @@ def _shaded(api: Api, planar: np.ndarray) -> np.ndarray:
 def _segments(api: Api, view: View, kind: int) -> np.ndarray:
     """Colours by segmentation id: 0 = sky, 1 = ground, then the boxes. Shape (height, width, 3), uint8."""
     points, world = view.points(), api.vehicle.sim.world
-    ids = np.where(np.isfinite(view.ranges), api.segments.get("Ground", 1), 0)
+    ids = np.where(np.isfinite(view.ranges), api.segment(GROUND), 0)
     for place, name in enumerate(api.objects):
         lower, upper = world.lower[place] - _SURFACE_M, world.upper[place] + _SURFACE_M
         inside = ((points >= lower) & (points <= upper)).all(axis=1)
-        ids[inside] = api.segments.get(name, 2 + place % 253)
+        ids[inside] = api.segment(name)
     ids = ids.astype(np.int64)
     if kind == INFRARED:
         return np.repeat(ids.astype(np.uint8).reshape(view.height, view.width, 1), 3, axis=2)

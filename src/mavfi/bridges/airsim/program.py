@@ -1,4 +1,4 @@
-"""Runs a client program of AirSim against our vehicle in simulated time, and says what became of it."""
+"""Runs a client program of AirSim on our vehicle in simulated time, and reports how it ended."""
 
 import asyncio
 import hashlib
@@ -14,31 +14,20 @@ from typing import Any
 
 from mavfi.bridges.airsim.boundary import Boundary
 from mavfi.bridges.airsim.clock import Steps
-from mavfi.bridges.airsim.config import VEHICLE, ProgramConfig
+from mavfi.bridges.airsim.config import IMAGE, VEHICLE, ProgramConfig, pixels
 from mavfi.bridges.airsim.runner import EXIT_CRASH, EXIT_TIME_IS_UP
 from mavfi.bridges.airsim.server import HOST, Server
 from mavfi.bridges.airsim.table import Api
 from mavfi.bridges.airsim.vehicle import ApiVehicle
 from mavfi.errors import BadInputError
 from mavfi.mission import MissionSpec, MissionStatus
+from mavfi.sim.scene import STEP_US
 
 V_MAX = 12.0
 """Speed limit of the vehicle unless chosen (m/s): programs for AirSim choose their own speeds."""
 _RUNNER = Path(__file__).with_name("runner.py")
 _PATIENCE_S = 5.0
 _LAST_LINES = 3
-
-
-def pixels(text: str) -> tuple[int, int]:
-    """Width and height from e.g. "256x144".
-
-    Raises:
-        BadInputError: Another form, or out of range.
-    """
-    parts = text.lower().split("x")
-    if len(parts) == 2 and all(part.isdigit() and 2 <= int(part) <= 4096 for part in parts):
-        return int(parts[0]), int(parts[1])
-    raise BadInputError(f"--image: {text!r}: allowed: WIDTHxHEIGHT, e.g. 256x144, of 2 to 4096 pixels each")
 
 
 def make_api(
@@ -60,9 +49,8 @@ def make_api(
         spec = spec.model_copy(update={"v_max": V_MAX})
     vehicle = ApiVehicle(spec, on_ground=on_ground)
     own = vehicle.scenario.camera
-    size = pixels(image or ("256x144" if on_ground else f"{own.width}x{own.height}"))
-    settings = {"SettingsVersion": 1.2, "SimMode": "Multirotor", "ClockSpeed": 1.0, "Vehicles": {name: {}}}
-    return Api(vehicle, name, size, version, settings=settings, paused=not on_ground)
+    size = pixels(image or (IMAGE if on_ground else f"{own.width}x{own.height}"))
+    return Api(vehicle, name, size, version, paused=not on_ground)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,20 +98,19 @@ def effect_on(golden: Ended, injected: Ended) -> str:
     return "masked" if injected.digest == golden.digest else "deviates"
 
 
-def run_program(program: ProgramConfig, spec: MissionSpec, boundary: Boundary | None = None) -> Ended:
-    """Run a program to its end, against a vehicle of its own on a port of its own.
+def run_program(program: ProgramConfig, spec: MissionSpec, boundary: Boundary) -> Ended:
+    """Run a program to its end, with its own vehicle and port.
 
     Args:
         program: The program.
         spec: The mission.
-        boundary: What its calls pass.
+        boundary: The boundary that its calls pass.
 
     Raises:
         BadInputError: There is no such program, Python, client library or world.
-        MavfiError: The client library does not work.
     """
     program.check()
-    return asyncio.run(_Run(program, spec, boundary or Boundary()).run())
+    return asyncio.run(_Run(program, spec, boundary).run())
 
 
 class _Run:
@@ -133,8 +120,8 @@ class _Run:
         self._program, self._boundary = program, boundary
         version = program.version or client_version(program.python)
         self._api = make_api(spec, program.image, program.vehicle, version)
-        self._clock = Steps(program.call_us, round(1e6 * program.seconds / 4000.0) * 4000)
-        self._server = Server(self._api, self._clock, boundary)
+        clock = Steps(program.call_us, round(1e6 * program.seconds / STEP_US) * STEP_US)
+        self._server = Server(self._api, clock, boundary)
         self._process: subprocess.Popen[bytes] | None = None
 
     async def run(self) -> Ended:
@@ -158,6 +145,7 @@ class _Run:
                 if self._process is not None and self._process.poll() is None:
                     self._process.kill()
                     self._process.wait(_PATIENCE_S)
+                self._api.vehicle.sim.close()
             return self._ended(code, output.read_text(errors="replace"), errors.read_text(errors="replace"))
 
     async def _wait(self, serving: "asyncio.Task[None]") -> int | None:
@@ -168,12 +156,15 @@ class _Run:
                 serving.result()  # raises what ended it
             code = None if self._process is None else self._process.poll()
             if code is not None:
+                if self._server.calls:  # its last calls may not have been served yet
+                    with suppress(TimeoutError):
+                        await asyncio.wait_for(self._server.finished.wait(), _PATIENCE_S)
                 return code
             await asyncio.sleep(0.01)
         return None
 
     def _ended(self, code: int | None, output: str, errors: str) -> Ended:
-        vehicle, boundary = self._api.vehicle, self._boundary
+        vehicle = self._api.vehicle
         lines = [line for line in errors.splitlines() if line.strip()]
         reason = " | ".join(lines[-_LAST_LINES:])
         if not self._server.calls and code == EXIT_CRASH:
@@ -188,8 +179,8 @@ class _Run:
             how, reason = "program crash", reason or f"exit code {code}"
         digest = hashlib.sha256(f"{vehicle.digest()} {how} {code}".encode()).hexdigest()
         return Ended(
-            how, reason, vehicle.has_collided or self._api.collided_before, digest, 1e-6 * vehicle.now_us,
-            dict(self._server.calls), dict(self._server.errors), output, boundary,
+            how, reason, vehicle.has_ever_collided, digest, 1e-6 * vehicle.now_us,
+            dict(self._server.calls), dict(self._server.errors), output, self._boundary,
         )  # fmt: skip
 
 
@@ -210,17 +201,20 @@ _VERSIONS: dict[str, int] = {}
 
 
 def client_version(python: str = "") -> int:
-    """Version of the API of a Python's AirSim client, which the server then reports, too.
+    """Version of the API of a Python's AirSim client, which the server reports as its own.
 
     Raises:
         BadInputError: It has no such client.
     """
     if python not in _VERSIONS:
         program = python or sys.executable
-        done = subprocess.run(
-            [program, "-c", _VERSION], capture_output=True, text=True, check=False, env=_environment(),
-            stdin=subprocess.DEVNULL,
-        )  # fmt: skip
+        try:
+            done = subprocess.run(
+                [program, "-c", _VERSION], capture_output=True, text=True, check=False, env=_environment(),
+                stdin=subprocess.DEVNULL,
+            )  # fmt: skip
+        except OSError as error:
+            raise BadInputError(f"--python: {program}: {error.strerror}; allowed: a Python interpreter") from None
         with suppress(ValueError):
             _VERSIONS[python] = int(done.stdout)
         if python not in _VERSIONS:

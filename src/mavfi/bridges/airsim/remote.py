@@ -1,12 +1,13 @@
 """Our pipeline flies the vehicle of any server of AirSim's API: a `Plant` behind msgpack-rpc.
 
-The simulation is paused, and continues for as long as the flight asks.  The server's own frame is used when its vehicle
-stands at the mission's start (a server of ours with `--in-flight`): then a flight has the bits of one in this process.
+The simulation is paused, and continues for each step of the flight.  If the server's vehicle is at the mission's start
+(mavfi's own server with `--in-flight`), its frame is used: then the flight is bit-identical to one in this process.
 """
 
 import math
 import socket
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -23,17 +24,18 @@ _PATIENCE_S = 30.0
 _POLL_S = 0.002
 _AT_START_M = 0.5
 _NOT_REWOUND = "flights on a server of AirSim's API cannot be rewound"
-_AHEAD_US = 2_000
-"""A server that steps in its own period may be late by less than this (us)."""
+_TOLERANCE_US = 2_000
+"""Largest delay of a server that advances in its own period (us)."""
 
 
 class Rpc:
-    """A connection; calls are sent at once, answers awaited."""
+    """A connection to a server."""
 
     def __init__(self, host: str, port: int) -> None:
         self._where = f"airsim://{host}:{port}"
         package = msgpack()
         self._pack, self._unpacker = package.Packer(use_bin_type=True).pack, package.Unpacker(raw=False)
+        self._malformed = package.exceptions.UnpackException
         self._number = 0
         try:
             self._socket = socket.create_connection((host, port), _PATIENCE_S)
@@ -56,14 +58,14 @@ class Rpc:
         """The result of a call.
 
         Raises:
-            MavfiError: The server refuses it, is gone, or does not answer.
+            MavfiError: The server refuses it or a call that was posted, is gone, or does not answer.
         """
         number = self.post(method, *arguments)
         while True:
-            for _, answered, error, result in self._unpacker:
+            for answered, error, result in self._answers():
+                if error is not None:  # also of a call that was posted
+                    raise MavfiError(f"{self._where}: {method if answered == number else 'refused'}: {error}")
                 if answered == number:
-                    if error is not None:
-                        raise MavfiError(f"{self._where}: {method}: {error}")
                     return result
             try:
                 data = self._socket.recv(1 << 20)
@@ -73,8 +75,16 @@ class Rpc:
                 raise MavfiError(f"{self._where}: the server is gone")
             self._unpacker.feed(data)
 
+    def _answers(self) -> Iterator[tuple[int, Any, Any]]:
+        """Number, error and result of the answers received so far."""
+        try:
+            for _, answered, error, result in self._unpacker:
+                yield answered, error, result
+        except (TypeError, ValueError, self._malformed):
+            raise MavfiError(f"{self._where}: the answer is not one of msgpack-rpc") from None
+
     def close(self) -> None:
-        """Hang up."""
+        """Close the connection."""
         self._socket.close()
 
 
@@ -85,7 +95,7 @@ class Remote:
         odometry: See `Plant`.
         collided: See `Plant`.
         rejected_commands: See `Plant`.
-        calls: Number of calls.
+        rpc: The connection.
 
     Raises:
         BadInputError: The mission needs more than the API gives, or the server's images have another size.
@@ -131,14 +141,16 @@ class Remote:
 
     def _observe(self) -> None:
         state = self.rpc.call("getMultirotorState", "")
-        found = state["kinematics_estimated"]
+        try:
+            found, self._stamp = state["kinematics_estimated"], int(state["timestamp"])
+            moving = triple(found["linear_velocity"]), triple(found["angular_velocity"])
+            self.collided = self.collided or bool(state["collision"]["has_collided"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise MavfiError(f"server of --world: getMultirotorState: not a MultirotorState ({error!r})") from None
         position, orientation = pose_numbers(found)
         self.odometry[:3] = np.array(flipped(position)) + self._origin
-        self.odometry[3:6] = flipped(triple(found["linear_velocity"]))
+        self.odometry[3:6], self.odometry[10:] = flipped(moving[0]), flipped(moving[1])
         self.odometry[6:10] = turned(orientation)
-        self.odometry[10:] = flipped(triple(found["angular_velocity"]))
-        self.collided = self.collided or bool(state["collision"]["has_collided"])
-        self._stamp = int(state["timestamp"])
 
     @property
     def ray_directions(self) -> np.ndarray:
@@ -146,7 +158,7 @@ class Remote:
         return self._directions
 
     def command(self, velocity_yaw_rate: np.ndarray, duration: float) -> None:
-        """See `Plant.command`; the yaw rate goes along in rad/s, as well, for servers that read it."""
+        """See `Plant.command`; the yaw rate is also sent in rad/s, for servers that read it."""
         vx, vy, vz, yaw_rate = velocity_yaw_rate.tolist()
         if not all(map(math.isfinite, (vx, vy, vz, yaw_rate, duration))):
             self.rejected_commands += 1
@@ -166,7 +178,7 @@ class Remote:
         self.time_us = time_us
         end = time.monotonic() + _PATIENCE_S
         self._observe()
-        while self._stamp < self._begin + 1000 * (time_us - _AHEAD_US):  # a server that lets time pass by itself
+        while self._stamp < self._begin + 1000 * (time_us - _TOLERANCE_US):  # AirSim answers before the time has passed
             if time.monotonic() > end:
                 raise MavfiError(
                     f"server of --world: its time does not pass (simContinueForTime at {1e-6 * time_us} s)"
@@ -215,5 +227,5 @@ class Remote:
         raise MavfiError(_NOT_REWOUND)
 
     def close(self) -> None:
-        """Hang up."""
+        """See `Plant.close`."""
         self.rpc.close()

@@ -1,7 +1,7 @@
 """Runs a client program of AirSim in simulated time: `python runner.py PORT SCRIPT [ARGUMENTS]`.
 
 It runs in the client's own Python and imports nothing of mavfi.  Sleeping, reading clocks and waiting for a task become
-calls, on the program's own connection, so that their order is kept; keys are not waited for, and windows stay closed.
+calls, on the program's own connection, so that their order is kept; keys are not awaited, and no window opens.
 """
 
 import io
@@ -11,7 +11,7 @@ import time
 import traceback
 import types
 
-TIME_IS_UP = "mavfi: time is up"
+TIME_IS_UP = "mavfi: time is up"  # begins the error of every call after the time limit
 EXIT_TIME_IS_UP, EXIT_CRASH = 75, 70
 _START = 1600000000.0  # the simulation's first instant, as a Unix time
 _FIRST = []  # the program's first client

@@ -3,13 +3,25 @@
 import json
 import math
 import re
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from mavfi.bridges.airsim.frames import LEVEL, flipped, from_geo_point, geo_point, pose, pose_numbers, triple, vector
+from mavfi.bridges.airsim.frames import (
+    LEVEL,
+    Triple,
+    flipped,
+    from_geo_point,
+    geo_point,
+    pose,
+    pose_numbers,
+    triple,
+    vector,
+)
 from mavfi.bridges.airsim.pictures import DUST, FOG
-from mavfi.bridges.airsim.table import Api, call
+from mavfi.bridges.airsim.table import DESTROYED, GROUND, Api, call
 from mavfi.bridges.airsim.vehicle import TICK_US
 from mavfi.config import names
 from mavfi.errors import BadInputError
@@ -21,7 +33,7 @@ _NOTHING = (
     "simFlushPersistentMarkers", "simPlotPoints", "simPlotLineStrip", "simPlotLineList", "simPlotArrows",
     "simPlotStrings", "simPlotTransforms", "simPlotTransformsWithNames", "simSetTraceLine",
 )  # fmt: skip
-"""Calls that draw into AirSim's window, which does not exist here; they change nothing that a program can read."""
+"""Calls that draw into AirSim's window, which does not exist here; no other call returns what they draw."""
 _REFUSED = {
     "simAddVehicle": "one vehicle flies here",
     "simSetTimeOfDay": "daylight is not drawn",
@@ -54,7 +66,8 @@ def _(api: Api) -> list[str]:
 
 @call("getSettingsString")
 def _(api: Api) -> str:
-    return json.dumps(api.settings)
+    vehicles: dict[str, Any] = {api.name: {}}
+    return json.dumps({"SettingsVersion": 1.2, "SimMode": "Multirotor", "ClockSpeed": 1.0, "Vehicles": vehicles})
 
 
 @call("simPrintLogMessage")
@@ -74,7 +87,7 @@ def _(api: Api) -> bool:
 
 
 def continue_for(api: Api, seconds: float) -> None:
-    """Let time pass for this long, then pause; its clock does it.
+    """Plan a pause after this time; the clock lets the time pass.
 
     Raises:
         BadInputError: Not a time.
@@ -123,13 +136,24 @@ def _put(api: Api, place: int | None, centre: np.ndarray, size: np.ndarray) -> N
     api.vehicle.sim.set_boxes(lower, upper)
 
 
+def _box_position(pose: Any) -> Triple:  # noqa: ANN401 - a client's
+    """Position of an object's pose; boxes are aligned with the axes."""
+    position, (_, *axis) = pose_numbers(pose)
+    if any(axis):
+        raise BadInputError(f"{pose!r}: boxes stay aligned with the axes; allowed: the orientation (1, 0, 0, 0)")
+    return position
+
+
+def _matching(names: Iterable[str], pattern: str) -> list[str]:
+    try:
+        return [name for name in names if re.fullmatch(pattern, name)]
+    except re.error as error:
+        raise BadInputError(f"{pattern!r}: {error}; allowed: a regular expression") from None
+
+
 @call("simListSceneObjects")
 def _(api: Api, name_regex: str = ".*", tags: Any = None) -> list[str]:
-    try:
-        wanted = re.compile(name_regex)
-    except re.error as error:
-        raise BadInputError(f"simListSceneObjects: {name_regex!r}: {error}; allowed: a regular expression") from None
-    return [name for name in (api.name, *api.objects) if wanted.fullmatch(name)]
+    return _matching((api.name, *api.objects), name_regex)
 
 
 @call("simGetObjectPose")
@@ -144,9 +168,8 @@ def _(api: Api, object_name: str, ned: bool = True) -> dict[str, Any]:
 
 @call("simSetObjectPose")
 def _(api: Api, object_name: str, pose: Any, teleport: bool = True) -> bool:
-    """Boxes stay aligned with the axes: of the orientation, only the identity is accepted."""
-    position, _ = pose_numbers(pose)
-    _put(api, _place(api, object_name), api.vehicle.to_world(position), _box(api, object_name)[1])
+    centre = api.vehicle.to_world(_box_position(pose))
+    _put(api, _place(api, object_name), centre, _box(api, object_name)[1])
     return True
 
 
@@ -175,12 +198,11 @@ def _(
     """A box, as large as AirSim's cube (1 m) times the scale; returns its name, made unique."""
     if physics_enabled:
         raise BadInputError("simSpawnObject: obstacles do not move; allowed: physics_enabled=False")
-    name, tries = object_name, 0
+    name, tries = str(object_name), 0
     while name in api.objects:
         tries += 1
         name = f"{object_name}_{tries}"
-    position, _ = pose_numbers(pose)
-    _put(api, None, api.vehicle.to_world(position), np.array(triple(scale)))
+    _put(api, None, api.vehicle.to_world(_box_position(pose)), np.array(triple(scale)))
     api.objects.append(name)
     return name
 
@@ -192,22 +214,23 @@ def _(api: Api, object_name: str) -> bool:
     place, world = _place(api, object_name), api.vehicle.sim.world
     api.vehicle.sim.set_boxes(np.delete(world.lower, place, axis=0), np.delete(world.upper, place, axis=0))
     del api.objects[place]
+    contact = api.vehicle.sim.touched
+    if contact is not None and contact.obstacle >= place:  # obstacles are counted
+        number = DESTROYED if contact.obstacle == place else contact.obstacle - 1
+        api.vehicle.sim.touched = replace(contact, obstacle=number)
     return True
 
 
 @call("simSetSegmentationObjectID")
 def _(api: Api, mesh_name: str, object_id: int, is_name_regex: bool = False) -> bool:
-    every = (*api.objects, "Ground")
-    found = [name for name in every if (re.fullmatch(mesh_name, name) if is_name_regex else name == mesh_name)]
+    found = _matching((*api.objects, GROUND), mesh_name if is_name_regex else re.escape(mesh_name))
     api.segments.update(dict.fromkeys(found, int(object_id)))
     return bool(found)
 
 
 @call("simGetSegmentationObjectID")
 def _(api: Api, mesh_name: str) -> int:
-    if mesh_name in (*api.objects, "Ground"):
-        return api.segments.get(mesh_name, 1 if mesh_name == "Ground" else 2 + api.objects.index(mesh_name) % 253)
-    return -1
+    return api.segment(mesh_name) if mesh_name in (*api.objects, GROUND) else -1
 
 
 @call("simLoadLevel")
@@ -216,7 +239,7 @@ def _(api: Api, level_name: str) -> bool:
     if level_name not in names("environments"):
         raise BadInputError(f"level {level_name!r}: not known; allowed: {', '.join(names('environments'))}")
     api.vehicle.load(api.vehicle.spec.model_copy(update={"environment": level_name}))
-    api.objects = [f"box_{n}" for n in range(len(api.vehicle.sim.world.lower))]
+    api.name_objects()
     return True
 
 

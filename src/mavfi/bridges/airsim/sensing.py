@@ -1,17 +1,30 @@
-"""Calls that look: state, collisions, inertial and other sensors, cameras, lidar."""
+"""Calls that return states and sensor data: collisions, inertial and other sensors, cameras, lidar."""
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from mavfi.bridges.airsim import pictures
-from mavfi.bridges.airsim.frames import HOME, LEVEL, flipped, geo_point, looking, mount, pose, pose_numbers, vector
+from mavfi.bridges.airsim.frames import (
+    LEVEL,
+    flipped,
+    geo_point,
+    looking,
+    mount,
+    pose,
+    pose_numbers,
+    vector,
+)
 from mavfi.bridges.airsim.frames import rotation as rotated
-from mavfi.bridges.airsim.table import Api, Camera, call
-from mavfi.bridges.airsim.vehicle import FLYING, LANDED, camera
+from mavfi.bridges.airsim.table import DESTROYED, GROUND, Api, Camera, call
+from mavfi.bridges.airsim.vehicle import FLYING, LANDED
+from mavfi.config import CameraConfig
 from mavfi.errors import BadInputError
-from mavfi.sim.grounded import GROUND, SCAN
+from mavfi.numerics.rotations import rotation_matrix
+from mavfi.sim import grounded
+from mavfi.sim.engine import GRAVITY
 
 CAMERA_RANGE = 100.0
 """Beyond it a depth image shows the sky (m)."""
@@ -28,7 +41,9 @@ _NEAREST, _FARTHEST = 0.2, 40.0
 _FIELD = (0.253, 0.049, 0.428)
 """Magnetic field at Redmond, WA, NED (gauss): World Magnetic Model, rounded."""
 _SEA_LEVEL_PA, _QNH = 101325.0, 1013.25
-_RAYS: list[np.ndarray] = []
+_AIR_DENSITY = 1.225
+_THRUST_COEFFICIENT, _PROPELLER_M = 0.109919, 0.2286
+"""Thrust coefficient and diameter of AirSim's propeller (RotorParams: GWS 9x5, measured by UIUC)."""
 
 
 def kinematics(api: Api) -> dict[str, Any]:
@@ -36,13 +51,8 @@ def kinematics(api: Api) -> dict[str, Any]:
     v = api.vehicle
     return {
         **pose(v.position, v.orientation), "linear_velocity": vector(v.velocity), "angular_velocity": vector(v.rates),
-        "linear_acceleration": vector(_acceleration(api)), "angular_acceleration": vector((0, 0, 0)),
+        "linear_acceleration": vector(flipped(v.sim.acceleration())), "angular_acceleration": vector((0, 0, 0)),
     }  # fmt: skip
-
-
-def _acceleration(api: Api) -> tuple[float, float, float]:
-    """Acceleration (NED, m/s^2): specific force in the world frame, plus gravity."""
-    return flipped(api.vehicle.sim.acceleration())
 
 
 def collision(api: Api) -> dict[str, Any]:
@@ -54,8 +64,8 @@ def collision(api: Api) -> dict[str, Any]:
             "has_collided": v.has_collided, "normal": zero, "impact_point": zero, "position": zero,
             "penetration_depth": 0.0, "time_stamp": 0, "object_name": "", "object_id": -1,
         }  # fmt: skip
-    names = {GROUND: "Ground", SCAN: "scan"}
-    name = names.get(found.obstacle) or api.objects[found.obstacle]
+    others = {grounded.GROUND: GROUND, grounded.SCAN: "scan", DESTROYED: ""}
+    name = others[found.obstacle] if found.obstacle < 0 else api.objects[found.obstacle]
     return {
         "has_collided": v.has_collided, "normal": vector(flipped(found.normal)),
         "impact_point": vector(v.to_ned(found.point)), "position": vector(v.to_ned(found.vehicle)),
@@ -89,10 +99,11 @@ def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
 def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
     v = api.vehicle
     height = geo_point(v.position)["altitude"]
+    kelvin = 288.15 - 0.0065 * height
     return {
-        "position": vector(v.position), "geo_point": geo_point(v.position), "gravity": vector((0.0, 0.0, 9.80665)),
-        "air_pressure": _pressure(height), "temperature": 288.15 - 0.0065 * height,
-        "air_density": _pressure(height) / (287.053 * (288.15 - 0.0065 * height)),
+        "position": vector(v.position), "geo_point": geo_point(v.position), "gravity": vector((0.0, 0.0, GRAVITY)),
+        "air_pressure": _pressure(height), "temperature": kelvin,
+        "air_density": _pressure(height) / (287.053 * kelvin),
     }  # fmt: skip
 
 
@@ -108,11 +119,15 @@ def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
 
 @call("getRotorStates")
 def _(api: Api, vehicle_name: str = "") -> dict[str, Any]:
-    thrusts, ratio = api.vehicle.sim.thrusts, api.vehicle.scenario.vehicle.rotor_torque_ratio
-    rotors = [
-        {"thrust": float(t), "torque_scaler": float(t) * ratio, "speed": math.sqrt(max(0.0, float(t)))} for t in thrusts
-    ]
+    thrusts, ratio = api.vehicle.sim.thrusts.tolist(), api.vehicle.scenario.vehicle.rotor_torque_ratio
+    rotors = [{"thrust": thrust, "torque_scaler": thrust * ratio, "speed": _rotor_speed(thrust)} for thrust in thrusts]
     return {"timestamp": api.vehicle.stamp, "rotors": rotors}
+
+
+def _rotor_speed(thrust: float) -> float:
+    """Speed (rad/s) at which AirSim's propeller has a thrust (N): T = C_T rho n^2 D^4."""
+    per_square = _THRUST_COEFFICIENT * _AIR_DENSITY * _PROPELLER_M**4
+    return 2.0 * math.pi * math.sqrt(max(0.0, thrust) / per_square)
 
 
 # ---- motion sensors --------------------------------------------------------------------------------------------------
@@ -139,12 +154,8 @@ def _(api: Api, barometer_name: str = "", vehicle_name: str = "") -> dict[str, A
 
 @call("getMagnetometerData")
 def _(api: Api, magnetometer_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
-    w, x, y, z = api.vehicle.orientation
-    matrix = np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    matrix = np.empty((3, 3))
+    rotation_matrix(np.array(api.vehicle.orientation), matrix)
     body = [float(sum(matrix[k, axis] * _FIELD[k] for k in range(3))) for axis in range(3)]
     return {"time_stamp": api.vehicle.stamp, "magnetic_field_body": vector(body), "magnetic_field_covariance": []}
 
@@ -161,7 +172,7 @@ def _(api: Api, gps_name: str = "", vehicle_name: str = "") -> dict[str, Any]:
 
 @call("getHomeGeoPoint")
 def _(api: Api, vehicle_name: str = "") -> dict[str, float]:
-    return dict(zip(("latitude", "longitude", "altitude"), HOME, strict=True))
+    return geo_point((0.0, 0.0, 0.0))
 
 
 @call("getDistanceSensorData")
@@ -173,15 +184,14 @@ def _(api: Api, distance_sensor_name: str = "", vehicle_name: str = "") -> dict[
     }  # fmt: skip
 
 
+@cache
 def lidar_rays() -> np.ndarray:
     """Unit vectors of AirSim's default lidar, 16 channels around the vehicle, body frame (z up). Shape (n, 3)."""
-    if not _RAYS:
-        elevation = np.radians(np.linspace(_LIDAR_TOP_DEG, _LIDAR_BOTTOM_DEG, _CHANNELS))
-        azimuth = np.radians(np.linspace(-180.0, 180.0, _STEPS, endpoint=False))
-        turn, tilt = np.meshgrid(azimuth, elevation)
-        rays = np.stack([np.cos(tilt) * np.cos(turn), -np.cos(tilt) * np.sin(turn), np.sin(tilt)], axis=-1)
-        _RAYS.append(np.ascontiguousarray(rays.reshape(-1, 3)))
-    return _RAYS[0]
+    elevation = np.radians(np.linspace(_LIDAR_TOP_DEG, _LIDAR_BOTTOM_DEG, _CHANNELS))
+    azimuth = np.radians(np.linspace(-180.0, 180.0, _STEPS, endpoint=False))
+    turn, tilt = np.meshgrid(azimuth, elevation)
+    rays = np.stack([np.cos(tilt) * np.cos(turn), -np.cos(tilt) * np.sin(turn), np.sin(tilt)], axis=-1)
+    return np.ascontiguousarray(rays.reshape(-1, 3))
 
 
 @call("getLidarData")
@@ -216,7 +226,7 @@ def find_camera(api: Api, name: Any) -> Camera:  # noqa: ANN401 - a client's
 def view(api: Api, name: Any) -> pictures.View:  # noqa: ANN401 - a client's
     """What a camera sees now."""
     found, (width, height) = find_camera(api, name), api.pixels
-    config = camera(width, height, math.radians(found.fov_deg), CAMERA_RANGE)
+    config = CameraConfig(width=width, height=height, field_of_view=math.radians(found.fov_deg), range=CAMERA_RANGE)
     placed = mount(found.position, found.orientation)
     ranges, rays = api.vehicle.sim.ranges(config, placed)
     return pictures.View(ranges, rays, width, height, api.vehicle.sim.sensor_pose(placed))

@@ -14,12 +14,11 @@ from typing import Any
 from mavfi.bridges.airsim import flying, scene, sensing
 from mavfi.bridges.airsim.boundary import Boundary
 from mavfi.bridges.airsim.clock import Real, Steps
+from mavfi.bridges.airsim.runner import TIME_IS_UP
 from mavfi.bridges.airsim.table import Api, find_call, require_ready
-from mavfi.errors import BadInputError, MavfiError
+from mavfi.errors import BadInputError
 
 HOST, PORT = "127.0.0.1", 41451
-TIME_IS_UP = "mavfi: time is up"
-"""Begins the error of every call after the time limit; the runner ends the program then."""
 _REQUEST, _RESPONSE = 0, 1
 _READ = 1 << 16
 _MODULES = flying, scene, sensing  # register their calls
@@ -45,15 +44,15 @@ class Server:
     """Serves one vehicle.
 
     Args:
-        api: The vehicle and what belongs to it.
-        clock: How time passes.
-        boundary: What all calls pass.
+        api: The vehicle behind the API.
+        clock: Advances the vehicle.
+        boundary: Faults and detector.
         single: Whether numbers are sent as float32, as by AirSim.
 
     Attributes:
         calls: Number of calls by name.
         errors: Number of errors by message.
-        finished: Set when the last client has left, after the first one came.
+        finished: Set while no client is connected, once there was one.
     """
 
     def __init__(
@@ -78,13 +77,13 @@ class Server:
                 reply(None, result)
             else:
                 self._serve(name, given, reply)
-        except MavfiError as error:
-            self._refuse(name, str(error), reply)
-        except (TypeError, ValueError, OverflowError, ArithmeticError) as error:  # arguments of another kind
-            self._refuse(name, f"{name}: {error}", reply)
+        except Exception as error:  # noqa: BLE001 - arguments of any type can come from a client
+            self._refuse(name, error, reply)
         self.flush()
 
-    def _refuse(self, name: Any, text: str, reply: Reply) -> None:
+    def _refuse(self, name: Any, error: Exception, reply: Reply) -> None:
+        """Answer with an error that names the call."""
+        text = str(error) if str(name) in str(error) else f"{name}: {error}"
         self.errors[text] += 1
         reply(text, None)
 
@@ -128,8 +127,7 @@ class Server:
             if reply is None:
                 continue
             if isinstance(ended.result, Exception):
-                known = isinstance(ended.result, MavfiError)
-                self._refuse(name, str(ended.result) if known else f"{name}: {ended.result}", reply)
+                self._refuse(name, ended.result, reply)
             else:
                 reply(None, self.boundary.returned(name, given, ended.result, vehicle.now_us))
         vehicle.ended.clear()
@@ -138,6 +136,7 @@ class Server:
     async def connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve one client until it leaves."""
         self._connections.add(writer)
+        self.finished.clear()
         raw = writer.get_extra_info("socket")
         raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         unpacker = self._msgpack.Unpacker(raw=False, strict_map_key=False, unicode_errors="surrogateescape")
@@ -169,7 +168,7 @@ class Server:
         self.serve_call(name, list(given) if isinstance(given, (list, tuple)) else [given], reply)
 
     async def run(self, port: int, ready: Callable[[int], None], *, once: bool = False) -> None:
-        """Serve on loopback: for ever, or (`once`) until the last client has left.
+        """Serve on loopback until cancelled, or (`once`) until the last client has left.
 
         Args:
             port: 0 = any free one.

@@ -3,15 +3,16 @@
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
-from mavfi.bridges.airsim.config import VEHICLE
-from mavfi.bridges.airsim.vehicle import ApiVehicle, Task
+from mavfi.bridges.airsim.vehicle import ApiVehicle
 from mavfi.errors import BadInputError
 
-PIXELS = (256, 144)
-"""Size of an image unless chosen, as in AirSim's default settings."""
+GROUND = "Ground"
+"""Name of the ground plane."""
+DESTROYED = -3
+"""`Contact.obstacle` of an obstacle that was destroyed after the contact."""
 
 
 @dataclass(slots=True)
@@ -25,7 +26,7 @@ class Camera:
 
 @dataclass
 class Api:
-    """What calls act on.
+    """The vehicle and the state that calls read and change.
 
     Attributes:
         vehicle: The vehicle.
@@ -33,34 +34,42 @@ class Api:
         pixels: Width and height of images.
         version: Version that the server reports: 1 for AirSim 1.8.1, 4 for Cosys-AirSim 3.
         cameras: By name, filled when first used.
-        paused: Whether time stands still.
-        resume_until_us: Instant at which a pause returns; None = none.
-        settings: Of AirSim, as the client reads them.
+        paused: Whether simulated time is stopped.
+        resume_until_us: Instant of the next pause; None = none is planned.
         objects: Names of the obstacles, in the order of the world's boxes.
         segments: Segmentation ids of objects, by name.
         weather: Parameters of the picture, by AirSim's number.
         weather_on: Whether they are drawn.
         sticks: Last data of moveByRC.
-        collided_before: Whether the vehicle touched an obstacle before its last reset or change of pose.
     """
 
     vehicle: ApiVehicle
-    name: str = VEHICLE
-    pixels: tuple[int, int] = PIXELS
-    version: int = 1
+    name: str
+    pixels: tuple[int, int]
+    version: int
     cameras: dict[str, Camera] = field(default_factory=dict)
     paused: bool = False
     resume_until_us: int | None = None
-    settings: dict[str, Any] = field(default_factory=dict)
     objects: list[str] = field(default_factory=list)
     segments: dict[str, int] = field(default_factory=dict)
     weather: dict[int, float] = field(default_factory=dict)
     weather_on: bool = False
     sticks: dict[str, float] = field(default_factory=dict)
-    collided_before: bool = False
 
     def __post_init__(self) -> None:
-        self.objects = self.objects or [f"box_{n}" for n in range(len(self.vehicle.sim.world.lower))]
+        self.name_objects()
+
+    def name_objects(self) -> None:
+        """Name the obstacles of a new world."""
+        self.objects = [f"box_{n}" for n in range(len(self.vehicle.sim.world.lower))]
+
+    def segment(self, name: str) -> int:
+        """Segmentation id of an object, or of the ground: the chosen one, or 1 for the ground, 2 to 254 for obstacles.
+
+        Raises:
+            ValueError: There is no such object.
+        """
+        return self.segments.get(name, 1 if name == GROUND else 2 + self.objects.index(name) % 253)
 
 
 @dataclass(frozen=True)
@@ -107,24 +116,18 @@ class Call:
 CALLS: dict[str, Call] = {}
 
 
-def call(name: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+def call(name: str, *, is_task: bool = False) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Register a function as the call of this name."""
 
     def add(function: Callable[..., Any]) -> Callable[..., Any]:
-        CALLS[name] = Call(name, function, is_task=False)
+        CALLS[name] = Call(name, function, is_task)
         return function
 
     return add
 
 
-def task(name: str) -> Callable[[Callable[..., Task]], Callable[..., Task]]:
-    """Register a function that returns a task as the call of this name; it needs running motors."""
-
-    def add(function: Callable[..., Task]) -> Callable[..., Task]:
-        CALLS[name] = Call(name, function, is_task=True)
-        return function
-
-    return add
+task = partial(call, is_task=True)
+"""Register a function that returns a `Task`, which needs running motors."""
 
 
 def find_call(name: Any) -> Call:

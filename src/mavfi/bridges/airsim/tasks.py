@@ -5,7 +5,7 @@ still for 10 periods, a place is reached within 0.5 m, a path is followed by pur
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,7 @@ from mavfi.bridges.airsim.frames import Triple
 from mavfi.bridges.airsim.vehicle import ApiVehicle, Task
 from mavfi.errors import BadInputError
 from mavfi.numerics.elementary import atan2, cos, sin
+from mavfi.sim.grounded import Rotors
 
 DISTANCE_ACCURACY = 0.5
 """Distance within which a place is reached (m)."""
@@ -45,11 +46,6 @@ class Yaw:
     value: float = 0.0
     forward: bool = False
 
-    @property
-    def constant(self) -> bool:
-        """Whether the yaw rate depends on nothing."""
-        return self.is_rate
-
     def rate(self, vehicle: ApiVehicle, velocity: Sequence[float]) -> float:
         """Yaw rate (rad/s) now, at a velocity (NED, m/s)."""
         if self.is_rate:
@@ -73,19 +69,19 @@ def _end_of(vehicle: ApiVehicle, seconds: float) -> int:
 
 
 def fly_velocity(vehicle: ApiVehicle, velocity: Triple, seconds: float, yaw: Yaw) -> Task:
-    """A velocity for a time; at a constant yaw rate it is commanded once, for the whole time."""
+    """Fly at a velocity for a time; with a yaw rate, it is commanded once, for the whole time."""
     end = _end_of(vehicle, seconds)
-    if yaw.constant:
+    if yaw.is_rate:
         vehicle.send(velocity, yaw.value, seconds)
     while vehicle.now_us < end:
-        if not yaw.constant:
+        if not yaw.is_rate:
             vehicle.send(velocity, yaw.rate(vehicle, velocity), _HOLD_S)
         yield
     return True
 
 
 def fly_velocity_at(vehicle: ApiVehicle, velocity: tuple[float, float], z: float, seconds: float, yaw: Yaw) -> Task:
-    """A horizontal velocity at a height, for a time."""
+    """Fly at a horizontal velocity and a height, for a time."""
     end = _end_of(vehicle, seconds)
     while vehicle.now_us < end:
         down = _clip(_HEIGHT_GAIN * (z - vehicle.position[2]), _CLIMB)
@@ -120,15 +116,15 @@ class _Path:
 def fly_path(
     vehicle: ApiVehicle, points: Sequence[Triple], speed: float, timeout: float, yaw: Yaw, lookahead: float = -1.0
 ) -> Task:
-    """Follow a path from here: pursuit of a point on it, ahead of the vehicle's own foot point.
+    """Follow a path from the current position: pursue a point ahead of the nearest one on the path.
 
     Args:
         vehicle: The vehicle.
         points: NED (m).
         speed: Along the path (m/s).
-        timeout: After which it gives up (s).
+        timeout: Longest duration (s).
         yaw: Heading.
-        lookahead: Distance of the pursued point (m); 0 and less = from the speed.
+        lookahead: Distance of the pursued point (m); 0 and less = chosen from the speed.
 
     Returns:
         Whether the end was reached.
@@ -159,7 +155,7 @@ def take_off(vehicle: ApiVehicle, timeout: float) -> Task:
     """Climb by 2 m.
 
     Raises:
-        BadInputError: The vehicle moves already.
+        BadInputError: The vehicle is not at rest.
     """
     if math.hypot(*vehicle.velocity) > APPROX_ZERO_SPEED:
         raise BadInputError("takeoff: the vehicle moves; allowed: at rest")
@@ -177,7 +173,7 @@ def land(vehicle: ApiVehicle, timeout: float) -> Task:
         still = still + 1 if abs(vehicle.velocity[2]) <= APPROX_ZERO_SPEED else 0
         if still > STILL_PERIODS:
             vehicle.sim.rest()
-            vehicle.landed = vehicle.sim.height < 0.1
+            vehicle.note_landing()
             return True
     return False
 
@@ -202,8 +198,8 @@ def turn_to(vehicle: ApiVehicle, yaw: float, timeout: float, margin: float) -> T
     return False
 
 
-def fly_rotors(vehicle: ApiVehicle, rotors: Callable[[int, np.ndarray], np.ndarray], seconds: float) -> Task:
-    """Rotor commands from elsewhere for a time, see `mavfi.bridges.airsim.attitude`."""
+def fly_rotors(vehicle: ApiVehicle, rotors: Rotors, seconds: float) -> Task:
+    """Rotor commands for a time, see `mavfi.bridges.airsim.attitude`."""
     end = _end_of(vehicle, seconds)
     vehicle.sim.rotors = rotors
     while vehicle.now_us < end:

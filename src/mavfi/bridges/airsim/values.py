@@ -53,7 +53,7 @@ def leaves(value: Any, prefix: str = "") -> Iterator[tuple[str, float]]:
 
 def keys_of(text: str) -> Path:
     """A path from text, e.g. "0.x_val"."""
-    return tuple(int(part) if part.isdigit() else part for part in text.split(".") if part)
+    return tuple(int(part) if part.isdecimal() else part for part in text.split(".") if part)
 
 
 def bits_of(value: Any) -> int:

@@ -1,17 +1,18 @@
-"""Our vehicle as AirSim's API shows it: NED, tasks that take time, collisions, reset; time is advanced by its owner."""
+"""Our vehicle as AirSim's API shows it: NED, tasks that take time, collisions, reset; its owner advances the time."""
 
 import hashlib
 from collections.abc import Generator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from mavfi.bridges.airsim.frames import Triple, flipped, turned, yaw_of
-from mavfi.config import CameraConfig
+from mavfi.bridges.airsim.frames import Triple, flipped, turned
 from mavfi.hosts.loop.compose import resolve
-from mavfi.mission import MissionSpec
+from mavfi.mission import MissionSpec, Scenario
+from mavfi.numerics.rotations import yaw_of
 from mavfi.sim.environments import build_world
+from mavfi.sim.environments.world import World
 from mavfi.sim.grounded import Contact, Grounded
 from mavfi.sim.scene import STEP_US
 
@@ -21,7 +22,9 @@ EPOCH_NS = 1_600_000_000_000_000_000
 """Time stamp of the start of a simulation (ns)."""
 LANDED, FLYING = 0, 1
 _AIRBORNE = 0.3
-"""Height at which a vehicle counts as flying (m)."""
+"""Height above which an armed vehicle counts as flying (m)."""
+_LANDED_HEIGHT = 0.1
+"""Height below which a vehicle at rest counts as landed (m)."""
 
 Task = Generator[None, None, Any]
 
@@ -43,53 +46,62 @@ class ApiVehicle:
             the mission's start, and NED is the world's frame, turned.
 
     Attributes:
-        sim: The simulator of the present life.
+        spec: Its mission.
+        scenario: The mission, resolved.
+        sim: The simulator since the last reset.
         origin: Origin of NED in the world (m). Shape (3,).
         landed: Whether it stands on the ground.
         api: Whether a program controls it.
-        ended: Tasks that ended since their owner last looked.
-        deaths: Number of resets so far.
+        ended: Tasks that ended; the owner removes them.
 
     Raises:
         BadInputError: The mission cannot be flown from the ground.
     """
 
+    spec: MissionSpec
+    scenario: Scenario
     sim: Grounded
 
     def __init__(self, spec: MissionSpec, *, on_ground: bool = True) -> None:
         self.on_ground = on_ground
-        self._base_us, self.ended, self.resets = 0, list[Ended](), 0
+        self._base_us, self._collided_before = 0, False
+        self.ended: list[Ended] = []
         self._task: Task | None = None
         self._number, self._task_us = 0, 0
         self._digest = hashlib.sha256()
         self.load(spec)
 
     def load(self, spec: MissionSpec) -> None:
-        """Fly in another world from now on."""
+        """Fly in another world from now on.
+
+        Raises:
+            BadInputError: The mission cannot be flown from the ground; the vehicle stays where it is.
+        """
+        scenario = resolve(spec)
+        self._start_in(build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal), scenario)
+        self.spec = spec
+
+    def _start_in(self, world: World, scenario: Scenario) -> None:
+        """Replace the simulator."""
+        sim = Grounded(world, scenario, on_ground=self.on_ground)
         if hasattr(self, "sim"):
             self.cancel()
+            self._collided_before = self.has_ever_collided
             self._base_us += self.sim.time_us
             self.sim.close()
-        self.spec, self.scenario = spec, resolve(spec)
-        scenario = self.scenario
-        self._world = build_world(scenario.environment, scenario.seed, scenario.start, scenario.goal)
+        self.sim, self.scenario = sim, scenario
         self._begin()
 
     def _begin(self) -> None:
-        self.sim = Grounded(self._world, self.scenario, on_ground=self.on_ground)
+        """Set the state of a new simulator."""
         self.origin = self.sim.world.start.copy() if self.on_ground else np.zeros(3)
         self.landed, self.api = self.on_ground, False
         if self.on_ground:
             self.sim.arm(True)  # AirSim's default: the rotors turn from the start on
 
     def reset(self) -> None:
-        """Back to the start; a running task ends with False.  Time goes on, obstacles stay."""
-        self.cancel()
-        self._base_us += self.sim.time_us
-        self._world = replace(self._world, lower=self.sim.world.lower, upper=self.sim.world.upper)
-        self.sim.close()
-        self._begin()
-        self.resets += 1
+        """Return to the start, and end a running task with False; time and obstacles are not reset."""
+        self._start_in(self.sim.world, self.scenario)
 
     # ---- state, in NED and FRD --------------------------------------------------------------------------------------
     @property
@@ -125,19 +137,24 @@ class ApiVehicle:
     @property
     def yaw(self) -> float:
         """Clockwise from north (rad)."""
-        return yaw_of(self.orientation)
+        return float(yaw_of(np.array(self.orientation)))
 
     @property
     def collision(self) -> Contact | None:
-        """The last contact that counts as a collision: with obstacles; without a ground start, with the ground, too."""
+        """The last contact that is a collision: with an obstacle, and for a start in the air also with the ground."""
         if self.sim.touched is not None or self.on_ground:
             return self.sim.touched
         return self.sim.landed_at
 
     @property
     def has_collided(self) -> bool:
-        """Whether there was such a contact; in flight from the start, by the rule of missions."""
+        """Whether there was a collision; for a start in the air, by the rule of missions."""
         return self.sim.touched is not None if self.on_ground else self.sim.collided
+
+    @property
+    def has_ever_collided(self) -> bool:
+        """Whether there was a collision, also before a reset or a change of pose."""
+        return self._collided_before or self.has_collided
 
     def to_world(self, ned: Triple) -> np.ndarray:
         """A place in the world's frame (m). Shape (3,)."""
@@ -187,13 +204,12 @@ class ApiVehicle:
         return self._task is not None
 
     def start(self, task: Task) -> int:
-        """Start a task, which acts at once and ends the one before with False; returns its number."""
+        """Start a task, whose first period is now, and end the previous one with False; returns its number."""
         self.cancel()
         self._number += 1
         self._task = task
-        number = self._number
         self._act()
-        return number
+        return self._number
 
     def cancel(self) -> None:
         """End the running task, if any, with False."""
@@ -218,10 +234,11 @@ class ApiVehicle:
 
     def place(self, position: Triple, orientation: tuple[float, float, float, float]) -> None:
         """Put it to a pose (NED)."""
+        collided = self.has_ever_collided
         self.sim.place(self.to_world(position), np.array(turned(orientation)))
-        self.landed = self.sim.height < 0.1
+        self._collided_before = collided
+        self.note_landing()
 
-
-def camera(width: int, height: int, field_of_view: float, limit: float) -> CameraConfig:
-    """A camera of any size (pixels), field of view (rad) and range (m)."""
-    return CameraConfig(width=width, height=height, field_of_view=field_of_view, range=limit)
+    def note_landing(self) -> None:
+        """Set `landed` by the height."""
+        self.landed = self.sim.height < _LANDED_HEIGHT

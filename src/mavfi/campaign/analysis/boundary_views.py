@@ -1,14 +1,11 @@
 """Views of faults in the calls of a client program: effects by side and by call."""
 
-from typing import Any
-
 import polars as pl
 
 from mavfi.campaign.analysis import measures as m
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.analysis.statistics import wilson
-from mavfi.campaign.analysis.table import NUMBER, RATE
+from mavfi.campaign.analysis.table import NUMBER
 from mavfi.campaign.analysis.views import View, has, register
 
 _EFFECTS = {
@@ -20,6 +17,7 @@ _EFFECTS = {
 }
 _INTERVALS = "per cent of the runs whose fault was activated, [95 % interval, Wilson], count"
 _MOST = 20
+_JUDGED = pl.col("effect").is_in(["masked", "sdc", "exception", "hang"])
 
 
 def _applies(runs: Runs) -> bool:
@@ -30,23 +28,9 @@ def _runs(runs: Runs) -> Runs:
     return runs.injected.where(level="message").adding(side=pl.col("target"), call=pl.col("state"))
 
 
-def _judged(own: Runs) -> Runs:
-    return own.where(pl.col("effect").is_in(["masked", "sdc", "exception", "hang", "crash"]))
-
-
-def _share(name: str) -> Measure:
-    heading, condition = _EFFECTS[name]
-
-    def of(own: Runs) -> Any:
-        judged = _judged(own)
-        return wilson(len(judged.where(condition)), len(judged))
-
-    return Measure(name, heading, RATE, of)
-
-
 _COLUMNS = (
-    Measure("n", "runs", NUMBER, lambda own: len(_judged(own))),
-    *(_share(name) for name in _EFFECTS),
+    Measure("n", "runs", NUMBER, lambda own: len(own.where(_JUDGED))),
+    *(m.wilson_rate(key, heading, test, _JUDGED) for key, (heading, test) in _EFFECTS.items()),
     m.count("not_activated", "not activated", effect="not_activated"),
     m.count("unknown", "not judged", effect="unknown"),
 )

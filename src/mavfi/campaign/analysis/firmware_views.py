@@ -1,4 +1,4 @@
-"""Views of register faults in a flight controller's firmware: what becomes of the mission."""
+"""Views of register faults in a flight controller's firmware: outcomes of the missions."""
 
 import polars as pl
 

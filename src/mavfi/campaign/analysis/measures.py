@@ -18,6 +18,7 @@ from mavfi.campaign.analysis.statistics import (
     event_rate_by_flight,
     smallest_difference,
     weighted_rate,
+    wilson,
 )
 from mavfi.campaign.analysis.table import NUMBER, PERCENT, RATE, SIGNED, TEXT, Cell, Column
 from mavfi.campaign.plan import FI, GOLDEN
@@ -95,6 +96,16 @@ def rate(key: str, heading: str, test: pl.Expr | str, *where: pl.Expr | str, wei
         key, heading, RATE, lambda own: rate_of(own.where(*where), test, weighted=weighted),
         counted=lambda own: own.where(*where),
     )  # fmt: skip
+
+
+def wilson_rate(key: str, heading: str, test: pl.Expr, *where: pl.Expr) -> Measure:
+    """Share of rows that pass a test, among those that pass `where`, with a Wilson interval of independent rows."""
+
+    def of(own: Runs) -> Cell:
+        judged = own.where(*where)
+        return wilson(len(judged.where(test)), len(judged))
+
+    return Measure(key, heading, RATE, of)
 
 
 def rate_of(own: Runs, test: pl.Expr | str, *, weighted: bool = False) -> Rate:

@@ -8,8 +8,7 @@ import polars as pl
 from mavfi.campaign.analysis import measures as m
 from mavfi.campaign.analysis.measures import Measure
 from mavfi.campaign.analysis.runs import Runs
-from mavfi.campaign.analysis.statistics import wilson
-from mavfi.campaign.analysis.table import NUMBER, RATE
+from mavfi.campaign.analysis.table import NUMBER
 from mavfi.campaign.analysis.views import View, has, register
 from mavfi.flight_record import FlightRecord
 
@@ -20,6 +19,7 @@ _REPEAT = (
     "digest is that of this ledger"
 )
 _MOST = 12
+_JUDGED = pl.col("effect") != "unknown"
 
 
 def _of_registers(runs: Runs) -> bool:
@@ -29,14 +29,6 @@ def _of_registers(runs: Runs) -> bool:
 def _trials(runs: Runs) -> Runs:
     names = {"general": "general + flags", "fp": "XMM, YMM"}
     return runs.injected.where(level="register").adding(registers=pl.col("target").replace(names))
-
-
-def _share(effect: str, heading: str) -> Measure:
-    def of(own: Runs) -> Any:
-        judged = own.where(pl.col("effect") != "unknown")
-        return wilson(len(judged.where(effect=effect)), len(judged))
-
-    return Measure(effect, heading, RATE, of)
 
 
 def _endings_note(runs: Runs) -> list[str]:
@@ -84,8 +76,8 @@ register(
     View(
         "register_effects", "What one bit in a register does", ("registers",),
         (
-            Measure("n", "trials", NUMBER, lambda own: len(own.where(pl.col("effect") != "unknown"))),
-            *(_share(effect, heading) for effect, heading in _EFFECTS.items()),
+            Measure("n", "trials", NUMBER, lambda own: len(own.where(_JUDGED))),
+            *(m.wilson_rate(key, heading, pl.col("effect") == key, _JUDGED) for key, heading in _EFFECTS.items()),
             m.count("unknown", "not judged", effect="unknown"),
         ),
         where=_trials, total=("registers", "in all"),

@@ -1,19 +1,18 @@
 """Faults in the numbers of a program's calls (host airsim_program): `faults` for each side of the boundary.
 
-A fault is in a call drawn uniformly among those of the golden run that have a number on its side, in one of these
-numbers, in one of 64 bits (modulo the width of the number).  An image counts like any other call.
+A call is drawn uniformly from those of the golden run with a number on this side, then one of its numbers, then one of
+64 bits (modulo the width of the number).  A call that returns an image is as likely as any other one.
 """
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from mavfi.campaign.config import Campaign
 from mavfi.campaign.message_sampling import MessageSampling
-from mavfi.campaign.samplers.sampler import Block, Draw, Sampled
+from mavfi.campaign.samplers.sampler import Block, Draw, Sampled, alternating
 from mavfi.faults.fault import Fault, MessageFault
 from mavfi.hosts.host import ArmSetup, MissionFlights
 
@@ -34,21 +33,14 @@ class MessageSampler:
         self._campaign, self._sampling = campaign, campaign.sampling
 
     def blocks(self, environment: str) -> Sequence[Block]:
-        """One block per side; their faults alternate."""
+        """One block per side."""
         del environment
-        sides = self._sampling.sides
-        return [
-            Block(self._campaign.faults, partial(self._draw, side), place, len(sides))
-            for place, side in enumerate(sides)
-        ]
-
-    def _draw(self, side: str, index: int) -> Draw:
-        return Draw(side, index, self._campaign.first_seed + index % self._campaign.missions)
+        return alternating(self._campaign, self._sampling.sides)
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup
     ) -> Sampled:  # fmt: skip
-        """The golden run, whose calls faults are drawn from."""
+        """The golden run, from whose calls faults are drawn."""
         del draws, environment, setup
         return Sampled(flights.golden(arm))
 

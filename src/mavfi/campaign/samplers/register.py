@@ -1,17 +1,15 @@
 """Faults in registers of a live process: `faults` for each kind of register, at the next call of a function if given.
 
-In a process that flies a mission, the instant is uniform over the golden flight.
-
+In a process that flies a mission, the instant of the injection is uniform over the golden flight.
 Instruction, register and bit are drawn while the process is stopped, from the seed of the fault: fault i has seed
 first_seed + i.
 """
 
-import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mavfi.campaign.config import Campaign, RegisterSampling
-from mavfi.campaign.samplers.sampler import Block, Draw, Sampled
+from mavfi.campaign.samplers.sampler import Block, Draw, Sampled, alternating
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.faults.sampling import stream
 from mavfi.hosts.host import ArmSetup, MissionFlights
@@ -30,16 +28,9 @@ class RegisterSampler:
         self._campaign, self._sampling = campaign, campaign.sampling
 
     def blocks(self, environment: str) -> Sequence[Block]:
-        """One block per kind of registers; their faults alternate."""
+        """One block per kind of registers."""
         del environment
-        kinds = self._sampling.registers
-        return [
-            Block(self._campaign.faults, functools.partial(self._draw, registers), place, len(kinds))
-            for place, registers in enumerate(kinds)
-        ]
-
-    def _draw(self, registers: str, index: int) -> Draw:
-        return Draw(registers, index, self._campaign.first_seed + index % self._campaign.missions)
+        return alternating(self._campaign, self._sampling.registers)
 
     def golden(
         self, arm: str, draws: Sequence[Draw], environment: str, flights: MissionFlights, setup: ArmSetup

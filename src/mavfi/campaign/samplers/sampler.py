@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Protocol
 
 from mavfi.campaign.config import Campaign
@@ -16,7 +17,7 @@ NULL = "null"  # target of null runs: the complete path through the injector, wi
 class Draw:
     """A fault to be drawn."""
 
-    target: str  # stage, group, kernel or kind of registers: a row of a table
+    target: str  # stage, group, kernel, kind of registers or side of calls: a row of a table
     index: int  # number of the fault within target and environment
     seed: int  # seed of its mission
     variant: str = ""  # arm in whose golden run it is drawn; "" = the campaign's own mission
@@ -34,6 +35,17 @@ class Block:
     draw: Callable[[int], Draw]  # draw of fault i
     first: int  # position of fault 0 in the environment's plan
     step: int = 1  # distance between the positions of faults i and i + 1
+
+
+def alternating(campaign: Campaign, targets: Sequence[str]) -> list[Block]:
+    """One block per target; the faults of the targets alternate."""
+
+    def draw_one(target: str, index: int) -> Draw:
+        return Draw(target, index, campaign.first_seed + index % campaign.missions)
+
+    return [
+        Block(campaign.faults, partial(draw_one, target), place, len(targets)) for place, target in enumerate(targets)
+    ]
 
 
 class TargetBlocks:

@@ -15,7 +15,7 @@ from mavfi.errors import BadInputError
 from mavfi.faults.fault import Fault, RegisterFault
 from mavfi.flight_log import Injection, KernelEffect
 from mavfi.flight_record import End, FlightRecord
-from mavfi.hosts.host import ArmSetup, Recorded
+from mavfi.hosts.host import ArmSetup, Recorded, one_by_one
 from mavfi.hosts.node.config import NodeConfig
 from mavfi.hosts.node.trial import Trial, run_trial
 from mavfi.hosts.ros1 import finder
@@ -85,17 +85,13 @@ class NodeMission:
     def know(self, arm: str, flight: Recorded) -> None:
         """See `MissionFlights.know`; no operation, as no trial is run elsewhere."""
 
-    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, TrialResult | Exception]]:
-        """Injected trials, run sequentially; a `BadInputError` is raised, as it would end every trial."""
-        for place, (_, fault) in enumerate(runs):
-            try:
-                trial = run_trial(self._node, self._outputs, cast(RegisterFault, fault))
-            except BadInputError:
-                raise
-            except Exception as error:  # noqa: BLE001 - ends this trial only
-                yield place, error
-            else:
-                yield place, TrialResult(record_of_trial(trial))
+    def injected(self, runs: Sequence[tuple[str, Fault]]) -> Iterator[tuple[int, Recorded | Exception]]:
+        """See `one_by_one`."""
+
+        def run(_: str, fault: Fault) -> TrialResult:
+            return TrialResult(record_of_trial(run_trial(self._node, self._outputs, cast(RegisterFault, fault))))
+
+        return one_by_one(runs, run)
 
 
 def golden_trial(node: NodeConfig) -> Trial:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mavfi.bridges.airsim import flying, scene, sensing  # noqa: F401 - register their calls
-from mavfi.bridges.airsim.boundary import Boundary, Recording, parse_fault, text_of
+from mavfi.bridges.airsim.boundary import Boundary, Recording, parse_fault
 from mavfi.errors import BadInputError
 
 VELOCITY = [1.0, 2.0, 0.0, 5.0, 0, {"is_rate": True, "yaw_or_rate": 0.0}, ""]
@@ -33,7 +33,12 @@ def test_a_returned_value_is_changed_in_the_nth_call(text):
     for wanted in (1.0, -1.0, 1.0):
         _, result = call(boundary, "simGetVehiclePose", [""], {"position": {"x_val": 1.0}})
         assert result["position"]["x_val"] == wanted
-    assert text_of(boundary.planned.fault) == text
+    assert boundary.injection.details["number"] == 2
+
+
+def test_a_number_of_all_is_not_the_nth_call():
+    fault = parse_fault("simGetVehiclePose.return#7").fault
+    assert (fault.field, fault.at) == ("return#7", 1)
 
 
 def test_a_path_leads_into_objects():
@@ -60,6 +65,9 @@ def test_a_number_that_is_not_there_leaves_the_fault_not_activated(text):
         ("moveByVelocity.speed:bit=1", "'speed': not known; allowed: vx, vy, vz, duration"),
         ("moveByVelocity.vx:bit=64", "bit 64: allowed: 0 to 63"),
         ("moveByVelocity.vx:bit=1@-3", "allowed: 0 to 1e6 s"),
+        ("moveByVelocity.vx:bit=1#0", "allowed: CALL.PATH"),
+        ("moveByVelocity.arguments:bit=1", "'arguments': not known; allowed: vx"),
+        ("moveByVelocity.arguments#:bit=1", "allowed: CALL.PATH"),
     ],
 )
 def test_what_cannot_be_is_refused(text, message):

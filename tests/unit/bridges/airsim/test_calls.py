@@ -151,6 +151,27 @@ def test_reset_answers_the_task_and_goes_back_to_the_start():
         client("hover", "")
 
 
+def test_a_reset_that_is_refused_changes_nothing():
+    client = Client().ready()
+    client("takeoff", 20.0, "")
+    client("simSpawnObject", "wall", "Cube", pose((0.0, 0.0, 0.0), LEVEL), vector((1, 1, 1)))
+    with pytest.raises(RuntimeError, match="an obstacle stands at"):
+        client("reset")
+    assert client.at[2] < -1.0 and client("hover", "") is True
+
+
+def test_a_collision_is_remembered_after_a_change_of_pose():
+    client = Client().ready()
+    client("simSpawnObject", "wall", "Cube", pose((3.0, 0.0, -2.0), LEVEL), vector((1, 6, 8)))
+    client("takeoff", 20.0, "")
+    client("moveByVelocity", 2.0, 0.0, 0.0, 3.0, 0, STILL, "")
+    assert client.vehicle.has_collided
+    zero = vector((0, 0, 0))
+    state = {**pose((0.0, 0.0, -2.0), LEVEL), "linear_velocity": zero, "angular_velocity": zero}
+    client("simSetKinematics", state, True, "")
+    assert not client.vehicle.has_collided and client.vehicle.has_ever_collided
+
+
 def test_time_passes_in_calls_only_and_a_pause_stops_it():
     client = Client().ready()
     client("simPause", True)
@@ -226,7 +247,11 @@ def test_sensors_agree_with_the_state(flying):
     ground = cloud[np.abs(cloud[:, 2] - 0.35) < 0.05]  # NED: the origin is one radius above the ground
     assert len(ground) > 0.3 * len(cloud) > 100
     assert 0.2 <= flying("getDistanceSensorData", "", "")["distance"] <= 40.0
-    assert sum(rotor["thrust"] for rotor in flying("getRotorStates", "")["rotors"]) == pytest.approx(9.80665, rel=0.02)
+    rotors = flying("getRotorStates", "")["rotors"]
+    assert sum(rotor["thrust"] for rotor in rotors) == pytest.approx(9.80665, rel=0.02)
+    full_thrust, full_speed = 4.179446268, 6396.667 * 2.0 * math.pi / 60.0  # AirSim's RotorParams
+    expected = full_speed * math.sqrt(rotors[0]["thrust"] / full_thrust)
+    assert rotors[0]["speed"] == pytest.approx(expected, rel=1e-4)
     assert flying("getMagnetometerData", "", "")["magnetic_field_body"]["z_val"] > 0.3
 
 
@@ -249,6 +274,7 @@ def test_objects_are_listed_moved_spawned_and_met():
         4.5, abs=0.05
     )
     assert client("simDestroyObject", "wall") and client("simTestLineOfSightBetweenPoints", a, b) is True
+    assert client("simGetCollisionInfo", "")["object_name"] == ""
     assert math.isnan(client("simGetObjectPose", "wall", True)["position"]["x_val"])
 
 
@@ -275,8 +301,12 @@ def test_wind_blows_and_a_pose_is_taken(flying):
         ("moveToPosition", ("a", 0.0, 0.0, 1.0, 9.0, 0, STILL, -1, 1, ""), "moveToPosition"),
         ("moveToPosition", (math.nan, 0.0, 0.0, 1.0, 9.0, 0, STILL, -1, 1, ""), "allowed: finite points"),
         ("moveOnPath", ([], 1.0, 9.0, 0, STILL, -1, 1, ""), "moveOnPath: no path"),
-        ("simSetVehiclePose", ({}, True, ""), "allowed: a Pose"),
+        ("simSetVehiclePose", ({}, True, ""), "simSetVehiclePose: {}: allowed: a Pose"),
         ("simLoadLevel", ("Blocks",), "level 'Blocks': not known; allowed: "),
+        ("simListSceneObjects", ("[",), "allowed: a regular expression"),
+        ("simSetSegmentationObjectID", ("[", 1, True), "allowed: a regular expression"),
+        ("simSetObjectPose", ("box_0", pose((0, 0, 0), (0.8, 0.0, 0.0, 0.6))), "stay aligned with the axes"),
+        ("moveByAngleZ", (0.0, 0.0), "moveByAngleZ: 2 arguments; allowed: pitch, roll, z, yaw, duration, vehicle_name"),
         ("simContinueForTime", (-1.0,), "allowed: 0 to 1e6 s"),
     ],
 )

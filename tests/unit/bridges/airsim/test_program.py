@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from mavfi.bridges.airsim.boundary import Boundary, parse_fault
-from mavfi.bridges.airsim.config import ProgramConfig
-from mavfi.bridges.airsim.program import client_version, effect_on, make_api, pixels, run_program
+from mavfi.bridges.airsim.config import ProgramConfig, pixels
+from mavfi.bridges.airsim.program import client_version, effect_on, make_api, run_program
 from mavfi.bridges.airsim.sensing import SKY, view
 from mavfi.errors import BadInputError
 from mavfi.flight_log import Injection

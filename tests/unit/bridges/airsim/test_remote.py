@@ -111,6 +111,31 @@ def test_a_server_that_is_not_there_or_goes_away_is_one_line():
 
 
 @pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        (b"HTTP/1.0 400 Bad Request\r\n", "not one of msgpack-rpc"),
+        (b"\xc1", "not one of msgpack-rpc"),  # a byte that msgpack does not use
+        (b"\x94\x01\x01\xa4full\xc0", "reset: full"),
+        (b"", "the server is gone"),
+    ],
+)
+def test_another_protocol_and_a_refusal_are_one_line(answer, message):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve():
+            connection, _ = server.accept()
+            with connection:
+                connection.recv(1000)
+                connection.sendall(answer)
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        with pytest.raises(MavfiError, match=message):
+            first(server.getsockname()[1])
+        thread.join(30.0)
+
+
+@pytest.mark.parametrize(
     "text", ["127.0.0.1:41451", "airsim://10.0.0.1:41451", "airsim://127.0.0.1", "airsim://127.0.0.1:0"]
 )
 def test_worlds_are_on_this_machine(text):

@@ -1,4 +1,4 @@
-"""Never ends by itself: argument `sleep` (its time passes) or `spin` (only the wall's does)."""
+"""Never ends: argument `sleep` (simulated time passes) or `spin` (only wall-clock time passes)."""
 
 import sys
 import time
