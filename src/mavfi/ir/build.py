@@ -109,6 +109,12 @@ def source_of(kernel: Any, signature: tuple[Any, ...]) -> Source:
     return Source(name_of(kernel), copy.inspect_llvm(signature), names.llvm_cpython_wrapper_name, names.env_name)
 
 
+def environment_of(kernel: Any, signature: tuple[Any, ...]) -> Any:
+    """Numba's environment of a kernel, to which its machine code points."""
+    kernel.compile(signature)
+    return kernel.overloads[signature].environment
+
+
 def target_machine() -> Any:
     """A generic x86-64 CPU, for the same code everywhere."""
     llvm.initialize_native_target()

@@ -11,7 +11,7 @@ from mavfi.faults.instruction.build import assemble, prepare
 from mavfi.faults.instruction.variant import Variant, signature_of
 from mavfi.hardening.candidates import candidates
 from mavfi.hardening.duplicate import protect
-from mavfi.ir.build import source_of
+from mavfi.ir.build import environment_of, source_of
 from mavfi.ir.forked import run_in_child
 from mavfi.ir.parser import parse_module
 
@@ -19,7 +19,7 @@ OUTCOMES = {b"M": "masked", b"S": "sdc", b"D": "detected", b"E": "exception"}
 
 
 class Full:
-    """Duplicates whatever can be."""
+    """Duplicates every instruction that can be."""
 
     key = b"full"
 
@@ -37,8 +37,7 @@ def module_of(kernel, args):
 def variant(kernel, args, rewrite=None):
     """The instrumented variant, built in this process."""
     signature = signature_of(args)
-    kernel.compile(signature)
-    return Variant(assemble(*prepare(kernel, signature, rewrite)), kernel.overloads[signature].environment)
+    return Variant(assemble(*prepare(kernel, signature, rewrite)), environment_of(kernel, signature))
 
 
 def copies(args):

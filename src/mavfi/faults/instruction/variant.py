@@ -21,7 +21,7 @@ from mavfi.faults.instruction.refusal import AllocationError
 from mavfi.faults.instruction.runtime import MASK_BYTES, NEVER, REPORT_BYTES, REPORT_WORDS, WORDS, Control, Mode
 from mavfi.faults.instruction.table import Site, Table
 from mavfi.faults.instruction.tally import HISTOGRAM
-from mavfi.ir.build import Rewrite, Rewriting, check, name_of, target_machine
+from mavfi.ir.build import Rewrite, Rewriting, check, environment_of, name_of, target_machine
 
 _CALL = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.c_void_p, ctypes.py_object, ctypes.c_void_p)
 
@@ -288,6 +288,5 @@ def variant_of(kernel: Any, signature: tuple[Any, ...], rewrite: Rewrite | None 
     key = signature, b"" if rewrite is None else rewrite.key
     if key not in known:
         built = cached_build(kernel, signature, rewrite)
-        kernel.compile(signature)
-        known[key] = Variant(built, kernel.overloads[signature].environment)
+        known[key] = Variant(built, environment_of(kernel, signature))
     return known[key]
