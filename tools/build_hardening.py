@@ -23,9 +23,10 @@ from mavfi.campaign.hardening.certify import certify, pairs_of
 from mavfi.campaign.hardening.golden import GoldenCheck, check_golden
 from mavfi.campaign.hardening.ledger import harm_of
 from mavfi.campaign.hardening.observed import observe
-from mavfi.campaign.hardening.study import Study, advise, merged, plan_of, planned_of, processor
+from mavfi.campaign.hardening.study import Study, advise, merged, plan_of, planned_of
 from mavfi.campaign.hardening.summary import summary
 from mavfi.campaign.hardening.target import Target
+from mavfi.campaign.overheads import processor
 from mavfi.hardening.choose import Choice, Chooser
 from mavfi.hardening.plan import Plan, save_plan
 from mavfi.hardening.protection import Protection

@@ -67,7 +67,7 @@ def test_functions_count_by_their_silent_corruptions():
 
 
 def test_an_advice_sums_time_over_its_functions():
-    advice = Advice(0.2, (SMALL, LARGE), allocate([SMALL, LARGE], 0.14), besides=0.01)
+    advice = Advice(0.2, (SMALL, LARGE), allocate([SMALL, LARGE], 0.14), shared=0.01)
     assert advice.spent == pytest.approx(0.01 + 0.1 * 0.4 + 0.9 * 0.1)
     assert advice.coverage().rate == pytest.approx((50 * 0.95 + 100 * 0.2) / 150)
     assert advice.coverage("octomap").rate is None
