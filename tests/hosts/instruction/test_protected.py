@@ -47,7 +47,7 @@ def golden():
 
 @pytest.fixture(scope="module")
 def plan(golden):
-    return Plan(functions=tuple(full_plan("pid", PLAIN.track, types, addresses=True) for types in golden[1]))
+    return Plan(functions=tuple(full_plan("pid", PLAIN.track, types) for types in golden[1]))
 
 
 @pytest.fixture(scope="module")

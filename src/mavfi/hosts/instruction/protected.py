@@ -26,6 +26,7 @@ from mavfi.faults.instruction import budget_for
 from mavfi.faults.instruction.api import apart
 from mavfi.faults.instruction.variant import Passes, Variant
 from mavfi.flight_log import AlarmRecord
+from mavfi.hardening.plan import Plan
 from mavfi.hardening.protection import protection_of
 from mavfi.hardening.wrapper import MESSAGE
 from mavfi.ir.build import Rewriting
@@ -37,9 +38,9 @@ SOURCE = "protection"
 """Source of the alarms."""
 
 
-def repetition_of(scenario: Scenario, kernel: str, signature: tuple[Any, ...]) -> str:
+def repetition_of(plan: Plan, kernel: str, signature: tuple[Any, ...]) -> str:
     """Kind of protection by repetition of a function: "rerun" or "vote"; "" = none."""
-    found = None if scenario.protection is None else scenario.protection.find(kernel, signature)
+    found = plan.find(kernel, signature)
     return found.kind if found is not None and found.kind in ("rerun", "vote") else ""
 
 
