@@ -99,10 +99,10 @@ class Advice:
         """Time that the plan adds, as a share of the flight's kernel time."""
         return self.shared + sum(curve.extra(step) for curve, step in self.steps)
 
-    def coverage(self, kernel: str = "") -> Rate:
-        """Predicted share of silent corruptions removed: of one kernel, or of all, each weighted by its number."""
-        own = [(curve, step) for curve, step in self.steps if kernel in ("", *curve.target.kernels)]
-        return together([(curve.target.name, curve.target.sdc_mass, step.judged) for curve, step in own])
+    @property
+    def coverage(self) -> Rate:
+        """Predicted share of all silent corruptions that is removed."""
+        return coverage_of_steps(self.steps)
 
 
 def coverage_of(judged: Judged) -> Rate:
@@ -110,14 +110,13 @@ def coverage_of(judged: Judged) -> Rate:
     return clustered_rate([hit for _, hit in judged], [one.world for one, _ in judged], [o.weight for o, _ in judged])
 
 
-def together(parts: Sequence[tuple[str, float, Judged]]) -> Rate:
-    """Coverage of several functions, given by name, expected corruptions and predictions."""
-    known = [(name, mass, judged) for name, mass, judged in parts if judged and mass > 0]
-    rows = [
-        (hit, mass * one.weight / (sum(o.weight for o, _ in judged) / len(judged)), name, one.world)
-        for name, mass, judged in known
-        for one, hit in judged
-    ]
+def coverage_of_steps(steps: Sequence[tuple[Curve, Step]]) -> Rate:
+    """Predicted coverage of a step of each of several functions, weighted by their expected silent corruptions."""
+    rows = []
+    for target, judged in ((curve.target, step.judged) for curve, step in steps):
+        whole = sum(one.weight for one, _ in judged)
+        mass = target.sdc_mass * len(judged) / whole if whole else 0.0
+        rows += [(hit, mass * one.weight, target.name, one.world) for one, hit in judged if mass > 0]
     return weighted_rate(*zip(*rows, strict=True)) if rows else Rate(0, None, None, None)
 
 
