@@ -171,7 +171,7 @@ def best_within(certified: Sequence[tuple[Curve, Step, Row]], entry: str, most: 
     return f"{found(row)} at ×{step.time:.2f}"
 
 
-def bars(
+def requirements(
     certified: Sequence[tuple[Curve, Step, Row]], compared: Sequence[Row], advice: Row, check: GoldenCheck
 ) -> list[list[str]]:  # fmt: skip
     """Required and measured values."""
@@ -185,13 +185,13 @@ def bars(
         ["golden digests with any plan; false alarms", "equal on 40 missions in four environments; 0 in ≥ 10,000 calls",
          f"{check.same} of {check.flights} equal; {check.alarms} in {check.calls:,} calls"],
     ]  # fmt: skip
-    for entry, most, bar in (
+    for entry, most, wanted in (
         ("plan_rrt_connect", 1.2, "≥ 97 % of SDCs removed (lower bound ≥ 94 %) at ≤ ×1.20"),
         ("time_to_collision", 1.2, "≥ 97 % of SDCs removed (lower bound ≥ 94 %) at ≤ ×1.20"),
         ("track", 1.3, "≥ 85 % at ≤ ×1.30"), ("apply_updates", 1.3, "≥ 85 % at ≤ ×1.30"),
         ("back_project", 1.5, "best found within ×1.5"), ("insert_scan", 1.5, "best found within ×1.5"),
     ):  # fmt: skip
-        rows.append([f"`{entry}`", bar, best_within(certified, entry, most)])
+        rows.append([f"`{entry}`", wanted, best_within(certified, entry, most)])
     rows += [
         ["`--budget 0.10` of a flight's kernel time", "every kernel but the map in full, or better",
          f"{percent(advice['spent'])} spent, {interval(advice['coverage'])} of all SDCs removed, predicted"],
@@ -232,8 +232,8 @@ def page(
         + f"{headline(advice)} {' '.join(caveats(advice))}\n\n"
         + f"Campaign `{c.name}` ({', '.join(c.environments)}, {c.missions} missions from seed {c.first_seed}, "
         + f"{c.faults} faults per kernel); {processor()}; {date.today()}. Method: [hardening](../hardening.md).\n\n"
-        + "## Bars\n\n"
-        + table(("what", "bar", "measured"), bars(certified, compared, advice, check))
+        + "## Requirements\n\n"
+        + table(("what", "requirement", "measured"), requirements(certified, compared, advice, check))
         + "\nThe exhaustive injection of small kernels is a test (`tests/unit/hardening/test_duplicate.py`).\n\n"
         + f"## The plan for {percent(advice['budget'], 0)} of a flight's kernel time\n\n"
         + table([column.heading for column in columns], plan)
