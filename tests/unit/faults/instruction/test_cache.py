@@ -9,7 +9,7 @@ import pytest
 from mavfi.faults.instruction import BuildError, build
 from mavfi.faults.instruction.build import Built, cached_build
 from mavfi.ir import object_cache
-from mavfi.numerics.jit import kernel_jit
+from tests.unit.faults.instruction.kernels import closure
 
 FLOAT = (numba.float64,)
 SOURCE = """
@@ -107,14 +107,6 @@ def test_without_a_folder_there_is_no_cache(monkeypatch, builds, tmp_path):
     kernel = load(tmp_path / "cached_e.py", 2.0)
     cached_build(kernel, FLOAT), cached_build(kernel, FLOAT)
     assert builds == ["kernel", "kernel"]
-
-
-def closure(factor):
-    @kernel_jit
-    def scaled(x):
-        return x * factor
-
-    return scaled
 
 
 def test_rewritten_code_depends_on_the_text_of_the_package_that_rewrites_it(folder, monkeypatch, tmp_path):
